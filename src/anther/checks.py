@@ -1,0 +1,91 @@
+"""One check at the border: shape, dtype, finiteness and range of arrays and numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from anther.errors import bad_input
+
+
+def check_array(
+    name: str,
+    value: Any,
+    shape: tuple[int | None, ...],
+    *,
+    dtype: DTypeLike = np.float64,
+    finite: bool = True,
+) -> NDArray[Any]:
+    """Return `value` as a read-only array of the given shape and dtype.
+
+    Args:
+        name: what the array is called in the error message.
+        value: anything numpy can turn into an array. It is not copied when it already fits.
+        shape: expected shape; None stands for any length.
+        dtype: dtype of the result.
+        finite: whether NaN and infinity are refused.
+
+    Raises:
+        InputError: wrong shape, not numeric, or not finite.
+    """
+    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+    try:
+        array = np.asarray(value, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise bad_input(
+            name, given=type(value).__name__, allowed=f"numbers of shape {wanted}", do=str(error)
+        ) from error
+    fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
+    if not fits:
+        raise bad_input(name, given=f"shape {array.shape}", allowed=f"shape {wanted}", do="Check the array's axes.")
+    if finite and array.dtype.kind == "f" and not np.isfinite(array).all():
+        count = int((~np.isfinite(array)).sum())
+        raise bad_input(
+            name, given=f"{count} NaN or infinite values", allowed="finite numbers", do="Remove or repair them."
+        )
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def check_range(name: str, value: float, lower: float, upper: float, unit: str = "") -> float:
+    """Return `value` if `lower <= value <= upper`.
+
+    Raises:
+        InputError: the value is outside the range or NaN.
+    """
+    if not lower <= value <= upper:
+        unit = f" {unit}" if unit else ""
+        raise bad_input(
+            name,
+            given=f"{value:g}{unit}",
+            allowed=f"{lower:g} <= {name} <= {upper:g}{unit}",
+            do="Check value and unit.",
+        )
+    return float(value)
+
+
+def check_transform(name: str, value: Any, count: int | None = None) -> NDArray[np.float64]:
+    """Return `value` as read-only rigid transforms, (4, 4) or, with `count` or a 3-d input, (V, 4, 4).
+
+    Raises:
+        InputError: not finite, wrong shape, or the rotation is not orthonormal with determinant +1.
+    """
+    stack = count is not None or np.ndim(value) == 3
+    T = check_array(name, value, (count, 4, 4) if stack else (4, 4))
+    R = T[..., :3, :3]
+    rigid = (
+        np.allclose(np.swapaxes(R, -1, -2) @ R, np.eye(3), atol=1e-6)
+        and bool(np.all(np.linalg.det(R) > 0))
+        and np.allclose(T[..., 3, :], [0, 0, 0, 1], atol=1e-9)
+    )
+    if not rigid:
+        raise bad_input(
+            name,
+            given="a matrix that is not a rigid transform",
+            allowed="rotation (orthonormal, det +1) and translation, last row 0 0 0 1",
+            do="Check scale, handedness and row order.",
+        )
+    return T

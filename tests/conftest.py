@@ -1,0 +1,18 @@
+"""Shared fixtures. Real data is read from the folder ANTHER_DATA, by default ../shared/data beside the checkout."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The folder of real plants and reference trajectories; tests that need it are skipped without it."""
+    if not DATA.is_dir():
+        pytest.skip(f"real data not found at {DATA}; set ANTHER_DATA to its folder")
+    return DATA
