@@ -1,0 +1,50 @@
+# The daily commands. A fresh machine needs Python 3.11 or newer, make, and a package index.
+PYTHON ?= python3
+BIN := .venv/bin
+CORE := .venv/.core-installed
+DEV := .venv/.dev-installed
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+RUN ?=
+
+.PHONY: demo test slow check sync bench docs lock clean
+
+demo: $(CORE)  ## install and run the main job: a simulated tomato is seen, grasped, shaken, measured
+	$(BIN)/anther trial --plant tomato --seed 0 --out runs/demo --overwrite
+
+test: $(DEV)  ## run the tests
+	$(BIN)/python -m pytest -n 2
+
+slow: $(DEV)  ## run the slow tests as well
+	$(BIN)/python -m pytest -n 2 -m "slow or not slow"
+
+check: $(DEV)  ## format, lint, types, layering
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/python -m pytest tests/test_house.py
+
+sync: $(DEV)  ## only the environment
+
+bench: $(DEV)  ## speed
+	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
+
+docs: $(DEV)  ## redraw every figure and table the docs show
+	$(BIN)/python experiments/real_plants.py --json docs/results/real_plants.json
+	$(BIN)/python experiments/trials.py --json docs/results/trials.json
+
+lock: $(DEV)  ## show what is installed, to renew the lock files from
+	$(BIN)/python -m pip freeze --exclude-editable
+
+clean:
+	rm -rf .venv .pytest_cache .ruff_cache build dist
+
+$(CORE): requirements.lock pyproject.toml
+	@echo "Installing Anther and its pinned dependencies into .venv (about 1.5 GB, once) ..."
+	$(PYTHON) tools/make_env.py .venv
+	$(PIP_INSTALL) -r requirements.lock
+	$(PIP_INSTALL) --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(DEV): $(CORE) requirements-dev.lock
+	$(PIP_INSTALL) -r requirements-dev.lock
+	@touch $@

@@ -1,0 +1,81 @@
+"""The command line: `anther COMMAND ...`. Exit code 0 on success, 1 for a trial that failed, 2 for bad input."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+
+COMMANDS = {
+    "trial": "see, grasp and shake one plant in the simulated cell, measure it, write a report",
+    "reconstruct": "RGB-D views of a plant -> cloud, skeleton, main stem, flowers, grasp",
+    "skeletonize": "point cloud -> skeleton, main stem, grasp",
+    "shake": "shake a skeleton with the elastic-rod model; print the flower's motion",
+    "view": "open a run in the 3-D viewer, or write it to one HTML file",
+    "convert-kinect": "Kinect turntable frames -> a capture folder",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in {"-h", "--help"}:
+        print(_overview())
+        return 0 if words else 2
+    if words[0] == "--version":
+        from anther import __version__
+
+        print(f"anther {__version__}")
+        return 0
+    if words[0] not in COMMANDS:
+        print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
+        return 2
+    return _run(words[0], words[1:])
+
+
+def _run(name: str, words: list[str]) -> int:
+    import tyro
+
+    from anther.errors import AntherError
+
+    command = _module(name)
+    try:
+        args = tyro.cli(command.Args, prog=f"anther {name}", description=command.__doc__, args=words)
+        return int(command.run(args) or 0)
+    except AntherError as error:
+        print(f"anther {name}: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print(f"anther {name}: interrupted; finished stages are kept.", file=sys.stderr)
+        return 130
+
+
+def _module(name: str) -> ModuleType:
+    """Import only the chosen command, so that the others cost nothing."""
+    match name:
+        case "trial":
+            from anther.commands import trial as command
+        case "reconstruct":
+            from anther.commands import reconstruct as command
+        case "skeletonize":
+            from anther.commands import skeletonize as command
+        case "shake":
+            from anther.commands import shake as command
+        case "view":
+            from anther.commands import view as command
+        case _:
+            from anther.commands import convert_kinect as command
+    return command
+
+
+def _overview() -> str:
+    rows = "\n".join(f"  {name:16}{text}" for name, text in COMMANDS.items())
+    return f"usage: anther COMMAND [options]\n\n{rows}\n\nanther COMMAND --help tells a command's options."
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,104 @@
+"""A run folder that reads as the pipeline: every stage leaves its result in a numbered file, and is timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol, Self, TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from anther.errors import bad_input
+
+FILES = {
+    "capture": "01_capture",
+    "masks": "02_masks.npz",
+    "cloud": "03_cloud.ply",
+    "skeleton": "04_skeleton.npz",
+    "stem": "05_stem.npz",
+    "flowers": "06_flowers.npz",
+    "grasp": "07_grasps.json",
+    "shake plan": "08_shake_plan.json",
+    "execution": "09_trial.npz",
+    "response": "09_response.npz",
+    "report": "10_report.html",
+}
+"""Stage -> file in the run folder, in the order the stages run."""
+
+Advance = Callable[[int, int], None]
+"""Progress of one stage: (steps done, steps in all)."""
+
+
+class Kept(Protocol):
+    """A stage's result: it can be written to its file and read back."""
+
+    def save(self, path: Path, /) -> None: ...
+
+    @classmethod
+    def load(cls, path: Path, /) -> Self: ...
+
+
+Result = TypeVar("Result", bound=Kept)
+
+
+class Run:
+    """One run folder, its progress bars and the time each stage took.
+
+    Use as a context manager; bars are drawn while it is open.
+
+    Args:
+        folder: the run's folder; it is made.
+        restart_from: a stage name; results of earlier stages are read from the folder instead of computed.
+        quiet: draw nothing.
+
+    Attributes:
+        seconds: stage -> time it took [s]; stages that were read back are absent.
+
+    Raises:
+        InputError: unknown stage to restart from.
+    """
+
+    def __init__(self, folder: Path, *, restart_from: str | None = None, quiet: bool = False) -> None:
+        if restart_from is not None and restart_from not in FILES:
+            raise bad_input(
+                "restart-from", given=f"'{restart_from}'", allowed=", ".join(FILES), do="Name one of these stages."
+            )
+        self.folder = Path(folder)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self.seconds: dict[str, float] = {}
+        self._restart_from = restart_from
+        columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
+        self._bars = Progress(*columns, console=Console(stderr=True), disable=quiet)
+
+    def __enter__(self) -> Run:
+        self._bars.__enter__()
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._bars.stop()
+
+    def path(self, stage: str) -> Path:
+        """Return the file or folder that keeps a stage's result."""
+        return self.folder / FILES[stage]
+
+    def stage(self, name: str, kind: type[Result], compute: Callable[[Advance], Result]) -> Result:
+        """Compute a stage and keep its result, or read it back when the run restarts from a later stage."""
+        if self._restart_from is not None and list(FILES).index(name) < list(FILES).index(self._restart_from):
+            return kind.load(self.path(name))
+        result = self.timed(name, compute)
+        result.save(self.path(name))
+        return result
+
+    def timed(self, name: str, compute: Callable[[Advance], Value]) -> Value:
+        """Compute something under a progress bar and note the time it took."""
+        bar = self._bars.add_task(name, total=None)
+        start = time.perf_counter()
+        value = compute(lambda done, total: self._bars.update(bar, completed=done, total=total))
+        self.seconds[name] = time.perf_counter() - start
+        self._bars.update(bar, completed=1, total=1)
+        return value
+
+
+Value = TypeVar("Value")
