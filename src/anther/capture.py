@@ -1,15 +1,41 @@
-"""Capture: the RGB-D views of one plant, and the folder they are kept in. Dimensions: V views, H x W pixels."""
+"""Capture: the RGB-D views of one plant, and the folder they are kept in. Dimensions: V views, H x W pixels.
+
+The folder is nerfstudio's: `transforms.json` beside PNG images (docs/capture.md).
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import tempfile
+import zlib
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 from numpy.typing import NDArray
 
-from anther.checks import check_array, check_transform
-from anther.errors import bad_input
+from anther.checks import check_array, check_range, check_transform
+from anther.errors import InputError, bad_input
+from anther.files import existing, read_json
 from anther.geometry import Array, Intrinsics
+
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""nerfstudio's camera frame (x right, y up, z backward) expressed in OpenCV's (x right, y down, z forward)."""
+
+PIXEL_CENTRE = 0.5
+"""nerfstudio puts pixel centres at half-integers (its `pixel_offset`); `Intrinsics` puts them at integers [px]."""
+
+_DEPTH_UNITS = (1e-4, 1e-3)  # [m] per 16-bit step: 6.5 m in tenths of a millimetre, else 65 m in millimetres
+_PLAUSIBLE_DEPTH = (0.02, 20.0)  # [m] median of a view's readings
+_PLAUSIBLE_POSITION = 50.0  # [m] from the world's origin
+_INTRINSICS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
+_DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,3 +74,275 @@ class Capture:
     def views(self) -> int:
         """Number of views V."""
         return len(self.depth)
+
+    def save(self, folder: Path | str) -> None:
+        """Write the capture folder (docs/capture.md), all of it or nothing.
+
+        An existing capture in `folder` is replaced. Depth is rounded to 0.1 mm, or to 1 mm beyond 6.5 m.
+
+        Raises:
+            InputError: `folder` exists and is something else than a capture, or depth exceeds 65 m.
+        """
+        folder = Path(folder)
+        if (
+            folder.exists()
+            and not (folder / "transforms.json").exists()
+            and (folder.is_file() or any(folder.iterdir()))
+        ):
+            raise bad_input(
+                str(folder), given="something that is not a capture", allowed="a new folder", do="Choose another name."
+            )
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        try:
+            _write_folder(self, temporary / "new")
+            if folder.exists():
+                folder.replace(temporary / "old")
+            (temporary / "new").replace(folder)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+    @classmethod
+    def load(cls, folder: Path | str) -> Capture:
+        """Read a capture folder: `transforms.json` in nerfstudio's convention and its images (docs/capture.md).
+
+        Raises:
+            InputError: a file is missing, truncated or of the wrong size; poses or intrinsics are not usable;
+                the scale is implausible.
+        """
+        folder = existing(folder)
+        meta = read_json(folder / "transforms.json" if folder.is_dir() else folder)
+        folder = folder if folder.is_dir() else folder.parent
+        frames = _frames(meta)
+        intrinsics = _read_intrinsics(meta, frames)
+        poses = np.stack([_read_pose(i, frame) for i, frame in enumerate(frames)])
+        joints = [frame.get("joints") for frame in frames]
+        return cls(
+            depth=_read_depth(folder, meta, frames, intrinsics),
+            intrinsics=intrinsics,
+            T_world_cam=poses @ OPENGL_TO_OPENCV,
+            rgb=_read_colour(folder, frames, intrinsics),
+            joints=None if any(j is None for j in joints) else _joints_array(joints),
+        )
+
+
+def _write_folder(capture: Capture, folder: Path) -> None:
+    furthest = float(capture.depth.max())
+    check_range("greatest depth", furthest, 0, _DEPTH_UNITS[-1] * 65535, "m")
+    unit = next(u for u in _DEPTH_UNITS if furthest <= u * 65535)
+    for name in ("depth", "rgb") if capture.rgb is not None else ("depth",):
+        (folder / name).mkdir(parents=True)
+    steps = [(i, unit, folder) for i in range(capture.views)]
+    _in_threads(lambda step: _write_view(capture, *step), steps)
+    camera = capture.intrinsics
+    meta = {
+        "camera_model": "PINHOLE",
+        "fl_x": camera.fx,
+        "fl_y": camera.fy,
+        "cx": camera.cx + PIXEL_CENTRE,
+        "cy": camera.cy + PIXEL_CENTRE,
+        "w": camera.width,
+        "h": camera.height,
+        "depth_unit_scale_factor": unit,
+        "frames": [_frame(capture, i) for i in range(capture.views)],
+    }
+    (folder / "transforms.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_view(capture: Capture, view: int, unit: float, folder: Path) -> None:
+    depth = np.round(capture.depth[view].astype(np.float64) / unit).astype(np.uint16)
+    _write_png(folder / f"depth/{view:04d}.png", depth)
+    if capture.rgb is not None:
+        _write_png(folder / f"rgb/{view:04d}.png", capture.rgb[view][..., ::-1])
+
+
+def _write_png(path: Path, image: NDArray[Any]) -> None:
+    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not ok:
+        raise InputError(f"{path}: the image of shape {image.shape} could not be encoded as PNG.")
+    path.write_bytes(data.tobytes())
+
+
+def _frame(capture: Capture, view: int) -> dict[str, Any]:
+    frame: dict[str, Any] = {"depth_file_path": f"depth/{view:04d}.png"}
+    if capture.rgb is not None:
+        frame["file_path"] = f"rgb/{view:04d}.png"
+    if capture.joints is not None:
+        frame["joints"] = capture.joints[view].tolist()
+    return frame | {"transform_matrix": (capture.T_world_cam[view] @ OPENGL_TO_OPENCV).tolist()}
+
+
+def _frames(meta: Any) -> list[dict[str, Any]]:
+    frames = meta.get("frames") if isinstance(meta, dict) else None
+    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
+        raise bad_input(
+            "transforms.json",
+            given="no list of frames",
+            allowed="an object with a non-empty list 'frames'",
+            do="See docs/capture.md.",
+        )
+    for key in ("transform_matrix", "depth_file_path"):
+        lacking = [i for i, frame in enumerate(frames) if key not in frame]
+        if lacking:
+            raise bad_input(
+                "transforms.json",
+                given=f"frame {lacking[0]} without '{key}' ({len(lacking)} of {len(frames)} lack it)",
+                allowed=f"every frame has '{key}'",
+                do="Anther needs a depth image and a pose for every view.",
+            )
+    return frames
+
+
+def _read_intrinsics(meta: dict[str, Any], frames: list[dict[str, Any]]) -> Intrinsics:
+    """Return the shared intrinsics; per-frame values are allowed only if they are all the same."""
+    first = meta | {k: frames[0][k] for k in _INTRINSICS_KEYS if k in frames[0]}
+    for i, frame in enumerate(frames):
+        mixed = [k for k in _INTRINSICS_KEYS if k in frame and frame[k] != first.get(k)]
+        if mixed or any((k in frame) != (k in frames[0]) for k in _INTRINSICS_KEYS):
+            raise bad_input(
+                "transforms.json",
+                given=f"frame {i} with other intrinsics than frame 0 ({', '.join(mixed) or 'some frames have none'})",
+                allowed="one camera for all views",
+                do="Save each camera's views as a capture of its own, or resample them to one camera.",
+            )
+    bent = [k for k in _DISTORTION_KEYS if any(_number(k, source.get(k, 0)) != 0 for source in (meta, *frames))]
+    if bent:
+        raise bad_input(
+            "transforms.json",
+            given=f"lens distortion ({', '.join(bent)})",
+            allowed="a pinhole camera without distortion",
+            do="Undistort the images first (ns-process-data or cv2.undistort), then set the coefficients to 0.",
+        )
+    values = {key: _number(key, first.get(key)) for key in _INTRINSICS_KEYS}
+    return Intrinsics(
+        width=round(values["w"]),
+        height=round(values["h"]),
+        fx=values["fl_x"],
+        fy=values["fl_y"],
+        cx=values["cx"] - PIXEL_CENTRE,
+        cy=values["cy"] - PIXEL_CENTRE,
+    )
+
+
+def _number(key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
+        raise bad_input(
+            f"transforms.json '{key}'", given=repr(value), allowed="a finite number", do="See docs/capture.md."
+        )
+    return float(value)
+
+
+def _read_pose(view: int, frame: dict[str, Any]) -> Array:
+    """Return the (4, 4) camera-to-world matrix, its rotation freed of rounding (up to 1e-3)."""
+    name = f"frame {view} transform_matrix"
+    T = np.array(check_array(name, frame["transform_matrix"], (4, 4)))
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    nearest = U @ Vt
+    if np.abs(nearest - T[:3, :3]).max() < 1e-3:
+        T[:3, :3] = nearest
+    check_transform(name, T)
+    check_range(
+        f"frame {view} camera distance from the origin", float(np.linalg.norm(T[:3, 3])), 0, _PLAUSIBLE_POSITION, "m"
+    )
+    return T
+
+
+def _joints_array(joints: list[Any]) -> Array:
+    return check_array("joints of the frames", joints, (len(joints), 7))
+
+
+def _read_depth(
+    folder: Path, meta: dict[str, Any], frames: list[dict[str, Any]], intrinsics: Intrinsics
+) -> NDArray[np.float32]:
+    unit = _number("depth_unit_scale_factor", meta.get("depth_unit_scale_factor", 1e-3))
+    check_range("depth_unit_scale_factor", unit, 1e-6, 1, "m")
+    depth = np.empty((len(frames), intrinsics.height, intrinsics.width), dtype=np.float32)
+
+    def read(view: int) -> None:
+        path = folder / str(frames[view]["depth_file_path"])
+        image = _read_image(path, cv2.IMREAD_UNCHANGED, intrinsics)
+        if image.dtype != np.uint16 or image.ndim != 2:
+            raise bad_input(
+                str(path),
+                given=f"{image.dtype} image of shape {image.shape}",
+                allowed="one channel of 16 bits",
+                do="Save depth as 16-bit PNG; 8 bits are too coarse.",
+            )
+        np.multiply(image, np.float32(unit), out=depth[view])
+
+    _in_threads(read, range(len(frames)))
+    readings = depth[:: max(1, len(frames) // 5), ::8, ::8]
+    if np.any(readings > 0):
+        middle = float(np.median(readings[readings > 0]))
+        if not _PLAUSIBLE_DEPTH[0] <= middle <= _PLAUSIBLE_DEPTH[1]:
+            raise bad_input(
+                "depth",
+                given=f"a median of {middle:g} m",
+                allowed=f"{_PLAUSIBLE_DEPTH[0]:g} to {_PLAUSIBLE_DEPTH[1]:g} m",
+                do="Check depth_unit_scale_factor: metres per step, 0.001 for millimetres.",
+            )
+    return depth
+
+
+def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrinsics) -> NDArray[np.uint8] | None:
+    named = [i for i, frame in enumerate(frames) if frame.get("file_path")]
+    if not named:
+        return None
+    if len(named) < len(frames):
+        raise bad_input(
+            "transforms.json",
+            given=f"'file_path' in {len(named)} of {len(frames)} frames",
+            allowed="a colour image for every frame or for none",
+            do="Add the missing images, or remove file_path everywhere for a depth-only capture.",
+        )
+    rgb = np.empty((len(frames), intrinsics.height, intrinsics.width, 3), dtype=np.uint8)
+
+    def read(view: int) -> None:
+        image = _read_image(folder / str(frames[view]["file_path"]), cv2.IMREAD_COLOR, intrinsics)
+        rgb[view] = image[..., ::-1]
+
+    _in_threads(read, range(len(frames)))
+    return rgb
+
+
+def _read_image(path: Path, flags: int, intrinsics: Intrinsics) -> NDArray[Any]:
+    data = existing(path).read_bytes()
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _is_intact(data) else None
+    if image is None:
+        raise bad_input(
+            str(path),
+            given=f"{len(data)} bytes that are not a whole image",
+            allowed="PNG or JPEG",
+            do="It is truncated or damaged; copy it again.",
+        )
+    if image.shape[:2] != (intrinsics.height, intrinsics.width):
+        raise bad_input(
+            str(path),
+            given=f"{image.shape[1]} x {image.shape[0]} px",
+            allowed=f"{intrinsics.width} x {intrinsics.height} px (w, h in transforms.json)",
+            do="Depth must be aligned to colour and have its size.",
+        )
+    return image
+
+
+def _is_intact(data: bytes) -> bool:
+    """Return whether a PNG's chunks are whole (decoders fill a truncated image silently) or a JPEG has its end."""
+    if data.startswith(b"\xff\xd8"):
+        return b"\xff\xd9" in data[-65536:]
+    if not data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return False
+    at = 8
+    while at + 12 <= len(data):
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+        if end > len(data) or zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            return False
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at = end
+    return False
+
+
+def _in_threads(work: Any, items: Iterable[Any]) -> None:
+    """Run `work` on every item in threads (OpenCV releases the GIL); the first error is raised."""
+    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
+        list(pool.map(work, items))

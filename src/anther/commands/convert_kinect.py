@@ -1,0 +1,70 @@
+"""anther convert-kinect: a folder of Kinect depth frames with known poses becomes a capture folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import tyro
+
+from anther.capture import Capture
+from anther.checks import check_array
+from anther.errors import bad_input
+from anther.files import existing, read_json
+from anther.geometry import Array, Intrinsics
+
+_MM = 1e-3  # [m]
+
+
+def convert_kinect(
+    source: Annotated[Path, tyro.conf.Positional],
+    out: Annotated[Path, tyro.conf.Positional],
+) -> None:
+    """Convert a folder of Kinect depth frames and `poses.json` (millimetres) to a capture folder (metres).
+
+    The world's z axis stays the turntable's, which is the plant's up axis.
+
+    Args:
+        source: folder with `poses.json` (intrinsics, depth_scale_mm, frames with file and T_world_cam [mm])
+            and one 16-bit PNG per frame.
+        out: capture folder to write.
+
+    Raises:
+        InputError: a file is missing or unusable.
+    """
+    capture = read_kinect(source)
+    capture.save(out)
+    print(f"{out}: {capture.views} views of {capture.intrinsics.width} x {capture.intrinsics.height} px, depth only")
+
+
+def read_kinect(folder: Path) -> Capture:
+    """Return the capture in a Kinect folder; see `convert_kinect`."""
+    meta = read_json(existing(folder) / "poses.json")
+    try:
+        values = {key: meta["intrinsics"][key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
+        scale = float(meta.get("depth_scale_mm", 1.0)) * _MM
+        poses = np.stack([_pose(frame["T_world_cam"]) for frame in meta["frames"]])
+        depth = np.stack([_depth(folder / frame["file"], scale) for frame in meta["frames"]])
+    except (KeyError, TypeError) as error:
+        raise bad_input(
+            str(folder / "poses.json"),
+            given=f"an entry that cannot be used ({error!r})",
+            allowed="intrinsics {width, height, fx, fy, cx, cy} and frames [{file, T_world_cam}]",
+            do="Compare with docs/capture.md.",
+        ) from error
+    return Capture(depth=depth, intrinsics=Intrinsics(**values), T_world_cam=poses)
+
+
+def _pose(matrix_mm: Any) -> Array:
+    T = np.array(check_array("T_world_cam", matrix_mm, (4, 4)))
+    T[:3, 3] *= _MM
+    return T
+
+
+def _depth(path: Path, scale: float) -> Any:
+    image = cv2.imread(str(existing(path)), cv2.IMREAD_UNCHANGED)
+    if image is None or image.dtype != np.uint16 or image.ndim != 2:
+        raise bad_input(str(path), given="no 16-bit depth image", allowed="one channel, 16 bits", do="Is it truncated?")
+    return (image * np.float64(scale)).astype(np.float32)
