@@ -1,0 +1,157 @@
+"""Growing a simulated plant piece by piece: chains of segments with their tubes, surfaces that ride on a segment.
+
+Local frame while growing: the soil surface at the pot's axis is the origin, z up. `Growth.finish` places the plant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.geometry import Array, transform, transform_points
+from anther.sim.mechanics import supported_youngs
+from anther.sim.mesh import Mesh, revolve, tube
+from anther.sim.plant import POT_HEIGHT, Organ, Pot, SimPlant
+
+SOIL_COLOUR = (58, 43, 33)
+POT_COLOURS = ((178, 98, 66), (42, 42, 45), (160, 88, 60))
+"""Terracotta, black plastic, darker terracotta."""
+
+
+def varied(colour: ArrayLike, count: int, rng: np.random.Generator, spread: float = 5.0) -> NDArray[np.uint8]:
+    """Return (count, 3) sRGB colours around `colour`, with one common shift in lightness and small noise."""
+    shift = rng.normal(0, spread)
+    noise = rng.normal(0, spread / 2.5, (count, 1)) * np.array([1.0, 1.0, 0.7])
+    return np.clip(np.asarray(colour) + shift + noise, 0, 255).astype(np.uint8)
+
+
+@dataclass
+class Growth:
+    """The pieces of a plant that is still growing.
+
+    Attributes:
+        rng: source of everything random.
+        youngs, density: of the tissue [Pa], [kg/m3]; a chain may have its own.
+    """
+
+    rng: np.random.Generator
+    youngs: float
+    density: float
+    _segments: list[dict[str, Any]] = field(default_factory=list)
+    _flowers: list[tuple[int, Array]] = field(default_factory=list)
+    _meshes: list[dict[str, Any]] = field(default_factory=list)
+    _vertices: int = 0
+
+    def chain(
+        self,
+        points: Array,
+        radii: ArrayLike,
+        organ: Organ,
+        parent: int,
+        colour: ArrayLike,
+        *,
+        youngs: float | None = None,
+        sides: int = 8,
+        tip: bool = True,
+    ) -> list[int]:
+        """Add tapered segments along a polyline (n, 3) that starts at the parent's end, and their tube.
+
+        Args:
+            points: (n, 3) [m].
+            radii: (n,) [m].
+            organ: of every segment.
+            parent: segment it grows from, -1 for the soil.
+            colour: sRGB.
+            youngs: Young's modulus [Pa] if not the plant's.
+            sides: of the tube.
+            tip: whether the tube's end is closed.
+
+        Returns:
+            the n - 1 segment numbers.
+        """
+        radii = np.asarray(radii, dtype=np.float64)
+        added = []
+        for i in range(len(points) - 1):
+            ends = {"start": points[i], "end": points[i + 1], "radius_start": radii[i], "radius_end": radii[i + 1]}
+            tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": self.density}
+            carried = {"lump_mass": 0.0, "lump_moment": np.zeros(3)}
+            self._segments.append({"parent": added[-1] if added else parent, **ends, **tissue, **carried})
+            added.append(len(self._segments) - 1)
+        ring = np.repeat([added[0], *added], sides)
+        rides = np.concatenate([ring, added[-1:]]) if tip else ring
+        self.surface(tube(points, radii, sides=sides, tip=tip), organ, colour, rides)
+        return added
+
+    def surface(self, mesh: Mesh, organ: Organ, colour: ArrayLike, segment: int | NDArray[Any]) -> None:
+        """Add a mesh. `colour` is one sRGB colour, varied a little, or (n, 3); `segment` one or (n,)."""
+        vertices, faces = mesh
+        n = len(vertices)
+        colours = np.asarray(colour)
+        colours = varied(colours, n, self.rng) if colours.ndim == 1 else colours.astype(np.uint8)
+        piece = {"vertices": vertices, "faces": faces + self._vertices, "vertex_color": colours}
+        labels = {"face_organ": np.full(len(faces), organ), "vertex_segment": np.broadcast_to(segment, n)}
+        self._meshes.append(piece | labels)
+        self._vertices += n
+
+    def carry(self, segment: int, mass: float, centre: ArrayLike) -> None:
+        """Add a mass [kg] that segment carries at `centre` (3,) [m]."""
+        self._segments[segment]["lump_mass"] += mass
+        self._segments[segment]["lump_moment"] = self._segments[segment]["lump_moment"] + mass * np.asarray(centre)
+
+    def flower(self, segment: int, centre: Array, mass: float) -> None:
+        """Say that a pedicel segment carries a flower of `mass` [kg] at `centre` (3,) [m]."""
+        self.carry(segment, mass, centre)
+        self._flowers.append((segment, centre))
+
+    def end(self, segment: int) -> Array:
+        """Return where a segment ends (3,) [m]."""
+        return self._segments[segment]["end"]
+
+    def pot(self, radius: float) -> None:
+        """Add a pot with soil under the origin."""
+        colour = POT_COLOURS[self.rng.integers(len(POT_COLOURS))]
+        r, h = radius, POT_HEIGHT
+        outside = [
+            (0, -h),
+            (0.74 * r, -h),
+            (0.95 * r, -0.2 * h),
+            (r, -0.2 * h),
+            (r, 0),
+            (r - 0.005, 0),
+            (r - 0.01, -0.03),
+        ]
+        self.surface(revolve(np.repeat(outside, 2, axis=0)), Organ.POT, colour, -1)
+        rings = np.linspace(0, r - 0.006, 14)
+        soil, faces = revolve(np.stack([rings, -0.012 * (rings / r) ** 2], axis=1), sides=48)
+        soil[48:, 2] += self.rng.normal(0, 0.0012, len(soil) - 48)
+        colours = np.clip(np.array(SOIL_COLOUR) * self.rng.uniform(0.6, 1.35, (len(soil), 1)), 0, 255)
+        self.surface((soil, faces), Organ.SOIL, colours, -1)
+
+    def finish(
+        self, species: str, seed: int, *, axis: tuple[float, float], soil_z: float, viewpoint: float, pot_radius: float
+    ) -> SimPlant:
+        """Return the plant, turned by `viewpoint` [deg] about the pot's axis and placed at (axis, soil_z) [m]."""
+        self.pot(pot_radius)
+        c, s = np.cos(np.radians(viewpoint)), np.sin(np.radians(viewpoint))
+        T = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [*axis, soil_z])
+        part = {name: np.array([s[name] for s in self._segments]) for name in self._segments[0]}
+        mesh = {name: np.concatenate([m[name] for m in self._meshes]) for name in self._meshes[0]}
+        lump_mass, moment = part["lump_mass"], part.pop("lump_moment")
+        middle = (part["start"] + part["end"]) / 2
+        centre = np.where(lump_mass[:, None] > 0, moment / np.maximum(lump_mass, 1e-12)[:, None], middle)
+        places = {"start": part.pop("start"), "end": part.pop("end"), "lump_centre": centre}
+        places |= {"flower_position": np.array([p for _, p in self._flowers]), "vertices": mesh.pop("vertices")}
+        plant = SimPlant(
+            species=species,
+            seed=seed,
+            damping_ratio=float(self.rng.uniform(0.03, 0.08)),
+            flower_segment=np.array([k for k, _ in self._flowers]),
+            pot=Pot(T[:3, 3], pot_radius, 0.74 * pot_radius),
+            **part,
+            **mesh,
+            **{name: transform_points(T, value) for name, value in places.items()},
+        )
+        return supported_youngs(plant)

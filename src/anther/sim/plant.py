@@ -1,0 +1,202 @@
+"""The simulated plant: one ground truth that both the renderer and the contact simulation are built from.
+
+A plant is a tree of K tapered straight segments (its mechanics) and a triangle mesh whose vertices ride on them (its
+looks). World frame [m], z up. The shape given is the rest shape: the plant as it hangs under its own weight.
+Dimensions: K segments, Nv vertices, Nf faces, F flowers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.checks import check_array
+from anther.errors import bad_input
+from anther.geometry import Array
+
+GRAVITY = 9.81
+SOIL_Z = -0.30
+"""Height of the soil surface in the cell [m]; the arm's base is at 0."""
+POT_HEIGHT = 0.18
+"""Height of the pot [m]; it stands on the bench at SOIL_Z - POT_HEIGHT."""
+POT_AXIS = (0.72, 0.0)
+"""Where the pot stands by default: x, y in front of the arm's base [m]."""
+
+
+class Organ(IntEnum):
+    """What a segment or a face belongs to. NOTHING is only found in images: a pixel that sees no surface."""
+
+    STEM = 0
+    BRANCH = 1
+    PETIOLE = 2
+    RACHIS = 3
+    LEAF = 4
+    PEDUNCLE = 5
+    PEDICEL = 6
+    FLOWER = 7
+    POT = 8
+    SOIL = 9
+    SURROUNDINGS = 10
+    NOTHING = 255
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pot:
+    """A pot that stands upright.
+
+    Attributes:
+        centre: (3,) on the axis at the height of the soil surface [m].
+        radius_top, radius_bottom: outer radii [m].
+        height: from the bench to the soil surface, which is level with the rim [m].
+    """
+
+    centre: Array
+    radius_top: float
+    radius_bottom: float
+    height: float = POT_HEIGHT
+
+    @property
+    def soil_z(self) -> float:
+        """Height of the soil surface, where the plant's base is clamped [m]."""
+        return float(self.centre[2])
+
+    @property
+    def bench_z(self) -> float:
+        """Height of the bench the pot stands on [m]."""
+        return self.soil_z - self.height
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimPlant:
+    """A parametric plant with complete ground truth, placed in the world.
+
+    Segments are in an order in which a parent comes before its children; a segment starts where its parent ends.
+
+    Attributes:
+        species: "tomato" or "pepper".
+        seed: the seed it grew from.
+        start, end: (K, 3) ends of each segment's axis, base first [m].
+        radius_start, radius_end: (K,) radii there [m].
+        parent: (K,) int, parent[k] < k, -1 at the base (the one segment that leaves the soil).
+        organ: (K,) int, an `Organ` from STEM to PEDICEL.
+        youngs: (K,) Young's modulus [Pa].
+        density: (K,) of the segment's own tissue [kg/m3].
+        damping_ratio: of the plant's first bending mode [-].
+        lump_mass: (K,) mass the segment carries besides its own: leaf blades, flowers [kg].
+        lump_centre: (K, 3) centre of that mass [m]; the segment's middle where it is zero.
+        flower_segment: (F,) int, the pedicel segment that carries the flower.
+        flower_position: (F, 3) centre of the flower [m].
+        vertices: (Nv, 3) [m].
+        faces: (Nf, 3) int32 vertex numbers.
+        face_organ: (Nf,) uint8, an `Organ`.
+        vertex_color: (Nv, 3) uint8 sRGB.
+        vertex_segment: (Nv,) int32, the segment a vertex rides on; -1 = still (pot, soil).
+        pot: where it stands.
+    """
+
+    species: str
+    seed: int
+    start: Array
+    end: Array
+    radius_start: Array
+    radius_end: Array
+    parent: NDArray[Any]
+    organ: NDArray[Any]
+    youngs: Array
+    density: Array
+    damping_ratio: float
+    lump_mass: Array
+    lump_centre: Array
+    flower_segment: NDArray[Any]
+    flower_position: Array
+    vertices: Array
+    faces: NDArray[Any]
+    face_organ: NDArray[Any]
+    vertex_color: NDArray[Any]
+    vertex_segment: NDArray[Any]
+    pot: Pot
+
+    def __post_init__(self) -> None:
+        segments, flowers = len(self.start), len(self.flower_segment)
+        vertices, faces = len(self.vertices), len(self.faces)
+        shapes: dict[str, tuple[tuple[int, ...], str]] = {
+            "start": ((segments, 3), "float64"),
+            "end": ((segments, 3), "float64"),
+            "radius_start": ((segments,), "float64"),
+            "radius_end": ((segments,), "float64"),
+            "parent": ((segments,), "int64"),
+            "organ": ((segments,), "int64"),
+            "youngs": ((segments,), "float64"),
+            "density": ((segments,), "float64"),
+            "lump_mass": ((segments,), "float64"),
+            "lump_centre": ((segments, 3), "float64"),
+            "flower_segment": ((flowers,), "int64"),
+            "flower_position": ((flowers, 3), "float64"),
+            "vertices": ((vertices, 3), "float64"),
+            "faces": ((faces, 3), "int32"),
+            "face_organ": ((faces,), "uint8"),
+            "vertex_color": ((vertices, 3), "uint8"),
+            "vertex_segment": ((vertices,), "int32"),
+        }
+        for name, (shape, dtype) in shapes.items():
+            object.__setattr__(self, name, check_array(f"plant {name}", getattr(self, name), shape, dtype=dtype))
+        self._check_tree()
+
+    def _check_tree(self) -> None:
+        k = np.arange(len(self.parent))
+        if len(k) == 0 or self.parent[0] != -1 or np.any(self.parent[1:] < 0) or np.any(self.parent >= k):
+            raise bad_input("plant parent", given="no tree", allowed="-1 first, then 0 <= parent[k] < k", do="Reorder.")
+        if min(self.radius_start.min(), self.radius_end.min(), self.youngs.min(), self.density.min()) <= 0:
+            raise bad_input("plant", given="a value <= 0", allowed="radii, youngs, density > 0", do="Check units.")
+
+    @property
+    def length(self) -> Array:
+        """(K,) length of each segment [m]."""
+        return np.linalg.norm(self.end - self.start, axis=1)
+
+    @property
+    def mass(self) -> Array:
+        """(K,) mass of each segment's own tissue, a conical frustum [kg]."""
+        a, b = self.radius_start, self.radius_end
+        return self.density * np.pi * self.length * (a * a + a * b + b * b) / 3
+
+    def stem_segments(self) -> NDArray[np.int64]:
+        """Return the segments of the main stem, from the soil to the head (pepper: to the first fork)."""
+        return np.flatnonzero(self.organ == Organ.STEM)
+
+    def stem_centreline(self) -> tuple[Array, Array, Array]:
+        """Return the main stem's points (S, 3) [m], radii (S,) [m] and arc length from the soil (S,) [m]."""
+        k = self.stem_segments()
+        points = np.vstack([self.start[k[:1]], self.end[k]])
+        radii = np.concatenate([self.radius_start[k[:1]], self.radius_end[k]])
+        return points, radii, np.concatenate([[0.0], np.cumsum(self.length[k])])
+
+    def centrelines(self, organ: Organ) -> list[Array]:
+        """Return one polyline (n, 3) [m] for every unbroken run of segments of one organ, base first."""
+        lines: dict[int, list[Array]] = {}
+        run: dict[int, int] = {}
+        continued: set[int] = set()
+        for k in np.flatnonzero(self.organ == organ).tolist():
+            parent = int(self.parent[k])
+            goes_on = parent in run and parent not in continued
+            run[k] = run[parent] if goes_on else k
+            continued.add(parent)
+            lines.setdefault(run[k], [self.start[k]]).append(self.end[k])
+        return [np.array(line) for line in lines.values()]
+
+    def posed_vertices(self, T_world_rest: ArrayLike) -> Array:
+        """Return the mesh vertices (Nv, 3) [m] when each segment has moved rigidly from rest.
+
+        Args:
+            T_world_rest: (K, 4, 4) maps a point of segment k at rest to where it is now; identity = at rest.
+        """
+        T = check_array("T_world_rest", T_world_rest, (len(self.start), 4, 4))
+        out = self.vertices.copy()
+        rides = self.vertex_segment >= 0
+        T_v = T[self.vertex_segment[rides]]
+        out[rides] = np.einsum("nij,nj->ni", T_v[:, :3, :3], out[rides]) + T_v[:, :3, 3]
+        return out
