@@ -1,0 +1,51 @@
+"""A run keeps each stage's result, times it, and can restart from any stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from anther.errors import InputError
+from anther.runs import Run
+
+
+class Note:
+    """A result with a text."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def save(self, path: Path) -> None:
+        path.write_text(self.text)
+
+    @classmethod
+    def load(cls, path: Path) -> Note:
+        return cls(path.read_text())
+
+
+def work(folder: Path, word: str, **options) -> tuple[str, str, dict[str, float]]:
+    with Run(folder, quiet=True, **options) as run:
+        first = run.stage("masks", Note, lambda _: Note(f"{word} masks"))
+        second = run.stage("skeleton", Note, lambda advance: (advance(1, 2), Note(f"{first.text}, {word} skeleton"))[1])
+    return first.text, second.text, run.seconds
+
+
+def test_results_are_kept_and_timed(tmp_path) -> None:
+    _, text, seconds = work(tmp_path, "new")
+    assert text == "new masks, new skeleton"
+    assert (tmp_path / "02_masks.npz").read_text() == "new masks"
+    assert set(seconds) == {"masks", "skeleton"}
+    assert all(s >= 0 for s in seconds.values())
+
+
+def test_restart_reads_the_stages_before(tmp_path) -> None:
+    work(tmp_path, "old")
+    first, second, seconds = work(tmp_path, "new", restart_from="skeleton")
+    assert (first, second) == ("old masks", "old masks, new skeleton")
+    assert set(seconds) == {"skeleton"}
+
+
+def test_unknown_stage_is_refused(tmp_path) -> None:
+    with pytest.raises(InputError, match="got 'skelton'; allowed: capture, masks"):
+        Run(tmp_path, restart_from="skelton")
