@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
+from anther.grasp import Gripper
 
 PI = np.pi
 # Standard DH: offset of theta, d, a, alpha; then Rz(-100 deg) (facts: sawyer 2).
@@ -106,3 +107,14 @@ def test_camera_does_not_see_the_gripper():
     x, y, z = np.abs(in_camera[:, 0]), np.abs(in_camera[:, 1]), in_camera[:, 2]
     seen = (z > 0) & (x < z * np.tan(np.deg2rad(43.5))) & (y < z * np.tan(np.deg2rad(32.5)))
     assert not seen.any()
+
+
+def test_grasp_planning_assumes_the_same_gripper():
+    """Stages do not import the arm, so grasp planning has the gripper's numbers as defaults: they must not drift."""
+    gripper = Gripper()
+    assert gripper.stroke == sawyer.STROKE
+    assert gripper.depth == pytest.approx(sawyer.T_FLANGE_GRASP[2, 3])
+    assert gripper.pad == (sawyer.PAD[0], sawyer.PAD[2])
+    boxes = {tuple(np.round(box, 6)) for box in gripper.boxes(0.0)}
+    solids = (sawyer.GRIPPER_BODY, *sawyer.CAMERA_SOLIDS, *sawyer.finger_solids(sawyer.STROKE))
+    assert {tuple(np.round(np.r_[np.subtract(s.center, s.half), np.add(s.center, s.half)], 6)) for s in solids} <= boxes

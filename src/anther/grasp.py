@@ -1,14 +1,84 @@
-"""Grasp: where and how the gripper takes the main stem."""
+"""Grasp: where and how the gripper takes the main stem. C candidates, K stations along the stem."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anther.checks import check_array, check_range, check_transform
-from anther.geometry import Array, pose7
+from anther.cloud import Cloud
+from anther.errors import StageFailure, bad_input
+from anther.files import read_json, write_json
+from anther.geometry import Array, pose7, transform, transform_from_pose7
+from anther.grasp_candidates import Candidates, candidates_along
+from anther.grasp_clearance import (
+    BRANCH,
+    FLOWER_POINT,
+    LEAF,
+    OBSTACLE,
+    STEM,
+    Clearance,
+    Gripper,
+    clearance,
+    surroundings_of,
+)
+from anther.masks import FLOWER
+from anther.skeleton import Skeleton
+from anther.stem import Stem
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How grasps are searched and weighed.
+
+    Attributes:
+        gripper: its geometry.
+        fit_gripper: True refuses what this gripper cannot do. False gives the best place on the stem whatever its size:
+            the plant is looked at as if shrunk until its stem fits, and a collision only lowers the score.
+        spacing: of the stations along the stem [m].
+        directions: approach directions tried at each, beside those of the paper's rule.
+        window: half length of the stem piece that gives its direction [m].
+        base_margin, top_margin: stem left out at its ends [m]; each at most a quarter of the stem.
+        stroke_margin: the stem must be thinner than the stroke by this [m].
+        pregrasp_distance: length of the straight way in [m].
+        obstacle_clearance: least distance of gripper from pot, soil and bench [m].
+        stem_clearance: least distance of the open fingers from the stem's surface [m].
+        leaf_size: leaves are counted as pieces of this size [m].
+        touch: a piece nearer than this to the way in counts as touched [m].
+        wanted: how many grasps the arm must confirm, at most one per station.
+        asked: how often the arm is asked at most.
+    """
+
+    gripper: Gripper = field(default_factory=Gripper)
+    fit_gripper: bool = True
+    spacing: float = 0.01
+    directions: int = 16
+    window: float = 0.03
+    base_margin: float = 0.05
+    top_margin: float = 0.05
+    stroke_margin: float = 0.008
+    pregrasp_distance: float = 0.10
+    obstacle_clearance: float = 0.015
+    stem_clearance: float = 0.003
+    leaf_size: float = 0.006
+    touch: float = 0.002
+    wanted: int = 5
+    asked: int = 150
+
+    def __post_init__(self) -> None:
+        check_range("spacing", self.spacing, 1e-4, 1, "m")
+        check_range("directions", self.directions, 1, 360)
+        check_range("pregrasp distance", self.pregrasp_distance, 0.01, 0.5, "m")
+        check_range("wanted grasps", self.wanted, 1, 1000)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +92,8 @@ class Grasp:
         approach: (3,) unit approach direction n, world (the flange's +z).
         arc_length: distance from the root along the stem [m].
         stem_diameter: [m], as measured by perception.
-        clearance: smallest distance between the gripper (approaching and closed) and plant or pot [m].
+        clearance: smallest distance between the open gripper on its way in and plant, pot or bench [m], at most 0.05;
+            negative when it brushes leaves.
         score: higher is better; comparable within one ranked list only.
         reason: why it ranks where it does, for people.
         joints: (7,) arm joints at the grasp [rad], or None when no arm was asked.
@@ -52,6 +123,10 @@ class Grasp:
         """The flange pose as x, y, z [m], qx, qy, qz, qw."""
         return pose7(self.T_world_flange)
 
+    def pregrasp(self, distance: float) -> Array:
+        """Return T_world_flange `distance` [m] back along the approach."""
+        return self.T_world_flange @ transform(np.eye(3), [0, 0, -distance])
+
 
 class Reach(Protocol):
     """What grasp planning asks of an arm."""
@@ -59,3 +134,203 @@ class Reach(Protocol):
     def __call__(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
         """Return joints (7,) at the grasp if both poses and the line between them can be reached, else None."""
         ...
+
+
+def plan_grasps(
+    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = Params(), *, reach: Reach | None = None
+) -> list[Grasp]:
+    """Return grasps of the main stem, best first, at most one per station along it.
+
+    Stations along the stem times directions around it (the paper's n* among them, P13) are scored by what the open
+    gripper meets on its straight way in, the stem's thickness and straightness, and the distance from attachments.
+
+    Args:
+        stem, skeleton, cloud: the plant and, in the cloud, pot and bench.
+        params: see `Params`.
+        reach: the arm, asked down the ranking until `params.wanted` grasps are confirmed; None asks no arm.
+
+    Raises:
+        StageFailure: "no_grasp_found" (no candidate is clear of pot, bench and stem) or "unreachable" (the arm
+            confirmed none); the message counts what fell by which criterion.
+    """
+    if len(stem.organ) != len(skeleton.nodes) or stem.node_ids.max() >= len(skeleton.nodes):
+        given = f"a stem of {len(stem.organ)} nodes"
+        raise bad_input("stem", given=given, allowed=f"of this skeleton ({len(skeleton.nodes)})", do="Find it again.")
+    scale = 1.0 if params.fit_gripper else _shrink_factor(stem, skeleton, params)
+    if scale > 1:
+        stem, skeleton, cloud = _shrunk(stem, skeleton, cloud, 1 / scale)
+    ranking = _rank(stem, skeleton, cloud, params, toward_base=reach is not None)
+    return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, params, reach)]
+
+
+def save_grasps(path: Path | str, grasps: Sequence[Grasp]) -> None:
+    """Write the ranked list as JSON: a "grasps" list, each with its 7-number `pose` (x, y, z [m], qx, qy, qz, qw)."""
+    rows = [{"pose": g.pose7, **{name: getattr(g, name) for name in _SAVED}} for g in grasps]
+    write_json(path, {"kind": "grasps", "schema": SCHEMA, "grasps": rows})
+
+
+def load_grasps(path: Path | str) -> list[Grasp]:
+    """Read a list written by `save_grasps`.
+
+    Raises:
+        InputError: missing, not JSON, or not a list of grasps of this schema.
+    """
+    stored = read_json(path)
+    if not isinstance(stored, dict) or (stored.get("kind"), stored.get("schema")) != ("grasps", SCHEMA):
+        raise bad_input(str(path), given="another kind of JSON", allowed=f"grasps, schema {SCHEMA}", do="Plan again.")
+    try:
+        return [
+            Grasp(T_world_flange=transform_from_pose7(row["pose"]), **{name: row[name] for name in _SAVED})
+            for row in stored["grasps"]
+        ]
+    except (KeyError, TypeError) as error:
+        raise bad_input(
+            str(path), given=f"a broken grasp ({error!r})", allowed=str(_SAVED), do="Plan again."
+        ) from error
+
+
+_SAVED = (
+    "point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "score", "reason", "joints",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ranking:
+    """Candidates with what they cost; `fell` counts those refused, by criterion."""
+
+    candidates: Candidates
+    met: Clearance
+    costs: dict[str, NDArray[Any]]
+    order: NDArray[Any]
+    fell: Counter[str]
+
+
+def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
+    gripper, length = params.gripper, float(stem.arc_length[-1])
+    candidates = candidates_along(
+        stem,
+        skeleton,
+        directions=params.directions,
+        spacing=max(params.spacing, length / 60),
+        window=min(params.window, length / 8),
+        ends=(min(params.base_margin, length / 4), min(params.top_margin, length / 4)),
+        depth=gripper.depth,
+    )
+    around = surroundings_of(stem, skeleton, cloud, leaf_size=params.leaf_size)
+    boxes, closing = gripper.boxes(params.pregrasp_distance), gripper.closing()
+    met = clearance(candidates.T_world_flange, around, boxes, closing, touch=params.touch)
+    refusals = _refusals(candidates, met, params)
+    costs = _costs(candidates, met, cloud, gripper.stroke, length)
+    if toward_base:
+        costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
+    refused = np.any(list(refusals.values()), axis=0)
+    if not params.fit_gripper:
+        costs |= {name: 3.0 * yes for name, yes in refusals.items()}
+        refused[:] = False
+    total = np.sum(list(costs.values()), axis=0)
+    order = np.argsort(np.where(refused, np.inf, total), kind="stable")[: int((~refused).sum())]
+    fell = Counter({name: int(yes.sum()) for name, yes in refusals.items() if yes.any()})
+    return _Ranking(candidates, met, costs, order, fell)
+
+
+def _refusals(c: Candidates, met: Clearance, params: Params) -> dict[str, NDArray[np.bool_]]:
+    """Return per criterion which candidates (C,) can never be taken."""
+    return {
+        "thicker than the stroke": 2 * c.radius > params.gripper.stroke - params.stroke_margin,
+        "would hit pot or bench": met.distance[:, OBSTACLE] < params.obstacle_clearance,
+        "would hit the stem": met.distance[:, STEM] < params.stem_clearance,
+    }
+
+
+def _costs(c: Candidates, met: Clearance, cloud: Cloud, stroke: float, length: float) -> dict[str, NDArray[Any]]:
+    """Return what speaks against each candidate (C,), by name; 1 is clearly bad. The weights are our judgement."""
+    flowers = cloud.points[cloud.labels == FLOWER] if cloud.labels is not None else np.zeros((0, 3))
+    flower_distance = KDTree(flowers).query(c.points)[0] if len(flowers) else np.full(len(c.points), np.inf)
+    return {
+        "brushes leaves": met.touched[:, LEAF] / 30,
+        "brushes a flower": met.touched[:, FLOWER_POINT] / 3,
+        "pushes a petiole": met.touched[:, BRANCH] / 4,
+        "a branch between the fingers": 2.0 * (met.enclosed[:, BRANCH] > 0),
+        "leaves between the fingers": np.minimum(met.enclosed[:, LEAF] / 10, 1),
+        "near a flower": np.exp(-flower_distance / 0.03),
+        "near an attachment": np.exp(-c.attachment_distance / 0.015),
+        "bent stem": c.bend / 0.002,
+        "thick for the gripper": 2.5 * np.maximum(2 * c.radius / stroke - 0.6, 0),
+        "faces a branch": 0.3 * c.branch_alignment,
+        "far from the stem's middle": 0.4 * np.abs(c.arc_length / length - 0.5),
+    }
+
+
+def _first_reached(ranking: _Ranking, params: Params, reach: Reach | None) -> list[Grasp]:
+    """Return the best candidate of each station, or the first the arm confirms, until enough are found."""
+    found: dict[int, Grasp] = {}
+    asked = 0
+    for i in ranking.order:
+        station = int(ranking.candidates.station[i])
+        if station in found or (reach is not None and (len(found) == params.wanted or asked == params.asked)):
+            continue
+        grasp = _grasp(ranking, int(i))
+        if reach is not None:
+            asked += 1
+            joints = reach(grasp.pregrasp(params.pregrasp_distance), grasp.T_world_flange)
+            if joints is None:
+                continue
+            grasp = replace(grasp, joints=joints)
+        found[station] = grasp
+    if not found:
+        raise _nothing(ranking, asked)
+    return list(found.values())
+
+
+def _nothing(ranking: _Ranking, asked: int) -> StageFailure:
+    total = len(ranking.candidates.station)
+    fell = ", ".join(f"{count} {name}" for name, count in ranking.fell.items()) or "none refused"
+    if asked:
+        message = f"the arm reaches none of the {asked} best of {total} grasps ({fell}). Move the plant or the base."
+        return StageFailure("unreachable", message)
+    return StageFailure("no_grasp_found", f"none of {total} grasps is free: {fell}. Give the gripper more room.")
+
+
+def _grasp(ranking: _Ranking, i: int) -> Grasp:
+    c, free = ranking.candidates, float(ranking.met.distance[i].min())
+    cost = {name: float(values[i]) for name, values in ranking.costs.items()}
+    against = [name for name, value in sorted(cost.items(), key=lambda item: -item[1]) if value >= 0.15][:3]
+    reason = f"stem {2e3 * c.radius[i]:.1f} mm thick, clearance {1e3 * free:.0f} mm"
+    return Grasp(
+        T_world_flange=c.T_world_flange[i],
+        point=c.points[i],
+        tangent=c.tangents[i],
+        approach=c.approach[i],
+        arc_length=float(c.arc_length[i]),
+        stem_diameter=float(2 * c.radius[i]),
+        clearance=free,
+        score=-sum(cost.values()),
+        reason="; ".join([reason, *against]),
+    )
+
+
+def _shrink_factor(stem: Stem, skeleton: Skeleton, params: Params) -> float:
+    """Return by how much a plant must shrink for its stem to fill no more than half the stroke; 1 if it fits."""
+    return max(1.0, float(2 * np.median(skeleton.radius[stem.node_ids]) / (0.5 * params.gripper.stroke)))
+
+
+def _shrunk(stem: Stem, skeleton: Skeleton, cloud: Cloud, factor: float) -> tuple[Stem, Skeleton, Cloud]:
+    small_skeleton = replace(skeleton, nodes=skeleton.nodes * factor, radius=skeleton.radius * factor)
+    small_cloud = replace(cloud, points=cloud.points * factor, obstacles=cloud.obstacles * factor)
+    return replace(stem, arc_length=stem.arc_length * factor), small_skeleton, small_cloud
+
+
+def _enlarged(grasp: Grasp, scale: float) -> Grasp:
+    if scale == 1:
+        return grasp
+    T = grasp.T_world_flange.copy()
+    T[:3, 3] *= scale
+    return replace(
+        grasp,
+        T_world_flange=T,
+        point=grasp.point * scale,
+        arc_length=grasp.arc_length * scale,
+        stem_diameter=grasp.stem_diameter * scale,
+        clearance=grasp.clearance * scale,
+        reason=f"for a gripper {scale:.1f} times as large: {grasp.reason}",
+    )

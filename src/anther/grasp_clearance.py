@@ -1,0 +1,215 @@
+"""How far an open gripper stays from what surrounds the stem. P poses, M balls, G boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.cloud import Cloud
+from anther.geometry import Array
+from anther.masks import FLOWER
+from anther.skeleton import Skeleton
+from anther.stem import Stem
+
+LEAF, FLOWER_POINT, BRANCH, STEM, OBSTACLE = range(5)
+KINDS = 5
+STIFF_LENGTH = 0.06  # m, piece of a branch next to the stem that pushes back; our judgement
+FAR = 0.05  # m, distances beyond are not told apart
+
+
+@dataclass(frozen=True, slots=True)
+class Gripper:
+    """A parallel gripper with its wrist camera, in the flange frame; fingers close along +-y.
+
+    The defaults are Sawyer's electric gripper with standard narrow fingers, soft pads and a D455 (arm/sawyer.py, which
+    gives the source of each number).
+
+    Attributes:
+        stroke: largest opening between the pads [m].
+        depth: distance from the flange to the middle of the pads along +z [m].
+        pad: width along x and length along z of a pad [m].
+        finger: thickness along y of finger and pad together [m], and z where the fingers begin [m].
+        body: boxes (lower x, y, z, upper x, y, z) [m] of gripper body, wrist, camera and bracket.
+    """
+
+    stroke: float = 0.041667
+    depth: float = 0.11712
+    pad: tuple[float, float] = (0.016, 0.037)
+    finger: tuple[float, float] = (0.015, 0.05992)
+    body: tuple[tuple[float, float, float, float, float, float], ...] = (
+        (-0.032, -0.055, 0.0, 0.032, 0.055, 0.06),
+        (-0.045, -0.045, -0.05, 0.045, 0.045, 0.0),
+        (0.0755, -0.062, 0.004, 0.1045, 0.062, 0.03),
+        (0.025, -0.02, 0.0, 0.09, 0.02, 0.006),
+    )
+
+    def boxes(self, sweep: float) -> Array:
+        """Return (G, 6) corners of the open gripper's boxes, each stretched by `sweep` [m] back along the approach."""
+        inner, tip = self.stroke / 2, self.depth + self.pad[1] / 2
+        x, outer, start = self.pad[0] / 2, inner + self.finger[0], self.finger[1]
+        fingers = [(-x, inner, start, x, outer, tip), (-x, -outer, start, x, -inner, tip)]
+        boxes = np.array([*self.body, *fingers])
+        boxes[:, 2] -= sweep
+        return boxes
+
+    def closing(self) -> Array:
+        """Return (6,) corners of the space between the open pads."""
+        x, y, z = self.pad[0] / 2, self.stroke / 2, self.pad[1] / 2
+        return np.array([-x, -y, self.depth - z, x, y, self.depth + z])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """Everything near the stem as balls.
+
+    Attributes:
+        centers: (M, 3) [m].
+        radius: (M,) [m]; 0 for a surface point.
+        kind: (M,) LEAF (any plant surface off the stem), FLOWER_POINT, BRANCH (the piece of it near
+            the stem), STEM or OBSTACLE (pot, soil, bench).
+    """
+
+    centers: Array
+    radius: Array
+    kind: NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clearance:
+    """What a gripper at each pose meets on its straight way in.
+
+    Attributes:
+        distance: (P, 5) to the nearest ball of each kind [m], negative inside, at most `FAR`.
+        touched: (P, 5) how many balls of each kind the way in touches.
+        enclosed: (P, 5) how many balls of each kind lie between the open pads.
+    """
+
+    distance: Array
+    touched: NDArray[Any]
+    enclosed: NDArray[Any]
+
+
+def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud, *, leaf_size: float) -> Surroundings:
+    """Return stem, petioles, leaves, flowers and obstacles as balls.
+
+    The stem is taken from the skeleton, not from its surface points, which a depth camera makes too thick; points on
+    it are left out. A branch is stiff for its first `STIFF_LENGTH`; beyond, its surface points count as leaf.
+
+    Args:
+        stem, skeleton, cloud: the plant, pot and bench.
+        leaf_size: edge of the cubes in which surface points are merged [m].
+    """
+    stem_balls = _balls_along(skeleton, stem.node_ids[1:], 0.003)
+    outward = _distance_from_stem(stem, skeleton)
+    branch_balls = _balls_along(skeleton, np.flatnonzero((outward > 0) & (outward < STIFF_LENGTH)), 0.005)
+    line = KDTree(stem_balls[:, :3])
+    free = lambda points, margin: points[_outside(points, line, stem_balls[:, 3], margin)]  # noqa: E731
+    branch_balls = branch_balls[_outside(branch_balls[:, :3], line, stem_balls[:, 3], 0.004)]
+    is_flower = np.asarray(cloud.labels) == FLOWER
+    parts = [
+        (LEAF, free(thin_out(cloud.points[~is_flower], leaf_size), 0.006)),
+        (FLOWER_POINT, thin_out(cloud.points[is_flower], leaf_size)),
+        (BRANCH, branch_balls[:, :3]),
+        (STEM, stem_balls[:, :3]),
+        (OBSTACLE, thin_out(cloud.obstacles, leaf_size)),
+    ]
+    radius = {BRANCH: np.minimum(branch_balls[:, 3], 0.005), STEM: stem_balls[:, 3]}
+    centers = np.concatenate([points for _, points in parts])
+    kind = np.concatenate([np.full(len(points), k) for k, points in parts])
+    return Surroundings(centers, np.concatenate([radius.get(k, np.zeros(len(points))) for k, points in parts]), kind)
+
+
+def _outside(points: Array, line: KDTree, radius: Array, margin: float) -> NDArray[np.bool_]:
+    distance, nearest = line.query(points)
+    return distance > 1.3 * radius[nearest] + margin
+
+
+def _distance_from_stem(stem: Stem, skeleton: Skeleton) -> Array:
+    """Return (J,) how far along its branch each node is from the stem [m]; 0 on the stem."""
+    distance = np.zeros(len(skeleton.nodes))
+    on_stem = np.zeros(len(skeleton.nodes), dtype=bool)
+    on_stem[stem.node_ids] = True
+    for j in np.flatnonzero(~on_stem):
+        if j > 0:
+            p = skeleton.parent[j]
+            distance[j] = distance[p] + np.linalg.norm(skeleton.nodes[j] - skeleton.nodes[p])
+    return distance
+
+
+def _balls_along(skeleton: Skeleton, ends: NDArray[Any], step: float) -> Array:
+    """Return (M, 4) centres and radii of balls at most `step` [m] apart along the edges that end at nodes `ends`."""
+    starts = skeleton.parent[ends]
+    a = np.column_stack([skeleton.nodes[starts], skeleton.radius[starts]])
+    b = np.column_stack([skeleton.nodes[ends], skeleton.radius[ends]])
+    count = np.maximum(np.ceil(np.linalg.norm((b - a)[:, :3], axis=1) / step).astype(int), 1)
+    edge = np.repeat(np.arange(len(ends)), count)
+    t = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[edge]
+    return a[edge] + t[:, None] * (b - a)[edge]
+
+
+def thin_out(points: Array, size: float) -> Array:
+    """Return one point per cube of edge `size` [m]: the mean of those inside."""
+    if len(points) == 0:
+        return points
+    cells = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
+    extent = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    _, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
+    return np.stack([np.bincount(inverse, weights=points[:, i]) for i in range(3)], axis=1) / count[:, None]
+
+
+def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: Array, *, touch: float) -> Clearance:
+    """Return what a gripper made of boxes meets at each pose.
+
+    Args:
+        poses: (P, 4, 4) T_world_flange.
+        surroundings: the balls.
+        boxes: (G, 6) lower and upper corners in the flange frame [m]; swept boxes make it the whole way in.
+        closing: (6,) lower and upper corner of the space between the open pads.
+        touch: a ball counts as touched when it is nearer than this [m].
+    """
+    distance = np.full((len(poses), KINDS), FAR)
+    touched, enclosed = (np.zeros((len(poses), KINDS), dtype=np.int64) for _ in range(2))
+    s = surroundings
+    _meet(poses, s.centers, s.radius, s.kind, boxes, closing, touch, distance, touched, enclosed)
+    return Clearance(distance, touched, enclosed)
+
+
+@njit(cache=True)
+def _meet(poses, centers, radius, kind, boxes, closing, touch, distance, touched, enclosed):  # noqa: PLR0917
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    for g in range(len(boxes)):
+        for a in range(3):
+            lower[a], upper[a] = min(lower[a], boxes[g, a]), max(upper[a], boxes[g, a + 3])
+    whole, local = np.concatenate((lower, upper)), np.empty(3)
+    for i in range(len(poses)):
+        for m in range(len(centers)):
+            for a in range(3):
+                local[a] = 0.0
+                for b in range(3):
+                    local[a] += poses[i, b, a] * (centers[m, b] - poses[i, b, 3])
+            if _box_distance(local, whole) > FAR + radius[m]:
+                continue
+            k, gap = kind[m], FAR
+            for g in range(len(boxes)):
+                gap = min(gap, _box_distance(local, boxes[g]) - radius[m])
+            distance[i, k] = min(distance[i, k], gap)
+            touched[i, k] += gap < touch
+            enclosed[i, k] += _box_distance(local, closing) < radius[m]
+
+
+@njit(cache=True)
+def _box_distance(p, box):
+    """Return the signed distance of a point from a box, negative inside."""
+    outside, inside = 0.0, -np.inf
+    for a in range(3):
+        d = max(box[a] - p[a], p[a] - box[a + 3])
+        inside = max(inside, d)
+        if d > 0.0:
+            outside += d * d
+    return inside if outside == 0.0 else np.sqrt(outside)

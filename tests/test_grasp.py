@@ -1,0 +1,239 @@
+"""Grasp planning on synthetic stems whose best grasps are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from anther.cloud import Cloud
+from anther.errors import InputError, StageFailure
+from anther.grasp import Grasp, Gripper, Params, load_grasps, plan_grasps, save_grasps
+from anther.grasp_candidates import branch_directions, directions_across, flange_pose, paper_approach, paper_grasp_arc
+from anther.grasp_clearance import KINDS, OBSTACLE, Surroundings, clearance
+from anther.masks import FLOWER, PLANT
+from anther.skeleton import Skeleton
+from anther.stem import BRANCH, STEM, Stem
+
+
+UPRIGHT = np.eye(3)
+
+
+def make_plant(*, height=0.5, radius=0.004, branches=((0.2, 0.0), (0.35, 2.0)), rotation=UPRIGHT, base=(0.72, 0, -0.3)):
+    """A straight stem along `rotation`'s z with 8 cm branches at (height, azimuth), and its surface as a cloud."""
+    z = np.linspace(0, height, int(height / 0.01) + 1)
+    nodes, parent, ids = [[0, 0, h] for h in z], [*range(-1, len(z) - 1)], list(range(len(z)))
+    attachments = []
+    for h, azimuth in branches:
+        last = int(np.argmin(np.abs(z - h)))
+        attachments.append(last)
+        ray = np.array([np.cos(azimuth), np.sin(azimuth), 0.3]) / np.sqrt(1.09)
+        for k in range(1, 9):
+            nodes.append(list(np.array([0, 0, z[attachments[-1]]]) + 0.01 * k * ray))
+            parent.append(last)
+            last = len(nodes) - 1
+    place = np.asarray(nodes) @ rotation.T + base
+    skeleton = Skeleton(place, np.array(parent), np.full(len(place), radius))
+    organ = np.full(len(place), BRANCH, dtype=np.uint8)
+    organ[ids] = STEM
+    stem = Stem(np.array(ids), z, np.array(sorted(attachments)), organ)
+    around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    ring = radius * np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+    surface = (np.asarray(nodes)[:, None] + ring).reshape(-1, 3) @ rotation.T + base
+    return stem, skeleton, Cloud(surface)
+
+
+def add_points(cloud, points, *, label=PLANT, obstacles=()):
+    return Cloud(
+        np.concatenate([cloud.points, points]),
+        labels=np.concatenate([np.full(len(cloud.points), PLANT), np.full(len(points), label)]),
+        obstacles=np.reshape(obstacles, (-1, 3)),
+    )
+
+
+def test_frame_conventions():
+    """The approach is the flange's +z, fingers close across the stem, and the stem lies between the pads."""
+    tilt = Rotation.from_euler("xy", [0.3, -0.2]).as_matrix()
+    grasps = plan_grasps(*make_plant(rotation=tilt))
+    for g in grasps:
+        x, y, z, p = g.T_world_flange[:3].T
+        np.testing.assert_allclose(z, g.approach, atol=1e-12)
+        np.testing.assert_allclose(g.tangent, tilt[:, 2], atol=1e-9)
+        assert abs(y @ g.tangent) < 1e-9
+        assert abs(x @ g.tangent) == pytest.approx(1)
+        np.testing.assert_allclose(p + Gripper().depth * z, g.point, atol=1e-12)
+        np.testing.assert_allclose(g.pregrasp(0.1)[:3, 3], p - 0.1 * z, atol=1e-12)
+
+
+def test_points_lie_on_the_stem_at_their_arc_length():
+    stem, skeleton, cloud = make_plant()
+    for g in plan_grasps(stem, skeleton, cloud):
+        np.testing.assert_allclose(g.point, skeleton.nodes[0] + [0, 0, g.arc_length], atol=1e-9)
+        assert g.stem_diameter == pytest.approx(0.008)
+
+
+def test_ranked_and_one_per_place():
+    grasps = plan_grasps(*make_plant())
+    scores = [g.score for g in grasps]
+    assert scores == sorted(scores, reverse=True)
+    assert len({g.arc_length for g in grasps}) == len(grasps) > 20
+
+
+def test_best_grasp_is_away_from_branches_and_leaf():
+    stem, skeleton, cloud = make_plant()
+    leaf = np.random.default_rng(0).uniform([0.66, -0.15, 0.12], [0.78, 0.15, 0.16], (3000, 3))
+    best = plan_grasps(stem, skeleton, add_points(cloud, leaf))[0]
+    assert np.abs(stem.arc_length[stem.attachments] - best.arc_length).min() > 0.03
+    assert best.clearance > 0
+    assert best.point[2] < 0.1
+
+
+def test_a_wall_on_one_side_is_approached_from_the_other():
+    stem, skeleton, cloud = make_plant(branches=())
+    y, z = np.meshgrid(np.arange(-0.2, 0.2, 0.01), np.arange(-0.3, 0.3, 0.01))
+    wall = np.stack([np.full(y.size, 0.78), y.ravel(), z.ravel()], axis=1)
+    for g in plan_grasps(stem, skeleton, add_points(cloud, np.zeros((0, 3)), obstacles=wall)):
+        assert g.approach[0] > 0.5
+        assert g.clearance >= Params().obstacle_clearance
+
+
+def test_a_leaf_wall_is_brushed_only_when_there_is_no_other_way():
+    stem, skeleton, cloud = make_plant(branches=())
+    rng = np.random.default_rng(1)
+    leaf = np.stack([np.full(4000, 0.67), rng.uniform(-0.15, 0.15, 4000), rng.uniform(-0.3, 0.2, 4000)], axis=1)
+    assert all(g.approach[0] < 0.5 for g in plan_grasps(stem, skeleton, add_points(cloud, leaf)))
+    angle = rng.uniform(0, 2 * np.pi, 8000)
+    cage = np.stack([0.72 + 0.05 * np.cos(angle), 0.05 * np.sin(angle), rng.uniform(-0.3, 0.2, 8000)], axis=1)
+    best = plan_grasps(stem, skeleton, add_points(cloud, cage))[0]
+    assert best.clearance < 0
+    assert "brushes leaves" in best.reason
+
+
+def test_keeps_away_from_flowers():
+    stem, skeleton, cloud = make_plant(branches=())
+    near = plan_grasps(stem, skeleton, cloud)[0].point
+    flower = near + np.random.default_rng(2).normal(0, 0.004, (200, 3)) + [0, 0.03, 0]
+    moved = plan_grasps(stem, skeleton, add_points(cloud, flower, label=FLOWER))[0].point
+    assert np.linalg.norm(moved - flower.mean(axis=0)) > np.linalg.norm(near - flower.mean(axis=0))
+
+
+def test_too_thick_a_stem_fails_with_counts_unless_the_gripper_may_grow():
+    plant = make_plant(radius=0.03)
+    with pytest.raises(StageFailure, match="thicker than the stroke") as failure:
+        plan_grasps(*plant)
+    assert failure.value.kind == "no_grasp_found"
+    best = plan_grasps(*plant, Params(fit_gripper=False))[0]
+    assert best.stem_diameter == pytest.approx(0.06)
+    assert "times as large" in best.reason
+    np.testing.assert_allclose(best.point[:2], [0.72, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("height", [0.08, 3.0])
+def test_any_size_of_plant_gets_a_grasp(height):
+    plant = make_plant(height=height, radius=0.01 * height, branches=((height / 2, 0.0),))
+    best = plan_grasps(*plant, Params(fit_gripper=False))[0]
+    assert 0.2 * height < best.arc_length < 0.8 * height
+
+
+def test_asks_the_arm_lazily_and_keeps_its_joints():
+    asked = []
+
+    def reach(pregrasp, grasp):
+        asked.append(grasp)
+        np.testing.assert_allclose(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]), 0.1)
+        return np.arange(7.0) if grasp[2, 3] > -0.1 else None
+
+    grasps = plan_grasps(*make_plant(), Params(wanted=3), reach=reach)
+    assert len(grasps) == 3 <= len(asked)
+    assert all(g.T_world_flange[2, 3] > -0.1 and np.array_equal(g.joints, np.arange(7)) for g in grasps)
+
+
+def test_out_of_reach_says_so():
+    with pytest.raises(StageFailure, match="reaches none of the 7 best") as failure:
+        plan_grasps(*make_plant(), Params(asked=7), reach=lambda *_: None)
+    assert failure.value.kind == "unreachable"
+
+
+def test_paper_point_is_the_middle_of_the_longest_internode():
+    stem, *_ = make_plant(height=0.5, branches=((0.1, 0), (0.35, 1)))
+    assert paper_grasp_arc(stem) == pytest.approx(0.225)
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.integers(0, 2**31), st.integers(1, 6))
+def test_paper_approach_equals_brute_force(seed, count):
+    rng = np.random.default_rng(seed)
+    tangent, *branches = (v / np.linalg.norm(v) for v in rng.normal(size=(count + 1, 3)))
+    n = paper_approach(tangent, np.array(branches))
+    assert abs(n @ tangent) < 1e-9
+    assert np.linalg.norm(n) == pytest.approx(1)
+    around = directions_across(tangent, 20_000)
+    brute = np.abs(around @ np.array(branches).T).max(axis=1).min()
+    assert np.abs(np.array(branches) @ n).max() == pytest.approx(brute, abs=4e-4)
+
+
+def test_branch_directions_point_outward():
+    stem, skeleton, _ = make_plant(branches=((0.2, 0.5),))
+    arcs, rays = branch_directions(stem, skeleton, 0.03)
+    np.testing.assert_allclose(arcs, [0.2])
+    np.testing.assert_allclose(rays, [np.array([np.cos(0.5), np.sin(0.5), 0.3]) / np.sqrt(1.09)], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("point", "distance"),
+    [
+        ((0, 0.0408333, 0.1), 0.005),
+        ((0, 0.03, 0.1), -0.005833),
+        ((0, 0, 0.09), 0.0208335),
+        ((0.05, 0.0258, 0.1), 0.042),
+    ],
+)
+def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance):
+    gripper = Gripper(body=())
+    ball = Surroundings(np.array([point]), np.zeros(1), np.array([OBSTACLE]))
+    met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
+    assert met.distance.shape == (1, KINDS)
+    assert met.distance[0, OBSTACLE] == pytest.approx(distance, abs=1e-5)
+    assert met.touched[0, OBSTACLE] == (distance < 0.002)
+
+
+def test_the_whole_way_in_counts():
+    """A ball that the gripper's body passes on the way is met although the gripper at the grasp is clear of it."""
+    gripper, ball = Gripper(), Surroundings(np.array([[0.0, 0.05, -0.09]]), np.zeros(1), np.array([OBSTACLE]))
+    pose = np.eye(4)[None]
+    at_end = clearance(pose, ball, gripper.boxes(0.0), gripper.closing(), touch=0.002)
+    on_way = clearance(pose, ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
+    assert at_end.distance[0, OBSTACLE] > 0.03
+    assert on_way.distance[0, OBSTACLE] < 0
+
+
+def test_save_and_load(tmp_path):
+    grasps = plan_grasps(*make_plant(), Params(wanted=2), reach=lambda *_: np.ones(7))
+    save_grasps(tmp_path / "grasp.json", grasps)
+    loaded = load_grasps(tmp_path / "grasp.json")
+    assert len(loaded) == 2
+    np.testing.assert_allclose(loaded[0].T_world_flange, grasps[0].T_world_flange, atol=1e-12)
+    np.testing.assert_allclose(loaded[1].joints, grasps[1].joints)
+    assert loaded[1].reason == grasps[1].reason
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"kind": "grasps", "schema": 1, "grasps": [{"pose": [0,0,0,0,0,0,1]}]}'])
+def test_broken_files_are_refused(tmp_path, text):
+    (tmp_path / "grasp.json").write_text(text)
+    with pytest.raises(InputError):
+        load_grasps(tmp_path / "grasp.json")
+
+
+def test_a_stem_of_another_skeleton_is_refused():
+    stem, _, cloud = make_plant()
+    _, other, _ = make_plant(branches=())
+    with pytest.raises(InputError, match="of this skeleton"):
+        plan_grasps(stem, other, cloud)
+
+
+def test_grasp_checks_its_numbers():
+    pose = flange_pose(np.zeros(3), np.array([0, 0, 1.0]), np.array([1.0, 0, 0]), 0.1)
+    with pytest.raises(InputError, match="point"):
+        Grasp(pose, np.full(3, np.nan), np.zeros(3), np.zeros(3), 0.1, 0.01, 0, 0, "")
