@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from anther.checks import check_array, check_range, check_transform
 from anther.errors import InputError, bad_input
 from anther.files import existing, read_json
-from anther.geometry import Array, Intrinsics
+from anther.geometry import Array, Box, Intrinsics
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """nerfstudio's camera frame (x right, y up, z backward) expressed in OpenCV's (x right, y down, z forward)."""
@@ -124,6 +124,25 @@ class Capture:
             rgb=_read_colour(folder, frames, intrinsics),
             joints=None if any(j is None for j in joints) else _joints_array(joints),
         )
+
+
+def viewed_box(capture: Capture) -> Box:
+    """Return a box around the point where the optical axes meet, reaching towards the cameras but not to them.
+
+    Half its width is 0.5, half its height 0.8 of the cameras' median distance from that point. Where the axes are
+    nearly parallel (one view, a straight pass) the median depth at the image centre stands in for the point.
+    """
+    origins, axes = capture.T_world_cam[:, :3, 3], capture.T_world_cam[:, :3, 2]
+    normals = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    centre, _, _, spread = np.linalg.lstsq(normals.sum(axis=0), np.einsum("vij,vj->i", normals, origins), rcond=None)
+    if spread[-1] < 0.05 * capture.views:
+        h, w = capture.intrinsics.height // 4, capture.intrinsics.width // 4
+        middle = capture.depth[:, h : 3 * h + 1, w : 3 * w + 1]
+        ranges = [float(np.median(d[d > 0])) if np.any(d > 0) else 1.0 for d in middle]
+        centre = np.mean(origins + axes * np.array(ranges)[:, None], axis=0)
+    distance = float(np.median(np.linalg.norm(origins - centre, axis=1)))
+    half = np.maximum(distance, 1e-3) * np.array([0.5, 0.5, 0.8])
+    return Box(centre - half, centre + half)
 
 
 def _write_folder(capture: Capture, folder: Path) -> None:

@@ -1,15 +1,93 @@
-"""Masks: which pixels show the plant and its flowers. Dimensions: V views, H x W pixels."""
+"""Masks: which pixels show the plant and its flowers. Dimensions: V views, H x W pixels.
+
+The default needs no weights. Every depth pixel in the workspace votes, with its colour, in a voxel grid that all
+views share. There the ground (bench, soil, pot) is found by geometry (`ground.py`), brown stem parts are kept because
+they join green ones, and flowers are small yellow or white blobs at the plant. The decision is carried back to the
+pixels. Without colour, whatever stands above the ground is plant.
+"""
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from anther.checks import check_array
+from anther.capture import Capture, viewed_box
+from anther.checks import check_array, check_range
+from anther.errors import StageFailure
+from anther.files import read_npz, write_npz
+from anther.geometry import Box
+from anther.ground import ground_cells
+from anther.voting import (
+    EMPTY,
+    FLOWER_CELL,
+    GREEN,
+    GREEN_NO_DEPTH,
+    GROUND,
+    PLANT_CELL,
+    WHITE,
+    YELLOW,
+    ColourRule,
+    Grid,
+    camera_numbers,
+    read_back,
+    vote,
+)
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How plant and flowers are told from the rest.
+
+    Attributes:
+        voxel: edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts:
+            perception) so that views agree.
+        green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
+        green_share, petal_share: least share of votes that makes a cell green, or petal.
+        yellow_saturation: least saturation of yellow petals, 0..1.
+        white_saturation: greatest saturation of white petals, 0..1.
+        white_gain: how much brighter than bright leaves white petals are.
+        flower_extent: greatest extent of one flower cluster [m].
+        flower_distance: a flower comes at least this close to green cells [m].
+        ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
+        ground_margin: what lies less than this above the ground is ground [m].
+        rim_height: a pot's rim stands at most this much above its soil [m].
+        attach_distance: a part that is not green belongs to the plant if it comes this close to green ones [m].
+        brown_extent: greatest second extent of such a part [m]: stems and fruits are slender, walls are not.
+        least_pixels: with fewer plant pixels in all views together there is no plant.
+    """
+
+    voxel: float = 0.005
+    green: float = 0.10
+    green_share: float = 0.25
+    petal_share: float = 0.3
+    yellow_saturation: float = 0.45
+    white_saturation: float = 0.25
+    white_gain: float = 1.25
+    flower_extent: float = 0.06
+    flower_distance: float = 0.02
+    ground_radius: float = 0.035
+    ground_margin: float = 0.008
+    rim_height: float = 0.05
+    attach_distance: float = 0.012
+    brown_extent: float = 0.08
+    least_pixels: int = 200
+
+    def __post_init__(self) -> None:
+        check_range("mask voxel", self.voxel, 0.001, 0.05, "m")
+        check_range("excess green threshold", self.green, 0, 1)
+        check_range("ground radius", self.ground_radius, self.voxel, 1, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,3 +104,143 @@ class Masks:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", check_array("labels", self.labels, (None, None, None), dtype="uint8"))
+
+    def save(self, path: Path | str) -> None:
+        """Write a compressed .npz."""
+        write_npz(path, "masks", SCHEMA, labels=self.labels, source=self.source)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Masks:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: the file is missing, truncated or holds something else.
+        """
+        arrays = read_npz(path, "masks", SCHEMA)
+        return cls(arrays["labels"], str(arrays["source"]))
+
+
+def segment(capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:
+    """Return the plant and flower pixels of every view.
+
+    Args:
+        capture: the views. Without colour, geometry alone decides and no flowers are told apart.
+        workspace: where the plant may stand, world frame [m]; None means around the point where the optical
+            axes meet (`capture.viewed_box`).
+        params: see `Params`.
+
+    Raises:
+        StageFailure: `no_plant_found` when the views show too little plant.
+    """
+    params = params or Params()
+    grid = Grid.over(workspace or viewed_box(capture), params.voxel)
+    rule = None if capture.rgb is None else _colour_rule(capture.rgb, params)
+    cameras = [camera_numbers(T, capture.intrinsics) for T in capture.T_world_cam]
+    counts = np.zeros((4, *grid.shape), dtype=np.int32)
+
+    def vote_view(view: int) -> NDArray[Any]:
+        rgb = None if capture.rgb is None else cv2.blur(capture.rgb[view], (3, 3))
+        return vote(rgb, capture.depth[view], camera=cameras[view], grid=grid, rule=rule, counts=counts)
+
+    def label_view(view: int) -> NDArray[Any]:
+        labels = read_back(capture.depth[view], cameras[view], grid, classes[view], cells)
+        return _add_pixels_without_depth(labels, classes[view])
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        classes = list(pool.map(vote_view, range(capture.views)))
+        cells = _label_cells(counts, params, has_colour=rule is not None)
+        labels = np.stack(list(pool.map(label_view, range(capture.views))))
+    found = int((labels > 0).sum())
+    if found < params.least_pixels:
+        raise StageFailure(
+            "no_plant_found",
+            f"masks: {found} plant pixels in {capture.views} views; at least {params.least_pixels} are needed. "
+            f"Is the plant within x, y, z = {grid.lower} .. {grid.lower + np.multiply(grid.shape, grid.voxel)} m?",
+        )
+    return Masks(labels, "colour and geometry" if rule is not None else "geometry")
+
+
+def _colour_rule(rgb: NDArray[Any], params: Params) -> ColourRule:
+    """Return thresholds adapted to the light: shades-of-grey white balance, brightness relative to the leaves.
+
+    Shades of grey with Minkowski norm p = 6: Finlayson and Trezzi 2004.
+    """
+    sample = rgb[:, ::16, ::16].reshape(-1, 3).astype(np.float64)
+    norm = np.power(np.mean(sample**6, axis=0), 1 / 6) + 1e-9
+    gains = np.clip(norm.mean() / norm, 0.75, 1.33)
+    balanced = sample * gains
+    excess = 3 * balanced[:, 1] / (balanced.sum(axis=1) + 1e-9) - 1
+    leaves = balanced.max(axis=1)[excess > params.green]
+    bright = float(np.percentile(leaves, 90)) if len(leaves) else 128.0
+    return ColourRule(
+        gains=(float(gains[0]), float(gains[1]), float(gains[2])),
+        green=params.green,
+        yellow_saturation=params.yellow_saturation,
+        yellow_value=float(np.clip(bright, 60, 200)),
+        white_saturation=params.white_saturation,
+        white_value=float(np.clip(params.white_gain * bright, 90, 220)),
+    )
+
+
+def _label_cells(counts: NDArray[Any], params: Params, *, has_colour: bool) -> NDArray[Any]:
+    """Return what each cell is, (X, Y, Z) uint8: EMPTY, GROUND, PLANT_CELL or FLOWER_CELL."""
+    total = counts.sum(axis=0)
+    green = counts[GREEN - 1] >= np.maximum(2, params.green_share * total)
+    occupied = total >= 2
+    below, rim = ground_cells(
+        occupied & ~green,
+        params.voxel,
+        radius=params.ground_radius,
+        margin=params.ground_margin,
+        rim_height=params.rim_height,
+        rings=has_colour,
+    )
+    rest = occupied & ~green & ~below & ~rim
+    cells = np.where(below | (rim & ~green), GROUND, EMPTY).astype(np.uint8)
+    if not has_colour:
+        cells[rest] = PLANT_CELL
+        return cells
+    green &= ~below
+    cells[green] = PLANT_CELL
+    petal_votes = counts[YELLOW - 1] + counts[WHITE - 1]
+    petals = rest & (petal_votes >= np.maximum(2, params.petal_share * total))
+    flowers = _parts_near(
+        petals, green, distance=params.flower_distance, extent=params.flower_extent, axis=0, voxel=params.voxel
+    )
+    brown = _parts_near(
+        rest & ~flowers, green, distance=params.attach_distance, extent=params.brown_extent, axis=1, voxel=params.voxel
+    )
+    cells[brown] = PLANT_CELL
+    cells[flowers] = FLOWER_CELL
+    return cells
+
+
+def _parts_near(
+    part: NDArray[np.bool_], plant: NDArray[np.bool_], *, distance: float, extent: float, axis: int, voxel: float
+) -> NDArray[np.bool_]:
+    """Return the connected components of `part` that come within `distance` [m] of `plant` and are small.
+
+    Args:
+        axis: which of the three extents along the bounding box, sorted from the greatest, may not exceed `extent`:
+            0 bounds the size, 1 lets through slender parts of any length.
+    """
+    parts = np.zeros(part.shape, dtype=np.int32)
+    count = int(np.asarray(ndimage.label(part, structure=np.ones((3, 3, 3)), output=parts)))
+    if count == 0:
+        return part
+    reach = 2 * max(1, round(distance / voxel)) + 1
+    near = ndimage.maximum_filter(plant.astype(np.uint8), size=reach) > 0
+    touches = np.zeros(count + 1, dtype=bool)
+    touches[np.unique(parts[near])] = True
+    for number, slices in enumerate(ndimage.find_objects(parts), start=1):
+        sizes = sorted((s.stop - s.start for s in slices), reverse=True)
+        touches[number] &= sizes[axis] * voxel <= extent + voxel
+    touches[0] = False
+    return touches[parts]
+
+
+def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:
+    """Return the labels with green pixels that have no depth added where they adjoin plant pixels."""
+    near = cv2.dilate((labels > 0).astype(np.uint8), np.ones((7, 7), dtype=np.uint8))
+    labels[(classes == GREEN_NO_DEPTH) & (near > 0)] = PLANT
+    return labels

@@ -1,0 +1,198 @@
+"""Voxel voting for the masks: each depth pixel in the workspace votes, with its colour class, in a shared grid.
+
+Dimensions: H x W pixels, X x Y x Z cells. The loops are compiled because 30 views hold 28 million pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.geometry import Array, Box, Intrinsics
+
+OUTSIDE, OTHER, GREEN, YELLOW, WHITE, GREEN_NO_DEPTH = range(6)
+"""Colour class of a pixel. OUTSIDE: beyond the workspace or without depth (and not green)."""
+
+EMPTY, GROUND, PLANT_CELL, FLOWER_CELL = range(4)
+"""What a cell of the grid was found to be."""
+
+
+@dataclass(frozen=True, slots=True)
+class ColourRule:
+    """Thresholds of the colour classes, after white balance.
+
+    Attributes:
+        gains: white-balance gains of red, green and blue.
+        green: least excess green of vegetation.
+        yellow_saturation, yellow_value: least saturation 0..1 and brightness 0..255 of yellow petals.
+        white_saturation, white_value: greatest saturation 0..1 and least brightness 0..255 of white petals.
+    """
+
+    gains: tuple[float, float, float]
+    green: float
+    yellow_saturation: float
+    yellow_value: float
+    white_saturation: float
+    white_value: float
+
+    def numbers(self) -> Array:
+        """Return the rule as a flat array, as the compiled loop wants it."""
+        return np.array(
+            [
+                *self.gains,
+                self.green,
+                self.yellow_saturation,
+                self.yellow_value,
+                self.white_saturation,
+                self.white_value,
+            ]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A grid of cubic cells over the workspace.
+
+    Attributes:
+        lower: (3,) lower corner [m].
+        voxel: edge of a cell [m].
+        shape: number of cells along x, y, z.
+    """
+
+    lower: Array
+    voxel: float
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def over(cls, box: Box, voxel: float) -> Grid:
+        """Return the grid that covers a box."""
+        counts = np.maximum(1, np.ceil((box.upper - box.lower) / voxel).astype(int))
+        return cls(box.lower, voxel, (int(counts[0]), int(counts[1]), int(counts[2])))
+
+    def numbers(self) -> Array:
+        """Return lower corner, voxel and shape as a flat array, as the compiled loops want it."""
+        return np.array([*self.lower, self.voxel, *self.shape], dtype=np.float64)
+
+
+def vote(
+    rgb: NDArray[Any] | None,
+    depth: NDArray[Any],
+    *,
+    camera: Array,
+    grid: Grid,
+    rule: ColourRule | None,
+    counts: NDArray[Any],
+) -> NDArray[Any]:
+    """Add one view's pixels to `counts` and return their colour classes (H, W) uint8.
+
+    Args:
+        rgb: (H, W, 3) uint8, or None: then every pixel in the workspace is OTHER.
+        depth: (H, W) float32 [m].
+        camera: from `camera_numbers`.
+        grid: the cells.
+        rule: None without colour.
+        counts: (4, X, Y, Z) int32, votes for OTHER, GREEN, YELLOW, WHITE; added to in place.
+    """
+    classes = np.zeros(depth.shape, dtype=np.uint8)
+    if rgb is None or rule is None:
+        _vote_depth(depth, camera, grid.numbers(), classes, counts)
+    else:
+        _vote_colour(rgb, depth, camera, grid.numbers(), rule.numbers(), classes, counts)
+    return classes
+
+
+def camera_numbers(T_world_cam: Array, intrinsics: Intrinsics) -> Array:
+    """Return fx, fy, cx, cy and the 12 numbers of the pose as a flat array for the compiled loops."""
+    k = intrinsics
+    return np.concatenate([[k.fx, k.fy, k.cx, k.cy], np.asarray(T_world_cam)[:3].ravel()])
+
+
+@numba.njit(nogil=True, cache=True, inline="always")
+def _cell(u, v, z, cam, grid):
+    """Return the cell (i, j, k) that a pixel's point lies in, or (-1, -1, -1)."""
+    x, y = (u - cam[2]) / cam[0] * z, (v - cam[3]) / cam[1] * z
+    i = int(np.floor((cam[4] * x + cam[5] * y + cam[6] * z + cam[7] - grid[0]) / grid[3]))
+    j = int(np.floor((cam[8] * x + cam[9] * y + cam[10] * z + cam[11] - grid[1]) / grid[3]))
+    k = int(np.floor((cam[12] * x + cam[13] * y + cam[14] * z + cam[15] - grid[2]) / grid[3]))
+    if i < 0 or j < 0 or k < 0 or i >= grid[4] or j >= grid[5] or k >= grid[6]:
+        return -1, -1, -1
+    return i, j, k
+
+
+@numba.njit(nogil=True, cache=True, inline="always")
+def _colour_class(red, green, blue, rule):
+    r, g, b = red * rule[0], green * rule[1], blue * rule[2]
+    total, high, low = r + g + b, max(r, g, b), min(r, g, b)
+    if total < 30:  # too dark to have a colour
+        return OTHER
+    saturation = (high - low) / high
+    if saturation >= rule[4] and high >= rule[5] and r >= 0.95 * g and g > 1.3 * b and g >= 0.6 * r:
+        return YELLOW
+    if (2 * g - r - b) / total >= rule[3]:
+        return GREEN
+    if saturation <= rule[6] and high >= rule[7]:
+        return WHITE
+    return OTHER
+
+
+@numba.njit(nogil=True, cache=True)
+def _vote_colour(rgb, depth, cam, grid, rule, classes, counts):  # noqa: PLR0917
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            kind = _colour_class(float(rgb[v, u, 0]), float(rgb[v, u, 1]), float(rgb[v, u, 2]), rule)
+            if depth[v, u] <= 0:
+                classes[v, u] = GREEN_NO_DEPTH if kind == GREEN else OUTSIDE
+                continue
+            i, j, k = _cell(u, v, depth[v, u], cam, grid)
+            if i >= 0:
+                classes[v, u] = kind
+                counts[kind - 1, i, j, k] += 1
+
+
+@numba.njit(nogil=True, cache=True)
+def _vote_depth(depth, cam, grid, classes, counts):
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            if depth[v, u] > 0:
+                i, j, k = _cell(u, v, depth[v, u], cam, grid)
+                if i >= 0:
+                    classes[v, u] = OTHER
+                    counts[0, i, j, k] += 1
+
+
+@numba.njit(nogil=True, cache=True)
+def _read_back(depth, cam, grid, classes, cells, labels):  # noqa: PLR0917
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            kind = classes[v, u]
+            if kind in (OUTSIDE, GREEN_NO_DEPTH):
+                continue
+            i, j, k = _cell(u, v, depth[v, u], cam, grid)
+            cell = cells[i, j, k]
+            if kind == GREEN:
+                labels[v, u] = 1 if cell != GROUND else 0
+            elif cell == FLOWER_CELL and kind != OTHER:
+                labels[v, u] = 2
+            elif cell in (PLANT_CELL, FLOWER_CELL):
+                labels[v, u] = 1
+
+
+def read_back(
+    depth: NDArray[Any], camera: Array, grid: Grid, classes: NDArray[Any], cells: NDArray[Any]
+) -> NDArray[Any]:
+    """Return one view's labels (H, W) uint8 (0 background, 1 plant, 2 flower) from what its cells were found to be.
+
+    A green pixel is plant unless its cell is ground; any other needs a plant or flower cell.
+
+    Args:
+        depth, camera, grid: as in `vote`.
+        classes: (H, W) from `vote`.
+        cells: (X, Y, Z) uint8, EMPTY, GROUND, PLANT_CELL or FLOWER_CELL.
+    """
+    labels = np.zeros(depth.shape, dtype=np.uint8)
+    _read_back(depth, camera, grid.numbers(), classes, cells, labels)
+    return labels
