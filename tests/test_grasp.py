@@ -17,7 +17,6 @@ from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, STEM, Stem
 
-
 UPRIGHT = np.eye(3)
 
 
