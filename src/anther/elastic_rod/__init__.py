@@ -1,0 +1,27 @@
+"""Discrete elastic rods: branched, slender, shaken. Knows nothing of plants or robots.
+
+`Rods` (geometry and material), `Clamp` and `Drive` (what is held and moved), then `simulate` for nonlinear motion,
+`frequency_response` and `response_map` for small vibrations, `natural_frequencies` for modes.
+"""
+
+from anther.elastic_rod.equilibrium import with_gravity_equilibrium
+from anther.elastic_rod.motion import Clamp, Drive, Motion, SampledDrive
+from anther.elastic_rod.response import frequency_response, natural_frequencies, response_map
+from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
+from anther.elastic_rod.simulation import Trajectory, simulate
+
+__all__ = [
+    "GRAVITY",
+    "Clamp",
+    "Drive",
+    "Motion",
+    "NaturalShape",
+    "Rods",
+    "SampledDrive",
+    "Trajectory",
+    "frequency_response",
+    "natural_frequencies",
+    "response_map",
+    "simulate",
+    "with_gravity_equilibrium",
+]

@@ -1,0 +1,185 @@
+"""Static equilibrium under weight, its stability, and the natural shape that makes the scanned shape an equilibrium."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike
+
+from anther.elastic_rod import springs
+from anther.elastic_rod.assembly import (
+    Blocks,
+    assemble,
+    elastic_energy,
+    move_frames,
+    new_blocks,
+    strain_rates,
+)
+from anther.elastic_rod.model import Frames, Model, build_model, spring_edges
+from anther.elastic_rod.motion import Clamp
+from anther.elastic_rod.rods import GRAVITY, Array, NaturalShape, Rods
+from anther.elastic_rod.stepping import POSITION_FLOOR, State, new_state
+from anther.elastic_rod.tree_solver import constrain, factor, solve
+from anther.elastic_rod.vectors import load
+from anther.errors import StageFailure
+
+NEWTON_LIMIT = 500
+"""Newton iterations of a static solve; a cantilever that bends through 90 degrees needs some tens."""
+
+
+def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAVITY) -> Rods:
+    """Return the same rods with the natural shape for which the scanned shape hangs in equilibrium under gravity.
+
+    A tree clamped at its root is statically determinate: weights alone fix every tension and moment, whatever the
+    stiffness. They are found by one linear solve with the material stiffness K = B W B^T (which picks the least
+    elastic energy where several clamped places make it indeterminate); natural strain = strain - stress / stiffness.
+    Call it again after changing stiffness, mass or radius.
+
+    Raises:
+        StageFailure: kind "no_convergence" when nothing can balance the weight, for instance with a single pin.
+    """
+    bare = replace(rods, natural=None)
+    model, frames = build_model(bare, gravity)
+    free = clamp.free(rods)
+    blocks, still, sag = new_blocks(len(rods.nodes)), np.zeros((len(rods.nodes), 4)), np.zeros((len(rods.nodes), 4))
+    assemble(model, rods.nodes, frames, still, 0.0, blocks)
+    constrain(model, free, blocks)
+    factor(model, blocks)
+    tension, moments = np.zeros(len(sag)), np.zeros((len(sag), 3))
+    load_left = scale_of_load = np.where(free, np.pad(model.weight, ((0, 0), (0, 1))), 0)
+    for _ in range(4):  # iterative refinement
+        sag = load_left.copy()
+        solve(model, blocks, sag)
+        load_left = load_left - np.where(free, _stress_of(model, rods.nodes, frames, sag, tension, moments), 0)
+    if not np.abs(load_left).max() < 1e-8 * np.abs(scale_of_load).max() + 1e-12:
+        raise StageFailure(
+            "no_convergence",
+            "rods: no natural shape lets the clamp balance the weight. One clamped node is only a pin, about which the "
+            "rods would swing: clamp both ends of an edge.",
+        )
+    return replace(rods, natural=_natural_shape(model, rods, tension, moments))
+
+
+def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> NaturalShape:
+    stiffness = np.where(model.far[:, None] >= 0, np.stack([model.bend, model.bend, model.twist], axis=1), 1.0)
+    strain = moments / stiffness
+    stretch = np.divide(tension, model.stretch)
+    if np.any(stretch <= -0.5):
+        raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
+    return NaturalShape(rods.lengths / (1 + stretch), model.curvature - strain[:, :2], -strain[:, 2])
+
+
+@numba.njit(cache=True)
+def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, moments: Any) -> Any:
+    """Add the tension and moments [N, N m] of a small move (N, 4) to the given ones; return the force of the move."""
+    force, G = np.zeros_like(move), np.zeros((3, 8))
+    for j in range(1, len(x)):
+        p = model.parent[j]
+        t = (x[j] - x[p]) / model.length[j]
+        change = model.stretch[j] / model.length[j] * np.dot(t, move[j, :3] - move[p, :3])
+        tension[j] += change
+        force[j, :3] += change * t
+        force[p, :3] -= change * t
+        if model.far[j] < 0:
+            continue
+        a, b = model.near[j], model.far[j]
+        e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
+        springs.gradients(e, f, load(frames.m1, a), load(frames.m1, j), frames.twist[j], G)
+        strain = strain_rates(model, move, G, j)
+        sign = -1.0 if model.swapped[j] else 1.0
+        for k in range(3):
+            moment = (model.bend[j] if k < 2 else model.twist[j]) * strain[k]
+            moments[j, k] += moment
+            for i in range(3):
+                force[a, i] += sign * moment * G[k, i]
+                force[b, i] -= sign * moment * G[k, i]
+                force[j, i] += moment * G[k, 3 + i]
+                force[p, i] -= moment * G[k, 3 + i]
+            force[a, 3] += sign * moment * G[k, 6]
+            force[j, 3] += moment * G[k, 7]
+    return force
+
+
+def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
+    """Return the state at rest in the static equilibrium downhill from positions x (N, 3) [m].
+
+    Raises:
+        StageFailure: kind "no_convergence" when none is found, or it is not stable (buckling).
+    """
+    state, blocks = new_state(x, frames), new_blocks(len(x))
+    residual, correction = _descend(model, free, state, blocks, NEWTON_LIMIT)
+    if not (correction < 1e-8 and residual < 1e-3 * np.abs(model.weight).sum() + 1e-6):
+        raise StageFailure(
+            "no_convergence",
+            f"rods: no static equilibrium found; residual {residual:.3g} N after {NEWTON_LIMIT} Newton iterations. "
+            "They may be too soft or thin for their weight, or swing about a pin: check radius, Young's modulus, clamp.",
+        )
+    if unstable_directions(model, free, state, blocks):
+        raise StageFailure(
+            "no_convergence",
+            "rods: the equilibrium under gravity is not stable: they buckle under their own weight (the tangent "
+            "stiffness has a direction <= 0). Such rods cannot stand: check radius [m], Young's modulus [Pa], density "
+            "[kg/m^3], lumped masses, and that the clamp holds both ends of an edge.",
+        )
+    return state
+
+
+def unstable_directions(model: Model, free: Any, state: State, blocks: Blocks) -> int:
+    """Return how many directions have no positive stiffness: 0 where the equilibrium is stable."""
+    assemble(model, state.x, state.frames, np.zeros_like(state.v), 0.0, blocks)
+    constrain(model, free, blocks)
+    return int(factor(model, blocks))
+
+
+@numba.njit(cache=True)
+def _potential(model: Model, x: Any, frames: Frames) -> float:
+    return elastic_energy(model, x, frames.m1, frames.twist) - np.sum(model.weight * x)
+
+
+@numba.njit(cache=True)
+def _descend(model: Model, free: Any, state: State, blocks: Blocks, most: int) -> Any:
+    """Minimise the potential energy by Newton's method with a shift where needed and a backtracking line search.
+
+    Returns the last residual [N] and the last correction [m].
+    """
+    shift, floor = 0.0, 1e-12 * np.max(model.stretch) + 1e-12
+    residual, correction = np.inf, np.inf
+    for _ in range(most):
+        assemble(model, state.x, state.frames, state.v, 0.0, blocks)
+        blocks.gradient[:, :3] -= model.weight
+        for j in range(len(free)):
+            for i in range(4):
+                blocks.diagonal[j, i, i] += shift * (1.0 if i < 3 else 1e-4)
+        constrain(model, free, blocks)
+        residual = np.sqrt(np.sum(blocks.gradient**2))
+        if factor(model, blocks) > 0:
+            if residual <= floor and shift == 0:
+                return residual, 0.0  # balanced but unstable: the caller tells
+            shift = max(4 * shift, 1e-3)
+            continue
+        step = blocks.gradient.copy()
+        solve(model, blocks, step)
+        correction = np.max(np.abs(step[:, :3]))
+        if correction < POSITION_FLOOR or residual <= floor:
+            return residual, correction
+        _line_search(model, state, step, np.sum(step * blocks.gradient), correction)
+        shift = shift / 8 if shift > 1e-9 else 0.0
+    return residual, correction
+
+
+@numba.njit(cache=True)
+def _line_search(model: Model, state: State, step: Any, slope: float, size: float) -> None:
+    """Move the state against `step`, halving it until the potential energy falls."""
+    start = _potential(model, state.x, state.frames)
+    x, m1, twist = state.x.copy(), state.frames.m1.copy(), state.frames.twist.copy()
+    share = min(1.0, 5 * np.max(model.length) / size)
+    for _ in range(40):
+        state.x[:] = x - share * step[:, :3]
+        move_frames(model, x, m1, twist, state.x, -share * step[:, 3], state.frames.m1, state.frames.twist)
+        now = _potential(model, state.x, state.frames)
+        if now <= start - 1e-4 * share * slope + 1e-14 * abs(start):
+            return
+        share *= 0.5

@@ -1,0 +1,162 @@
+"""Rods turned into the flat arrays that the compiled kernels loop over."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.checks import check_array
+from anther.elastic_rod import springs
+from anther.elastic_rod.rods import Array, NaturalShape, Rods
+from anther.elastic_rod.vectors import cross, load, norm, scale, spin, store, subtract, transport
+from anther.errors import bad_input
+
+
+class Model(NamedTuple):
+    """Constants of a tree of rods. Block j holds the four unknowns x_j (3) and the spin of edge j about its tangent.
+
+    Block j couples to at most two blocks nearer to the root, `near` and `far`; these are coupled to each other, so
+    elimination from the tips inward creates no new coupling. Normally near is the parent and far the grandparent.
+    Another child of the root than the hub (the stiffest child) has near = hub and far = root: its spring joins it to
+    the reversed hub edge.
+    """
+
+    parent: NDArray[Any]  # (N,)
+    order: NDArray[Any]  # (N,) elimination order, tips first
+    near: NDArray[Any]  # (N,) -1 at the root
+    far: NDArray[Any]  # (N,) -1 where edge j has no spring to a parent edge
+    swapped: NDArray[Any]  # (N,) whether the spring of edge j uses the reversed hub edge
+    mass: Array  # (N,) [kg]
+    spin_inertia: Array  # (N,) [kg m^2]
+    drag: Array  # (N,) [N s/m]
+    weight: Array  # (N, 3) [N]
+    stretch: Array  # (N,) EA [N]
+    bend: Array  # (N,) EI / Voronoi length [N m]
+    twist: Array  # (N,) GJ / Voronoi length [N m]
+    viscous: Array  # (N,) [s]
+    length: Array  # (N,) natural length [m]
+    curvature: Array  # (N, 2) natural curvature [-]
+    natural_twist: Array  # (N,) [rad]
+
+
+class Frames(NamedTuple):
+    """First material director of every edge, (N, 3), and the present twist of every spring, (N,) [rad]."""
+
+    m1: Array
+    twist: Array
+
+
+def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
+    """Return the constants of `rods` under `gravity` (3,) [m/s^2], and the frames of the scanned shape.
+
+    A spring between edges e and f has the compliance of half of each: K = 2 / (l_e/EI_e + l_f/EI_f), which is EI over
+    the Voronoi length (P19) where both are equal. Node masses are half of each incident edge.
+
+    Raises:
+        InputError: an edge folds back onto its parent edge.
+    """
+    near, far, swapped, order = _couplings(rods)
+    frames, curvature = _rest_frames(rods.nodes, rods.parent, near, far, swapped)
+    natural = rods.natural or NaturalShape(rods.lengths, curvature, np.zeros(len(near)))
+    area = np.pi * np.square(rods.edge_radius)
+    modulus = area * np.asarray(rods.youngs)
+    EI = modulus * np.square(rods.edge_radius) / 4
+    mass = rods.node_mass
+    half_disc = 0.5 * np.asarray(rods.density) * area * np.square(rods.edge_radius) * rods.lengths
+    model = Model(
+        parent=rods.parent,
+        order=order,
+        near=near,
+        far=far,
+        swapped=swapped,
+        mass=mass,
+        spin_inertia=half_disc,
+        drag=rods.node_total_drag,
+        weight=mass[:, None] * check_array("gravity", gravity, (3,)),
+        stretch=modulus,
+        bend=_in_series(EI, rods.lengths, near, far),
+        twist=_in_series(EI / np.asarray(rods.bend_over_twist), rods.lengths, near, far),
+        viscous=np.asarray(rods.viscous_time),
+        length=natural.length,
+        curvature=natural.curvature,
+        natural_twist=natural.twist,
+    )
+    return Model(*(np.array(a) for a in model)), frames
+
+
+def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    parent, n = rods.parent, len(rods.parent)
+    near = parent.copy()
+    far = np.where(parent > 0, parent[parent], -1)
+    swapped = np.zeros(n, dtype=np.bool_)
+    children = np.flatnonzero(parent == 0)
+    hub = _stiffest(rods, children)
+    others = children[children != hub]
+    near[others], far[others], swapped[others] = hub, 0, True
+    order = np.array([j for j in range(n - 1, 0, -1) if j != hub] + [hub, 0])
+    return near, far, swapped, order
+
+
+def _stiffest(rods: Rods, children: NDArray[Any]) -> int:
+    radius, youngs = np.asarray(rods.edge_radius), np.asarray(rods.youngs)
+    return int(children[np.argmax(youngs[children] * radius[children] ** 4)])
+
+
+def _in_series(stiffness: Array, lengths: Array, near: NDArray[Any], far: NDArray[Any]) -> Array:
+    out = np.zeros(len(near))
+    f = np.flatnonzero(far >= 0)
+    e = near[f]
+    out[f] = 2 / (lengths[e] / stiffness[e] + lengths[f] / stiffness[f])
+    return out
+
+
+def _rest_frames(
+    nodes: Array, parent: NDArray[Any], near: NDArray[Any], far: NDArray[Any], swapped: NDArray[Any]
+) -> tuple[Frames, Array]:
+    edges = nodes - nodes[parent]
+    edges[0] = 1
+    unit = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+    folded = (far >= 0) & (np.einsum("ij,ij->i", unit, unit[near]) * np.where(swapped, -1, 1) < -0.9999)
+    if np.any(folded):
+        j = int(np.flatnonzero(folded)[0])
+        raise bad_input(
+            "rod nodes", given=f"edge {j} folds back onto edge {near[j]}", allowed="turns < 179 deg", do="Smooth it."
+        )
+    m1, curvature = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 2))
+    hub = int(np.flatnonzero((near == 0) & (far < 0))[0])
+    _carry_frames(nodes, parent, near, far, swapped, hub, m1, curvature)
+    return Frames(m1, np.zeros(len(nodes))), curvature
+
+
+@numba.njit(cache=True)
+def _carry_frames(
+    nodes: Any, parent: Any, near: Any, far: Any, swapped: Any, hub: int, m1: Any, curvature: Any
+) -> None:
+    """Carry the directors from the hub edge outward, along the connectivity, and note the curvatures."""
+    e = subtract(load(nodes, hub), load(nodes, 0))
+    side = cross(e, (0.0, 1.0, 0.0))
+    if norm(side) < 1e-3 * norm(e):
+        side = cross(e, (0.0, 0.0, -1.0))
+    store(m1, hub, scale(1 / norm(side), side))
+    for j in range(1, len(nodes)):
+        if far[j] < 0:
+            continue
+        e, f = spring_edges(nodes, parent, near, far, swapped, j)
+        te, tf = scale(1 / norm(e), e), scale(1 / norm(f), f)
+        m1e = load(m1, near[j])
+        m1f = spin(transport(m1e, te, tf), tf, 0.0)
+        store(m1, j, m1f)
+        kappa = springs.strains(e, f, m1e, m1f, 0.0)
+        curvature[j, 0], curvature[j, 1] = kappa[0], kappa[1]
+
+
+@numba.njit(cache=True)
+def spring_edges(x: Any, parent: Any, near: Any, far: Any, swapped: Any, j: int) -> Any:
+    """Return the edge vectors e (the parent edge, running towards edge j) and f (edge j) of spring j [m]."""
+    e = subtract(load(x, near[j]), load(x, far[j]))
+    if swapped[j]:
+        e = scale(-1.0, e)
+    return e, subtract(load(x, j), load(x, parent[j]))

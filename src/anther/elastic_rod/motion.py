@@ -1,0 +1,155 @@
+"""What is held and what is moved: clamped nodes, and the prescribed motion of the grip node (P21)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.checks import check_array, check_range
+from anther.elastic_rod.rods import Array, Rods
+from anther.errors import bad_input
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clamp:
+    """Nodes that never move. An edge with both ends clamped, or next to a clamped root, cannot spin either.
+
+    One clamped node alone is a pin: the rod may swing about it. Clamp both ends of an edge to hold its direction.
+
+    Attributes:
+        nodes: (C,) int node numbers.
+    """
+
+    nodes: NDArray[Any]
+
+    def __post_init__(self) -> None:
+        nodes = np.unique(np.asarray(self.nodes, dtype=np.int64).ravel())
+        nodes.flags.writeable = False
+        object.__setattr__(self, "nodes", nodes)
+
+    @classmethod
+    def root(cls, rods: Rods) -> Clamp:
+        """Clamp the root and its children: the stem leaves the soil in a fixed place and direction."""
+        return cls(np.concatenate([[0], np.flatnonzero(rods.parent == 0)]))
+
+    @classmethod
+    def below(cls, rods: Rods, height: float) -> Clamp:
+        """Clamp every node with z < height [m], and at least the root and its children."""
+        low = np.flatnonzero(rods.nodes[:, 2] < height)
+        return cls(np.concatenate([cls.root(rods).nodes, low]))
+
+    def free(self, rods: Rods, driven: int | None = None) -> NDArray[np.bool_]:
+        """Return (N, 4) which unknowns (x, y, z, spin) are free, with the driven node held as well.
+
+        Raises:
+            InputError: a node number outside 0..N-1, or everything clamped.
+        """
+        n = len(rods.nodes)
+        for node in self.nodes:
+            _check_node("clamped node", int(node), n)
+        held = np.isin(np.arange(n), self.nodes)
+        free = np.ones((n, 4), dtype=np.bool_)
+        free[held, :3] = False
+        free[0, 3] = False
+        free[1:, 3] = ~held[rods.parent[1:]] | (~held[1:] & (rods.parent[1:] != 0))
+        if driven is not None:
+            _check_node("grip node", driven, n)
+            if held[driven]:
+                raise bad_input("grip node", given=driven, allowed="a node that is not clamped", do="Grip higher up.")
+            free[driven, :3] = False
+        if not free[:, :3].any():
+            raise bad_input("clamp", given="every node", allowed="at least one free node", do="Clamp fewer nodes.")
+        return free
+
+
+class Motion(Protocol):
+    """A prescribed motion of one node."""
+
+    @property
+    def node(self) -> int:
+        """The driven node."""
+        ...
+
+    def displacement(self, times: ArrayLike) -> Array:
+        """Return (T, 3) displacements [m] from the start position at (T,) times [s]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """A sinusoidal shake of one node: amplitude * sin(2 pi frequency t) along a direction.
+
+    Attributes:
+        node: the grip node.
+        direction: (3,) any length > 0; only its direction counts.
+        amplitude: [m].
+        frequency: [Hz].
+        ramp: time [s] over which the amplitude grows smoothly from 0; 0 starts at once.
+    """
+
+    node: int
+    direction: Array
+    amplitude: float
+    frequency: float
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "direction", unit_direction(self.direction))
+        check_range("shake amplitude", self.amplitude, 0, 10, "m")
+        check_range("shake frequency", self.frequency, 0, 1e5, "Hz")
+        check_range("shake ramp", self.ramp, 0, 1e4, "s")
+
+    def displacement(self, times: ArrayLike) -> Array:
+        """Return (T, 3) displacements [m] at (T,) times [s]."""
+        t = np.asarray(times, dtype=np.float64)
+        rise = np.ones_like(t) if self.ramp == 0 else 0.5 - 0.5 * np.cos(np.pi * np.clip(t / self.ramp, 0, 1))
+        return (rise * self.amplitude * np.sin(2 * np.pi * self.frequency * t))[..., None] * self.direction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledDrive:
+    """Any motion of one node, given by samples and interpolated linearly (chirp, burst, recorded).
+
+    Attributes:
+        node: the grip node.
+        times: (S,) increasing [s]; outside, the first or last sample holds.
+        displacements: (S, 3) from the start position [m].
+    """
+
+    node: int
+    times: Array
+    displacements: Array
+
+    def __post_init__(self) -> None:
+        times = check_array("drive times", self.times, (None,))
+        if len(times) < 2 or np.any(np.diff(times) <= 0):
+            raise bad_input("drive times", given=f"{len(times)} times", allowed=">= 2, increasing", do="Sort them.")
+        object.__setattr__(self, "times", times)
+        moves = check_array("drive displacements", self.displacements, (len(times), 3))
+        object.__setattr__(self, "displacements", moves)
+
+    def displacement(self, times: ArrayLike) -> Array:
+        """Return (T, 3) displacements [m] at (T,) times [s]."""
+        t = np.asarray(times, dtype=np.float64)
+        return np.stack([np.interp(t, self.times, column) for column in self.displacements.T], axis=-1)
+
+
+def unit_direction(direction: ArrayLike) -> Array:
+    """Return a (3,) direction scaled to length 1.
+
+    Raises:
+        InputError: not three finite numbers, or of length 0.
+    """
+    vector = check_array("direction", direction, (3,))
+    length = float(np.linalg.norm(vector))
+    if length < 1e-12:
+        raise bad_input("direction", given=f"{vector}", allowed="a vector longer than 0", do="Give an axis.")
+    return check_array("direction", vector / length, (3,))
+
+
+def _check_node(name: str, node: int, count: int) -> None:
+    if not 0 <= node < count:
+        raise bad_input(name, given=node, allowed=f"0 <= {name} <= {count - 1}", do="Check the node number.")

@@ -1,0 +1,208 @@
+"""Small vibrations about the equilibrium: frequency response by complex tree solves, and natural frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.linalg import eigsh
+
+from anther.checks import check_array, check_range
+from anther.elastic_rod.assembly import Blocks, assemble, new_blocks
+from anther.elastic_rod.equilibrium import static_state
+from anther.elastic_rod.model import Model, build_model
+from anther.elastic_rod.motion import Clamp, unit_direction
+from anther.elastic_rod.rods import GRAVITY, Array, Rods
+from anther.elastic_rod.tree_solver import constrain, factor, solve
+from anther.errors import bad_input
+
+ComplexArray = NDArray[np.complex128]
+
+
+def frequency_response(
+    rods: Rods,
+    clamp: Clamp,
+    grip_node: int,
+    direction: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    gravity: ArrayLike = GRAVITY,
+) -> ComplexArray:
+    """Return (Q, N, 3) displacement of every node per metre of grip displacement, at (Q,) frequencies [Hz].
+
+    The grip node's three coordinates follow exp(i w t) along `direction` (3,); the others answer linearly about the
+    equilibrium under gravity. The modulus is the amplitude ratio, the argument the phase lead [rad].
+
+    Raises:
+        InputError: node or frequency out of range.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    everything = np.arange(len(rods.nodes))
+    out = response_map(rods, clamp, [grip_node], [direction], frequencies, everything, gravity=gravity)
+    return out[:, 0, 0]
+
+
+def response_map(
+    rods: Rods,
+    clamp: Clamp,
+    grip_nodes: ArrayLike,
+    directions: ArrayLike,
+    frequencies: ArrayLike,
+    observe: ArrayLike,
+    *,
+    gravity: ArrayLike = GRAVITY,
+) -> ComplexArray:
+    """Return (Q, G, D, O, 3): the response of the observed nodes to a shake at each grip node in each direction.
+
+    Args:
+        rods: the rods.
+        clamp: what never moves.
+        grip_nodes: (G,) node numbers, none of them clamped.
+        directions: (D, 3) shake directions.
+        frequencies: (Q,) [Hz].
+        observe: (O,) node numbers, for instance the flowers.
+        gravity: (3,) [m/s^2].
+
+    Each frequency is factored once, without any grip. Prescribing the motion u of grip node g then takes the force
+    G_gg^-1 u, with G_gg the 3x3 receptance there, so x = G_xg G_gg^-1 u.
+
+    Raises:
+        InputError: node or frequency out of range.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    grips, seen = _node_list("grip node", grip_nodes, rods), _node_list("observed node", observe, rods)
+    hertz = check_array("frequencies", frequencies, (None,))
+    for value in hertz:
+        check_range("frequency", value, 0, 1e5, "Hz")
+    units = np.stack([unit_direction(d) for d in np.atleast_2d(np.asarray(directions, dtype=np.float64))])
+    system = _linearise(rods, clamp, gravity)
+    for grip in grips:
+        clamp.free(rods, int(grip))
+    return _receptances(
+        system.model, system.free, system.tangent, system.damping, grips, units, 2 * np.pi * hertz, seen
+    )
+
+
+def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY) -> tuple[Array, Array]:
+    """Return the lowest natural frequencies (K,) [Hz] and mode shapes (K, N, 3), about the equilibrium under gravity.
+
+    Damping is left out; modes are scaled to a largest displacement of 1. K = min(count, unknowns - 2).
+
+    Raises:
+        InputError: count < 1.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    check_range("number of modes", count, 1, 1e5)
+    system = _linearise(rods, clamp, gravity)
+    stiffness, mass = _sparse(system.model, system.tangent), _masses(system.model)
+    keep = np.flatnonzero(system.free.ravel())
+    count = min(count, len(keep) - 2)
+    K = stiffness[keep][:, keep]
+    M = coo_array((mass[keep], (np.arange(len(keep)),) * 2)).tocsc()
+    squares, vectors = eigsh(K, count, M=M, sigma=0.0, v0=np.ones(len(keep)))
+    modes = np.zeros((count, system.free.size))
+    modes[:, keep] = vectors.T
+    modes = modes.reshape(count, -1, 4)[:, :, :3]
+    modes /= np.abs(modes).max(axis=(1, 2), keepdims=True)
+    rising = np.argsort(squares)
+    return np.sqrt(np.maximum(squares[rising], 0)) / (2 * np.pi), modes[rising]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linear:
+    """The linearised system: M q'' + C q' + K q = 0 with K in `tangent` and C in `damping`."""
+
+    model: Model
+    free: NDArray[np.bool_]
+    tangent: Blocks
+    damping: Blocks
+
+
+def _linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike) -> _Linear:
+    model, frames = build_model(rods, gravity)
+    free = clamp.free(rods)
+    state = static_state(model, frames, rods.nodes, free)
+    tangent, faster = new_blocks(len(free)), new_blocks(len(free))
+    assemble(model, state.x, state.frames, state.v, 0.0, tangent)
+    assemble(model, state.x, state.frames, state.v, 1.0, faster)
+    for part, base in zip(faster[:3], tangent[:3], strict=True):
+        part -= base  # rate 1: what viscosity adds per unit of rate
+    faster.diagonal[:, range(3), range(3)] += model.drag[:, None]
+    constrain(model, free, tangent)
+    return _Linear(model, free, tangent, faster)
+
+
+def _masses(model: Model) -> Array:
+    return np.concatenate([np.repeat(model.mass[:, None], 3, axis=1), model.spin_inertia[:, None]], axis=1).ravel()
+
+
+def _sparse(model: Model, blocks: Blocks) -> Any:
+    n = len(model.parent)
+    rows, columns, values = [], [], []
+    index = 4 * np.arange(n)[:, None] + np.arange(4)
+    full = np.tril(blocks.diagonal) + np.swapaxes(np.tril(blocks.diagonal, -1), 1, 2)
+    for block, other in ((full, index), (blocks.near, index[model.near]), (blocks.far, index[model.far][:, :3])):
+        i, k = np.broadcast_arrays(index[:, :, None], other[:, None, :])
+        off = block is not full
+        present = (model.near if block is blocks.near else model.far) >= 0 if off else np.ones(n, dtype=bool)
+        for r, c in ((i, k), (k, i)) if off else ((i, k),):
+            rows.append(r[present].ravel())
+            columns.append(c[present].ravel())
+            values.append(block[present].ravel())
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    return coo_array(entries, shape=(4 * n, 4 * n)).tocsc()
+
+
+@numba.njit(cache=True)
+def _receptances(
+    model: Model, free: Any, tangent: Blocks, damping: Blocks, grips: Any, units: Any, omegas: Any, seen: Any
+) -> Any:
+    n = len(free)
+    out = np.zeros((len(omegas), len(grips), len(units), len(seen), 3), np.complex128)
+    dynamic = Blocks(
+        np.zeros((n, 4, 4), np.complex128),
+        np.zeros((n, 4, 4), np.complex128),
+        np.zeros((n, 4, 3), np.complex128),
+        np.zeros((n, 4), np.complex128),
+        tangent.local,
+        tangent.slopes,
+    )
+    columns = np.zeros((3, n, 4), np.complex128)
+    at_grip = np.zeros((3, 3), np.complex128)
+    for q in range(len(omegas)):
+        omega = omegas[q]
+        dynamic.diagonal[:] = tangent.diagonal + 1j * omega * damping.diagonal
+        dynamic.near[:] = tangent.near + 1j * omega * damping.near
+        dynamic.far[:] = tangent.far + 1j * omega * damping.far
+        for j in range(n):
+            for i in range(3):
+                dynamic.diagonal[j, i, i] -= omega * omega * model.mass[j]
+            dynamic.diagonal[j, 3, 3] -= omega * omega * model.spin_inertia[j]
+        constrain(model, free, dynamic)
+        factor(model, dynamic)
+        for g in range(len(grips)):
+            columns[:] = 0
+            for i in range(3):
+                columns[i, grips[g], i] = 1
+                solve(model, dynamic, columns[i])
+                at_grip[:, i] = columns[i, grips[g], :3]
+            for d in range(len(units)):
+                force = np.linalg.solve(at_grip, units[d].astype(np.complex128))
+                for o in range(len(seen)):
+                    for i in range(3):
+                        out[q, g, d, o] += force[i] * columns[i, seen[o], :3]
+    return out
+
+
+def _node_list(name: str, nodes: ArrayLike, rods: Rods) -> NDArray[Any]:
+    numbers = np.array(check_array(name, np.asarray(nodes), (None,), dtype=np.int64))
+    wrong = numbers[(numbers < 0) | (numbers >= len(rods.nodes))]
+    if wrong.size:
+        raise bad_input(
+            name, given=int(wrong[0]), allowed=f"0 <= {name} <= {len(rods.nodes) - 1}", do="Check the node numbers."
+        )
+    return numbers

@@ -1,0 +1,90 @@
+"""Compiled 3-vector arithmetic on tuples of three floats, and the parallel transport of directors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+Vector = tuple[Any, Any, Any]
+
+
+@numba.njit(cache=True, inline="always")
+def load(array: Any, row: int) -> Vector:
+    """Return one row of an (N, 3) array."""
+    return (array[row, 0], array[row, 1], array[row, 2])
+
+
+@numba.njit(cache=True, inline="always")
+def store(array: Any, row: int, v: Vector) -> None:
+    """Write `v` into one row of an (N, 3) array."""
+    array[row, 0], array[row, 1], array[row, 2] = v
+
+
+@numba.njit(cache=True, inline="always")
+def add(a: Vector, b: Vector) -> Vector:
+    """Return a + b."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+@numba.njit(cache=True, inline="always")
+def subtract(a: Vector, b: Vector) -> Vector:
+    """Return a - b."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+@numba.njit(cache=True, inline="always")
+def scale(s: float, a: Vector) -> Vector:
+    """Return s a."""
+    return (s * a[0], s * a[1], s * a[2])
+
+
+@numba.njit(cache=True, inline="always")
+def combine(s: float, a: Vector, t: float, b: Vector) -> Vector:
+    """Return s a + t b."""
+    return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
+
+
+@numba.njit(cache=True, inline="always")
+def dot(a: Vector, b: Vector) -> float:
+    """Return a . b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True, inline="always")
+def cross(a: Vector, b: Vector) -> Vector:
+    """Return a x b."""
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+@numba.njit(cache=True, inline="always")
+def norm(a: Vector) -> float:
+    """Return |a|."""
+    return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+@numba.njit(cache=True)
+def transport(v: Vector, start: Vector, end: Vector) -> Vector:
+    """Return `v` carried by the smallest rotation that takes the unit tangent `start` to the unit tangent `end`."""
+    axis = cross(start, end)
+    cosine = dot(start, end)
+    carried = combine(cosine, v, 1.0, cross(axis, v))
+    return combine(1.0, carried, dot(axis, v) / (1.0 + cosine), axis)
+
+
+@numba.njit(cache=True)
+def spin(director: Vector, tangent: Vector, angle: float) -> Vector:
+    """Return a director turned by `angle` [rad] about the unit tangent, made orthonormal to it again."""
+    turned = combine(math.cos(angle), director, math.sin(angle), cross(tangent, director))
+    flat = combine(1.0, turned, -dot(turned, tangent), tangent)
+    return scale(1.0 / norm(flat), flat)
+
+
+@numba.njit(cache=True)
+def twist_angle(m1e: Vector, m1f: Vector, te: Vector, tf: Vector, previous: float) -> float:
+    """Return the twist [rad] from edge e to edge f, on the branch nearest to `previous`."""
+    carried = transport(m1e, te, tf)
+    angle = math.atan2(dot(cross(carried, m1f), tf), dot(carried, m1f))
+    return angle + 2 * np.pi * round((previous - angle) / (2 * np.pi))
