@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.checks import check_array
-from anther.errors import bad_input
-from anther.geometry import Array, Intrinsics
+from anther.checks import check_array, check_range
+from anther.errors import AntherError, bad_input
+from anther.geometry import Array, Box, Intrinsics
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +57,12 @@ class ArmRecord:
     commanded: Array
     measured: Array
 
+    def __post_init__(self) -> None:
+        n = len(self.times)
+        object.__setattr__(self, "times", check_array("record times", self.times, (n,)))
+        object.__setattr__(self, "commanded", check_array("commanded joints", self.commanded, (n, 7)))
+        object.__setattr__(self, "measured", check_array("measured joints", self.measured, (n, 7)))
+
 
 @dataclass(frozen=True, slots=True)
 class GripperState:
@@ -75,6 +82,10 @@ class Frame:
     depth: NDArray[Any]
 
 
+class DeviceError(AntherError):
+    """A machine refused a command or stopped."""
+
+
 class Arm(Protocol):
     """A seven-joint arm."""
 
@@ -83,7 +94,11 @@ class Arm(Protocol):
         ...
 
     def follow(self, trajectory: JointTrajectory) -> ArmRecord:
-        """Follow a trajectory that starts at the present joints; return when it has ended."""
+        """Follow a trajectory that starts at the present joints; return when it has ended.
+
+        Raises:
+            DeviceError: the arm refused or stopped on the way; it holds where it is.
+        """
         ...
 
     def hold(self) -> None:
@@ -95,7 +110,11 @@ class Gripper(Protocol):
     """A parallel gripper. Its force cannot be set (facts: Intera 5.1 and later): it closes to a width."""
 
     def move(self, opening: float) -> GripperState:
-        """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then."""
+        """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
+
+        Raises:
+            DeviceError: the gripper refused or jammed.
+        """
         ...
 
     def state(self) -> GripperState:
@@ -120,7 +139,7 @@ class Camera(Protocol):
         ...
 
     def stop(self) -> list[Frame]:
-        """End the recording and return its frames."""
+        """End the recording and return its frames in order of time; a device may keep only part of a long one."""
         ...
 
 
@@ -139,3 +158,48 @@ class Robot:
     wrist_camera: Camera
     side_camera: Camera | None = None
     T_world_side_camera: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SafetyLimits:
+    """What no command may exceed, whoever gives it. `anther.safety` checks every command against them.
+
+    Attributes:
+        forward: the arm's kinematics, joints (T, 7) [rad] -> flange poses (T, 4, 4) in the world.
+        joint_lower, joint_upper: (7,) the arm's range [rad].
+        joint_speed: (7,) [rad/s].
+        joint_margin: kept from either end of the range [rad].
+        workspace: where the flange may be, world [m].
+        keep_out: boxes the flange must not enter: pot, bench.
+        flange_speed: [m/s]; the SDK's own default is 0.6 (facts: sawyer 1).
+        shake_speed: largest amplitude x 2 pi frequency of a shake [m/s].
+        shake_duration: [s]; plants are shaken at most 5 s a visit (facts: pollination 1d).
+        start_tolerance: largest gap between the present joints and a trajectory's start [rad].
+    """
+
+    forward: Callable[[Array], Array]
+    joint_lower: Array
+    joint_upper: Array
+    joint_speed: Array
+    workspace: Box
+    joint_margin: float = 0.02
+    keep_out: tuple[Box, ...] = field(default=())
+    flange_speed: float = 1.0
+    shake_speed: float = 0.5
+    shake_duration: float = 5.0
+    start_tolerance: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("joint_lower", "joint_upper", "joint_speed"):
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (7,)))
+        if np.any(self.joint_lower + 2 * self.joint_margin >= self.joint_upper) or np.any(self.joint_speed <= 0):
+            raise bad_input(
+                "safety limits",
+                given="an empty range",
+                allowed="lower + 2 margin < upper, speed > 0",
+                do="Check units.",
+            )
+        check_range("joint margin", self.joint_margin, 0, 1, "rad")
+        check_range("flange speed limit", self.flange_speed, 1e-3, 3, "m/s")
+        check_range("shake speed limit", self.shake_speed, 1e-4, 3, "m/s")
+        check_range("shake duration limit", self.shake_duration, 0.01, 60, "s")

@@ -1,0 +1,247 @@
+"""The simulated cell: Sawyer, gripper, plant, pot and bench in one MuJoCo world, and a log of all that happens in it.
+
+The world runs only while somebody commands it (`run`). Ground truth stays here: stages see devices, not this module.
+T log samples, C contacts, K plant segments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco as mujoco_module
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.arm import sawyer
+from anther.geometry import Array
+from anther.sim import arm_model, plant_mechanics
+from anther.sim.plant import SimPlant
+from anther.sim.plant_mechanics import PlantMechanics
+
+mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
+
+POT, BENCH = -1, -2
+"""What a contact's `other` says when it is not a plant segment."""
+PLANT_BIT, ROBOT_BIT, SCENERY_BIT = 1, 2, 4
+BENCH_HALF = (0.35, 0.5, 0.02)  # m, half extents of the bench top under the pot
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """The world's numerics.
+
+    Attributes:
+        timestep: of the integrator [s]. With implicitfast every hinge needs damping/stiffness >= 0.7 dt, so the
+            timestep bounds the damping of pedicels from below: 3.3 % at 30 Hz with 0.5 ms, 6.6 % with 1 ms.
+        log_every: log one sample every so many steps.
+        plant, arm: of the parts.
+    """
+
+    timestep: float = 1e-3
+    log_every: int = 2
+    plant: plant_mechanics.Params = field(default_factory=plant_mechanics.Params)
+    arm: arm_model.Params = field(default_factory=arm_model.Params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellLog:
+    """Everything that happened, sampled.
+
+    Attributes:
+        times: (T,) [s].
+        qpos: (T, nq) generalised positions of the whole world.
+        joints: (T, 7) arm [rad].
+        grip_command, opening: (T,) commanded and true distance between the pads [m].
+        contact_sample: (C,) log sample of each contact of the robot with plant, pot or bench.
+        contact_pad: (C,) 0 left pad, 1 right pad, 2 any other part of the robot.
+        contact_other: (C,) plant segment, or POT or BENCH.
+        contact_force: (C,) normal force [N].
+        contact_point: (C, 3) world [m].
+    """
+
+    times: Array
+    qpos: Array
+    joints: Array
+    grip_command: Array
+    opening: Array
+    contact_sample: NDArray[Any]
+    contact_pad: NDArray[Any]
+    contact_other: NDArray[Any]
+    contact_force: Array
+    contact_point: Array
+
+
+class Cell:
+    """One plant in front of one Sawyer.
+
+    Attributes:
+        plant: ground truth.
+        model, data: MuJoCo's.
+        mechanics: the plant's part of the model.
+    """
+
+    def __init__(self, plant: SimPlant, joints: ArrayLike = sawyer.NEUTRAL, params: Params | None = None) -> None:
+        """Build the world, plant at rest under gravity, arm at `joints` (7,) [rad], gripper open."""
+        self.plant, self.params = plant, params or Params()
+        spec = _world(self.params.timestep, plant)
+        pieces = plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
+        arm_model.add_arm(spec, self.params.arm, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
+        self.model: Any = spec.compile()
+        self.data: Any = mujoco.MjData(self.model)
+        self._arm = np.array([self.model.joint(name).qposadr[0] for name in sawyer.JOINTS])
+        self._arm_dofs = np.array([self.model.joint(name).dofadr[0] for name in sawyer.JOINTS])
+        self._fingers = [self.model.joint(f"{side}_finger").qposadr[0] for side in ("left", "right")]
+        self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, sawyer.STROKE / 2
+        self.data.ctrl[:7], self.data.ctrl[21] = joints, sawyer.STROKE / 2
+        arm_model.tune_servos(self.model, self.params.arm)
+        self.mechanics = PlantMechanics(self.model, plant, pieces, self.params.plant)
+        self._codes = _contact_codes(self.model)
+        self._samples: list[tuple[Any, ...]] = []
+        self._contacts: list[tuple[Any, ...]] = []
+        self._scratch = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, self.data)
+        self._note()
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the cell was built [s]."""
+        return float(self.data.time)
+
+    @property
+    def joints(self) -> Array:
+        """(7,) true arm joint angles [rad]."""
+        return self.data.qpos[self._arm].copy()
+
+    @property
+    def opening(self) -> float:
+        """Distance between the pads [m]."""
+        return float(self.data.qpos[self._fingers].sum())
+
+    @property
+    def grip_command(self) -> float:
+        """Commanded distance between the pads [m]."""
+        return 2 * float(self.data.ctrl[21])
+
+    @property
+    def arm_command(self) -> Array:
+        """(7,) last commanded joint angles [rad]."""
+        return self.data.ctrl[:7].copy()
+
+    @property
+    def grip_force(self) -> float:
+        """Force of either finger on what is between them [N]."""
+        return float(abs(self.data.actuator_force[21]) / 2)
+
+    def run(self, joints: Array, velocities: Array, openings: Array) -> Array:
+        """Advance one timestep per row of joint references; return the measured joints.
+
+        Args:
+            joints, velocities: (N, 7) references [rad], [rad/s].
+            openings: (N,) commanded distance between the pads [m].
+
+        Returns:
+            (N, 7) measured joints after each step [rad].
+        """
+        accelerations = np.diff(velocities, axis=0, append=velocities[-1:]) / self.params.timestep
+        measured = np.empty_like(joints)
+        for i, row in enumerate(zip(joints, velocities, accelerations, openings, strict=True)):
+            self._step(*row)
+            measured[i] = self.data.qpos[self._arm]
+        return measured
+
+    def _step(self, q: Array, v: Array, a: Array, opening: float) -> None:
+        m, d = self.model, self.data
+        acceleration, torque = np.zeros(m.nv), np.empty(m.nv)
+        acceleration[self._arm_dofs] = a
+        mujoco.mj_mulM(m, d, torque, acceleration)
+        d.ctrl[:7], d.ctrl[7:14], d.ctrl[14:21], d.ctrl[21] = q, v, torque[self._arm_dofs], opening / 2
+        d.qfrc_applied[self.mechanics.dofs] = self.mechanics.air_force(d)
+        mujoco.mj_step(m, d)
+        if round(d.time / m.opt.timestep) % self.params.log_every == 0:
+            self._note()
+
+    def _note(self) -> None:
+        d, sample = self.data, len(self._samples)
+        self._samples.append((d.time, d.qpos.copy(), self.grip_command))
+        force = np.zeros(6)
+        for i in range(d.ncon):
+            a, b = self._codes[d.contact[i].geom]
+            pad, other = (a[0], b[1]) if a[0] >= 0 else (b[0], a[1])
+            mujoco.mj_contactForce(self.model, d, i, force)
+            self._contacts.append((sample, pad, other, force[0], d.contact[i].pos.copy()))
+
+    def log(self) -> CellLog:
+        """Return all samples so far."""
+        times, qpos, command = (np.array(x) for x in zip(*self._samples, strict=True))
+        sample, pad, other, force, point = list(zip(*self._contacts, strict=True)) or [()] * 5
+        return CellLog(
+            times=times,
+            qpos=qpos,
+            joints=qpos[:, self._arm],
+            grip_command=command,
+            opening=qpos[:, self._fingers].sum(axis=1),
+            contact_sample=np.array(sample, dtype=int),
+            contact_pad=np.array(pad, dtype=int),
+            contact_other=np.array(other, dtype=int),
+            contact_force=np.array(force, dtype=float),
+            contact_point=np.array(point, dtype=float).reshape(-1, 3),
+        )
+
+    def segment_poses(self, qpos: Array | None = None) -> Array:
+        """Return T_world_rest (K, 4, 4) of the plant's segments now, or at a logged `qpos` (nq,)."""
+        return self.mechanics.segment_poses(self._at(qpos))
+
+    def flange_pose(self, qpos: Array | None = None) -> Array:
+        """Return T_world_flange (4, 4) now, or at a logged `qpos` (nq,)."""
+        return sawyer.forward((self.data.qpos if qpos is None else qpos)[self._arm])
+
+    def hinge_strain(self, qpos: Array) -> Array:
+        """Return (B,) the bending strain added at each piece's root at a logged `qpos` (nq,)."""
+        return self.mechanics.strain(qpos)
+
+    def _at(self, qpos: Array | None) -> Any:
+        if qpos is None:
+            return self.data
+        self._scratch.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, self._scratch)
+        return self._scratch
+
+
+def _world(timestep: float, plant: SimPlant) -> Any:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    option = spec.option
+    option.timestep, option.gravity = timestep, [0, 0, -9.81]
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
+    bits = {"contype": SCENERY_BIT, "conaffinity": ROBOT_BIT}
+    pot = plant.pot
+    spec.worldbody.add_geom(
+        name="pot",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=pot.centre - [0, 0, pot.height / 2],
+        size=[pot.radius_top, pot.height / 2, 0],
+        **bits,
+    )
+    spec.worldbody.add_geom(
+        name="bench",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[pot.centre[0] + 0.1, pot.centre[1], pot.bench_z - BENCH_HALF[2]],
+        size=BENCH_HALF,
+        **bits,
+    )
+    return spec
+
+
+def _contact_codes(model: Any) -> NDArray[Any]:
+    """Return (geoms, 2): part of the robot (0, 1 pads, 2 rest, -9 not the robot), and segment, POT or BENCH."""
+    named = {"left_pad": (0, -9), "right_pad": (1, -9), "pot": (-9, POT), "bench": (-9, BENCH)}
+    codes = np.full((model.ngeom, 2), -9)
+    for i in range(model.ngeom):
+        name = model.geom(i).name
+        if name.startswith("segment_"):
+            codes[i] = (-9, int(name.removeprefix("segment_")))
+        else:
+            codes[i] = named.get(name, (2, -9))
+    return codes

@@ -1,0 +1,175 @@
+"""The devices of the simulated cell: they satisfy `anther.devices` and advance the cell's time when commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from anther.arm import sawyer
+from anther.devices import ArmRecord, Frame, GripperState, JointTrajectory, Robot
+from anther.errors import bad_input
+from anther.geometry import Array, Intrinsics, look_at
+from anther.sim.capture import CameraErrors, noisy_rgb
+from anther.sim.cell import Cell
+from anther.sim.depth_noise import noisy_depth
+from anther.sim.render import Scene, d455
+
+
+class SimArm:
+    """The Sawyer. `follow` advances the cell; the gripper keeps its command meanwhile."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+
+    def joints(self) -> Array:
+        """Return the measured joint angles (7,) [rad]."""
+        return self.cell.joints
+
+    def follow(self, trajectory: JointTrajectory) -> ArmRecord:
+        """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s."""
+        dt = self.cell.params.timestep
+        curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
+        t = np.minimum(dt * np.arange(1.0, round((trajectory.duration + 0.1) / dt) + 1), trajectory.duration)
+        q, v = curve(t), curve(t, 1)
+        v[t >= trajectory.duration] = 0
+        start = self.cell.time
+        measured = self.cell.run(q, v, np.full(len(t), self.cell.grip_command))
+        return ArmRecord(start + dt * np.arange(1.0, len(t) + 1), q, measured)
+
+    def hold(self) -> None:
+        """Stop and hold the present position for 0.1 s."""
+        q = np.tile(self.cell.joints, (round(0.1 / self.cell.params.timestep), 1))
+        self.cell.run(q, np.zeros_like(q), np.full(len(q), self.cell.grip_command))
+
+
+class SimGripper:
+    """The electric gripper: closes at 0.15 m/s, the slowest its SDK accepts, up to its holding force."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+
+    def move(self, opening: float) -> GripperState:
+        """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
+
+        Raises:
+            InputError: beyond the stroke.
+        """
+        if not 0 <= opening <= sawyer.STROKE:
+            raise bad_input(
+                "gripper opening", given=f"{opening:g} m", allowed="0 <= opening <= 0.041667 m", do="Units?"
+            )
+        dt, start = self.cell.params.timestep, self.cell.grip_command
+        ramp = abs(opening - start) / sawyer.FINGER_SPEED
+        command = np.interp(np.arange(1, round((ramp + 0.3) / dt) + 1) * dt, [0, ramp + 1e-9], [start, opening])
+        q = np.tile(self.cell.arm_command, (len(command), 1))
+        self.cell.run(q, np.zeros_like(q), command)
+        return self.state()
+
+    def state(self) -> GripperState:
+        """Return the present state; something is held when the pads press with > 1 N short of their command."""
+        opening, force = self.cell.opening, self.cell.grip_force
+        return GripperState(opening, force, force > 1.0 and opening > self.cell.grip_command + 2e-4)
+
+
+class SimCamera:
+    """An RGB-D camera in the cell. Frames of a recording are rendered, from the log, when it is stopped."""
+
+    def __init__(
+        self,
+        cell: Cell,
+        scene: Scene,
+        intrinsics: Intrinsics,
+        pose: Callable[[], Array],
+        errors: CameraErrors | None,
+        *,
+        seed: int = 0,
+        most_frames: int = 90,
+    ) -> None:
+        """Build the camera.
+
+        Args:
+            cell: what it looks at.
+            scene: of the plant at rest.
+            intrinsics: of every frame.
+            pose: gives T_world_cam (4, 4) at present.
+            errors: of the sensor; None is an ideal one.
+            seed: of those errors.
+            most_frames: of a longer recording only so many frames from its middle are rendered and returned.
+        """
+        self.cell, self.scene, self.pose, self.errors = cell, scene, pose, errors
+        self._intrinsics, self._most = intrinsics, most_frames
+        self._rng = np.random.default_rng(seed)
+        self._recording: tuple[float, float] | None = None
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Of every frame."""
+        return self._intrinsics
+
+    def read(self) -> Frame:
+        """Return one frame taken now."""
+        return self._frame(self.cell.time, None)
+
+    def start(self, rate: float) -> None:
+        """Begin to record at `rate` frames per second."""
+        self._recording = (self.cell.time, rate)
+
+    def stop(self) -> list[Frame]:
+        """End the recording and return its frames, each at the log sample nearest its time."""
+        if self._recording is None:
+            return []
+        (start, rate), self._recording = self._recording, None
+        log = self.cell.log()
+        wanted = np.arange(start, self.cell.time, 1 / rate)
+        surplus = max(len(wanted) - self._most, 0)
+        wanted = wanted[surplus // 2 : len(wanted) - (surplus + 1) // 2]
+        after = np.clip(np.searchsorted(log.times, wanted), 1, len(log.times) - 1)
+        samples = after - (wanted - log.times[after - 1] < log.times[after] - wanted)
+        return [self._frame(float(log.times[i]), log.qpos[i]) for i in samples]
+
+    def _frame(self, time: float, qpos: Array | None) -> Frame:
+        moved = self.scene.moved(self.cell.plant.posed_vertices(self.cell.segment_poses(qpos)))
+        image = moved.render(self._intrinsics, self.pose())
+        if self.errors is None:
+            return Frame(time, image.rgb, image.depth)
+        depth = noisy_depth(image.depth, self._intrinsics, self._rng, self.errors.depth)
+        return Frame(time, noisy_rgb(image.rgb, self._rng, self.errors), depth)
+
+
+def side_pose(cell: Cell, distance: float = 0.65) -> Array:
+    """Return T_world_cam of the side camera: level with the flowers, at their side, square to the arm's approach.
+
+    Args:
+        cell: with the plant.
+        distance: from the plant's axis [m].
+    """
+    plant = cell.plant
+    heights = plant.flower_position[:, 2] if len(plant.flower_position) else plant.end[:, 2]
+    target = np.array([*plant.pot.centre[:2], float(np.median(heights))])
+    return look_at(target + np.array([0.05, -distance, 0.08]), target)
+
+
+def robot_of(
+    cell: Cell,
+    *,
+    errors: CameraErrors | None = None,
+    T_world_side_camera: Array | None = None,
+    seed: int = 0,
+    scene: Scene | None = None,
+) -> Robot:
+    """Return the devices of a cell: arm, gripper, wrist camera (1280 x 720) and side camera (848 x 480).
+
+    Args:
+        cell: the world.
+        errors: of both cameras' sensors; None is ideal cameras.
+        T_world_side_camera: where the side camera stands; None takes `side_pose`.
+        seed: of the errors.
+        scene: of the plant at rest, if it has been built already.
+    """
+    scene = scene or Scene.of_plant(cell.plant)
+    T_side = side_pose(cell) if T_world_side_camera is None else T_world_side_camera
+    wrist = SimCamera(cell, scene, d455(), lambda: cell.flange_pose() @ sawyer.T_FLANGE_CAM, errors, seed=seed)
+    side = SimCamera(cell, scene, d455(848, 480), lambda: T_side, errors, seed=seed + 1)
+    return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side)

@@ -1,0 +1,117 @@
+"""The MuJoCo cell against beam theory, and what it must not do: sag, drift, gain energy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import find_peaks
+from straight_plant import BASE, chain, plant_of, straight_plant
+
+from anther.arm import sawyer
+from anther.errors import StageFailure
+from anther.sim import plant_mechanics
+from anther.sim.cell import Cell, Params
+from anther.sim.plant import Organ, SimPlant
+
+LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0
+
+
+def cantilever(direction: tuple[float, float, float] = (0, 0, 1), *, damping_ratio: float = 0.02) -> SimPlant:
+    points = BASE + np.linspace(0, LENGTH, 21)[:, None] * np.array(direction, dtype=float)
+    return plant_of(chain(points, RADIUS, youngs=YOUNGS), damping_ratio=damping_ratio)
+
+
+def idle(cell: Cell, seconds: float) -> None:
+    n = round(seconds / cell.params.timestep)
+    cell.run(np.tile(cell.arm_command, (n, 1)), np.zeros((n, 7)), np.full(n, cell.grip_command))
+
+
+def tip(cell: Cell, qpos: np.ndarray | None = None) -> np.ndarray:
+    return (cell.segment_poses(qpos)[-1] @ np.r_[cell.plant.end[-1], 1])[:3]
+
+
+def test_first_frequency_of_a_cantilever_is_euler_bernoulli_within_half_a_percent() -> None:
+    inertia, area = np.pi / 4 * RADIUS**4, np.pi * RADIUS**2
+    theory = 1.8751**2 / (2 * np.pi) * np.sqrt(YOUNGS * inertia / (DENSITY * area * LENGTH**4))
+    # sideways, so that weight neither stiffens nor softens the beam to first order
+    assert Cell(cantilever((0, 1, 0))).mechanics.frequencies[0] == pytest.approx(theory, rel=5e-3)
+
+
+def test_free_decay_has_the_frequency_and_damping_ratio_asked_for() -> None:
+    cell = Cell(cantilever(damping_ratio=0.03))
+    cell.data.qpos[cell.model.jnt_qposadr[cell.mechanics.joints[0]]] = 0.02
+    idle(cell, 3.0)
+    path = np.array([tip(cell, q) for q in cell.log().qpos])[100:]
+    x = path[:, np.argmax(np.ptp(path, axis=0)[:2])]
+    peaks = find_peaks(x - x.mean())[0]
+    height = x[peaks] - x[-200:].mean()
+    frequency = 1 / (np.diff(peaks).mean() * cell.params.log_every * cell.params.timestep)
+    ratio = np.log(height[0] / height[6]) / 6 / (2 * np.pi)
+    assert frequency == pytest.approx(cell.mechanics.frequencies[0], rel=5e-3)
+    assert ratio == pytest.approx(0.03, rel=0.1)
+
+
+def test_a_tip_force_bends_a_cantilever_as_beam_theory_says() -> None:
+    cell = Cell(cantilever((0, 1, 0), damping_ratio=0.3))
+    force, body = 0.02, cell.mechanics.bodies[-1]
+    start = tip(cell)
+    cell.data.xfrc_applied[body, :3] = [force, 0, 0]
+    lever = LENGTH - np.linalg.norm(cell.data.xipos[body] - start)
+    idle(cell, 3.0)
+    inertia = np.pi / 4 * RADIUS**4
+    at_force = force * lever**3 / (3 * YOUNGS * inertia)
+    theory = at_force + force * lever**2 / (2 * YOUNGS * inertia) * (LENGTH - lever)
+    assert (tip(cell) - start)[0] == pytest.approx(theory, rel=0.01)
+
+
+def test_the_generated_shape_neither_sags_nor_drifts() -> None:
+    plant = straight_plant(leaf=0.02)
+    cell = Cell(plant)
+    idle(cell, 0.5)
+    moved = np.einsum("kij,kj->ki", cell.segment_poses()[:, :3], np.c_[plant.end, np.ones(len(plant.end))]) - plant.end
+    assert np.abs(moved).max() < 1e-6
+    assert cell.joints == pytest.approx(sawyer.NEUTRAL, abs=1e-6)
+
+
+def test_a_plant_too_soft_to_stand_is_refused() -> None:
+    plant = plant_of(chain(BASE + np.linspace(0, 1, 21)[:, None] * [0, 0, 1.0], 0.002, youngs=1e6))
+    with pytest.raises(StageFailure, match="cannot carry its own weight"):
+        Cell(plant)
+
+
+def test_the_cut_keeps_mass_organs_and_order() -> None:
+    plant = straight_plant()
+    pieces = plant_mechanics.cut(plant, plant_mechanics.Params(piece=0.1))
+    assert len(pieces.first) < len(plant.start) / 2
+    assert np.all(pieces.parent < np.arange(len(pieces.parent)))
+    for b in range(len(pieces.first)):
+        assert len(set(plant.organ[pieces.body == b])) == 1
+    cell = Cell(plant, params=Params(plant=plant_mechanics.Params(piece=0.1)))
+    mass = cell.model.body_mass[cell.mechanics.bodies].sum()
+    assert mass == pytest.approx(plant.mass.sum() + plant.lump_mass.sum(), rel=1e-9)
+
+
+def test_twist_lowers_no_bending_frequency_but_adds_modes() -> None:
+    plant = straight_plant()
+    stiff, soft = (Cell(plant, params=Params(plant=plant_mechanics.Params(twist=t))).mechanics for t in (None, 12.0))
+    assert len(soft.dofs) == len(stiff.dofs) * 3 // 2
+    assert soft.frequencies[0] <= stiff.frequencies[0] + 1e-9
+
+
+def test_flange_in_the_world_is_the_arm_models_flange() -> None:
+    rng = np.random.default_rng(0)
+    for q in rng.uniform(sawyer.LOWER, sawyer.UPPER, (3, 7)):
+        cell = Cell(plant_of(chain(np.add(BASE, [[0, 0, 0], [0, 0, 0.1]]), 0.004)), q)
+        body = cell.data.body("flange")
+        assert body.xpos == pytest.approx(sawyer.forward(q)[:3, 3], abs=1e-9)
+        assert body.xmat.reshape(3, 3) == pytest.approx(sawyer.forward(q)[:3, :3], abs=1e-9)
+
+
+def test_leaf_blades_do_not_collide() -> None:
+    plant = straight_plant()
+    leafy = plant_of(
+        chain(BASE + np.linspace(0, 0.2, 5)[:, None] * [0, 0, 1.0], 0.004),
+        chain(np.add(BASE, [[0, 0, 0.2], [0.1, 0, 0.2]]), 0.002, organ=Organ.LEAF, joins=3, first=4),
+    )
+    assert Cell(plant).model.geom("segment_20").contype[0] == 1
+    assert Cell(leafy).model.geom("segment_4").contype[0] == 0
