@@ -147,7 +147,7 @@ class Growth:
         plant = SimPlant(
             species=species,
             seed=seed,
-            damping_ratio=float(self.rng.uniform(0.03, 0.08)),
+            damping_ratio=np.full(len(self._segments), self.rng.uniform(0.03, 0.08)),
             flower_segment=np.array([k for k, _ in self._flowers]),
             pot=Pot(T[:3, 3], pot_radius, 0.74 * pot_radius),
             **part,

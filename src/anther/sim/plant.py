@@ -40,7 +40,8 @@ class Organ(IntEnum):
     FLOWER = 7
     POT = 8
     SOIL = 9
-    SURROUNDINGS = 10
+    BENCH = 10
+    SURROUNDINGS = 11
     NOTHING = 255
 
 
@@ -85,7 +86,7 @@ class SimPlant:
         organ: (K,) int, an `Organ` from STEM to PEDICEL.
         youngs: (K,) Young's modulus [Pa].
         density: (K,) of the segment's own tissue [kg/m3].
-        damping_ratio: of the plant's first bending mode [-].
+        damping_ratio: (K,) of each segment's tissue and leaves [-].
         lump_mass: (K,) mass the segment carries besides its own: leaf blades, flowers [kg].
         lump_centre: (K, 3) centre of that mass [m]; the segment's middle where it is zero.
         flower_segment: (F,) int, the pedicel segment that carries the flower.
@@ -108,7 +109,7 @@ class SimPlant:
     organ: NDArray[Any]
     youngs: Array
     density: Array
-    damping_ratio: float
+    damping_ratio: Array
     lump_mass: Array
     lump_centre: Array
     flower_segment: NDArray[Any]
@@ -132,6 +133,7 @@ class SimPlant:
             "organ": ((segments,), "int64"),
             "youngs": ((segments,), "float64"),
             "density": ((segments,), "float64"),
+            "damping_ratio": ((segments,), "float64"),
             "lump_mass": ((segments,), "float64"),
             "lump_centre": ((segments, 3), "float64"),
             "flower_segment": ((flowers,), "int64"),

@@ -1,0 +1,169 @@
+"""Ray-cast RGB-D images of a simulated plant with Embree. Dimensions: H x W pixels, Nv vertices, Nf faces.
+
+Sun with shadows, sky light with occlusion (baked per vertex when the scene is built), light through leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import ArrayLike, NDArray
+
+from anther.checks import check_array, check_transform
+from anther.geometry import Array, Intrinsics
+from anther.sim import shading
+from anther.sim.greenhouse import surroundings
+from anther.sim.plant import Organ, SimPlant
+
+AMBIENT_RAYS = 16
+AMBIENT_REACH = 0.8
+"""How far away something can still darken a surface [m]: plant, pot and bench do, the walls do not."""
+
+
+def d455(width: int = 1280, height: int = 720) -> Intrinsics:
+    """Return the intrinsics of a RealSense D455: f = 640 px at 1280 wide (facts: perception, depth sensors)."""
+    f = 640.0 * width / 1280
+    return Intrinsics(width, height, f, f, (width - 1) / 2, (height - 1) / 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """What an ideal camera sees.
+
+    Attributes:
+        rgb: (H, W, 3) uint8.
+        depth: (H, W) float32, exact z-depth [m]; 0 where no surface is hit.
+        face: (H, W) int32, the face seen; -1 = none.
+        organ: (H, W) uint8, its `Organ`; NOTHING = none.
+    """
+
+    rgb: NDArray[Any]
+    depth: NDArray[Any]
+    face: NDArray[Any]
+    organ: NDArray[Any]
+
+
+class Scene:
+    """Meshes ready for ray casting. Build once, `render` often; `moved` gives the scene with the plant elsewhere."""
+
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        faces: NDArray[Any],
+        face_organ: NDArray[Any],
+        vertex_color: NDArray[Any],
+        *,
+        ambient: NDArray[Any] | None = None,
+    ) -> None:
+        """Build the scene.
+
+        Args:
+            vertices: (Nv, 3) [m] world.
+            faces: (Nf, 3) vertex numbers.
+            face_organ: (Nf,) an `Organ` each.
+            vertex_color: (Nv, 3) uint8 sRGB.
+            ambient: (Nv, 2) sky light on both sides of each vertex; None computes it.
+        """
+        self.vertices = check_array("scene vertices", vertices, (None, 3))
+        self.faces = np.ascontiguousarray(faces, dtype=np.int32)
+        self.face_organ = np.asarray(face_organ, dtype=np.uint8)
+        self.vertex_color = np.asarray(vertex_color, dtype=np.uint8)
+        self._embree = EmbreeScene()
+        TriangleMesh(self._embree, self.vertices.astype(np.float32), self.faces)
+        self._normals = shading.vertex_normals(self.vertices, self.faces)
+        self._ambient = self._baked_ambient() if ambient is None else ambient
+        kind = np.full(256, shading.OPAQUE, dtype=np.uint8)
+        kind[[Organ.LEAF, Organ.FLOWER]], kind[Organ.SURROUNDINGS] = shading.THIN, shading.SUNLESS
+        colour = shading.linear(self.vertex_color)
+        self._mesh = (self.faces, colour, self._normals, self._ambient, kind[self.face_organ])
+
+    @classmethod
+    def of_plant(cls, plant: SimPlant) -> Scene:
+        """Return the scene of a plant in its pot on a bench in a greenhouse."""
+        vertices, faces, organ, colour = surroundings(plant.pot)
+        return cls(
+            np.vstack([plant.vertices, vertices]),
+            np.vstack([plant.faces, faces + len(plant.vertices)]),
+            np.concatenate([plant.face_organ, organ]),
+            np.vstack([plant.vertex_color, colour]),
+        )
+
+    def with_object(self, vertices: ArrayLike, faces: NDArray[Any], colour: ArrayLike) -> Scene:
+        """Return the scene with one more thing in it, of one sRGB colour, such as a gripper; labelled BENCH."""
+        v = np.asarray(vertices, dtype=np.float64)
+        return Scene(
+            np.vstack([self.vertices, v]),
+            np.vstack([self.faces, np.asarray(faces) + len(self.vertices)]),
+            np.concatenate([self.face_organ, np.full(len(faces), Organ.BENCH, dtype=np.uint8)]),
+            np.vstack([self.vertex_color, np.tile(np.asarray(colour, dtype=np.uint8), (len(v), 1))]),
+            ambient=np.vstack([self._ambient, np.full((len(v), 2), 0.7 * shading.SKY_LIGHT, dtype=np.float32)]),
+        )
+
+    def moved(self, vertices: ArrayLike) -> Scene:
+        """Return the scene with its first n vertices at `vertices` (n, 3) [m]: the plant's, from `posed_vertices`."""
+        new = self.vertices.copy()
+        new[: len(np.asarray(vertices))] = vertices
+        return Scene(new, self.faces, self.face_organ, self.vertex_color, ambient=self._ambient)
+
+    def render(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> Image:
+        """Return the image of a camera at T_world_cam."""
+        T = check_transform("T_world_cam", T_world_cam)
+        rays = self._rays(intrinsics, T)
+        eye = np.broadcast_to(T[:3, 3].astype(np.float32), rays.shape)
+        hit = self._embree.run(np.ascontiguousarray(eye), rays, output=1)
+        face, size = hit["primID"], (intrinsics.height, intrinsics.width)
+        depth = np.where(face >= 0, hit["tfar"], np.float32(0))
+        rgb = np.empty((len(face), 3), dtype=np.uint8)
+        sunlit = self._sunlit(T[:3, 3], rays, depth, hit)
+        shading.shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, rgb)
+        organ = np.append(self.face_organ, np.uint8(Organ.NOTHING))[face]
+        return Image(rgb.reshape(*size, 3), depth.reshape(size), face.reshape(size), organ.reshape(size))
+
+    def depth(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> NDArray[np.float32]:
+        """Return only the exact depth (H, W) [m], 0 where nothing is hit."""
+        T = check_transform("T_world_cam", T_world_cam)
+        rays = self._rays(intrinsics, T)
+        eye = np.tile(T[:3, 3].astype(np.float32), (len(rays), 1))
+        distance = self._embree.run(eye, rays, query="DISTANCE")
+        return np.where(distance < 1e30, distance, 0).astype(np.float32).reshape(intrinsics.height, intrinsics.width)
+
+    def visible(self, points: ArrayLike, eye: ArrayLike, tolerance: float = 0.004) -> NDArray[np.bool_]:
+        """Return (N,) whether nothing stands between `eye` (3,) and each of (N, 3) points, up to `tolerance` [m]."""
+        points, eye = np.asarray(points, dtype=np.float64), np.asarray(eye, dtype=np.float64)
+        rays = points - eye
+        distance = np.linalg.norm(rays, axis=1)
+        start = np.tile(eye.astype(np.float32), (len(points), 1))
+        share = self._embree.run(start, rays.astype(np.float32), query="DISTANCE")
+        return share * distance >= distance - tolerance
+
+    def _rays(self, intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.float32]:
+        rays = np.empty((intrinsics.height * intrinsics.width, 3), dtype=np.float32)
+        pinhole = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
+        shading.camera_rays(intrinsics.width, intrinsics.height, pinhole, T_world_cam[:3, :3].copy(), rays)
+        return rays
+
+    def _sunlit(self, eye: Array, rays: NDArray[Any], depth: NDArray[Any], hit: dict[str, Any]) -> NDArray[np.bool_]:
+        pixels, origins = shading.shadow_origins(eye.copy(), rays, (depth, hit["primID"], hit["Ng"]), self._mesh[4])
+        to_sun = np.tile(shading.SUN.astype(np.float32), (len(origins), 1))
+        free = self._embree.run(origins, to_sun, np.full(len(origins), 1.5, np.float32), query="OCCLUDED") < 0
+        sunlit = np.zeros(len(rays), dtype=np.bool_)
+        sunlit[pixels[free]] = True
+        return sunlit
+
+    def _baked_ambient(self) -> NDArray[np.float32]:
+        """(Nv, 2) light of sky and ground on both sides of each vertex, from AMBIENT_RAYS rays a side."""
+        rng = np.random.default_rng(0)
+        n = np.stack([self._normals, -self._normals], axis=1)[:, :, None]
+        v = rng.normal(size=(AMBIENT_RAYS, 3))
+        ways = n + v / np.linalg.norm(v, axis=1, keepdims=True)
+        start = (self.vertices[:, None, None] + 5e-4 * n + 1e-6 * ways).reshape(-1, 3).astype(np.float32)
+        reach = np.full(len(start), AMBIENT_REACH, dtype=np.float32)
+        flat = np.ascontiguousarray(ways.reshape(-1, 3), dtype=np.float32)
+        free = (self._embree.run(start, flat, reach, query="OCCLUDED") < 0).reshape(ways.shape[:3])
+        sky = np.where(ways[..., 2] > 0, 1.0, shading.GROUND_LIGHT)
+        light = np.where(free, sky, 0.12)
+        return (shading.SKY_LIGHT * light.mean(axis=2)).astype(np.float32)
