@@ -13,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+WALL_HEIGHT = 0.04
+"""A closed ring is a pot's wall if it goes on over this height [m]; leaves close rings over less."""
+
 
 def ground_cells(
     solid: NDArray[np.bool_], voxel: float, *, radius: float, margin: float, rim_height: float, rings: bool
@@ -44,18 +47,21 @@ def ground_cells(
 def _surface_heights(
     solid: NDArray[np.bool_], voxel: float, radius: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the highest level (X, Y) of a filled surface and of a closed ring above each column; -1 without one."""
+    """Return the highest level (X, Y) of a filled surface and of a closed wall around each column; -1 without one."""
     height = np.full(solid.shape[:2], -1)
     ring = np.full(solid.shape[:2], -1)
+    run = np.zeros(solid.shape[:2], dtype=np.int64)
     bridge, disc = _disc(0.015 / voxel), _disc(radius / voxel)
     for level in range(solid.shape[2]):
         slab = np.any(solid[:, :, max(0, level - 1) : level + 2], axis=2).astype(np.uint8)
         if slab.sum() < disc.sum() / 4:
+            run[:] = 0
             continue
         closed = cv2.morphologyEx(slab, cv2.MORPH_CLOSE, bridge)
         height[cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc) > 0] = level
         filled = np.asarray(ndimage.binary_fill_holes(closed)).astype(np.uint8)
-        ring[cv2.morphologyEx(filled, cv2.MORPH_OPEN, disc) > 0] = level
+        run = np.where(cv2.morphologyEx(filled, cv2.MORPH_OPEN, disc) > 0, run + 1, 0)
+        ring[run >= WALL_HEIGHT / voxel] = level
     return height, ring
 
 

@@ -8,7 +8,6 @@ pixels. Without colour, whatever stands above the ground is plant.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,12 +25,13 @@ from anther.files import read_npz, write_npz
 from anther.geometry import Box
 from anther.ground import ground_cells
 from anther.voting import (
+    BROWN_CELL,
     EMPTY,
     FLOWER_CELL,
     GREEN,
+    GREEN_CELL,
     GREEN_NO_DEPTH,
     GROUND,
-    PLANT_CELL,
     WHITE,
     YELLOW,
     ColourRule,
@@ -136,20 +136,26 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
     grid = Grid.over(workspace or viewed_box(capture), params.voxel)
     rule = None if capture.rgb is None else _colour_rule(capture.rgb, params)
     cameras = [camera_numbers(T, capture.intrinsics) for T in capture.T_world_cam]
-    counts = np.zeros((4, *grid.shape), dtype=np.int32)
+    threads = 2  # each votes in a grid of its own
+    counts = np.zeros((threads, 4, *grid.shape), dtype=np.int32)
+    classes = np.zeros(capture.depth.shape, dtype=np.uint8)
+    labels = np.zeros(capture.depth.shape, dtype=np.uint8)
 
-    def vote_view(view: int) -> NDArray[Any]:
-        rgb = None if capture.rgb is None else cv2.blur(capture.rgb[view], (3, 3))
-        return vote(rgb, capture.depth[view], camera=cameras[view], grid=grid, rule=rule, counts=counts)
+    def vote_views(thread: int) -> None:
+        for view in range(thread, capture.views, threads):
+            rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
+            classes[view] = vote(
+                rgb, capture.depth[view], camera=cameras[view], grid=grid, rule=rule, counts=counts[thread]
+            )
 
-    def label_view(view: int) -> NDArray[Any]:
-        labels = read_back(capture.depth[view], cameras[view], grid, classes[view], cells)
-        return _add_pixels_without_depth(labels, classes[view])
+    def label_view(view: int) -> None:
+        found = read_back(capture.depth[view], cameras[view], grid, classes[view], cells)
+        labels[view] = _add_pixels_without_depth(found, classes[view])
 
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-        classes = list(pool.map(vote_view, range(capture.views)))
-        cells = _label_cells(counts, params, has_colour=rule is not None)
-        labels = np.stack(list(pool.map(label_view, range(capture.views))))
+    with ThreadPoolExecutor(max_workers=threads) as pool:
+        list(pool.map(vote_views, range(threads)))
+        cells = _label_cells(counts.sum(axis=0), params, has_colour=rule is not None)
+        list(pool.map(label_view, range(capture.views)))
     found = int((labels > 0).sum())
     if found < params.least_pixels:
         raise StageFailure(
@@ -183,12 +189,12 @@ def _colour_rule(rgb: NDArray[Any], params: Params) -> ColourRule:
 
 
 def _label_cells(counts: NDArray[Any], params: Params, *, has_colour: bool) -> NDArray[Any]:
-    """Return what each cell is, (X, Y, Z) uint8: EMPTY, GROUND, PLANT_CELL or FLOWER_CELL."""
+    """Return what each cell is, (X, Y, Z) uint8: EMPTY, GROUND, GREEN_CELL, BROWN_CELL or FLOWER_CELL."""
     total = counts.sum(axis=0)
     green = counts[GREEN - 1] >= np.maximum(2, params.green_share * total)
     occupied = total >= 2
     below, rim = ground_cells(
-        occupied & ~green,
+        (total >= 5) & (counts[GREEN - 1] <= 0.1 * total),
         params.voxel,
         radius=params.ground_radius,
         margin=params.ground_margin,
@@ -198,10 +204,10 @@ def _label_cells(counts: NDArray[Any], params: Params, *, has_colour: bool) -> N
     rest = occupied & ~green & ~below & ~rim
     cells = np.where(below | (rim & ~green), GROUND, EMPTY).astype(np.uint8)
     if not has_colour:
-        cells[rest] = PLANT_CELL
+        cells[rest] = BROWN_CELL
         return cells
     green &= ~below
-    cells[green] = PLANT_CELL
+    cells[green] = GREEN_CELL
     petal_votes = counts[YELLOW - 1] + counts[WHITE - 1]
     petals = rest & (petal_votes >= np.maximum(2, params.petal_share * total))
     flowers = _parts_near(
@@ -210,7 +216,7 @@ def _label_cells(counts: NDArray[Any], params: Params, *, has_colour: bool) -> N
     brown = _parts_near(
         rest & ~flowers, green, distance=params.attach_distance, extent=params.brown_extent, axis=1, voxel=params.voxel
     )
-    cells[brown] = PLANT_CELL
+    cells[brown] = BROWN_CELL
     cells[flowers] = FLOWER_CELL
     return cells
 
@@ -240,7 +246,10 @@ def _parts_near(
 
 
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:
-    """Return the labels with green pixels that have no depth added where they adjoin plant pixels."""
-    near = cv2.dilate((labels > 0).astype(np.uint8), np.ones((7, 7), dtype=np.uint8))
-    labels[(classes == GREEN_NO_DEPTH) & (near > 0)] = PLANT
+    """Return the labels with green patches without depth added where they hang together with plant pixels."""
+    patches = ((labels > 0) | (classes == GREEN_NO_DEPTH)).astype(np.uint8)
+    count, patch = cv2.connectedComponents(patches, connectivity=8)
+    holds_plant = np.zeros(count, dtype=bool)
+    holds_plant[np.unique(patch[labels > 0])] = True
+    labels[(classes == GREEN_NO_DEPTH) & holds_plant[patch]] = PLANT
     return labels

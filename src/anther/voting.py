@@ -17,8 +17,8 @@ from anther.geometry import Array, Box, Intrinsics
 OUTSIDE, OTHER, GREEN, YELLOW, WHITE, GREEN_NO_DEPTH = range(6)
 """Colour class of a pixel. OUTSIDE: beyond the workspace or without depth (and not green)."""
 
-EMPTY, GROUND, PLANT_CELL, FLOWER_CELL = range(4)
-"""What a cell of the grid was found to be."""
+EMPTY, GROUND, GREEN_CELL, BROWN_CELL, FLOWER_CELL = range(5)
+"""What a cell of the grid was found to be. BROWN_CELL: a part of the plant that is not green."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,12 +143,13 @@ def _colour_class(red, green, blue, rule):
 def _vote_colour(rgb, depth, cam, grid, rule, classes, counts):  # noqa: PLR0917
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
+            i, j, k = _cell(u, v, depth[v, u], cam, grid)
+            if depth[v, u] > 0 and i < 0:
+                continue
             kind = _colour_class(float(rgb[v, u, 0]), float(rgb[v, u, 1]), float(rgb[v, u, 2]), rule)
             if depth[v, u] <= 0:
                 classes[v, u] = GREEN_NO_DEPTH if kind == GREEN else OUTSIDE
-                continue
-            i, j, k = _cell(u, v, depth[v, u], cam, grid)
-            if i >= 0:
+            else:
                 classes[v, u] = kind
                 counts[kind - 1, i, j, k] += 1
 
@@ -177,7 +178,7 @@ def _read_back(depth, cam, grid, classes, cells, labels):  # noqa: PLR0917
                 labels[v, u] = 1 if cell != GROUND else 0
             elif cell == FLOWER_CELL and kind != OTHER:
                 labels[v, u] = 2
-            elif cell in (PLANT_CELL, FLOWER_CELL):
+            elif cell == BROWN_CELL or (cell == GREEN_CELL and kind != OTHER):
                 labels[v, u] = 1
 
 
@@ -186,12 +187,13 @@ def read_back(
 ) -> NDArray[Any]:
     """Return one view's labels (H, W) uint8 (0 background, 1 plant, 2 flower) from what its cells were found to be.
 
-    A green pixel is plant unless its cell is ground; any other needs a plant or flower cell.
+    A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: beside
+    green parts they are background that the depth sensor's matching window fattened the plant with.
 
     Args:
         depth, camera, grid: as in `vote`.
         classes: (H, W) from `vote`.
-        cells: (X, Y, Z) uint8, EMPTY, GROUND, PLANT_CELL or FLOWER_CELL.
+        cells: (X, Y, Z) uint8, EMPTY, GROUND, GREEN_CELL, BROWN_CELL or FLOWER_CELL.
     """
     labels = np.zeros(depth.shape, dtype=np.uint8)
     _read_back(depth, camera, grid.numbers(), classes, cells, labels)
