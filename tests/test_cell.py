@@ -115,3 +115,12 @@ def test_leaf_blades_do_not_collide() -> None:
     )
     assert Cell(plant).model.geom("segment_20").contype[0] == 1
     assert Cell(leafy).model.geom("segment_4").contype[0] == 0
+
+
+def test_a_pedicel_of_two_segments_swings_as_a_cantilever_with_a_tip_mass() -> None:
+    length, radius, youngs, mass = 0.015, 0.0005, 80e6, 1e-4
+    pedicel = chain(BASE + np.linspace(0, length, 3)[:, None] * [0, 1.0, 0], radius, organ=Organ.PEDICEL, youngs=youngs)
+    pedicel["density"][:] = 50.0  # 0.6 % of the flower
+    pedicel["lump_mass"][-1], pedicel["lump_centre"][-1] = mass, pedicel["end"][-1]
+    theory = np.sqrt(3 * youngs * np.pi / 4 * radius**4 / (mass * length**3)) / (2 * np.pi)
+    assert Cell(plant_of(pedicel)).mechanics.frequencies[0] == pytest.approx(theory, rel=5e-3)
