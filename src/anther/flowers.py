@@ -3,12 +3,50 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anther.checks import check_array
+from anther.cloud import Cloud
+from anther.files import read_npz, write_npz
 from anther.geometry import Array
+from anther.masks import FLOWER
+from anther.skeleton import Skeleton
+from anther.stem import Stem
+from anther.voxel_solid import components
+
+_KIND, _SCHEMA = "flowers", 1
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What a flower looks like in the cloud.
+
+    Attributes:
+        gap: points nearer than this belong to one cluster [m].
+        largest: a cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across.
+        reach: radius of the kernel that splits such a cluster [m].
+        apart: clusters whose centres are nearer than this are one flower in pieces [m].
+        fewest: a flower has at least so many points, counted on a grid of `grid`.
+        grid: points are thinned to one per cube of this edge first [m].
+        smallest: a flower is at least so large [m], or it is a speck.
+        pedicel: a flower farther than this from every skeleton node is not believed [m].
+        blade_cost: a node on a leaf blade counts as so many times farther away: flowers hang on trusses and stems.
+    """
+
+    gap: float = 0.005
+    largest: float = 0.033
+    reach: float = 0.010
+    apart: float = 0.012
+    fewest: int = 8
+    grid: float = 0.0015
+    smallest: float = 0.003
+    pedicel: float = 0.08
+    blade_cost: float = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,3 +67,105 @@ class Flowers:
         n = len(self.positions)
         object.__setattr__(self, "positions", check_array("flower positions", self.positions, (n, 3)))
         object.__setattr__(self, "attachment", check_array("flower attachment", self.attachment, (n,), dtype="int64"))
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz (schema 1)."""
+        notes = np.array(self.notes, dtype=np.str_)
+        write_npz(path, _KIND, _SCHEMA, positions=self.positions, attachment=self.attachment, notes=notes)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Flowers:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, truncated, or of another kind or schema.
+        """
+        a = read_npz(path, _KIND, _SCHEMA)
+        return cls(a["positions"], a["attachment"], tuple(str(note) for note in a["notes"]))
+
+
+def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, params: Params | None = None) -> Flowers:
+    """Return the flowers among the points labelled so, each with the skeleton node that carries it.
+
+    No flower is a valid result, with a note.
+
+    Args:
+        cloud: points with labels, world frame.
+        skeleton: the tree the flowers hang on.
+        stem: its main stem; a tie goes to the stem rather than to a blade.
+        params: sizes in metres; flowers do not scale with the plant.
+    """
+    params = params or Params()
+    points = cloud.points[cloud.labels == FLOWER]
+    centres = _centres(points, params) if len(points) else np.zeros((0, 3))
+    distance, carrier = _carriers(centres, skeleton, stem, params)
+    near = distance <= params.pedicel
+    notes = []
+    if not near.any():
+        notes.append(f"no flowers: {len(points)} points are labelled as flower")
+    if not near.all():
+        notes.append(f"{np.count_nonzero(~near)} flower-like clusters too far from the plant were left out")
+    return Flowers(centres[near], carrier[near], tuple(notes))
+
+
+def _centres(points: Array, params: Params) -> Array:
+    """Return flower centres (F, 3): clusters of a flower's size, large ones split, pieces joined, specks dropped."""
+    _, first = np.unique(np.rint(points / params.grid).astype(np.int64), axis=0, return_index=True)
+    points = points[first]
+    pieces = [part for cluster in _clusters(points, params.gap) for part in _split(cluster, params)]
+    middles = np.array([piece.mean(axis=0) for piece in pieces])
+    joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, params.apart)]
+    real = [f for f in joined if len(f) >= params.fewest and _extent(f) >= params.smallest]
+    return np.array([f.mean(axis=0) for f in real]).reshape(-1, 3)
+
+
+def _clusters(points: Array, gap: float) -> list[Array]:
+    return [points[group] for group in _groups(points, gap)]
+
+
+def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
+    """Return the indices of each set of points linked by steps not longer than `gap`."""
+    pairs = KDTree(points).query_pairs(gap, output_type="ndarray")
+    label = components(len(points), pairs)
+    return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
+
+
+def _split(cluster: Array, params: Params) -> list[Array]:
+    """Return a cluster too large for a flower as several, by mean shift with a flat kernel."""
+    if _extent(cluster) <= params.largest:
+        return [cluster]
+    tree, peaks = KDTree(cluster), cluster
+    for _ in range(10):
+        peaks = np.array([cluster[i].mean(axis=0) for i in tree.query_ball_point(peaks, params.reach)])
+    weight = tree.query_ball_point(peaks, params.reach, return_length=True)
+    modes = _heaviest(peaks[np.argsort(weight)[::-1]], params.apart)
+    _, owner = KDTree(modes).query(cluster)
+    return [cluster[owner == k] for k in range(len(modes)) if np.any(owner == k)]
+
+
+def _heaviest(peaks: Array, apart: float) -> Array:
+    """Return the first peaks that are at least `apart` from those before them."""
+    kept = []
+    while len(peaks):
+        kept.append(peaks[0])
+        peaks = peaks[np.linalg.norm(peaks - peaks[0], axis=1) > apart]
+    return np.array(kept)
+
+
+def _extent(points: Array) -> float:
+    """Return the length of a cluster along its longest axis [m]."""
+    centred = points - points.mean(axis=0)
+    return float(np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2][0]))
+
+
+def _carriers(centres: Array, skeleton: Skeleton, stem: Stem, params: Params) -> tuple[Array, NDArray[Any]]:
+    """Return (distance, node) of the most plausible carrier of each flower."""
+    if not len(centres):
+        return np.zeros(0), np.zeros(0, dtype=np.int64)
+    away = np.linalg.norm(centres[:, None] - skeleton.nodes, axis=2)
+    cost = np.ones(len(skeleton.nodes))
+    if skeleton.width is not None:
+        cost[skeleton.width > 2.5 * skeleton.radius] = params.blade_cost
+    cost[stem.node_ids] = 1.0
+    carrier = np.argmin(away * cost, axis=1)
+    return away[np.arange(len(centres)), carrier], carrier

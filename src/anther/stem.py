@@ -3,16 +3,47 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_array
-from anther.errors import bad_input
+from anther.errors import StageFailure, bad_input
+from anther.files import read_npz, write_npz
 from anther.geometry import Array
+from anther.raw_tree import chains, path_gain
+from anther.skeleton import Skeleton
 
 STEM, BRANCH = 0, 1
+
+_KIND, _SCHEMA = "stem", 1
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What makes a path the main stem (paper P10, P11).
+
+    Attributes:
+        alpha: exponent of the mean radius in the path score S.
+        v_bias: weight of verticality in S.
+        turn: the stem ends where what follows turns from its growth axis by more than this [degrees].
+        axis_memory: how far back the growth axis is averaged (share of the plant's size).
+        window: over what length a turn must last to count (share of the plant's size).
+        flattest: the stem ends where it stays broader than thick by more than this factor: a blade begins.
+        thinnest: the stem ends where it stays thinner than this share of its median radius so far.
+        shortest: a shorter stem is not believed (share of the plant's size).
+    """
+
+    alpha: float = 2.0
+    v_bias: float = 1.0
+    turn: float = 50.0
+    axis_memory: float = 0.2
+    window: float = 0.06
+    flattest: float = 2.5
+    thinnest: float = 0.35
+    shortest: float = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,3 +72,100 @@ class Stem:
         object.__setattr__(self, "organ", check_array("organ", self.organ, (None,), dtype="uint8"))
         if n < 2 or np.any(np.diff(self.arc_length) <= 0):
             raise bad_input("stem", given=f"{n} nodes", allowed="two or more, root first", do="Order the nodes.")
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz (schema 1)."""
+        write_npz(
+            path,
+            _KIND,
+            _SCHEMA,
+            node_ids=self.node_ids,
+            arc_length=self.arc_length,
+            attachments=self.attachments,
+            organ=self.organ,
+            notes=np.array(self.notes, dtype=np.str_),
+        )
+
+    @classmethod
+    def load(cls, path: Path | str) -> Stem:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, truncated, or of another kind or schema.
+        """
+        a = read_npz(path, _KIND, _SCHEMA)
+        notes = tuple(str(note) for note in a["notes"])
+        return cls(a["node_ids"], a["arc_length"], a["attachments"], a["organ"], notes)
+
+
+def find_stem(skeleton: Skeleton, params: Params | None = None) -> Stem:
+    """Return the main stem: the best root-to-tip path by score S, ended where it leaves its growth axis.
+
+    Where a plant forks (pepper), the better fork goes on as the main stem and the other is a branch.
+
+    Args:
+        skeleton: one rooted tree.
+        params: one set for every plant.
+
+    Raises:
+        StageFailure: "no_stem_found" when no path rises far enough to be a stem.
+    """
+    params = params or Params()
+    size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
+    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius, alpha=params.alpha, v_bias=params.v_bias)
+    path = chains(skeleton.parent, gain)[0]
+    end = _growth_end(skeleton, path, size, params)
+    node_ids = path[:end]
+    nodes = skeleton.nodes[node_ids]
+    arc_length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+    _plausible(nodes, arc_length, size, params)
+    organ = np.full(len(skeleton.nodes), BRANCH, dtype=np.uint8)
+    organ[node_ids] = STEM
+    branches = np.flatnonzero((organ[1:] == BRANCH) & (organ[skeleton.parent[1:]] == STEM)) + 1
+    attachments = np.flatnonzero(np.isin(node_ids, skeleton.parent[branches]))
+    return Stem(node_ids, arc_length, attachments, organ)
+
+
+def _growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Params) -> int:
+    """Return how many nodes of the path belong to the stem: all before a lasting turn, thinning or blade."""
+    nodes, radius = skeleton.nodes[path], skeleton.radius[path]
+    flatness = np.ones(len(path)) if skeleton.width is None else skeleton.width[path] / radius
+    step = np.diff(nodes, axis=0)
+    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(step, axis=1))])
+    window, memory = params.window * size, params.axis_memory * size
+    for i in range(1, len(nodes) - 1):
+        if arc[i] < window:
+            continue
+        back = np.searchsorted(arc, arc[i] - memory)
+        ahead = min(np.searchsorted(arc, arc[i] + window), len(nodes) - 1)
+        turned = _angle(nodes[i] - nodes[back], nodes[ahead] - nodes[i]) > params.turn
+        thin = np.median(radius[i : ahead + 1]) < params.thinnest * np.median(radius[: i + 1])
+        flat = np.median(flatness[i : ahead + 1]) > params.flattest
+        if turned or thin or flat:
+            return i + 1
+    return len(nodes)
+
+
+def _angle(one: Array, other: Array) -> float:
+    """Return the angle between two vectors [degrees]."""
+    cosine = one @ other / max(float(np.linalg.norm(one) * np.linalg.norm(other)), 1e-12)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+
+
+def _plausible(nodes: Array, arc_length: Array, size: float, params: Params) -> None:
+    rise = nodes[:, 2].max() - nodes[0, 2]
+    if not 0.005 <= size <= 20:
+        problem = f"the plant measures {size:g} m (allowed: 0.005 to 20 m). Wrong units?"
+    elif arc_length[-1] < params.shortest * size:
+        problem = (
+            f"the best candidate is {arc_length[-1] * 1e3:.1f} mm long on a plant of {size * 1e3:.0f} mm "
+            f"(allowed: {params.shortest:g} of the plant or more). Is the stem in view?"
+        )
+    elif rise < 0.2 * arc_length[-1]:
+        problem = (
+            f"the best candidate of {arc_length[-1] * 1e3:.1f} mm rises only {rise * 1e3:.1f} mm "
+            "(allowed: a fifth of its length or more). Is z up?"
+        )
+    else:
+        return
+    raise StageFailure("no_stem_found", f"main stem: {problem}")

@@ -1,0 +1,56 @@
+"""Find where the stem leaves the soil: not always the lowest point, since leaves droop and soil is left over."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from anther.geometry import Array
+from anther.raw_tree import RawTree, chains, path_gain, rerooted
+
+_ALPHA, _V_BIAS = 2.0, 1.0
+_LOW = 0.5
+_BEGINNING = 0.15
+_ASIDE = 3.0
+_ABOVE = 2.0
+
+
+def stem_gain(tree: RawTree) -> Array:
+    """Return (J,) the path gain (P10) by inscribed radius and roundness: a blade is thin however wide it is."""
+    roundness = np.minimum(tree.thickness / tree.width, 1)
+    gain = path_gain(tree.nodes, tree.parent, tree.thickness, alpha=_ALPHA, v_bias=_V_BIAS)
+    return gain * roundness
+
+
+def find_root(tree: RawTree, candidates: int = 60) -> int:
+    """Return the tip in the lower half of the plant from which the best stem starts.
+
+    From each low tip the best rising path of the tree rooted there is scored, times how thick and upright it
+    begins: a drooping leaf's tip begins thin, rises less straight, and misses the thick lower stem. Height above
+    the lowest tip and distance from the plant's middle count against a candidate.
+
+    Args:
+        tree: any rooting of the tree.
+        candidates: only so many of the lowest tips are tried.
+    """
+    degree = np.bincount(tree.parent[1:], minlength=len(tree.nodes))
+    degree[1:] += 1
+    z = tree.nodes[:, 2]
+    extent = max(float(np.linalg.norm(np.ptp(tree.nodes, axis=0))), 1e-12)
+    tips = np.flatnonzero((degree == 1) & (z <= z.min() + _LOW * np.ptp(z)))
+    tips = tips[np.argsort(z[tips])][:candidates]
+    aside = np.linalg.norm(tree.nodes[tips, :2] - np.median(tree.nodes[:, :2], axis=0), axis=1)
+    place = np.exp(-(_ABOVE * (z[tips] - z.min()) + _ASIDE * aside) / extent)
+    return int(tips[np.argmax(place * [root_score(tree, tip) for tip in tips])])
+
+
+def root_score(tree: RawTree, root: int) -> float:
+    """Return how well a stem that starts at this node would be one."""
+    other = tree.taking(*rerooted(tree.parent, root))
+    above = np.maximum(other.parent, 0)
+    step = other.nodes - other.nodes[above]
+    rising = np.maximum(step[:, 2], 0) / np.maximum(np.linalg.norm(step, axis=1), 1e-12)
+    gain = stem_gain(other) * rising**2
+    path = chains(other.parent, gain)[0]
+    length = np.linalg.norm(step[path[1:]], axis=1)
+    first = path[1:][np.cumsum(length) <= max(_BEGINNING * float(length.sum()), length[0])]
+    return float(gain[path].sum() * np.mean(rising[first] * other.thickness[first]))

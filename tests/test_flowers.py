@@ -1,0 +1,79 @@
+"""Flowers: clusters of flower points of a flower's size, each on a plausible node."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from anther.cloud import Cloud
+from anther.flowers import Flowers, find_flowers
+from anther.masks import FLOWER, PLANT
+from anther.skeleton import Skeleton
+from anther.stem import Stem, find_stem
+
+Z = np.linspace(0, 0.5, 51)
+SKELETON = Skeleton(
+    np.concatenate([np.c_[0 * Z, 0 * Z, Z], [[0.02, 0, 0.4], [0.04, 0, 0.4]]]),
+    np.r_[np.arange(-1, 50), 40, 51],
+    np.full(53, 0.003),
+)
+STEM: Stem = find_stem(SKELETON)
+
+
+def flower(centre: list[float], size: float = 0.018, count: int = 800, seed: int = 0) -> np.ndarray:
+    shell = np.random.default_rng(seed).normal(size=(count, 3))
+    return np.array(centre) + size / 2 * shell / np.linalg.norm(shell, axis=1)[:, None]
+
+
+def cloud_of(*flowers: np.ndarray) -> Cloud:
+    plant = np.c_[0 * Z, 0 * Z, Z]
+    labels = np.r_[np.full(len(Z), PLANT), np.full(sum(map(len, flowers)), FLOWER)].astype(np.uint8)
+    return Cloud(np.concatenate([plant, *flowers]), labels=labels)
+
+
+@pytest.mark.parametrize("size", [0.008, 0.018, 0.028])
+def test_each_flower_is_found_once(size: float) -> None:
+    centres = [[0.05, 0, 0.4], [-0.03, 0, 0.2], [0.05, 0.04, 0.41]]
+    found = find_flowers(cloud_of(*(flower(c, size) for c in centres)), SKELETON, STEM)
+    assert len(found.positions) == 3
+    for c in centres:
+        assert np.linalg.norm(found.positions - c, axis=1).min() < 0.002
+
+
+def test_touching_flowers_are_told_apart() -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4]), flower([0.07, 0, 0.4])), SKELETON, STEM)
+    assert len(found.positions) == 2
+
+
+def test_a_flower_hangs_on_the_nearest_node() -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4]), flower([-0.03, 0, 0.2])), SKELETON, STEM)
+    by_x = found.attachment[np.argsort(found.positions[:, 0])]
+    assert list(by_x) == [20, 52]
+
+
+def test_a_blade_is_less_likely_to_carry_a_flower() -> None:
+    width = np.full(53, 0.003)
+    width[52] = 0.02
+    leafy = Skeleton(SKELETON.nodes, SKELETON.parent, SKELETON.radius, width=width)
+    found = find_flowers(cloud_of(flower([0.031, 0, 0.4])), leafy, STEM)
+    assert list(found.attachment) == [51]
+
+
+def test_specks_and_far_clusters_are_left_out() -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4], size=0.001), flower([0.5, 0, 0.4])), SKELETON, STEM)
+    assert len(found.positions) == 0
+    assert any("too far" in note for note in found.notes)
+
+
+def test_no_flower_is_a_valid_result() -> None:
+    found = find_flowers(cloud_of(), SKELETON, STEM)
+    assert found.positions.shape == (0, 3)
+    assert "no flowers" in found.notes[0]
+
+
+def test_save_and_load(tmp_path) -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4])), SKELETON, STEM)
+    found.save(tmp_path / "flowers.npz")
+    again = Flowers.load(tmp_path / "flowers.npz")
+    assert np.array_equal(again.positions, found.positions)
+    assert np.array_equal(again.attachment, found.attachment)
