@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from anther.geometry import Array
 
-SKY_LIGHT = 0.62
+SKY_LIGHT = 0.72
 """Light from the whole sky on a level surface; the sun adds SUN_LIGHT. 1 would turn white into full white."""
-SUN_LIGHT = 0.62
+SUN_LIGHT = 0.72
 GROUND_LIGHT = 0.3
 """Light from below, as a share of the sky's."""
 TRANSMITTED = 0.45

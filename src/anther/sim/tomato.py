@@ -13,12 +13,12 @@ import numpy as np
 
 from anther.geometry import Array
 from anther.sim.growth import Growth
+from anther.sim.leaf import AREAL_DENSITY, arc, blade_colours, ripple
 from anther.sim.mechanics import FLOWER_RESONANCE, PEDICEL_YOUNGS, draw_youngs, pedicel_radius
 from anther.sim.mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, SOIL_Z, Organ, SimPlant
 
 GOLDEN_ANGLE = np.radians(137.5)
-AREAL_DENSITY = 0.25
 STEM_GREEN, LEAF_GREEN, YOUNG_GREEN = (108, 140, 72), (58, 104, 44), (112, 150, 62)
 PETAL_YELLOW, ANTHER_YELLOW, SEPAL_GREEN = (247, 214, 36), (232, 170, 22), (88, 128, 58)
 
@@ -46,6 +46,9 @@ def grow_tomato(
     for node in range(1, internodes + 1):
         azimuth += GOLDEN_ANGLE + rng.normal(0, np.radians(8))
         _grow_leaf(growth, stem[2 * node - 1], azimuth, _leaf_length(rng, node, internodes), node / internodes)
+    for size in rng.uniform([0.05, 0.03], [0.075, 0.05]):
+        azimuth += GOLDEN_ANGLE
+        _grow_leaf(growth, stem[-1], azimuth, size, 1.0)
     for truss, node in enumerate(_truss_nodes(rng, internodes)):
         _grow_truss(growth, stem[2 * node], azimuth + np.pi + truss * GOLDEN_ANGLE, truss)
     return growth.finish(
@@ -63,7 +66,7 @@ def _leaf_length(rng: np.random.Generator, node: int, internodes: int) -> float:
     """Leaf length [m]: 0.15-0.35 where expanded, less in the three youngest leaves at the head."""
     young = node - (internodes - 3)
     if young > 0:
-        return float(rng.uniform(0.1, 0.14) / young**0.6)
+        return float(rng.uniform(0.15, 0.19) / young**0.6)
     shape = np.sin(np.pi * np.clip(0.25 + 0.6 * node / internodes, 0, 1))
     return float(np.clip(0.33 * shape * rng.uniform(0.85, 1.1), 0.15, 0.35))
 
@@ -72,45 +75,40 @@ def _grow_stem(growth: Growth, internodes: int) -> list[int]:
     """Two segments an internode, slight lean, bend and zigzag at the nodes."""
     rng = growth.rng
     height, base = rng.uniform(0.5, 0.75), rng.uniform(0.004, 0.006)
-    lengths = np.repeat(rng.uniform(0.8, 1.2, internodes) * np.linspace(1.05, 0.75, internodes), 2)
+    young = np.clip((internodes - np.arange(internodes)) / 3.5, 0.3, 1)
+    lengths = np.repeat(rng.uniform(0.8, 1.2, internodes) * young, 2)
     t = np.concatenate([[0], np.cumsum(lengths)]) / lengths.sum()
     lean, bend = rng.uniform(0, 0.06), rng.normal(0, 0.025)
     direction = rng.uniform(0, 2 * np.pi)
     along = lean * t + bend * np.sin(np.pi * t) * t
     points = np.stack([along * np.cos(direction), along * np.sin(direction), height * t], axis=1)
-    points[2:-1:2, :2] += rng.normal(0, 0.003, (internodes - 1, 2))
+    zigzag = 0.05 * height * lengths[1:-1:2, None] / lengths.sum() * 2
+    points[2:-1:2, :2] += zigzag * rng.normal(size=(internodes - 1, 2))
     taper = rng.uniform(0.4, 0.6)
     return growth.chain(points, base * (1 - (1 - taper) * t**1.2), Organ.STEM, -1, STEM_GREEN, sides=12)
-
-
-def _arc(base: Array, azimuth: float, length: float, elevation: tuple[float, float], count: int) -> Array:
-    """Points (count + 1, 3) of an arc whose elevation runs from the first to the last angle [rad]."""
-    angle = np.linspace(*elevation, count)
-    steps = np.stack([np.cos(angle) * np.cos(azimuth), np.cos(angle) * np.sin(azimuth), np.sin(angle)], axis=1)
-    return np.vstack([base, base + np.cumsum(steps * length / count, axis=0)])
 
 
 def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, height: float) -> None:
     """A compound leaf: petiole, rachis, terminal leaflet and two to four pairs."""
     rng = growth.rng
-    young = np.clip((0.17 - length) / 0.1, 0, 1)
-    rise = np.radians(rng.uniform(25, 45) + 35 * young)
+    young = np.clip((0.2 - length) / 0.12, 0, 1)
+    rise = np.radians(rng.uniform(25, 45) + 30 * young)
     fall = np.radians(rng.uniform(-45, -15) * (0.4 + 0.6 * height) + 50 * young)
-    points = _arc(growth.end(parent), azimuth, 0.72 * length, (rise, fall), 4)
+    points = arc(growth.end(parent), azimuth, 0.72 * length, (rise, fall), 4)
     thick = 0.0012 + 0.0045 * length
     radii = thick * np.array([1.15, 0.9, 0.72, 0.55, 0.4])
     petiole = growth.chain(points[:2], radii[:2], Organ.PETIOLE, parent, STEM_GREEN, sides=7, tip=False)
     rachis = growth.chain(points[1:], radii[1:], Organ.RACHIS, petiole[-1], STEM_GREEN, sides=6)
     colour = (1 - young) * np.array(LEAF_GREEN) + young * np.array(YOUNG_GREEN)
-    pairs = int(np.clip(np.round(length / 0.09 + rng.normal(0, 0.4)), 2, 4))
+    pairs = int(np.clip(np.round(length / 0.085 + rng.normal(0, 0.4)), 2, 4))
     forward = unit(points[-1] - points[-2])
-    _grow_leaflet(growth, rachis[-1], points[-1], forward, length=0.30 * length, colour=colour)
+    _grow_leaflet(growth, rachis[-1], points[-1], forward, length=(0.27 + 0.08 * young) * length, colour=colour)
     for i in range(pairs):
         along = 0.05 + 0.85 * (i + rng.uniform(-0.1, 0.1) + 0.2) / pairs
         k = min(int(max(along, 0) * 3), 2)
         here = points[1 + k] + (points[2 + k] - points[1 + k]) * np.clip(along * 3 - k, 0, 1)
         forward = unit(points[2 + k] - points[1 + k])
-        size = length * rng.uniform(0.2, 0.27) * (0.75 + 0.25 * np.sin(np.pi * (i + 0.7) / pairs))
+        size = length * (rng.uniform(0.25, 0.31) + 0.08 * young) * (0.75 + 0.25 * np.sin(np.pi * (i + 0.7) / pairs))
         for hand in (-1.0, 1.0):
             side = hand * unit(np.cross(forward, [0, 0, 1.0]))
             outward = unit(side + forward * rng.uniform(0.25, 0.6))
@@ -123,7 +121,7 @@ def _grow_leaflet(growth: Growth, segment: int, base: Array, direction: Array, *
     stalk = 0.12 * length
     start = np.arcsin(np.clip(direction[2], -1, 1)) + rng.normal(0, 0.12)
     azimuth = np.arctan2(direction[1], direction[0])
-    line = _arc(base, azimuth, stalk + length, (start, start - rng.uniform(0.4, 1.1)), 15)
+    line = arc(base, azimuth, stalk + length, (start, start - rng.uniform(0.2, 0.9)), 15)
     growth.surface(tube(line[:3], [0.0009, 0.0007, 0.0006], sides=5), Organ.LEAF, STEM_GREEN, segment)
     midrib = line[1:]
     u = np.linspace(0, 1, len(midrib))
@@ -133,18 +131,11 @@ def _grow_leaflet(growth: Growth, segment: int, base: Array, direction: Array, *
     outline = np.sin(np.pi * u**0.72) ** 0.8 * (1 - 0.35 * u)
     lobes = 1 + 0.2 * np.cos(2 * np.pi * (3.5 * u + rng.uniform(0, 1))) * (u < 0.9)
     half_width = length * rng.uniform(0.30, 0.40) * np.maximum(outline * lobes, 0.004)
-    ripple = _ripple(rng, len(u), 0.035 * length)
-    vertices, faces = blade(midrib, unit(side), half_width, fold=rng.normal(0.05, 0.18), ripple=ripple)
-    growth.surface((vertices, faces), Organ.LEAF, colour, segment)
+    wave = ripple(rng, len(u), 0.035 * length)
+    vertices, faces = blade(midrib, unit(side), half_width, fold=rng.normal(0.05, 0.18), ripple=wave)
+    growth.surface((vertices, faces), Organ.LEAF, blade_colours(rng, colour, len(u)), segment)
     area = 2 * float(np.trapezoid(half_width, u)) * length
     growth.carry(segment, AREAL_DENSITY * area, midrib.mean(axis=0))
-
-
-def _ripple(rng: np.random.Generator, rows: int, size: float) -> Array:
-    """(rows, 7) smooth waves over a blade, growing to its margin."""
-    across, along = np.linspace(-1, 1, 7), np.linspace(0, 1, rows)[:, None]
-    left, right = (size * np.sin(2 * np.pi * (rng.uniform(1.5, 3) * along + rng.uniform())) for _ in range(2))
-    return np.where(across < 0, left, right) * across**2
 
 
 def _grow_truss(growth: Growth, parent: int, azimuth: float, order: int) -> None:
@@ -153,7 +144,7 @@ def _grow_truss(growth: Growth, parent: int, azimuth: float, order: int) -> None
     flowers = int(rng.integers(4, 9)) if order == 0 else int(rng.integers(4, 7))
     length = rng.uniform(0.06, 0.12) if order == 0 else rng.uniform(0.06, 0.08)
     rise, fall = np.radians(rng.uniform(15, 45)), np.radians(rng.uniform(-40, -5))
-    fine = _arc(growth.end(parent), azimuth, length, (rise, fall), 24)
+    fine = arc(growth.end(parent), azimuth, length, (rise, fall), 24)
     at = np.concatenate([[0, 0.25, 0.5], 0.5 + 0.5 * np.arange(1, flowers) / (flowers - 1)])
     points = np.stack([np.interp(at * 24, np.arange(25), fine[:, i]) for i in range(3)], axis=1)
     thick = rng.uniform(0.001, 0.0018)
