@@ -4,7 +4,7 @@
 `frequency_response` and `response_map` for small vibrations, `natural_frequencies` for modes.
 """
 
-from anther.elastic_rod.equilibrium import with_gravity_equilibrium
+from anther.elastic_rod.equilibrium import equilibrium, with_gravity_equilibrium
 from anther.elastic_rod.motion import Clamp, Drive, Motion, SampledDrive
 from anther.elastic_rod.response import frequency_response, natural_frequencies, response_map
 from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
@@ -19,6 +19,7 @@ __all__ = [
     "Rods",
     "SampledDrive",
     "Trajectory",
+    "equilibrium",
     "frequency_response",
     "natural_frequencies",
     "response_map",

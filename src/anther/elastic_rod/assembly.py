@@ -4,26 +4,28 @@ Stretch E = EA/2 eps^2 l (P18), bend and twist E = K/2 (strain - natural strain)
 Kelvin-Voigt damping adds K * viscous_time * strain rate to each stress; strain rate = gradient . velocity.
 """
 
+# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
+
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.elastic_rod import springs
 from anther.elastic_rod.model import Frames, Model, spring_edges
 from anther.elastic_rod.rods import Array
-from anther.elastic_rod.vectors import dot, load, norm, scale, spin, store, subtract, transport
+from anther.elastic_rod.vectors import compiled, dot, load, norm, scale, spin, store, subtract, transport
 
 
 class Blocks(NamedTuple):
     """The tree-structured symmetric matrix and a right-hand side; of `diagonal` only the lower triangles are used."""
 
-    diagonal: Array  # (N, 4, 4) block (j, j)
-    near: Array  # (N, 4, 4) block (j, near[j])
-    far: Array  # (N, 4, 3) block (j, far[j]); no spring reaches the spin of the far edge
-    gradient: Array  # (N, 4)
+    diagonal: NDArray[Any]  # (N, 4, 4) block (j, j)
+    near: NDArray[Any]  # (N, 4, 4) block (j, near[j])
+    far: NDArray[Any]  # (N, 4, 3) block (j, far[j]); no spring reaches the spin of the far edge
+    gradient: NDArray[Any]  # (N, 4)
     local: Array  # (8, 8) scratch
     slopes: Array  # (3, 8) scratch
 
@@ -40,7 +42,7 @@ def new_blocks(n: int, dtype: Any = np.float64) -> Blocks:
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def move_frames(model: Model, x_old: Any, m1_old: Any, twist_old: Any, x: Any, turn: Any, m1: Any, twist: Any) -> None:
     """Carry the frames (m1_old, twist_old) from positions x_old to x, turn edge j by turn[j], into m1 and twist."""
     for j in range(1, len(x)):
@@ -55,7 +57,7 @@ def move_frames(model: Model, x_old: Any, m1_old: Any, twist_old: Any, x: Any, t
             twist[j] = springs.strains(e, f, m1e, load(m1, j), twist_old[j])[2]
 
 
-@numba.njit(cache=True)
+@compiled
 def elastic_energy(model: Model, x: Any, m1: Any, twist: Any) -> float:
     """Return the stored elastic energy [J]."""
     total = 0.0
@@ -72,7 +74,7 @@ def elastic_energy(model: Model, x: Any, m1: Any, twist: Any) -> float:
     return total
 
 
-@numba.njit(cache=True)
+@compiled
 def assemble(model: Model, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks) -> None:
     """Fill blocks with the elastic and viscous gradient (minus the force) and Hessian.
 
@@ -94,7 +96,7 @@ def assemble(model: Model, x: Any, frames: Frames, velocity: Any, rate: float, b
             _add_bend_and_twist(model, x, frames, velocity, rate, blocks, j)
 
 
-@numba.njit(cache=True)
+@compiled
 def _add_stretch(model: Model, x: Any, velocity: Any, rate: float, blocks: Blocks, j: int) -> None:
     p = model.parent[j]
     f = subtract(load(x, j), load(x, p))
@@ -118,7 +120,7 @@ def _add_stretch(model: Model, x: Any, velocity: Any, rate: float, blocks: Block
                 blocks.far[j, i, k] -= value
 
 
-@numba.njit(cache=True)
+@compiled
 def _add_bend_and_twist(
     model: Model, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks, j: int
 ) -> None:
@@ -145,7 +147,7 @@ def _add_bend_and_twist(
     _scatter(blocks, G[0], H, j, a, b, model.near[a] == b, model.swapped[j])
 
 
-@numba.njit(cache=True)
+@compiled
 def strain_rates(model: Model, velocity: Any, G: Any, j: int) -> Any:
     """Return the rates of the strains of spring j, given their local gradients G and the velocities (N, 4)."""
     a, b, p = model.near[j], model.far[j], model.parent[j]
@@ -165,7 +167,7 @@ def strain_rates(model: Model, velocity: Any, G: Any, j: int) -> Any:
     )
 
 
-@numba.njit(cache=True)
+@compiled
 def _scatter(blocks: Blocks, g: Any, H: Any, j: int, a: int, b: int, b_is_near: bool, swapped: bool) -> None:
     """Add a local gradient and Hessian in (e, f, spin e, spin f) to the blocks of j, a = near and b = far.
 

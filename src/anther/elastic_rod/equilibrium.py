@@ -1,11 +1,12 @@
 """Static equilibrium under weight, its stability, and the natural shape that makes the scanned shape an equilibrium."""
 
+# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
+
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -23,7 +24,7 @@ from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import GRAVITY, Array, NaturalShape, Rods
 from anther.elastic_rod.stepping import POSITION_FLOOR, State, new_state
 from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import load
+from anther.elastic_rod.vectors import compiled, load
 from anther.errors import StageFailure
 
 NEWTON_LIMIT = 500
@@ -72,7 +73,7 @@ def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> 
     return NaturalShape(rods.lengths / (1 + stretch), model.curvature - strain[:, :2], -strain[:, 2])
 
 
-@numba.njit(cache=True)
+@compiled
 def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, moments: Any) -> Any:
     """Add the tension and moments [N, N m] of a small move (N, 4) to the given ones; return the force of the move."""
     force, G = np.zeros_like(move), np.zeros((3, 8))
@@ -103,6 +104,16 @@ def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, mo
     return force
 
 
+def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Array:
+    """Return the (N, 3) positions [m] at rest in stable equilibrium under gravity.
+
+    Raises:
+        StageFailure: kind "no_convergence" when none is found, or it is not stable (buckling).
+    """
+    model, frames = build_model(rods, gravity)
+    return static_state(model, frames, rods.nodes, clamp.free(rods)).x
+
+
 def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
     """Return the state at rest in the static equilibrium downhill from positions x (N, 3) [m].
 
@@ -115,7 +126,7 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
         raise StageFailure(
             "no_convergence",
             f"rods: no static equilibrium found; residual {residual:.3g} N after {NEWTON_LIMIT} Newton iterations. "
-            "They may be too soft or thin for their weight, or swing about a pin: check radius, Young's modulus, clamp.",
+            "They may be too soft or thin for their weight, or swing about a pin: check radius, stiffness and clamp.",
         )
     if unstable_directions(model, free, state, blocks):
         raise StageFailure(
@@ -134,12 +145,12 @@ def unstable_directions(model: Model, free: Any, state: State, blocks: Blocks) -
     return int(factor(model, blocks))
 
 
-@numba.njit(cache=True)
+@compiled
 def _potential(model: Model, x: Any, frames: Frames) -> float:
     return elastic_energy(model, x, frames.m1, frames.twist) - np.sum(model.weight * x)
 
 
-@numba.njit(cache=True)
+@compiled
 def _descend(model: Model, free: Any, state: State, blocks: Blocks, most: int) -> Any:
     """Minimise the potential energy by Newton's method with a shift where needed and a backtracking line search.
 
@@ -170,7 +181,7 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks, most: int) -
     return residual, correction
 
 
-@numba.njit(cache=True)
+@compiled
 def _line_search(model: Model, state: State, step: Any, slope: float, size: float) -> None:
     """Move the state against `step`, halving it until the potential energy falls."""
     start = _potential(model, state.x, state.frames)

@@ -1,17 +1,18 @@
 """Rods turned into the flat arrays that the compiled kernels loop over."""
 
+# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
+
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array
 from anther.elastic_rod import springs
 from anther.elastic_rod.rods import Array, NaturalShape, Rods
-from anther.elastic_rod.vectors import cross, load, norm, scale, spin, store, subtract, transport
+from anther.elastic_rod.vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
 from anther.errors import bad_input
 
 
@@ -131,7 +132,7 @@ def _rest_frames(
     return Frames(m1, np.zeros(len(nodes))), curvature
 
 
-@numba.njit(cache=True)
+@compiled
 def _carry_frames(
     nodes: Any, parent: Any, near: Any, far: Any, swapped: Any, hub: int, m1: Any, curvature: Any
 ) -> None:
@@ -153,7 +154,7 @@ def _carry_frames(
         curvature[j, 0], curvature[j, 1] = kappa[0], kappa[1]
 
 
-@numba.njit(cache=True)
+@compiled
 def spring_edges(x: Any, parent: Any, near: Any, far: Any, swapped: Any, j: int) -> Any:
     """Return the edge vectors e (the parent edge, running towards edge j) and f (edge j) of spring j [m]."""
     e = subtract(load(x, near[j]), load(x, far[j]))

@@ -1,11 +1,12 @@
 """Small vibrations about the equilibrium: frequency response by complex tree solves, and natural frequencies."""
 
+# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
+
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
@@ -18,6 +19,7 @@ from anther.elastic_rod.model import Model, build_model
 from anther.elastic_rod.motion import Clamp, unit_direction
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.tree_solver import constrain, factor, solve
+from anther.elastic_rod.vectors import compiled
 from anther.errors import bad_input
 
 ComplexArray = NDArray[np.complex128]
@@ -42,7 +44,8 @@ def frequency_response(
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     everything = np.arange(len(rods.nodes))
-    out = response_map(rods, clamp, [grip_node], [direction], frequencies, everything, gravity=gravity)
+    axis = check_array("direction", direction, (3,))[None]
+    out = response_map(rods, clamp, [grip_node], axis, frequencies, observe=everything, gravity=gravity)
     return out[:, 0, 0]
 
 
@@ -52,8 +55,8 @@ def response_map(
     grip_nodes: ArrayLike,
     directions: ArrayLike,
     frequencies: ArrayLike,
-    observe: ArrayLike,
     *,
+    observe: ArrayLike,
     gravity: ArrayLike = GRAVITY,
 ) -> ComplexArray:
     """Return (Q, G, D, O, 3): the response of the observed nodes to a shake at each grip node in each direction.
@@ -82,9 +85,8 @@ def response_map(
     system = _linearise(rods, clamp, gravity)
     for grip in grips:
         clamp.free(rods, int(grip))
-    return _receptances(
-        system.model, system.free, system.tangent, system.damping, grips, units, 2 * np.pi * hertz, seen
-    )
+    matrices = (system.tangent, system.damping, new_blocks(len(rods.nodes), np.complex128))
+    return _receptances(system.model, system.free, matrices, grips, units, 2 * np.pi * hertz, seen)
 
 
 def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY) -> tuple[Array, Array]:
@@ -129,8 +131,8 @@ def _linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike) -> _Linear:
     tangent, faster = new_blocks(len(free)), new_blocks(len(free))
     assemble(model, state.x, state.frames, state.v, 0.0, tangent)
     assemble(model, state.x, state.frames, state.v, 1.0, faster)
-    for part, base in zip(faster[:3], tangent[:3], strict=True):
-        part -= base  # rate 1: what viscosity adds per unit of rate
+    for k in range(3):  # the three matrices; rate 1 adds what viscosity adds per unit of rate
+        np.subtract(faster[k], tangent[k], out=faster[k])
     faster.diagonal[:, range(3), range(3)] += model.drag[:, None]
     constrain(model, free, tangent)
     return _Linear(model, free, tangent, faster)
@@ -157,31 +159,28 @@ def _sparse(model: Model, blocks: Blocks) -> Any:
     return coo_array(entries, shape=(4 * n, 4 * n)).tocsc()
 
 
-@numba.njit(cache=True)
+@compiled
+def _set_dynamic(model: Model, tangent: Blocks, damping: Blocks, omega: float, dynamic: Blocks) -> None:
+    """Fill `dynamic` with K + i omega C - omega^2 M."""
+    dynamic.diagonal[:] = tangent.diagonal + 1j * omega * damping.diagonal
+    dynamic.near[:] = tangent.near + 1j * omega * damping.near
+    dynamic.far[:] = tangent.far + 1j * omega * damping.far
+    for j in range(len(model.mass)):
+        for i in range(3):
+            dynamic.diagonal[j, i, i] -= omega * omega * model.mass[j]
+        dynamic.diagonal[j, 3, 3] -= omega * omega * model.spin_inertia[j]
+
+
+@compiled
 def _receptances(
-    model: Model, free: Any, tangent: Blocks, damping: Blocks, grips: Any, units: Any, omegas: Any, seen: Any
+    model: Model, free: Any, matrices: tuple[Blocks, Blocks, Blocks], grips: Any, units: Any, omegas: Any, seen: Any
 ) -> Any:
-    n = len(free)
+    tangent, damping, dynamic = matrices
     out = np.zeros((len(omegas), len(grips), len(units), len(seen), 3), np.complex128)
-    dynamic = Blocks(
-        np.zeros((n, 4, 4), np.complex128),
-        np.zeros((n, 4, 4), np.complex128),
-        np.zeros((n, 4, 3), np.complex128),
-        np.zeros((n, 4), np.complex128),
-        tangent.local,
-        tangent.slopes,
-    )
-    columns = np.zeros((3, n, 4), np.complex128)
+    columns = np.zeros((3, len(free), 4), np.complex128)
     at_grip = np.zeros((3, 3), np.complex128)
     for q in range(len(omegas)):
-        omega = omegas[q]
-        dynamic.diagonal[:] = tangent.diagonal + 1j * omega * damping.diagonal
-        dynamic.near[:] = tangent.near + 1j * omega * damping.near
-        dynamic.far[:] = tangent.far + 1j * omega * damping.far
-        for j in range(n):
-            for i in range(3):
-                dynamic.diagonal[j, i, i] -= omega * omega * model.mass[j]
-            dynamic.diagonal[j, 3, 3] -= omega * omega * model.spin_inertia[j]
+        _set_dynamic(model, tangent, damping, omegas[q], dynamic)
         constrain(model, free, dynamic)
         factor(model, dynamic)
         for g in range(len(grips)):

@@ -81,8 +81,8 @@ class Rods:
         object.__setattr__(self, "nodes", check_array("rod nodes", self.nodes, (n, 3)))
         object.__setattr__(self, "parent", check_array("rod parent", self.parent, (n,), dtype="int64"))
         _check_tree(self.parent)
-        for name, lower, upper, unit in _LIMITS:
-            object.__setattr__(self, name, _per_node(name, getattr(self, name), n, lower, upper, unit))
+        for name, limits, unit in _LIMITS:
+            object.__setattr__(self, name, _per_node(name, getattr(self, name), n, limits, unit))
         if np.any(self.lengths[1:] < 1e-7):
             edge = 1 + int(np.argmin(self.lengths[1:]))
             raise bad_input(
@@ -118,15 +118,15 @@ class Rods:
 
 
 _LIMITS = (
-    ("edge_radius", 1e-6, 1.0, "m"),
-    ("youngs", 1.0, 1e13, "Pa"),
-    ("density", 1e-3, 1e5, "kg/m^3"),
-    ("bend_over_twist", 1e-3, 1e12, ""),
-    ("lumped_mass", 0.0, 1e3, "kg"),
-    ("viscous_time", 0.0, 1e3, "s"),
-    ("mass_damping", 0.0, 1e6, "1/s"),
-    ("air_drag", 0.0, 1e6, "N s/m^2"),
-    ("node_drag", 0.0, 1e6, "N s/m"),
+    ("edge_radius", (1e-6, 1.0), "m"),
+    ("youngs", (1.0, 1e13), "Pa"),
+    ("density", (1e-3, 1e5), "kg/m^3"),
+    ("bend_over_twist", (1e-3, 1e12), ""),
+    ("lumped_mass", (0.0, 1e3), "kg"),
+    ("viscous_time", (0.0, 1e3), "s"),
+    ("mass_damping", (0.0, 1e6), "1/s"),
+    ("air_drag", (0.0, 1e6), "N s/m^2"),
+    ("node_drag", (0.0, 1e6), "N s/m"),
 )
 
 
@@ -142,7 +142,8 @@ def _check_tree(parent: NDArray[Any]) -> None:
         )
 
 
-def _per_node(name: str, value: Any, n: int, lower: float, upper: float, unit: str) -> Array:
+def _per_node(name: str, value: Any, n: int, limits: tuple[float, float], unit: str) -> Array:
+    lower, upper = limits
     array = np.asarray(value, dtype=np.float64)
     array = check_array(name, np.full(n, array) if array.ndim == 0 else array, (n,))
     used = array[1:] if name in ("edge_radius", "youngs", "density", "bend_over_twist") else array

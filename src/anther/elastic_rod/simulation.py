@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -122,7 +122,7 @@ def simulate(
         state = static_state(model, frames, rods.nodes, clamp.free(rods))
     else:
         state = new_state(rods.nodes, frames)
-    run = _Run(model, free, state, drive, integrator == "midpoint", tolerance, newton_limit)
+    run = _Run(model, free, state, drive, _Settings(integrator == "midpoint", tolerance, newton_limit))
     return run.trajectory(steps, dt, record_every)
 
 
@@ -134,22 +134,25 @@ def _check_steps(duration: float, dt: float, record_every: int) -> int:
     return steps // record_every * record_every
 
 
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    midpoint: bool
+    tolerance: float
+    newton_limit: int
+
+
+class _Output(NamedTuple):
+    x: Array
+    energy: Array
+    force: Array
+
+
 class _Run:
     """One simulation: the constants, the moving state, and the splitting of steps that do not converge."""
 
-    def __init__(
-        self,
-        model: Model,
-        free: Any,
-        state: State,
-        drive: Motion | None,
-        midpoint: bool,
-        tolerance: float,
-        newton_limit: int,
-    ) -> None:
+    def __init__(self, model: Model, free: Any, state: State, drive: Motion | None, settings: _Settings) -> None:
         n = len(state.x)
-        self.model, self.free, self.state, self.drive = model, free, state, drive
-        self.midpoint, self.tolerance, self.newton_limit = midpoint, tolerance, newton_limit
+        self.model, self.free, self.state, self.drive, self.settings = model, free, state, drive, settings
         self.scratch, self.turn, self.blocks = new_state(state.x, state.frames), np.zeros(n), new_blocks(n)
         self.driven = -1 if drive is None else drive.node
         self.home = state.x[self.driven].copy()
@@ -157,23 +160,21 @@ class _Run:
 
     def trajectory(self, steps: int, dt: float, every: int) -> Trajectory:
         rows = steps // every
-        x, energy, force = np.zeros((rows, len(self.state.x), 3)), np.zeros(rows), np.zeros((rows, 3))
+        out = _Output(np.zeros((rows, len(self.state.x), 3)), np.zeros(rows), np.zeros((rows, 3)))
         first_x, first_energy = self.state.x.copy(), total_energy(self.model, self.state)
-        targets = self._targets(dt * np.arange(steps + 1))
-        done, residual = self._advance(targets, dt, 0, every, x, energy, force)
+        targets = self._targets(np.arange(steps + 1, dtype=np.float64) * dt)
+        done, residual = self._advance(targets, dt, 0, every, out)
         while done < steps:
             self._split(done * dt, dt, residual, HALVINGS)
             done += 1
             if done % every == 0:
-                row = done // every - 1
-                x[row], energy[row] = self.state.x, total_energy(self.model, self.state)
-                force[row] = self.blocks.gradient[self.driven, :3] if self.driven >= 0 else 0
-            done, residual = self._advance(targets, dt, done, every, x, energy, force)
+                self._record(out, done // every - 1)
+            done, residual = self._advance(targets, dt, done, every, out)
         return Trajectory(
-            times=np.arange(rows + 1) * every * dt,
-            positions=np.concatenate([first_x[None], x]),
-            energy=np.concatenate([[first_energy], energy]),
-            grip_force=np.concatenate([np.zeros((1, 3)), force]),
+            times=np.arange(rows + 1, dtype=np.float64) * every * dt,
+            positions=np.concatenate([first_x[None], out.x]),
+            energy=np.concatenate([[first_energy], out.energy]),
+            grip_force=np.concatenate([np.zeros((1, 3)), out.force]),
             newton_iterations=self.iterations,
             split_steps=self.splits,
         )
@@ -184,24 +185,26 @@ class _Run:
         if halvings == 0:
             raise StageFailure(
                 "no_convergence",
-                f"rods: Newton's method failed at t = {t0:.6g} s with a residual of {residual:.3g} N, also with the step "
-                f"split down to {dt:.2g} s. Use a smaller time step, a smaller amplitude, or stiffer rods.",
+                f"rods: Newton's method failed at t = {t0:.6g} s with a residual of {residual:.3g} N, also with the "
+                f"step split down to {dt:.2g} s. Use a smaller time step, a smaller amplitude, or stiffer rods.",
             )
-        nothing = np.zeros((0, 3))
         for start in (t0, t0 + dt / 2):
-            targets = self._targets(start + dt / 2 * np.arange(2))
-            done, residual = self._advance(targets, dt / 2, 0, 0, nothing[None], nothing[:, 0], nothing)
+            targets = self._targets(np.array([start, start + dt / 2]))
+            done, residual = self._advance(targets, dt / 2, 0, 0, _NOTHING)
             if done == 0:
                 self._split(start, dt / 2, residual, halvings - 1)
+
+    def _record(self, out: _Output, row: int) -> None:
+        out.x[row], out.energy[row] = self.state.x, total_energy(self.model, self.state)
+        if self.driven >= 0:
+            out.force[row] = self.blocks.gradient[self.driven, :3]
 
     def _targets(self, times: Array) -> Array:
         if self.drive is None:
             return np.zeros((len(times), 3))
         return self.home + self.drive.displacement(times)
 
-    def _advance(
-        self, targets: Array, dt: float, first: int, every: int, x: Array, energy: Array, force: Array
-    ) -> tuple[int, float]:
+    def _advance(self, targets: Array, dt: float, first: int, every: int, out: _Output) -> tuple[int, float]:
         done, spent, residual = advance(
             self.model,
             self.free,
@@ -212,14 +215,15 @@ class _Run:
             self.turn,
             self.blocks,
             dt,
-            self.midpoint,
-            self.tolerance,
-            self.newton_limit,
-            x,
-            energy,
-            force,
+            self.settings.midpoint,
+            self.settings.tolerance,
+            self.settings.newton_limit,
+            *out,
             first,
             every,
         )
         self.iterations += spent
         return done, residual
+
+
+_NOTHING = _Output(np.zeros((0, 0, 3)), np.zeros(0), np.zeros((0, 3)))

@@ -7,16 +7,16 @@ parallel transport), so that the Hessian is the symmetric one of an energy (as i
 A material frame is its first director m1; the second is m2 = t x m1.
 """
 
+# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
+
 from __future__ import annotations
 
 from typing import Any
 
-import numba
-
-from anther.elastic_rod.vectors import Vector, add, combine, cross, dot, norm, scale, twist_angle
+from anther.elastic_rod.vectors import Vector, add, combine, compiled, cross, dot, norm, scale, twist_angle
 
 
-@numba.njit(cache=True)
+@compiled
 def strains(e: Vector, f: Vector, m1e: Vector, m1f: Vector, twist: float) -> Vector:
     """Return (kappa1, kappa2, twist): integrated curvatures [-] and twist [rad], twist nearest to the given one."""
     te, tf = scale(1 / norm(e), e), scale(1 / norm(f), f)
@@ -26,7 +26,7 @@ def strains(e: Vector, f: Vector, m1e: Vector, m1f: Vector, twist: float) -> Vec
     return kappa1, kappa2, twist_angle(m1e, m1f, te, tf, twist)
 
 
-@numba.njit(cache=True)
+@compiled
 def _put(row: Any, e_part: Vector, f_part: Vector, e_spin: float, f_spin: float) -> None:
     for i in range(3):
         row[i] = e_part[i]
@@ -35,7 +35,7 @@ def _put(row: Any, e_part: Vector, f_part: Vector, e_spin: float, f_spin: float)
     row[7] = f_spin
 
 
-@numba.njit(cache=True)
+@compiled
 def gradients(e: Vector, f: Vector, m1e: Vector, m1f: Vector, twist: float, G: Any) -> Vector:
     """Fill G (3, 8) with the gradients of kappa1, kappa2 and twist; return the three strains."""
     le, lf = norm(e), norm(f)
@@ -64,7 +64,7 @@ def gradients(e: Vector, f: Vector, m1e: Vector, m1f: Vector, twist: float, G: A
     return kappa1, kappa2, twist_angle(m1e, m1f, te, tf, twist)
 
 
-@numba.njit(cache=True)
+@compiled
 def stiffness(G: Any, coefficients: Vector, H: Any) -> None:
     """Fill the lower triangle of H (8, 8) with sum_k c_k G_k G_k^T, the material part of the Hessian."""
     for i in range(8):
@@ -73,7 +73,7 @@ def stiffness(G: Any, coefficients: Vector, H: Any) -> None:
             H[i, j] = a * G[0, j] + b * G[1, j] + c * G[2, j]
 
 
-@numba.njit(cache=True)
+@compiled
 def add_geometric(e: Vector, f: Vector, m1e: Vector, m1f: Vector, stress: Vector, H: Any) -> None:
     """Add sum_k stress_k * Hessian(strain_k) to the lower triangle of H (8, 8).
 
@@ -104,7 +104,7 @@ def add_geometric(e: Vector, f: Vector, m1e: Vector, m1f: Vector, stress: Vector
             H[row, 3 + i] += (half * tt[i] - on_f[i] / chi) / lf
 
 
-@numba.njit(cache=True)
+@compiled
 def _add_edge_block(
     H: Any,
     at: int,
@@ -126,7 +126,7 @@ def _add_edge_block(
             H[at + i, at + j] += factor * (value + kb[i] * side[j] + side[i] * kb[j])
 
 
-@numba.njit(cache=True)
+@compiled
 def _add_mixed_block(
     H: Any,
     factor: float,

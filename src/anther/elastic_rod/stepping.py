@@ -1,21 +1,23 @@
 """Compiled time stepping: one implicit solve by Newton's method, and the two integrators made of it.
 
-Implicit Euler solves M (v - v_n) / h + grad E(q) + C v = M g with v = (q - q_n) / h. The implicit midpoint rule is the
-same solve over half a step followed by extrapolation, q_{n+1} = 2 q_mid - q_n and v_{n+1} = 2 v_mid - v_n: second order,
-symplectic, without numerical damping (Hairer, Lubich, Wanner 2006, VI.1).
+Implicit Euler solves M (v - v_n) / h + grad E(q) + C v = M g with v = (q - q_n) / h. The implicit midpoint rule is
+the same solve over half a step, then q_{n+1} = 2 q_mid - q_n and v_{n+1} = 2 v_mid - v_n: second order, symplectic,
+without numerical damping (Hairer, Lubich, Wanner 2006, VI.1).
 """
+
+# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from anther.elastic_rod.assembly import Blocks, assemble, elastic_energy, move_frames
 from anther.elastic_rod.model import Frames, Model
 from anther.elastic_rod.rods import Array
 from anther.elastic_rod.tree_solver import constrain, factor, solve
+from anther.elastic_rod.vectors import compiled
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""
@@ -34,7 +36,7 @@ def new_state(x: Array, frames: Frames) -> State:
     return State(x.copy(), np.zeros((len(x), 4)), Frames(frames.m1.copy(), frames.twist.copy()))
 
 
-@numba.njit(cache=True)
+@compiled
 def _copy(source: State, target: State) -> None:
     target.x[:] = source.x
     target.v[:] = source.v
@@ -42,7 +44,7 @@ def _copy(source: State, target: State) -> None:
     target.frames.twist[:] = source.frames.twist
 
 
-@numba.njit(cache=True)
+@compiled
 def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: float) -> None:
     """Add inertia, drag and weight to the residual (blocks.gradient) and to the diagonal blocks."""
     for j in range(len(new.x)):
@@ -56,7 +58,7 @@ def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: flo
         blocks.diagonal[j, 3, 3] += rate * rate * inertia
 
 
-@numba.njit(cache=True)
+@compiled
 def implicit_step(
     model: Model,
     free: Any,
@@ -113,7 +115,7 @@ def implicit_step(
     return -most, residual
 
 
-@numba.njit(cache=True)
+@compiled
 def _extrapolate(model: Model, free: Any, old: State, new: State, turn: Any, far: State) -> None:
     """Turn the midpoint state `new` into the state at the end of the step."""
     for j in range(len(old.x)):
@@ -125,7 +127,7 @@ def _extrapolate(model: Model, free: Any, old: State, new: State, turn: Any, far
     _copy(far, new)
 
 
-@numba.njit(cache=True)
+@compiled
 def total_energy(model: Model, state: State) -> float:
     """Return elastic + kinetic - weight . x [J]."""
     energy = elastic_energy(model, state.x, state.frames.m1, state.frames.twist)
@@ -136,7 +138,7 @@ def total_energy(model: Model, state: State) -> float:
     return energy
 
 
-@numba.njit(cache=True)
+@compiled
 def advance(
     model: Model,
     free: Any,

@@ -3,17 +3,18 @@
 Works on real and on complex symmetric (not Hermitian) matrices: L D L^T without pivoting, four unknowns a block.
 """
 
+# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
+
 from __future__ import annotations
 
 from typing import Any
 
-import numba
-
 from anther.elastic_rod.assembly import Blocks
 from anther.elastic_rod.model import Model
+from anther.elastic_rod.vectors import compiled
 
 
-@numba.njit(cache=True)
+@compiled
 def constrain(model: Model, free: Any, blocks: Blocks) -> None:
     """Replace rows and columns of the unknowns with free (N, 4) False by those of the identity, gradient 0."""
     for j in range(len(free)):
@@ -32,7 +33,7 @@ def constrain(model: Model, free: Any, blocks: Blocks) -> None:
                 blocks.far[j, :, i] = 0
 
 
-@numba.njit(cache=True)
+@compiled
 def _factor_block(L: Any) -> int:
     """Overwrite the lower triangle with unit L below the diagonal and D on it; return the pivots <= 0."""
     wrong = 0
@@ -53,7 +54,7 @@ def _factor_block(L: Any) -> int:
     return wrong
 
 
-@numba.njit(cache=True)
+@compiled
 def _forward(L: Any, B: Any, columns: int) -> None:
     for i in range(1, 4):
         for k in range(i):
@@ -62,7 +63,7 @@ def _forward(L: Any, B: Any, columns: int) -> None:
                 B[i, c] -= value * B[k, c]
 
 
-@numba.njit(cache=True)
+@compiled
 def factor(model: Model, blocks: Blocks) -> int:
     """Factor in place. Return the number of pivots that are not positive: 0 means positive definite (if real)."""
     wrong = 0
@@ -82,7 +83,7 @@ def factor(model: Model, blocks: Blocks) -> int:
     return wrong
 
 
-@numba.njit(cache=True)
+@compiled
 def _update(L: Any, U: Any, V: Any, target: Any, columns: int) -> None:
     """Subtract U^T D^-1 V from the target block."""
     for k in range(4):
@@ -93,35 +94,41 @@ def _update(L: Any, U: Any, V: Any, target: Any, columns: int) -> None:
                 target[i, c] -= value * V[k, c]
 
 
-@numba.njit(cache=True)
+@compiled
 def solve(model: Model, blocks: Blocks, r: Any) -> None:
     """Overwrite r (N, 4) with the solution of the factored system."""
     for j in model.order:
-        L, y = blocks.diagonal[j], r[j]
-        for i in range(1, 4):
-            for k in range(i):
-                y[i] -= L[i, k] * y[k]
-        a, b = model.near[j], model.far[j]
-        for k in range(4):
-            scaled = y[k] / L[k, k]
-            if a >= 0:
-                for i in range(4):
-                    r[a, i] -= blocks.near[j, k, i] * scaled
-            if b >= 0:
-                for i in range(3):
-                    r[b, i] -= blocks.far[j, k, i] * scaled
+        _eliminate(blocks.diagonal[j], blocks.near[j], blocks.far[j], r, j, model.near[j], model.far[j])
     for j in model.order[::-1]:
-        L, y = blocks.diagonal[j], r[j]
-        a, b = model.near[j], model.far[j]
-        for k in range(4):
-            value = y[k]
-            if a >= 0:
-                for i in range(4):
-                    value -= blocks.near[j, k, i] * r[a, i]
-            if b >= 0:
-                for i in range(3):
-                    value -= blocks.far[j, k, i] * r[b, i]
-            y[k] = value / L[k, k]
-        for i in range(2, -1, -1):
-            for k in range(i + 1, 4):
-                y[i] -= L[k, i] * y[k]
+        _substitute(blocks.diagonal[j], blocks.near[j], blocks.far[j], r, j, model.near[j], model.far[j])
+
+
+@compiled
+def _eliminate(L: Any, U: Any, V: Any, r: Any, j: Any, a: Any, b: Any) -> None:
+    for i in range(1, 4):
+        for k in range(i):
+            r[j, i] -= L[i, k] * r[j, k]
+    for k in range(4):
+        scaled = r[j, k] / L[k, k]
+        if a >= 0:
+            for i in range(4):
+                r[a, i] -= U[k, i] * scaled
+        if b >= 0:
+            for i in range(3):
+                r[b, i] -= V[k, i] * scaled
+
+
+@compiled
+def _substitute(L: Any, U: Any, V: Any, r: Any, j: Any, a: Any, b: Any) -> None:
+    for k in range(4):
+        value = r[j, k]
+        if a >= 0:
+            for i in range(4):
+                value -= U[k, i] * r[a, i]
+        if b >= 0:
+            for i in range(3):
+                value -= V[k, i] * r[b, i]
+        r[j, k] = value / L[k, k]
+    for i in range(2, -1, -1):
+        for k in range(i + 1, 4):
+            r[j, i] -= L[k, i] * r[j, k]

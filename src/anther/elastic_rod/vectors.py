@@ -8,64 +8,67 @@ from typing import Any
 import numba
 import numpy as np
 
+compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
+"""How every kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
+
 Vector = tuple[Any, Any, Any]
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def load(array: Any, row: int) -> Vector:
     """Return one row of an (N, 3) array."""
     return (array[row, 0], array[row, 1], array[row, 2])
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def store(array: Any, row: int, v: Vector) -> None:
     """Write `v` into one row of an (N, 3) array."""
     array[row, 0], array[row, 1], array[row, 2] = v
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def add(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def subtract(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def scale(s: float, a: Vector) -> Vector:
     """Return s a."""
     return (s * a[0], s * a[1], s * a[2])
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def combine(s: float, a: Vector, t: float, b: Vector) -> Vector:
     """Return s a + t b."""
     return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def dot(a: Vector, b: Vector) -> float:
     """Return a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@numba.njit(cache=True, inline="always")
+@compiled
 def norm(a: Vector) -> float:
     """Return |a|."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@numba.njit(cache=True)
+@compiled
 def transport(v: Vector, start: Vector, end: Vector) -> Vector:
     """Return `v` carried by the smallest rotation that takes the unit tangent `start` to the unit tangent `end`."""
     axis = cross(start, end)
@@ -74,7 +77,7 @@ def transport(v: Vector, start: Vector, end: Vector) -> Vector:
     return combine(1.0, carried, dot(axis, v) / (1.0 + cosine), axis)
 
 
-@numba.njit(cache=True)
+@compiled
 def spin(director: Vector, tangent: Vector, angle: float) -> Vector:
     """Return a director turned by `angle` [rad] about the unit tangent, made orthonormal to it again."""
     turned = combine(math.cos(angle), director, math.sin(angle), cross(tangent, director))
@@ -82,7 +85,7 @@ def spin(director: Vector, tangent: Vector, angle: float) -> Vector:
     return scale(1.0 / norm(flat), flat)
 
 
-@numba.njit(cache=True)
+@compiled
 def twist_angle(m1e: Vector, m1f: Vector, te: Vector, tf: Vector, previous: float) -> float:
     """Return the twist [rad] from edge e to edge f, on the branch nearest to `previous`."""
     carried = transport(m1e, te, tf)
