@@ -1,15 +1,83 @@
-"""Cloud: one coloured, labelled point cloud of the plant in the world frame. N points, M obstacle points."""
+"""Cloud: one coloured, labelled point cloud of the plant in the world frame. N points, M obstacle points.
+
+Masked depth is freed of flying pixels, the views are registered jointly (`registration.py`), fused in voxels, checked
+against what other views see, and reduced to the plant (`fusion.py`). What is not plant becomes coarse obstacles.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import small_gicp
 from numpy.typing import NDArray
 
-from anther.checks import check_array, check_transform
-from anther.geometry import Array
+import anther.registration
+from anther.capture import Capture, viewed_box
+from anther.checks import check_array, check_range, check_transform
+from anther.errors import StageFailure
+from anther.files import read_npz, write_npz
+from anther.fusion import (
+    ViewPoints,
+    agreeing_points,
+    attached_points,
+    fuse_voxels,
+    occupied_cells,
+    supported_pixels,
+)
+from anther.geometry import Array, Box, transform_points
+from anther.masks import BACKGROUND, Masks
+from anther.ply import read_ply, write_ply
+
+SCHEMA = 1
+
+Progress = Callable[[int, int], None]
+"""Called with the number of steps done and of all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How the views become one cloud.
+
+    Attributes:
+        voxel: spacing of the cloud [m].
+        edge_window: half-width of the window in which a pixel looks for support [px].
+        edge_support: least number of pixels at its depth in that window; 5 keeps a petiole one pixel wide, and drops
+            the flying pixels between it and what is behind.
+        edge_depth: how far the depth of a supporting pixel may differ at 0.5 m; it grows with z squared [m].
+        registration: see `registration.Params`; None keeps the arm's own poses.
+        seen_through: a view contradicts a point where it sees at least this far behind it [m].
+        gap: parts closer than this to the rest belong to it [m].
+        far_gap: large parts belong to the plant up to this distance [m] (a real plant's cloud has gaps of 5 cm).
+        far_share: least share of the plant's points that such a large part has.
+        normal_neighbours: number of points a normal is fitted to.
+        obstacle_voxel: spacing of the obstacle points [m].
+        least_points: with fewer points there is no plant.
+    """
+
+    voxel: float = 0.0015
+    edge_window: int = 2
+    edge_support: int = 5
+    edge_depth: float = 0.003
+    registration: anther.registration.Params | None = field(default_factory=anther.registration.Params)
+    seen_through: float = 0.02
+    gap: float = 0.012
+    far_gap: float = 0.05
+    far_share: float = 0.002
+    normal_neighbours: int = 20
+    obstacle_voxel: float = 0.01
+    least_points: int = 200
+
+    def __post_init__(self) -> None:
+        check_range("cloud voxel", self.voxel, 0.0002, 0.02, "m")
+        check_range("obstacle voxel", self.obstacle_voxel, 0.002, 0.1, "m")
+        check_range("gap", self.gap, self.voxel, 0.2, "m")
+        check_range("far gap", self.far_gap, self.gap, 0.5, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,3 +116,153 @@ class Cloud:
             object.__setattr__(
                 self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, len(self.T_world_cam))
             )
+
+    def save(self, path: Path | str) -> None:
+        """Write the points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
+        path = Path(path)
+        write_ply(path, self.points, normals=self.normals, colors=self.colors, labels=self.labels)
+        write_npz(
+            path.with_suffix(".npz"),
+            "cloud",
+            SCHEMA,
+            obstacles=self.obstacles,
+            T_world_cam=self.T_world_cam,
+            notes=json.dumps(self.notes),
+        )
+
+    @classmethod
+    def load(cls, path: Path | str) -> Cloud:
+        """Read what `save` wrote. A PLY without its .npz is read as well: no obstacles, poses or notes then.
+
+        Raises:
+            InputError: a file is missing, truncated or holds something else.
+        """
+        path = Path(path)
+        fields = read_ply(path)
+        if not path.with_suffix(".npz").exists():
+            return cls(**fields)
+        rest = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
+        return cls(
+            **fields,
+            obstacles=rest["obstacles"],
+            T_world_cam=rest.get("T_world_cam"),
+            notes=tuple(json.loads(str(rest["notes"]))),
+        )
+
+
+def fuse(
+    capture: Capture,
+    masks: Masks,
+    workspace: Box | None = None,
+    params: Params | None = None,
+    progress: Progress | None = None,
+) -> Cloud:
+    """Return one cloud of the plant from all views.
+
+    Args:
+        capture: the views.
+        masks: of the same views.
+        workspace: where the plant may stand, world frame [m]; None means `capture.viewed_box`.
+        params: see `Params`.
+        progress: called after each of five steps.
+
+    Raises:
+        StageFailure: `no_plant_found` when masks or depth leave too few points.
+        InputError: masks and capture differ in shape.
+    """
+    params = params or Params()
+    box = workspace or viewed_box(capture)
+    labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
+    report = _steps(progress, 5)
+    pixels = _in_threads(lambda v: _plant_pixels(capture, labels, v, params), capture.views)
+    _require(sum(len(p.points) for p in pixels), params, "pixels with depth within the masks")
+    report()
+    poses, notes = _registered(pixels, capture.T_world_cam, params)
+    report()
+    fused = fuse_voxels(pixels, poses, box, params.voxel)
+    _require(len(fused.points), params, "points within the workspace")
+    fused = fused.only(agreeing_points(fused.points, capture.depth, capture.intrinsics, poses, params.seen_through))
+    report()
+    fused = fused.only(attached_points(fused.points, params.gap, params.far_gap, params.far_share))
+    _require(len(fused.points), params, "points that hang together")
+    report()
+    obstacles = _background_cells(
+        capture, labels, poses, box, plant=fused.points, voxel=params.obstacle_voxel
+    )
+    report()
+    return Cloud(
+        fused.points,
+        _normals(fused.points, fused.towards_camera, params.normal_neighbours),
+        fused.colors if capture.rgb is not None else None,
+        fused.labels,
+        obstacles,
+        poses,
+        (*notes, *_unseen_views(pixels)),
+    )
+
+
+def _plant_pixels(capture: Capture, labels: NDArray[Any], view: int, params: Params) -> ViewPoints:
+    """Return one view's plant pixels as camera-frame points, flying pixels left out."""
+    depth = capture.depth[view]
+    keep = supported_pixels(
+        depth, labels[view] != BACKGROUND, params.edge_window, params.edge_support, params.edge_depth
+    )
+    rows = np.flatnonzero(keep)
+    colors = None if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
+    return ViewPoints(capture.intrinsics.back_project(depth, keep), labels[view].ravel()[rows], colors)
+
+
+def _registered(pixels: list[ViewPoints], given: Array, params: Params) -> tuple[Array, tuple[str, ...]]:
+    if params.registration is None:
+        return given, ()
+    result = anther.registration.register([p.points for p in pixels], given, params.registration)
+    return result.T_world_cam, result.notes
+
+
+def _background_cells(capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float) -> Array:
+    """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
+    points, views, step = [], [], 4
+    for v in range(capture.views):
+        depth = np.where(labels[v] == BACKGROUND, capture.depth[v], 0)
+        thin = np.zeros_like(depth)
+        thin[::step, ::step] = depth[::step, ::step]
+        world = transform_points(poses[v], capture.intrinsics.back_project(thin))
+        world = world[box.contains(world)]
+        points.append(world)
+        views.append(np.full(len(world), v))
+    return occupied_cells(np.concatenate(points), np.concatenate(views), plant, voxel)
+
+
+def _normals(points: Array, towards_camera: Array, neighbours: int) -> Array:
+    """Return unit normals, turned to the side the points were seen from."""
+    cloud = small_gicp.PointCloud(points)
+    small_gicp.estimate_normals(cloud, num_neighbors=neighbours, num_threads=2)
+    normals = cloud.normals()[:, :3].copy()
+    flip = np.einsum("ni,ni->n", normals, towards_camera) < 0
+    normals[flip] *= -1
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 0.5, normals / np.maximum(length, 1e-9), towards_camera)
+
+
+def _require(count: int, params: Params, what: str) -> None:
+    if count < params.least_points:
+        raise StageFailure(
+            "no_plant_found",
+            f"cloud: {count} {what}; at least {params.least_points} are needed. Check the masks, the depth images "
+            "and the workspace.",
+        )
+
+
+def _unseen_views(pixels: list[ViewPoints]) -> tuple[str, ...]:
+    empty = [str(v) for v, p in enumerate(pixels) if len(p.points) == 0]
+    return (f"views without any plant pixel: {', '.join(empty)}",) if empty else ()
+
+
+def _steps(progress: Progress | None, count: int) -> Callable[[], None]:
+    done = iter(range(1, count + 1))
+    return lambda: progress(next(done), count) if progress else None
+
+
+def _in_threads(work: Callable[[int], ViewPoints], views: int) -> list[ViewPoints]:
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        return list(pool.map(work, range(views)))

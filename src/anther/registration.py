@@ -96,7 +96,7 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
         pairs = _match(views, poses, distance, params, ~held_out)
         scale = max(params.point_sigma, distance / 3)
         for _ in range(2):
-            poses = _gauss_newton_step(views, poses, given, pairs, information, scale, params)
+            poses = _gauss_newton_step(views, poses, given, pairs, information=information, scale=scale, params=params)
     before, after = (_disagreement(views, T, params, held_out) for T in (given, poses))
     if not after < (1 - params.least_gain) * before:
         note = (
@@ -149,7 +149,7 @@ def _prior_information(views: int, params: Params) -> Array:
     own = np.repeat([params.rotation_sigma**2, params.translation_sigma**2], 3)
     common = np.repeat([params.hand_eye_rotation_sigma**2, params.hand_eye_translation_sigma**2], 3)
     covariance = np.kron(np.eye(views), np.diag(own)) + np.kron(np.ones((views, views)), np.diag(common))
-    return np.linalg.inv(covariance)
+    return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
 def _match(views: _Views, poses: Array, distance: float, params: Params, use: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -171,6 +171,7 @@ def _gauss_newton_step(
     poses: Array,
     given: Array,
     pairs: NDArray[Any],
+    *,
     information: Array,
     scale: float,
     params: Params,
@@ -200,20 +201,21 @@ def _accumulate(pairs, points, view, world, normals, poses, scale, hessian, grad
         for side in range(2):
             i = a if side == 0 else b
             sign = 1.0 if side == 0 else -1.0
-            m = sign * (poses[view[i], :3, :3].T @ n)
-            q = points[i]
-            J[side, 0] = q[1] * m[2] - q[2] * m[1]
-            J[side, 1] = q[2] * m[0] - q[0] * m[2]
-            J[side, 2] = q[0] * m[1] - q[1] * m[0]
-            J[side, 3:] = m
+            for c in range(3):
+                J[side, 3 + c] = 0.0
+                for e in range(3):
+                    J[side, 3 + c] += sign * poses[view[i], e, c] * n[e]
+            J[side, 0] = points[i, 1] * J[side, 5] - points[i, 2] * J[side, 4]
+            J[side, 1] = points[i, 2] * J[side, 3] - points[i, 0] * J[side, 5]
+            J[side, 2] = points[i, 0] * J[side, 4] - points[i, 1] * J[side, 3]
         for s in range(2):
             base = 6 * view[a if s == 0 else b]
             for k in range(6):
                 gradient[base + k] += w * r * J[s, k]
                 for t in range(2):
                     other = 6 * view[a if t == 0 else b]
-                    for l in range(6):
-                        hessian[base + k, other + l] += w * J[s, k] * J[t, l]
+                    for m in range(6):
+                        hessian[base + k, other + m] += w * J[s, k] * J[t, m]
 
 
 def _disagreement(views: _Views, poses: Array, params: Params, held_out: NDArray[np.bool_]) -> float:

@@ -1,0 +1,115 @@
+"""PLY files: writing ours, reading anybody's vertices. N points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.errors import InputError, bad_input
+from anther.files import existing, replacing
+from anther.geometry import Array
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_PROPERTIES = {"f8": "double", "f4": "float", "u1": "uchar"}
+_FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LONGEST_HEADER = 64_000
+
+
+def write_ply(
+    path: Path | str,
+    points: Array,
+    *,
+    normals: Array | None = None,
+    colors: NDArray[Any] | None = None,
+    labels: NDArray[Any] | None = None,
+) -> None:
+    """Write points as binary little-endian PLY, atomically.
+
+    Args:
+        path: file to write.
+        points: (N, 3), written as double x, y, z.
+        normals: (N, 3), as float nx, ny, nz.
+        colors: (N, 3) uint8, as uchar red, green, blue.
+        labels: (N,) uint8, as uchar label.
+    """
+    columns: list[tuple[tuple[str, ...], str, NDArray[Any] | None]] = [
+        (("x", "y", "z"), "f8", points),
+        (("nx", "ny", "nz"), "f4", normals),
+        (("red", "green", "blue"), "u1", colors),
+        (("label",), "u1", None if labels is None else labels[:, None]),
+    ]
+    given = [(names, kind, values) for names, kind, values in columns if values is not None]
+    dtype = np.dtype([(name, "<" + kind) for names, kind, _ in given for name in names])
+    table = np.zeros(len(points), dtype=dtype)
+    for names, _, values in given:
+        for axis, name in enumerate(names):
+            table[name] = values[:, axis]
+    properties = [f"property {_PROPERTIES[kind]} {name}" for names, kind, _ in given for name in names]
+    header = ["ply", "format binary_little_endian 1.0", "comment Anther cloud, metres, z up"]
+    header += [f"element vertex {len(points)}", *properties, "end_header", ""]
+    with replacing(path) as temporary:
+        temporary.write_bytes("\n".join(header).encode("ascii") + table.tobytes())
+
+
+def read_ply(path: Path | str) -> dict[str, Any]:
+    """Return a PLY's vertices: points (N, 3), and normals, colors, labels where it has them.
+
+    Raises:
+        InputError: the file is missing, truncated, or not a PLY with vertices x, y, z.
+    """
+    table = _vertices(existing(path))
+    names = table.dtype.names or ()
+
+    def columns(*wanted: str) -> NDArray[Any] | None:
+        return np.stack([table[n] for n in wanted], axis=1) if all(n in names for n in wanted) else None
+
+    points, colors = columns("x", "y", "z"), columns("red", "green", "blue")
+    if points is None:
+        raise bad_input(str(path), given=f"vertex properties {names}", allowed="x, y, z and others", do="Export again.")
+    return {
+        "points": points.astype(np.float64),
+        "normals": columns("nx", "ny", "nz"),
+        "colors": None if colors is None or colors.dtype != np.uint8 else colors,
+        "labels": table["label"].astype(np.uint8) if "label" in names else None,
+    }
+
+
+def _vertices(path: Path) -> NDArray[Any]:
+    data = path.read_bytes()
+    end = data.find(b"end_header", 0, _LONGEST_HEADER)
+    if not data.startswith(b"ply") or end < 0:
+        raise bad_input(str(path), given="a file without a PLY header", allowed="a PLY file", do="Is it truncated?")
+    body = data.find(b"\n", end) + 1
+    try:
+        count, dtype, order = _header(data[:end].decode("ascii", "replace").split("\n"))
+        if order == "":
+            rows = np.loadtxt(data[body:].decode("ascii").splitlines()[:count], ndmin=2)
+            return np.array([tuple(row) for row in rows], dtype=dtype)
+        return np.frombuffer(data, dtype=dtype, count=count, offset=body)
+    except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise bad_input(
+            str(path), given=f"an unreadable PLY ({error})", allowed="vertices as the first element, scalar properties",
+            do="Is it truncated? Export it again.",
+        ) from error  # fmt: skip
+
+
+def _header(lines: list[str]) -> tuple[int, np.dtype[Any], str]:
+    """Return vertex count, row dtype and byte order ("" for ascii) of a header whose first element is the vertices."""
+    words = [line.split() for line in lines]
+    order = _FORMATS[next(w[1] for w in words if w[:1] == ["format"])]
+    elements = [i for i, w in enumerate(words) if w[:1] == ["element"]]
+    if not elements or words[elements[0]][1] != "vertex":
+        raise ValueError("its first element is not 'vertex'")
+    stop = elements[1] if len(elements) > 1 else len(words)
+    properties = [w for w in words[elements[0] : stop] if w[:1] == ["property"]]
+    fields = [(w[2], (order or "<") + _TYPES[w[1]]) for w in properties]
+    return int(words[elements[0]][2]), np.dtype(fields), order
