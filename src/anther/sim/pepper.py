@@ -40,8 +40,9 @@ def grow_pepper(
     """
     rng = np.random.default_rng([seed, 2])
     growth = Growth(rng, youngs=draw_youngs(rng), density=1000.0)
-    leaves, height = int(rng.integers(7, 13)), rng.uniform(0.3, 0.55)
-    fork, base = height * rng.uniform(0.48, 0.58), rng.uniform(0.004, 0.006)
+    leaves, tallness = int(rng.integers(7, 13)), rng.uniform()
+    height, base = 0.3 + 0.25 * tallness, 0.004 + 0.002 * (0.6 * tallness + 0.4 * rng.uniform())
+    fork = height * rng.uniform(0.48, 0.58)
     stem = _grow_stem(growth, leaves, fork, base)
     azimuth = rng.uniform(0, 2 * np.pi)
     for node in range(leaves):

@@ -74,7 +74,8 @@ def _leaf_length(rng: np.random.Generator, node: int, internodes: int) -> float:
 def _grow_stem(growth: Growth, internodes: int) -> list[int]:
     """Two segments an internode, slight lean, bend and zigzag at the nodes."""
     rng = growth.rng
-    height, base = rng.uniform(0.5, 0.75), rng.uniform(0.004, 0.006)
+    tallness = rng.uniform()
+    height, base = 0.5 + 0.25 * tallness, 0.004 + 0.002 * (0.6 * tallness + 0.4 * rng.uniform())
     young = np.clip((internodes - np.arange(internodes)) / 3.5, 0.3, 1)
     lengths = np.repeat(rng.uniform(0.8, 1.2, internodes) * young, 2)
     t = np.concatenate([[0], np.cumsum(lengths)]) / lengths.sum()
