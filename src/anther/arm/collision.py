@@ -1,0 +1,172 @@
+"""What the arm must not touch: itself, the plant, and pot, soil, bench and floor. N plant points, M obstacle points."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+from roboplan.core import Box as SceneBox
+from roboplan.core import OcTree, Scene, hasCollisionsAlongPath, loadUrdfSceneDescriptionFromXml
+from scipy.spatial.transform import Rotation
+
+from anther.arm import sawyer
+from anther.arm.sawyer import Capsule, Solid
+from anther.geometry import Array, Box, transform
+
+GROUP = "arm"
+VOXEL = 0.008  # m, edge of the octree's cubes (facts: libraries, pin + coal: 20 us a check)
+ARM_MARGIN = 0.01  # m added around every arm link; the gripper has its true size
+FREE_STEP = 0.0015  # rad, spacing of the last check along a path (facts: libraries, gotchas)
+GRIPPER, CAMERA = "gripper", "camera"
+
+# Links so near each other in the chain that they cannot collide, or that always overlap by their shapes
+# (facts: sawyer 1e and 7, after sawyer_moveit's SRDF).
+_NEIGHBOURS = (
+    *((f"right_l{i}", f"right_l{i + 1}") for i in range(6)),
+    *((f"right_l{i}", f"right_l{i + 2}") for i in range(5)),
+    ("base", "right_l0"),
+    ("base", "right_l1"),
+    ("base", "head"),
+    ("head", "right_l0"),
+    ("head", "right_l1"),
+    ("head", "right_l2"),
+    ("right_l0", "right_l3"),
+    ("right_l1", "right_l4"),
+    *((f"right_l{i}", tool) for i in (3, 4, 5, 6) for tool in (GRIPPER, CAMERA)),
+    (GRIPPER, CAMERA),
+)
+
+
+class CollisionWorld:
+    """The arm among obstacles; answers whether joints, or the straight way between two, are free.
+
+    Args:
+        plant: (N, 3) plant points, world [m].
+        obstacles: (M, 3) points of pot, soil and bench [m].
+        boxes: solid boxes, world; the floor is always there.
+    """
+
+    def __init__(self, plant: Array, obstacles: Array, boxes: Iterable[Box] = ()) -> None:
+        self.scene = Scene("anther", loadUrdfSceneDescriptionFromXml(urdf()))
+        self.scene.addGroup(GROUP, list(sawyer.JOINTS))
+        self.scene.setCollisions(_NEIGHBOURS, False)
+        self._still = ["base"]
+        self.has_plant = self._add_points("plant", plant)
+        self._add_points("obstacles", obstacles)
+        floor = Box(np.array([-3.0, -3.0, sawyer.FLOOR_Z - 0.1]), np.array([3.0, 3.0, sawyer.FLOOR_Z]))
+        for i, box in enumerate((floor, *boxes)):
+            self._add_box(f"box{i}", box)
+
+    def free(self, q: Array) -> bool:
+        """Return whether joints (7,) are within limits and touch nothing."""
+        inside = bool(np.all((q >= sawyer.LOWER) & (q <= sawyer.UPPER)))
+        return inside and not self.scene.hasCollisions(q)
+
+    def path_free(self, path: Array) -> bool:
+        """Return whether joints (N, 7), and the straight ways between them, are free at steps of `FREE_STEP`."""
+        return self.free(path[0]) and not any(
+            hasCollisionsAlongPath(self.scene, a, b, FREE_STEP, bisection=True)
+            for a, b in zip(path, path[1:], strict=False)
+        )
+
+    @contextmanager
+    def touching_plant(self) -> Iterator[None]:
+        """Let gripper and camera touch the plant within the block, as they do when they take it or brush a leaf."""
+        self._let_touch_plant(True)
+        try:
+            yield
+        finally:
+            self._let_touch_plant(False)
+
+    def _let_touch_plant(self, allowed: bool) -> None:
+        if self.has_plant:
+            self.scene.setCollisions([("plant", tool) for tool in (GRIPPER, CAMERA, "right_l6")], not allowed)
+
+    def _add_points(self, name: str, points: Array) -> bool:
+        if len(points) == 0:
+            return False
+        centers = VOXEL * (np.unique(np.floor(np.asarray(points) / VOXEL), axis=0) + 0.5)
+        rows = np.column_stack(
+            [centers, np.full(len(centers), VOXEL), np.ones(len(centers)), np.full(len(centers), 0.5)]
+        )
+        self.scene.addOcTreeGeometry(name, "universe", OcTree(list(rows), VOXEL), _pose(np.zeros(3)), _GREY)
+        self._stands_still(name)
+        return True
+
+    def _add_box(self, name: str, box: Box) -> None:
+        x, y, z = box.upper - box.lower
+        self.scene.addBoxGeometry(name, "universe", SceneBox(x, y, z), _pose((box.lower + box.upper) / 2), _GREY)
+        self._stands_still(name)
+
+    def _stands_still(self, name: str) -> None:
+        self.scene.setCollisions([(name, other) for other in self._still], False)
+        self._still.append(name)
+
+
+_GREY = np.array([0.5, 0.5, 0.5, 1.0])
+
+
+def _pose(center: Array) -> Array:
+    return np.asfortranarray(transform(np.eye(3), center))
+
+
+def urdf() -> str:
+    """Return the Sawyer with gripper, open fingers and wrist camera as URDF, every link with its collision shape."""
+    links = [_link("base", sawyer.BASE_CAPSULES, sawyer.BASE_SOLIDS)]
+    joints = []
+    parents = ("base", *(link.name for link in sawyer.LINKS))
+    for i, (parent, link) in enumerate(zip(parents, sawyer.LINKS, strict=False)):
+        links.append(_link(link.name, link.capsules, (), ARM_MARGIN))
+        joints.append(
+            f'<joint name="{sawyer.JOINTS[i]}" type="revolute"><parent link="{parent}"/><child link="{link.name}"/>'
+            f'{_origin(link.xyz, link.rpy)}<axis xyz="0 0 1"/>'
+            f'<limit lower="{sawyer.LOWER[i]}" upper="{sawyer.UPPER[i]}" velocity="{sawyer.VELOCITY[i]}"'
+            f' effort="{sawyer.EFFORT[i]}" acceleration="{sawyer.ACCELERATION[i]}"/>'
+            "</joint>"
+        )
+    flange_rpy = Rotation.from_matrix(sawyer.T_L6_FLANGE[:3, :3]).as_euler("xyz")
+    open_gripper = (sawyer.GRIPPER_BODY, *sawyer.finger_solids(sawyer.STROKE))
+    links += [
+        _link("head", sawyer.HEAD_CAPSULES, sawyer.HEAD_SOLIDS),
+        _link("right_hand", (), ()),
+        _link(GRIPPER, (), open_gripper),
+        _link(CAMERA, (), sawyer.CAMERA_SOLIDS),
+    ]
+    joints += [
+        _fixed("head_mount", "right_l0", "head", _origin(sawyer.HEAD_XYZ, (0, 0, 0))),
+        _fixed("flange_mount", "right_l6", "right_hand", _origin(sawyer.T_L6_FLANGE[:3, 3], flange_rpy)),
+        _fixed("gripper_mount", "right_hand", GRIPPER, ""),
+        _fixed("camera_mount", "right_hand", CAMERA, ""),
+    ]
+    return f'<robot name="sawyer" version="1.2">{"".join(links)}{"".join(joints)}</robot>'
+
+
+def _link(name: str, capsules: Sequence[Capsule], solids: Sequence[Solid], margin: float = 0.0) -> str:
+    shapes = [shape for capsule in capsules for shape in _capsule(capsule, margin)]
+    shapes += [(_origin(s.center, (0, 0, 0)), f'<box size="{_numbers(2 * np.array(s.half))}"/>') for s in solids]
+    parts = "".join(f"<collision>{origin}<geometry>{shape}</geometry></collision>" for origin, shape in shapes)
+    return f'<link name="{name}">{parts}</link>'
+
+
+def _capsule(capsule: Capsule, margin: float) -> list[tuple[str, str]]:
+    """URDF knows no capsule: a cylinder and a sphere at each end."""
+    start, end, radius = np.array(capsule.start), np.array(capsule.end), capsule.radius + margin
+    length = float(np.linalg.norm(end - start))
+    turn = Rotation.align_vectors([(end - start) / length], [[0, 0, 1]])[0]
+    cylinder = f'<cylinder radius="{radius}" length="{length}"/>'
+    ball = f'<sphere radius="{radius}"/>'
+    spheres = [(_origin(p, (0, 0, 0)), ball) for p in (start, end)]
+    return [(_origin((start + end) / 2, turn.as_euler("xyz")), cylinder), *spheres]
+
+
+def _fixed(name: str, parent: str, child: str, origin: str) -> str:
+    return f'<joint name="{name}" type="fixed"><parent link="{parent}"/><child link="{child}"/>{origin}</joint>'
+
+
+def _origin(xyz: Iterable[float], rpy: Iterable[float]) -> str:
+    return f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/>'
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(repr(float(v)) for v in values)

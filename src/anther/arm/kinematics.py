@@ -1,0 +1,140 @@
+"""Inverse kinematics of the Sawyer: all useful branches, and joint paths that follow the flange.
+
+B branches, K seeds, N poses.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import qmc
+
+from anther.arm import sawyer
+from anther.checks import check_transform
+from anther.geometry import Array
+
+LIMIT_MARGIN = 0.05  # rad kept free at both ends of every joint's range
+SAME = 0.25  # rad, solutions closer than this in every joint count as one branch
+SHOULDER = np.array([0.0, 0.0, 0.317])
+REACH = 1.13  # m, farthest flange from the shoulder (facts: sawyer 2)
+
+
+def inverse(T_world_flange: ArrayLike, *, near: ArrayLike | None = None, seeds: int = 48) -> Array:
+    """Return joint solutions (B, 7) [rad] of one flange pose, B = 0 when it is out of reach.
+
+    Damped Newton steps (Levenberg-Marquardt) from many seeds at once: those of a fixed table of arm postures whose
+    flange is nearest to the pose. With seven joints the solutions form curves (the elbow turns); they are sampled,
+    `SAME` apart, and right_j6 is tried a full turn either way.
+
+    Args:
+        T_world_flange: (4, 4).
+        near: (7,) joints; solutions come ordered by distance from them. None orders by room to the joint limits.
+        seeds: how many postures to start from.
+    """
+    target = check_transform("flange pose", T_world_flange)
+    if np.linalg.norm(target[:3, 3] - SHOULDER) > REACH:
+        return np.zeros((0, 7))
+    start = _nearest_postures(target, seeds)
+    origin = None if near is None else np.asarray(near, dtype=np.float64)
+    if origin is not None:
+        start = np.concatenate([origin[None], start])
+    q = _turned(_solve(target, start, iterations=25))
+    q = q[np.all((q >= sawyer.LOWER + LIMIT_MARGIN) & (q <= sawyer.UPPER - LIMIT_MARGIN), axis=1)]
+    cost = -limit_room(q) if origin is None else np.abs(q - origin).max(axis=1)
+    return _distinct(q[np.argsort(cost, kind="stable")])
+
+
+def limit_room(q: Array) -> Array:
+    """Return (...,) the smallest distance of any joint from its limits, as a share of half its range."""
+    half = (sawyer.UPPER - sawyer.LOWER) / 2
+    return 1 - np.max(np.abs(q - (sawyer.LOWER + half)) / half, axis=-1)
+
+
+def pose_error(poses: Array, target: Array) -> Array:
+    """Return (..., 6) translation [m] and rotation vector [rad], in the base frame, from `poses` to `target`."""
+    relative = target[..., :3, :3] @ np.swapaxes(poses[..., :3, :3], -1, -2)
+    skew = np.stack([relative[..., i, j] - relative[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1) / 2
+    sine = np.linalg.norm(skew, axis=-1)
+    angle = np.arctan2(sine, (np.trace(relative, axis1=-2, axis2=-1) - 1) / 2)
+    factor = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)
+    return np.concatenate([target[..., :3, 3] - poses[..., :3, 3], skew * factor[..., None]], axis=-1)
+
+
+def follow(q: Array, targets: Array) -> Array:
+    """Return joints (B, N, 7) that carry the flange from branches q (B, 7) through poses (N, 4, 4), or NaN where lost.
+
+    Each step is the smallest joint motion; a branch is lost when the pose cannot be met to 1e-7 m and rad.
+    """
+    path = np.empty((len(q), len(targets), 7))
+    now = np.array(q, dtype=np.float64)
+    for n, target in enumerate(targets):
+        now, missed = _meet(now, target)
+        outside = np.any((now < sawyer.LOWER) | (now > sawyer.UPPER), axis=-1)
+        now = np.where((missed | outside)[:, None], np.nan, now)
+        path[:, n] = now
+    return path
+
+
+def _meet(q: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return joints (B, 7) near q whose flange is at the pose, and which of them (B,) miss it."""
+    step, error = _newton_step(q, target, damping=1e-8)
+    for _ in range(6):
+        if np.all(np.abs(error) < 1e-7):
+            break
+        q = q + step
+        step, error = _newton_step(q, target, damping=1e-8)
+    return q, ~np.all(np.abs(error) < 1e-7, axis=-1)
+
+
+def _solve(target: Array, q: Array, *, iterations: int) -> Array:
+    """Return the seeds (K, 7) that converged on `target`."""
+    solved = []
+    for k in range(iterations):
+        step, error = _newton_step(q, target, damping=1e-6 if k > 6 else 1e-3)
+        done = np.abs(error).max(axis=1) < 1e-7
+        solved.append(q[done])
+        q = q[~done] + np.clip(step[~done], -0.5, 0.5)
+        q = np.clip(q, sawyer.LOWER, sawyer.UPPER)
+        if len(q) == 0:
+            break
+    return np.concatenate(solved)
+
+
+def _newton_step(q: Array, target: Array, *, damping: float) -> tuple[Array, Array]:
+    """Return the damped joint steps (K, 7) towards `target`, and the pose errors (K, 6) before them."""
+    poses = sawyer.link_poses(q)
+    error = pose_error(poses[..., 7, :, :], target)
+    J = sawyer.jacobian_of(poses)
+    J_t = np.swapaxes(J, -1, -2)
+    return (J_t @ np.linalg.solve(J @ J_t + damping * np.eye(6), error[..., None]))[..., 0], error
+
+
+@cache
+def _postures() -> tuple[Array, Array]:
+    """Return a fixed table of joints (4096, 7) within limits and the flange poses (4096, 4, 4) they give."""
+    q = qmc.scale(qmc.Sobol(7, scramble=False).random_base2(12), sawyer.LOWER, sawyer.UPPER)
+    return q, sawyer.forward(q)
+
+
+def _nearest_postures(target: Array, count: int) -> Array:
+    q, poses = _postures()
+    turn = np.trace(np.swapaxes(poses[:, :3, :3], 1, 2) @ target[:3, :3], axis1=1, axis2=2)
+    distance = np.linalg.norm(poses[:, :3, 3] - target[:3, 3], axis=1) + 0.15 * (3 - turn)
+    return q[np.argpartition(distance, count)[:count]]
+
+
+def _turned(q: Array) -> Array:
+    """Return the solutions with right_j6, which turns more than once, also a full turn either way."""
+    turn = np.zeros(7)
+    turn[6] = 2 * np.pi
+    return np.concatenate([q, q + turn, q - turn])
+
+
+def _distinct(q: Array) -> Array:
+    kept: list[Array] = []
+    for candidate in q:
+        if all(np.abs(candidate - other).max() > SAME for other in kept):
+            kept.append(candidate)
+    return np.array(kept).reshape(-1, 7)

@@ -1,0 +1,227 @@
+"""Planner: what Sawyer can reach among obstacles, and how it moves there. B branches, N points, Q frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from roboplan.core import JointConfiguration, PathShortcutter, PathShortcuttingOptions
+from roboplan.rrt import RRT, RRTOptions
+from scipy.spatial.transform import Rotation, Slerp
+
+from anther.arm import kinematics, sawyer, shaking, timing
+from anther.arm.collision import GROUP, CollisionWorld
+from anther.checks import check_array, check_range, check_transform
+from anther.devices import JointTrajectory
+from anther.errors import StageFailure
+from anther.geometry import Array, Box, transform
+
+SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
+SHAKE_CAP = 0.02  # m, beyond which the local limit means little
+REACH_STEP = 0.01  # m between the poses checked on a way in
+SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How the arm moves.
+
+    Attributes:
+        velocity_share, acceleration_share: of the joints' limits in free motion; the defaults are about sawyer_moveit's
+            "medium" (facts: sawyer 1).
+        approach_speed: of the flange along straight lines [m/s].
+        line_step: spacing of the poses along a straight line [m].
+        back_out: how far the gripper draws back out of leaves before it moves freely [m].
+        search_time: for a path around obstacles [s].
+        seed: of that search.
+    """
+
+    velocity_share: float = 0.5
+    acceleration_share: float = 0.35
+    approach_speed: float = 0.05
+    line_step: float = 0.003
+    back_out: float = 0.3
+    search_time: float = 2.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_range("velocity share", self.velocity_share, 0.01, 1)
+        check_range("acceleration share", self.acceleration_share, 0.01, 1)
+        check_range("approach speed", self.approach_speed, 0.001, 0.5, "m/s")
+
+
+class Planner:
+    """Plans for one arrangement of obstacles.
+
+    Args:
+        plant: (N, 3) plant points, world [m]. The arm never touches them; gripper and camera may on straight lines.
+        obstacles: (M, 3) points of pot, soil and bench [m]. Nothing ever touches them.
+        boxes: solid boxes, such as the bench; the floor is always there.
+        params: see `Params`.
+    """
+
+    def __init__(
+        self, plant: ArrayLike, obstacles: ArrayLike, boxes: Sequence[Box] = (), *, params: Params = Params()
+    ) -> None:
+        self.params = params
+        points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
+        self.world = CollisionWorld(*points, boxes)
+
+    def inverse(self, T_world_flange: ArrayLike, *, near: ArrayLike | None = None) -> Array:
+        """Return the collision-free joint solutions (B, 7) of a flange pose, those nearest to `near` (7,) first."""
+        branches = kinematics.inverse(T_world_flange, near=near)
+        return branches[[self.world.free(q) for q in branches]] if len(branches) else branches
+
+    def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
+        """Return joints (7,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
+
+        On that way gripper and camera may touch the plant (grasp planning has judged that), the arm may not. Of several
+        branches the one that can shake hardest, in its worst direction, is returned. Satisfies `grasp.Reach`.
+        """
+        branches = kinematics.inverse(check_transform("grasp", T_world_grasp))
+        poses = _poses_between(T_world_grasp, check_transform("pre-grasp", T_world_pregrasp), REACH_STEP)
+        with self.world.touching_plant():
+            free = branches[[self.world.free(q) for q in branches]] if len(branches) else branches
+            for q in free[np.argsort(-_shake_rank(free))][:5]:
+                path = kinematics.follow(q[None], poses)[0]
+                if np.isfinite(path).all() and self.world.path_free(path):
+                    return q
+        return None
+
+    def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
+        """Return a free motion between two joint vectors (7,).
+
+        The straight joint line if it is free, else RRT-Connect, shortcut, checked again finely, timed by TOPP-RA. Where
+        gripper or camera touch the plant at an end, the arm first draws back along the approach axis, or enters by it.
+
+        Raises:
+            StageFailure: "collision" (an end is not free) or "unreachable" (no path found).
+        """
+        start, leave = self._backed_out(check_array("start joints", q_from, (7,)))
+        goal, enter = self._backed_out(check_array("goal joints", q_to, (7,)))
+        parts = [] if leave is None else [leave]
+        if np.abs(goal - start).max() > 1e-9 or (leave is None and enter is None):
+            parts.append(self._free_motion(start, goal))
+        return timing.joined(parts if enter is None else [*parts, _reversed(enter)])
+
+    def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
+        """Return a slow straight motion of the flange to a pose; gripper and camera may touch the plant.
+
+        Args:
+            q_from: start [rad].
+            T_world_to: (4, 4) flange pose at the end.
+            speed: of the flange [m/s]; None takes `Params.approach_speed`.
+
+        Raises:
+            StageFailure: "unreachable" (the arm cannot follow the line) or "collision".
+        """
+        q = check_array("start joints", q_from, (7,))
+        target = check_transform("flange pose", T_world_to)
+        here = sawyer.forward(q)
+        path = kinematics.follow(q[None], _poses_between(here, target, self.params.line_step))[0]
+        if not np.isfinite(path).all():
+            raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
+        with self.world.touching_plant():
+            if not self.world.path_free(path):
+                raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
+        length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _angle(here, target)
+        return timing.along_line(path, max(float(length), 1e-4), speed or self.params.approach_speed)
+
+    def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
+        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,): `SHAKE_SHARE` of the local limits."""
+        q = check_array("joints", q, (7,))
+        return np.minimum(SHAKE_SHARE * shaking.amplitude_limit(q, direction, frequencies), SHAKE_CAP)
+
+    def shake(
+        self, q: ArrayLike, direction: ArrayLike, amplitude: float, frequency: float, duration: float
+    ) -> JointTrajectory:
+        """Return a sinusoidal motion of the flange about joints (7,); see `shaking.shake_trajectory`.
+
+        Raises:
+            InputError: a number out of range.
+            StageFailure: "limits_exceeded", "unreachable" or "collision".
+        """
+        q = check_array("joints", q, (7,))
+        motion = shaking.shake_trajectory(q, direction, amplitude=amplitude, frequency=frequency, duration=duration)
+        extremes = motion.positions[np.unique(np.concatenate([motion.positions.argmin(0), motion.positions.argmax(0)]))]
+        with self.world.touching_plant():
+            if not all(self.world.free(x) for x in extremes):
+                raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
+        return motion
+
+    def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
+        path = np.stack([start, goal])
+        if not self.world.path_free(path):
+            path = self._path_around(start, goal)
+        p = self.params
+        for way in timing.WAYS if len(path) > 2 else timing.WAYS[:1]:
+            motion = timing.fastest(self.world.scene, path, p.velocity_share, p.acceleration_share, way)
+            sound = timing.limit_share(motion) <= 1.05 * max(p.velocity_share, p.acceleration_share)
+            if sound and (len(path) == 2 or self.world.path_free(motion.positions[::4])):
+                return motion
+        raise StageFailure("limits_exceeded", "a path was found but cannot be timed within the joint limits.")
+
+    def _path_around(self, start: Array, goal: Array) -> Array:
+        """Return waypoints (N, 7) found by RRT-Connect, shortcut where that survives the fine check."""
+        names, scene, seed = list(sawyer.JOINTS), self.world.scene, self.params.seed
+        for attempt in range(3):
+            step = SEARCH_STEP / 2**attempt
+            options = RRTOptions(
+                group_name=GROUP,
+                rrt_connect=True,
+                max_nodes=20_000,
+                collision_check_step_size=step,
+                max_planning_time=self.params.search_time,
+            )
+            rrt = RRT(scene, options)
+            rrt.setRngSeed(seed + attempt)
+            try:
+                found = rrt.plan(JointConfiguration(names, start), JointConfiguration(names, goal))
+            except RuntimeError:
+                continue
+            cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
+            for path in (PathShortcutter(scene, cut).shortcut(found), found):
+                waypoints = np.array(path.positions)
+                if self.world.path_free(waypoints):
+                    return waypoints
+        raise StageFailure("unreachable", f"no free path found in {3 * self.params.search_time:g} s. Move the plant.")
+
+    def _backed_out(self, q: Array) -> tuple[Array, JointTrajectory | None]:
+        """Return free joints straight back along the approach axis and the way there; None if q is free."""
+        if self.world.free(q):
+            return q, None
+        here = sawyer.forward(q)
+        behind = here @ transform(np.eye(3), [0, 0, -self.params.back_out])
+        path = kinematics.follow(q[None], _poses_between(here, behind, self.params.line_step))[0]
+        for i in range(len(path)):
+            with self.world.touching_plant():
+                if not (np.isfinite(path[i]).all() and self.world.free(path[i])):
+                    break
+            if i >= 8 and self.world.free(path[i]):
+                return path[i], timing.along_line(path[: i + 1], i * self.params.line_step, self.params.approach_speed)
+        raise StageFailure("collision", f"the flange at {here[:3, 3].round(3)} m is not free, nor straight behind it.")
+
+
+def _poses_between(start: Array, end: Array, step: float) -> Array:
+    """Return poses (N, 4, 4) evenly on the straight line between two, both included, about `step` [m] apart, N >= 9."""
+    length = np.linalg.norm(end[:3, 3] - start[:3, 3])
+    t = np.linspace(0, 1, max(int(np.ceil(length / step - 1e-6)), int(_angle(start, end) / 0.02), 8) + 1)
+    poses = np.tile(np.eye(4), (len(t), 1, 1))
+    poses[:, :3, :3] = Slerp([0, 1], Rotation.from_matrix([start[:3, :3], end[:3, :3]]))(t).as_matrix()
+    poses[:, :3, 3] = start[:3, 3] + t[:, None] * (end[:3, 3] - start[:3, 3])
+    return poses
+
+
+def _shake_rank(branches: Array) -> Array:
+    """Return (B,) the amplitude at 10 Hz in the worst of the three world directions [m]."""
+    return np.min([shaking.amplitude_limit(branches, axis, [10.0])[:, 0] for axis in np.eye(3)], axis=0)
+
+
+def _angle(a: Array, b: Array) -> float:
+    return float(np.linalg.norm(kinematics.pose_error(a, b)[3:]))
+
+
+def _reversed(motion: JointTrajectory) -> JointTrajectory:
+    return JointTrajectory(motion.duration - motion.times[::-1], motion.positions[::-1], -motion.velocities[::-1])

@@ -1,0 +1,170 @@
+"""How hard Sawyer can shake, and the joint motion of a shake. Q frequencies, D displacements along the shake."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+
+from anther.arm import kinematics, sawyer
+from anther.checks import check_array, check_range
+from anther.devices import JointTrajectory
+from anther.errors import StageFailure, bad_input
+from anther.geometry import Array
+
+RAMP_PERIODS = 3  # the amplitude rises and falls within this many periods; our choice
+_PAIRS = np.triu_indices(7, 1)
+
+
+def unit(direction: ArrayLike) -> Array:
+    """Return `direction` (3,) with length 1.
+
+    Raises:
+        InputError: wrong shape, not finite or zero.
+    """
+    ray = check_array("shake direction", direction, (3,))
+    size = float(np.linalg.norm(ray))
+    if size < 1e-9:
+        raise bad_input("shake direction", given="a zero vector", allowed="any other", do="Give x, y, z.")
+    return ray / size
+
+
+def amplitude_limit(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
+    """Return the largest amplitude [m] of a sinusoid of the flange, orientation held, within the joints' limits.
+
+    A flange sinusoid of amplitude A moves joint i with A omega |dq_i/ds| and A omega^2 |dq_i/ds| at most. Among the
+    joint motions that carry the flange along `direction` (one free parameter: the elbow) the one with the smallest
+    worst joint counts. Torques are not looked at.
+
+    Args:
+        q: (..., 7) joints [rad].
+        direction: (3,) of the shake, world.
+        frequencies: (Q,) [Hz].
+
+    Returns:
+        (..., Q) amplitudes [m].
+    """
+    omega = 2 * np.pi * check_array("shake frequencies", np.atleast_1d(np.asarray(frequencies)), (None,))
+    load = [_slowest_motion(q, unit(direction), _weights(w))[1] for w in omega]
+    return 1 / np.stack(load, axis=-1)
+
+
+def shake_trajectory(
+    q: ArrayLike, direction: ArrayLike, *, amplitude: float, frequency: float, duration: float, rate: float = 500.0
+) -> JointTrajectory:
+    """Return the joint motion that moves the flange sinusoidally along a straight line, its orientation held.
+
+    d(t) = A e(t) sin(2 pi f t), with e rising smoothly from 0 to 1 and falling back within `RAMP_PERIODS` periods at
+    the ends. The joints are found as a function of d once, so every period is the same and nothing drifts.
+
+    Args:
+        q: (7,) joints at rest [rad].
+        direction: (3,) of the shake, world.
+        amplitude: A [m].
+        frequency: f [Hz].
+        duration: of the whole motion, ramps included [s].
+        rate: samples per second; raised to 40 per period if that is more.
+
+    Raises:
+        InputError: a number out of range.
+        StageFailure: "limits_exceeded" or "unreachable".
+    """
+    check_range("shake amplitude", amplitude, 1e-6, 0.2, "m")
+    check_range("shake frequency", frequency, 0.1, 50, "Hz")
+    check_range("shake duration", duration, 2 / frequency, 60, "s")
+    times = np.linspace(0, duration, int(np.ceil(duration * max(rate, 40 * frequency))) + 1)
+    d, d_rate = _displacement(times, amplitude, frequency, duration)
+    path = _joints_along(np.asarray(q, dtype=np.float64), unit(direction), amplitude, frequency)
+    velocities = path(d, 1) * d_rate[:, None]
+    trajectory = JointTrajectory(times, path(d), velocities)
+    _check_limits(trajectory, np.asarray(q), direction, amplitude, frequency)
+    return trajectory
+
+
+def _displacement(times: Array, amplitude: float, frequency: float, duration: float) -> tuple[Array, Array]:
+    """Return displacement [m] and its rate [m/s]."""
+    ramp = min(RAMP_PERIODS / frequency, duration / 2)
+    x = np.clip(np.minimum(times, duration - times) / ramp, 0, 1)
+    side = np.where(times < duration / 2, 1, -1) / ramp
+    envelope, slope = x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2 * side
+    omega = 2 * np.pi * frequency
+    sine, cosine = np.sin(omega * times), np.cos(omega * times)
+    return amplitude * envelope * sine, amplitude * (slope * sine + envelope * omega * cosine)
+
+
+def _joints_along(q: Array, direction: Array, amplitude: float, frequency: float) -> CubicSpline:
+    """Return the joints as a function of the displacement [m] from -A to A."""
+    count = max(4, int(np.ceil(amplitude / 5e-4)))
+    d = np.linspace(0, 1.02 * amplitude, count + 1)
+    rest, elbow = sawyer.forward(q), float(_slowest_motion(q, direction, _weights(2 * np.pi * frequency))[2])
+    sides = []
+    for sign in (1, -1):
+        targets = np.repeat(rest[None], len(d), axis=0)
+        targets[:, :3, 3] += sign * d[:, None] * direction
+        sides.append(_follow_with_elbow(q, targets, sign * direction, elbow * sign, d[1]))
+    joints = np.concatenate([sides[1][:0:-1], sides[0]])
+    if not np.isfinite(joints).all():
+        raise StageFailure(
+            "unreachable", f"the arm cannot follow a shake of {1e3 * amplitude:.1f} mm along {direction}."
+        )
+    return CubicSpline(np.concatenate([-d[:0:-1], d]), joints)
+
+
+def _follow_with_elbow(q: Array, targets: Array, direction: Array, elbow: float, step: float) -> Array:
+    """Return joints (D, 7) through the targets, moving the elbow at a constant share `elbow` of the null motion."""
+    path, null = [q], _particular_and_null(q, direction)[1]
+    for target in targets[1:]:
+        particular, new_null = _particular_and_null(path[-1], direction)
+        null = new_null * np.sign(new_null @ null)
+        guess = path[-1] + step * (particular + elbow * null)
+        path.append(kinematics.follow(guess[None], target[None])[0, 0])
+        if not np.isfinite(path[-1]).all():
+            return np.full((len(targets), 7), np.nan)
+    return np.array(path)
+
+
+def _weights(omega: float) -> Array:
+    """Return (7,) what a joint rate of 1 rad/m costs at angular frequency omega, in shares of its limits per metre."""
+    return np.maximum(omega / sawyer.VELOCITY, omega**2 / sawyer.ACCELERATION)
+
+
+def _particular_and_null(q: ArrayLike, direction: Array) -> tuple[Array, Array]:
+    """Return the least joint rates (..., 7) per metre along `direction`, and unit rates that leave the flange still.
+
+    The sign of the second is fixed by its largest component.
+    """
+    J = sawyer.jacobian(q)
+    particular = (np.linalg.pinv(J) @ np.concatenate([direction, np.zeros(3)])[:, None])[..., 0]
+    null = np.linalg.svd(J)[2][..., 6, :]
+    largest = np.take_along_axis(null, np.abs(null).argmax(axis=-1)[..., None], axis=-1)
+    return particular, null * np.sign(largest)
+
+
+def _slowest_motion(q: ArrayLike, direction: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Return the joint rates (..., 7) per metre whose worst weighted joint is least, that worst, and the null share.
+
+    Minimises max_i |a_i + t b_i| over t: convex and piecewise linear, so the minimum is at a zero of one term or where
+    two are equal; all are tried.
+    """
+    particular, null = _particular_and_null(q, direction)
+    a, b = particular * weights, null * weights
+    i, j = _PAIRS
+    with np.errstate(divide="ignore", invalid="ignore"):
+        zeros = -a / b
+        equal = -(a[..., i] - a[..., j]) / (b[..., i] - b[..., j])
+        opposite = -(a[..., i] + a[..., j]) / (b[..., i] + b[..., j])
+    t = np.nan_to_num(np.concatenate([zeros, equal, opposite], axis=-1), nan=0.0, posinf=0.0, neginf=0.0)
+    worst = np.abs(a[..., None, :] + t[..., None] * b[..., None, :]).max(axis=-1)
+    best = worst.argmin(axis=-1)[..., None]
+    share = np.take_along_axis(t, best, axis=-1)
+    return particular + share * null, np.take_along_axis(worst, best, axis=-1)[..., 0], share[..., 0]
+
+
+def _check_limits(path: JointTrajectory, q: Array, direction: ArrayLike, amplitude: float, frequency: float) -> None:
+    acceleration = np.gradient(path.velocities, path.times, axis=0)
+    share = max(np.abs(path.velocities / sawyer.VELOCITY).max(), np.abs(acceleration / sawyer.ACCELERATION).max())
+    outside = np.any((path.positions < sawyer.LOWER) | (path.positions > sawyer.UPPER))
+    if share > 1 or outside:
+        limit = 1e3 * float(amplitude_limit(q, direction, [frequency])[0])
+        given = f"a shake of {1e3 * amplitude:.2f} mm at {frequency:g} Hz needs {100 * share:.0f} % of the joint limits"
+        raise StageFailure("limits_exceeded", f"{given}; about {limit:.2f} mm are possible. Shake less or slower.")

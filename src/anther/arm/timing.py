@@ -1,0 +1,103 @@
+"""When the arm is where: timed joint paths within velocity and acceleration limits. N waypoints, T samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from roboplan.core import JointPath, Scene
+from roboplan.toppra import PathParameterizerTOPPRA, SplineFittingMode, TOPPRAOptions
+from scipy.interpolate import CubicSpline
+
+from anther.arm import sawyer
+from anther.arm.collision import GROUP
+from anther.devices import JointTrajectory
+from anther.geometry import Array
+
+PERIOD = 0.004  # s between samples
+BLEND = 0.01  # rad, how far a rounded corner may leave the waypoint
+# Corners, in order of preference: rounded by at most BLEND, a spline through them, a stop at each.
+WAYS = (SplineFittingMode.LinearBlend, SplineFittingMode.Adaptive, SplineFittingMode.Hermite)
+RAMP = 0.25  # s to reach the speed of a slow line
+
+
+def fastest(
+    scene: Scene, path: Array, velocity_share: float, acceleration_share: float, way: SplineFittingMode
+) -> JointTrajectory:
+    """Return the time-optimal motion along joints (N, 7) by TOPP-RA. The caller checks it: a corner may be left sharp.
+
+    Args:
+        scene: knows the limits.
+        path: waypoints [rad].
+        velocity_share, acceleration_share: of the joints' limits.
+        way: one of `WAYS` to treat the corners.
+    """
+    options = TOPPRAOptions(
+        dt=PERIOD,
+        mode=way,
+        velocity_scale=velocity_share,
+        acceleration_scale=acceleration_share,
+        max_blend_deviation=BLEND,
+    )
+    waypoints = JointPath()
+    waypoints.joint_names = list(sawyer.JOINTS)
+    waypoints.positions = list(path)
+    timed = PathParameterizerTOPPRA(scene, GROUP).generate(waypoints, options)
+    return JointTrajectory(np.array(timed.times), np.array(timed.positions), np.array(timed.velocities))
+
+
+def along_line(path: Array, length: float, speed: float) -> JointTrajectory:
+    """Return the motion along joints (N, 7), evenly spaced on a line of the flange, smooth at both ends.
+
+    The speed rises and falls as a quintic within `RAMP`; all is slowed down evenly where a joint would be too fast.
+
+    Args:
+        path: joints [rad].
+        length: of the line, or any measure of its size [m].
+        speed: of the flange between the ramps [m/s].
+    """
+    joints = CubicSpline(np.linspace(0, 1, len(path)), path)
+    ramp = min(RAMP, length / speed)
+    duration = length / speed + ramp
+    slow = max(1.0, _excess(*_ramped(joints, duration, ramp)))
+    times, positions, velocities = _ramped(joints, duration * slow, ramp * slow)
+    return JointTrajectory(times, positions, velocities)
+
+
+def limit_share(trajectory: JointTrajectory) -> float:
+    """Return the largest share of any joint's velocity or acceleration limit that the motion needs."""
+    acceleration = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.times)[:, None]
+    return float(
+        max(np.abs(trajectory.velocities / sawyer.VELOCITY).max(), np.abs(acceleration / sawyer.ACCELERATION).max())
+    )
+
+
+def joined(parts: list[JointTrajectory]) -> JointTrajectory:
+    """Return motions, each starting at rest where the one before ended at rest, one after the other."""
+    times, start = [parts[0].times], parts[0].duration
+    for part in parts[1:]:
+        times.append(part.times[1:] + start)
+        start += part.duration
+    positions = [parts[0].positions, *(part.positions[1:] for part in parts[1:])]
+    velocities = [parts[0].velocities, *(part.velocities[1:] for part in parts[1:])]
+    return JointTrajectory(np.concatenate(times), np.concatenate(positions), np.concatenate(velocities))
+
+
+def _ramped(joints: CubicSpline, duration: float, ramp: float) -> tuple[Array, Array, Array]:
+    """Return times, positions and velocities of a motion 0..1 whose speed is flat between two smooth ramps."""
+    times = np.linspace(0, duration, max(int(np.ceil(duration / PERIOD)), 4) + 1)
+    top = 1 / (duration - ramp)
+
+    def risen(t: Array) -> tuple[Array, Array]:
+        x = np.clip(t / ramp, 0, 1)
+        area = ramp * x**4 * (2.5 - 3 * x + x**2)
+        return area + np.maximum(t - ramp, 0), x**3 * (10 - 15 * x + 6 * x**2)
+
+    (up, speed_up), (down, speed_down) = risen(times), risen(times - (duration - ramp))
+    s, rate = np.clip(top * (up - down), 0, 1), top * (speed_up - speed_down)
+    return times, joints(s), joints(s, 1) * rate[:, None]
+
+
+def _excess(times: Array, positions: Array, velocities: Array) -> float:
+    """Return the factor by which a motion must be slowed down to keep 90 % of the limits; below 1 if it does."""
+    acceleration = np.gradient(velocities, times, axis=0)
+    fast = np.abs(velocities / sawyer.VELOCITY).max() / 0.9
+    return float(max(fast, np.sqrt(np.abs(acceleration / sawyer.ACCELERATION).max() / 0.9)))
