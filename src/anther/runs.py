@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol, Self, TypeVar
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -31,16 +31,11 @@ Advance = Callable[[int, int], None]
 """Progress of one stage: (steps done, steps in all)."""
 
 
-class Kept(Protocol):
-    """A stage's result: it can be written to its file and read back."""
-
-    def save(self, path: Path, /) -> None: ...
-
-    @classmethod
-    def load(cls, path: Path, /) -> Self: ...
+Result = TypeVar("Result")
 
 
-Result = TypeVar("Result", bound=Kept)
+def _save(result: Any, path: Path) -> None:
+    result.save(path)
 
 
 class Run:
@@ -83,15 +78,29 @@ class Run:
         """Return the file or folder that keeps a stage's result."""
         return self.folder / FILES[stage]
 
-    def stage(self, name: str, kind: type[Result], compute: Callable[[Advance], Result]) -> Result:
-        """Compute a stage and keep its result, or read it back when the run restarts from a later stage."""
-        if self._restart_from is not None and list(FILES).index(name) < list(FILES).index(self._restart_from):
-            return kind.load(self.path(name))
+    def stage(
+        self,
+        name: str,
+        load: Callable[[Path], Result],
+        compute: Callable[[Advance], Result],
+        save: Callable[[Result, Path], None] = _save,
+    ) -> Result:
+        """Compute a stage and keep its result, or read it back when the run restarts from a later stage.
+
+        Args:
+            name: one of `FILES`.
+            load: reads the result back.
+            compute: makes it; is given a function to report progress with.
+            save: writes it; by default the result's own `save`.
+        """
+        order = list(FILES)
+        if self._restart_from is not None and order.index(name) < order.index(self._restart_from):
+            return load(self.path(name))
         result = self.timed(name, compute)
-        result.save(self.path(name))
+        save(result, self.path(name))
         return result
 
-    def timed(self, name: str, compute: Callable[[Advance], Value]) -> Value:
+    def timed(self, name: str, compute: Callable[[Advance], Result]) -> Result:
         """Compute something under a progress bar and note the time it took."""
         bar = self._bars.add_task(name, total=None)
         start = time.perf_counter()
@@ -99,6 +108,3 @@ class Run:
         self.seconds[name] = time.perf_counter() - start
         self._bars.update(bar, completed=1, total=1)
         return value
-
-
-Value = TypeVar("Value")
