@@ -30,8 +30,10 @@ class Params:
             (facts: perception, 0.2 deg and 1.5 mm).
         hand_eye_rotation_sigma, hand_eye_translation_sigma: of the error common to all views, in the camera frame.
         voxel: views are thinned to this spacing for matching [m].
+        points_per_view: at most this many points of each view are matched, drawn evenly.
         neighbours: candidates looked up for each point among all views' points.
         match_distances: greatest distance of a match [m], one per round; the map is rebuilt in each.
+        source_share: share of these points for which neighbours are looked up in each round.
         normal_angle: matched points' normals differ by at most this [rad]; it keeps the two sides of a stem apart.
         point_sigma: distance scale of the matches [m]; also the Welsch scale in the last round.
         points_per_constraint: neighbouring residuals are alike; this many count as one independent measurement.
@@ -44,8 +46,10 @@ class Params:
     hand_eye_rotation_sigma: float = np.deg2rad(0.2)
     hand_eye_translation_sigma: float = 0.001
     voxel: float = 0.004
-    neighbours: int = 24
-    match_distances: tuple[float, ...] = (0.012, 0.010, 0.008, 0.006, 0.005)
+    points_per_view: int = 1500
+    neighbours: int = 12
+    match_distances: tuple[float, ...] = (0.012, 0.009, 0.007, 0.005)
+    source_share: float = 0.4
     normal_angle: float = np.deg2rad(60)
     point_sigma: float = 0.0015
     points_per_constraint: float = 20.0
@@ -85,15 +89,16 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
         params: see `Params`.
     """
     params = params or Params()
-    views = _thin(points_cam, params.voxel)
+    views = _thin(points_cam, params.voxel, params.points_per_view)
     given = np.asarray(T_world_cam)
     if sum(len(p) > 0 for p in views.points_per_view) < 2:
         return Registration(given, False, np.nan, np.nan, ("registration: fewer than two views show the plant",))
-    held_out = np.random.default_rng(0).random(len(views.points)) < params.held_out_share
+    draw = np.random.default_rng(0).random(len(views.points))
+    held_out, source = draw < params.held_out_share, draw > 1 - params.source_share
     poses = np.array(given)
     information = _prior_information(len(given), params)
     for distance in params.match_distances:
-        pairs = _match(views, poses, distance, params, ~held_out)
+        pairs = _match(views, poses, distance, params, source)
         scale = max(params.point_sigma, distance / 3)
         for _ in range(2):
             poses = _gauss_newton_step(views, poses, given, pairs, information=information, scale=scale, params=params)
@@ -128,19 +133,20 @@ class _Views:
         )
 
 
-def _thin(points_cam: list[Array], voxel: float) -> _Views:
+def _thin(points_cam: list[Array], voxel: float, most: int) -> _Views:
+    rng = np.random.default_rng(0)
     points, normals, view = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, dtype=np.int64)]
     for v, cloud in enumerate(points_cam):
         if len(cloud) < 20:
             continue
-        fine = small_gicp.voxelgrid_sampling(np.asarray(cloud), voxel / 2)
-        small_gicp.estimate_normals_covariances(fine, num_neighbors=20)
+        fine = small_gicp.voxelgrid_sampling(np.asarray(cloud), voxel)
+        small_gicp.estimate_normals(fine, num_neighbors=12)
         p, n = fine.points()[:, :3], fine.normals()[:, :3]
         n = np.where(np.sum(n * p, axis=1, keepdims=True) > 0, -n, n)
-        _, first = np.unique(np.floor(p / voxel).astype(np.int64), axis=0, return_index=True)
-        points.append(p[first])
-        normals.append(n[first])
-        view.append(np.full(len(first), v, dtype=np.int64))
+        chosen = rng.permutation(len(p))[:most]
+        points.append(p[chosen])
+        normals.append(n[chosen])
+        view.append(np.full(len(chosen), v, dtype=np.int64))
     return _Views(np.concatenate(points), np.concatenate(normals), np.concatenate(view))
 
 
