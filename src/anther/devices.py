@@ -171,7 +171,7 @@ class SafetyLimits:
         joint_margin: kept from either end of the range [rad].
         workspace: where the flange may be, world [m].
         keep_out: boxes the flange must not enter: pot, bench.
-        flange_speed: [m/s]; the SDK's own default is 0.6 (facts: sawyer 1).
+        flange_speed: [m/s]. The SDK's default for straight motions is 0.6 (facts: sawyer 1); joint motions are faster.
         shake_speed: largest amplitude x 2 pi frequency of a shake [m/s].
         shake_duration: [s]; plants are shaken at most 5 s a visit (facts: pollination 1d).
         start_tolerance: largest gap between the present joints and a trajectory's start [rad].
@@ -184,7 +184,7 @@ class SafetyLimits:
     workspace: Box
     joint_margin: float = 0.02
     keep_out: tuple[Box, ...] = field(default=())
-    flange_speed: float = 1.0
+    flange_speed: float = 1.5
     shake_speed: float = 0.5
     shake_duration: float = 5.0
     start_tolerance: float = 0.05

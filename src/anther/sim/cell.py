@@ -196,10 +196,6 @@ class Cell:
         """Return T_world_flange (4, 4) now, or at a logged `qpos` (nq,)."""
         return sawyer.forward((self.data.qpos if qpos is None else qpos)[self._arm])
 
-    def hinge_strain(self, qpos: Array) -> Array:
-        """Return (B,) the bending strain added at each piece's root at a logged `qpos` (nq,)."""
-        return self.mechanics.strain(qpos)
-
     def _at(self, qpos: Array | None) -> Any:
         if qpos is None:
             return self.data

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -85,7 +86,7 @@ class SimCamera:
         errors: CameraErrors | None,
         *,
         seed: int = 0,
-        most_frames: int = 90,
+        most_frames: int = 60,
     ) -> None:
         """Build the camera.
 
@@ -110,7 +111,7 @@ class SimCamera:
 
     def read(self) -> Frame:
         """Return one frame taken now."""
-        return self._frame(self.cell.time, None)
+        return self._frame(self.cell.time, self.cell.segment_poses(), self._rng)
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
@@ -127,18 +128,26 @@ class SimCamera:
         wanted = wanted[surplus // 2 : len(wanted) - (surplus + 1) // 2]
         after = np.clip(np.searchsorted(log.times, wanted), 1, len(log.times) - 1)
         samples = after - (wanted - log.times[after - 1] < log.times[after] - wanted)
-        return [self._frame(float(log.times[i]), log.qpos[i]) for i in samples]
+        poses = [self.cell.segment_poses(log.qpos[i]) for i in samples]
+        with ThreadPoolExecutor(2) as pool:
+            return list(pool.map(self._frame, log.times[samples].tolist(), poses, self._rng.spawn(len(samples))))
 
-    def _frame(self, time: float, qpos: Array | None) -> Frame:
-        moved = self.scene.moved(self.cell.plant.posed_vertices(self.cell.segment_poses(qpos)))
+    def _frame(self, time: float, poses: Array, rng: np.random.Generator) -> Frame:
+        moved = self.scene.moved(self.cell.plant.posed_vertices(poses))
         image = moved.render(self._intrinsics, self.pose())
         if self.errors is None:
             return Frame(time, image.rgb, image.depth)
-        depth = noisy_depth(image.depth, self._intrinsics, self._rng, self.errors.depth)
-        return Frame(time, noisy_rgb(image.rgb, self._rng, self.errors), depth)
+        depth = noisy_depth(image.depth, self._intrinsics, rng, self.errors.depth)
+        return Frame(time, noisy_rgb(image.rgb, rng, self.errors), depth)
 
 
-def side_pose(cell: Cell, distance: float = 0.65) -> Array:
+def cut_out(whole: Intrinsics, width: int, height: int) -> Intrinsics:
+    """Return the intrinsics of the middle `width` x `height` pixels of an image."""
+    left, top = (whole.width - width) // 2, (whole.height - height) // 2
+    return Intrinsics(width, height, whole.fx, whole.fy, whole.cx - left, whole.cy - top)
+
+
+def side_pose(cell: Cell, distance: float = 0.55) -> Array:
     """Return T_world_cam of the side camera: level with the flowers, at their side, square to the arm's approach.
 
     Args:
@@ -159,7 +168,9 @@ def robot_of(
     seed: int = 0,
     scene: Scene | None = None,
 ) -> Robot:
-    """Return the devices of a cell: arm, gripper, wrist camera (1280 x 720) and side camera (848 x 480).
+    """Return the devices of a cell: arm, gripper, wrist camera (1280 x 720) and side camera.
+
+    The side camera is the middle 480 x 360 pixels of a D455's 848 x 480: 0.62 x 0.47 m at 0.55 m, and quick to render.
 
     Args:
         cell: the world.
@@ -171,5 +182,5 @@ def robot_of(
     scene = scene or Scene.of_plant(cell.plant)
     T_side = side_pose(cell) if T_world_side_camera is None else T_world_side_camera
     wrist = SimCamera(cell, scene, d455(), lambda: cell.flange_pose() @ sawyer.T_FLANGE_CAM, errors, seed=seed)
-    side = SimCamera(cell, scene, d455(848, 480), lambda: T_side, errors, seed=seed + 1)
+    side = SimCamera(cell, scene, cut_out(d455(848, 480), 480, 360), lambda: T_side, errors, seed=seed + 1)
     return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side)

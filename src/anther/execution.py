@@ -1,0 +1,342 @@
+"""Execution: reach, grasp, shake and let go, each command within the safety limits, with a record whatever happens."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.checks import check_array, check_range
+from anther.devices import ArmRecord, Frame, GripperState, JointTrajectory, Robot, SafetyLimits
+from anther.errors import AntherError, FailureKind, StageFailure
+from anther.files import read_npz, write_npz
+from anther.geometry import Array, transform
+from anther.grasp import Grasp
+from anther.safety import GuardedArm, check_shake
+
+Progress = Callable[[int, int], None]
+"""Called with (phases done, phases in all)."""
+
+PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
+SCHEMA = 1
+
+
+class Shake(Protocol):
+    """What execution reads of a shake plan.
+
+    Attributes:
+        grasp: where to hold; it must have arm joints.
+        direction: (3,) unit, world.
+        amplitude: of the flange [m].
+        frequency: [Hz].
+        duration: [s].
+    """
+
+    @property
+    def grasp(self) -> Grasp: ...
+    @property
+    def direction(self) -> Array: ...
+    @property
+    def amplitude(self) -> float: ...
+    @property
+    def frequency(self) -> float: ...
+    @property
+    def duration(self) -> float: ...
+
+
+class Planner(Protocol):
+    """What execution asks of an arm's motion planner. Every trajectory keeps the arm's own limits."""
+
+    def move(self, q_from: Array, q_to: Array) -> JointTrajectory:
+        """Return a collision-free path between joint angles (7,) [rad]."""
+        ...
+
+    def line(self, q_from: Array, T_world_to: Array, speed: float) -> JointTrajectory:
+        """Return a straight flange line to a pose (4, 4) at `speed` [m/s], starting at joints (7,) [rad]."""
+        ...
+
+    def shake(self, q: Array, direction: Array, amplitude: float, frequency: float, duration: float) -> JointTrajectory:
+        """Return a sinusoidal flange shake about joints (7,): unit direction (3,), [m], [Hz], [s]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How the plant is approached and held.
+
+    Attributes:
+        stand_off: the straight approach begins this far back along the approach axis [m].
+        approach_speed: on that line [m/s].
+        squeeze: the gripper closes to the measured stem diameter less this [m]; its force cannot be set (facts:
+            sawyer 3), so the position is the gentleness.
+        opening: before closing [m]; None opens fully.
+        thickest: a held thing may be wider than the measured diameter by this [m] before it counts as something else.
+        rates: frame rates the side camera has [Hz] (D455).
+    """
+
+    stand_off: float = 0.12
+    approach_speed: float = 0.08
+    squeeze: float = 0.0015
+    opening: float = 0.0416
+    thickest: float = 0.012
+    rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
+
+    def __post_init__(self) -> None:
+        check_range("stand_off", self.stand_off, 0.0, 0.5, "m")
+        check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
+        check_range("squeeze", self.squeeze, 0.0, 0.02, "m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """What was commanded and what happened. P phases, T samples of the shake, N frames.
+
+    Attributes:
+        phases: (P,) names of the phases begun, in order, out of `PHASES`.
+        phase_times: (P, 2) begin and end of each [s], on the robot's clock. Only the arm tells the time, so a phase of
+            the gripper fills what lies between two motions.
+        shake_times: (T,) [s], on the robot's clock; empty if it never shook.
+        commanded, measured: (T, 7) joints during the shake [rad].
+        gripper: the state after closing, after the shake and after release: (opening [m], force [N], held) rows (G, 3).
+        frame_times: (N,) when the side camera's frames were taken [s].
+        stop_reason: "finished", or why it stopped.
+        failure: the failure's kind; None when it finished, and for a fault of a machine or an interruption.
+        frames: the side camera's frames; not saved.
+    """
+
+    phases: tuple[str, ...]
+    phase_times: Array
+    shake_times: Array
+    commanded: Array
+    measured: Array
+    gripper: Array
+    frame_times: Array
+    stop_reason: str
+    failure: FailureKind | None = None
+    frames: tuple[Frame, ...] = field(default=(), repr=False)
+
+    def __post_init__(self) -> None:
+        n = len(self.shake_times)
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "phase_times": (len(self.phases), 2),
+            "shake_times": (n,),
+            "commanded": (n, 7),
+            "measured": (n, 7),
+            "gripper": (None, 3),
+            "frame_times": (None,),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, check_array(f"trial {name}", getattr(self, name), shape))
+
+    @property
+    def finished(self) -> bool:
+        """Whether every phase ended as planned."""
+        return self.stop_reason == "finished"
+
+    def save(self, path: Path | str) -> None:
+        """Write the trial, without the frames' pixels, to an .npz."""
+        words = json.dumps({"phases": self.phases, "stop_reason": self.stop_reason, "failure": self.failure})
+        names = ("phase_times", "shake_times", "commanded", "measured", "gripper", "frame_times")
+        write_npz(path, "trial", SCHEMA, words=words, **{name: getattr(self, name) for name in names})
+
+    @classmethod
+    def load(cls, path: Path | str) -> Trial:
+        """Read a trial written by `save`.
+
+        Raises:
+            InputError: missing, truncated or of another kind.
+        """
+        arrays: dict[str, Any] = read_npz(path, "trial", SCHEMA)
+        words = json.loads(str(arrays.pop("words")))
+        return cls(phases=tuple(words.pop("phases")), **words, **arrays)
+
+
+def execute(
+    planner: Planner,
+    shake: Shake,
+    robot: Robot,
+    limits: SafetyLimits,
+    params: Params = Params(),
+    *,
+    progress: Progress | None = None,
+) -> Trial:
+    """Open, reach, approach, close, shake, let go and retreat.
+
+    Whatever goes wrong, Ctrl-C included, the arm holds, the gripper opens, the arm retreats along the approach where it
+    still can, and the returned trial says what was done and why it stopped. Nothing is raised, so that no record is
+    lost: look at `Trial.finished`, `failure` and `stop_reason`. After "nothing_grasped" another grasp may be tried.
+
+    Args:
+        planner: of motions that start where the arm is.
+        shake: the plan; `shake.grasp` must hold arm joints.
+        robot: the machines.
+        limits: every command is checked against them.
+        params: of the approach and the grip.
+        progress: called before each phase.
+    """
+    work = _Work(planner, shake, replace(robot, arm=GuardedArm(robot.arm, limits)), params, progress)
+    try:
+        check_shake(shake.amplitude, shake.frequency, shake.duration, limits)
+        _forward(work)
+        _back(work)
+    except StageFailure as failure:
+        work.stop_reason, work.failure = str(failure), failure.kind
+        _retire(work)
+    except AntherError as error:
+        work.stop_reason = str(error)
+        _retire(work)
+    except (Exception, KeyboardInterrupt) as error:
+        work.stop_reason = f"{type(error).__name__}: {error}"
+        _retire(work)
+    return work.trial()
+
+
+@dataclass(slots=True, eq=False)
+class _Work:
+    """A trial under way."""
+
+    planner: Planner
+    plan: Shake
+    robot: Robot
+    params: Params
+    progress: Progress | None
+    marks: list[tuple[str, float, float]] = field(default_factory=list)
+    grips: list[GripperState] = field(default_factory=list)
+    shaken: tuple[Array, Array, Array] = (np.zeros(0), np.zeros((0, 7)), np.zeros((0, 7)))
+    frames: tuple[Frame, ...] = ()
+    clock: float = 0.0
+    line_in: bool = False
+    stop_reason: str = "finished"
+    failure: FailureKind | None = None
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        if self.progress:
+            self.progress(len(self.marks), len(PHASES))
+        self.marks.append((name, self.clock, self.clock))
+        try:
+            yield
+        finally:
+            self.marks[-1] = (name, self.marks[-1][1], self.clock)
+
+    def follow(self, trajectory: JointTrajectory) -> ArmRecord:
+        """Follow; what passed on the clock since the last motion was the previous phase's."""
+        record = self.robot.arm.follow(trajectory)
+        name = self.marks[-1][0]
+        if len(self.marks) > 1:
+            before = self.marks[-2]
+            self.marks[-2] = (before[0], before[1], float(record.times[0]))
+        self.marks[-1] = (name, float(record.times[0]), float(record.times[0]))
+        self.clock = float(record.times[-1])
+        return record
+
+    def trial(self) -> Trial:
+        grips = np.array([(g.opening, g.force, g.is_gripping) for g in self.grips], dtype=float).reshape(-1, 3)
+        return Trial(
+            tuple(name for name, _, _ in self.marks),
+            np.array([(a, b) for _, a, b in self.marks], dtype=float).reshape(-1, 2),
+            *self.shaken,
+            grips,
+            np.array([f.time for f in self.frames]),
+            self.stop_reason,
+            self.failure,
+            self.frames,
+        )
+
+
+def _forward(work: _Work) -> None:
+    """From wherever the arm is to the end of the shake."""
+    grasp, params, arm = work.plan.grasp, work.params, work.robot.arm
+    if grasp.joints is None:
+        raise StageFailure("unreachable", "the grasp has no arm joints. Plan it with the arm's reach.")
+    with work.phase("open"):
+        work.robot.gripper.move(params.opening)
+    with work.phase("reach"):
+        outward = work.planner.line(grasp.joints, pregrasp(grasp, params), params.approach_speed)
+        work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
+    with work.phase("approach"):
+        work.line_in = True
+        work.follow(reversed_path(outward))
+    with work.phase("close"):
+        work.grips.append(work.robot.gripper.move(max(grasp.stem_diameter - params.squeeze, 0.0)))
+        _verify(work.grips[-1], grasp, params)
+    with work.phase("shake"):
+        _shake(work, grasp.joints)
+        work.grips.append(work.robot.gripper.state())
+
+
+def _shake(work: _Work, joints: NDArray[Any]) -> None:
+    plan, camera = work.plan, work.robot.side_camera
+    trajectory = work.planner.shake(joints, plan.direction, plan.amplitude, plan.frequency, plan.duration)
+    if camera:
+        camera.start(choose_rate(plan.frequency, work.params.rates))
+    try:
+        record = work.follow(trajectory)
+        work.shaken = (record.times, record.commanded, record.measured)
+    finally:
+        if camera:
+            work.frames = tuple(camera.stop())
+
+
+def _back(work: _Work) -> None:
+    with work.phase("release"):
+        work.grips.append(work.robot.gripper.move(work.params.opening))
+    with work.phase("retreat"):
+        back = pregrasp(work.plan.grasp, work.params)
+        work.follow(work.planner.line(work.robot.arm.joints(), back, work.params.approach_speed))
+
+
+def _retire(work: _Work) -> None:
+    """Hold, open, and leave the plant by the way the gripper came, each as far as the machines still obey."""
+    steps: Sequence[Callable[[], Any]] = (work.robot.arm.hold, lambda: work.robot.gripper.move(work.params.opening))
+    leave = (lambda: _back(work),) if work.line_in and "retreat" not in [m[0] for m in work.marks] else ()
+    for step in (*steps, *leave):
+        try:
+            step()
+        except Exception as error:
+            work.stop_reason += f"; then: {error}"
+            break
+
+
+def _verify(state: GripperState, grasp: Grasp, params: Params) -> None:
+    width = f"the pads stand {1000 * state.opening:.1f} mm apart with {state.force:.1f} N"
+    expected = f"a stem of {1000 * grasp.stem_diameter:.1f} mm was measured"
+    if not state.is_gripping:
+        raise StageFailure("nothing_grasped", f"the gripper holds nothing: {width}; {expected}. Try the next grasp.")
+    if state.opening > grasp.stem_diameter + params.thickest:
+        raise StageFailure(
+            "branch_or_leaf_grasped", f"the gripper holds something too thick: {width}; {expected}. Try the next grasp."
+        )
+
+
+def pregrasp(grasp: Grasp, params: Params) -> Array:
+    """Return the flange pose (4, 4) a stand-off back along the approach axis."""
+    return transform(grasp.T_world_flange[:3, :3], grasp.T_world_flange[:3, 3] - params.stand_off * grasp.approach)
+
+
+def reversed_path(trajectory: JointTrajectory) -> JointTrajectory:
+    """Return the same path backwards."""
+    times = trajectory.duration - trajectory.times[::-1]
+    return JointTrajectory(times, trajectory.positions[::-1], -trajectory.velocities[::-1])
+
+
+def choose_rate(frequency: float, rates: Sequence[float]) -> float:
+    """Return the camera rate [Hz] to record a shake of `frequency` [Hz] with.
+
+    A sampled sinusoid of known frequency can be fitted below the Nyquist rate as well, but at f = rate/2 or a multiple
+    its phase is lost, and so is its amplitude. The slowest rate of eight or more frames a period is taken; if there is
+    none, the one whose aliased frequency lies nearest to rate/4, the middle between the two blind spots.
+    """
+    ample = [r for r in rates if r >= 8 * frequency]
+    return min(ample) if ample else min(rates, key=lambda r: abs(alias(frequency, r) / r - 0.25))
+
+
+def alias(frequency: float, rate: float) -> float:
+    """Return the frequency [Hz], between 0 and rate/2, at which `frequency` [Hz] shows up at a sampling `rate` [Hz]."""
+    return abs(frequency - rate * round(frequency / rate))

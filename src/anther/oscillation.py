@@ -1,0 +1,108 @@
+"""How large and how fast something swings: a sinusoid fitted to a sampled path. T samples.
+
+The fit x(t) = c + d t + a cos(2 pi f t) + b sin(2 pi f t) is linear least squares at a known frequency (lock-in). It
+needs no even sampling, and no sampling above twice the frequency: a shake of known frequency can be measured with a
+slower camera as long as f is not close to a multiple of rate/2, where cosine and sine cannot be told apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.signal import hilbert
+
+from anther.checks import check_array, check_range
+from anther.errors import bad_input
+from anther.geometry import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Swing:
+    """A sinusoidal motion in space: an ellipse.
+
+    Attributes:
+        amplitude: the ellipse's semi-major axis [m].
+        amplitude_std: its standard deviation, from the residual [m].
+        direction: (3,) unit vector along that axis.
+        frequency: [Hz].
+        residual: root mean square distance of the samples from the fit, per axis [m].
+    """
+
+    amplitude: float
+    amplitude_std: float
+    direction: Array
+    frequency: float
+    residual: float
+
+
+def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
+    """Fit a swing of known frequency.
+
+    Args:
+        times: (T,) [s].
+        path: (T, 3) [m]; rows with NaN are left out.
+        frequency: [Hz].
+
+    Raises:
+        InputError: fewer than 8 samples, or samples that cannot tell cosine from sine at this frequency.
+    """
+    times, path = check_array("times", times, (None,)), check_array("path", path, (len(times), 3), finite=False)
+    check_range("frequency", frequency, 1e-3, 1e4, "Hz")
+    seen = np.isfinite(path).all(axis=1)
+    if seen.sum() < 8:
+        raise bad_input("swing", given=f"{seen.sum()} samples", allowed="8 or more", do="Record longer.")
+    basis = _basis(times[seen], frequency)
+    scale = np.linalg.norm(basis, axis=0)
+    if np.linalg.cond(basis / scale) > 30:
+        raise bad_input(
+            "swing",
+            given=f"{seen.sum()} samples over {np.ptp(times):.2f} s",
+            allowed=f"samples that tell the phase at {frequency:g} Hz",
+            do="Choose a frame rate that is not twice the frequency divided by a whole number, or record longer.",
+        )
+    coefficients, *_ = np.linalg.lstsq(basis, path[seen], rcond=None)
+    free = max(int(seen.sum()) - basis.shape[1], 1)
+    residual = float(np.sqrt(np.sum((path[seen] - basis @ coefficients) ** 2) / (3 * free)))
+    spread = residual * np.sqrt(np.linalg.inv(basis.T @ basis)[[2, 3], [2, 3]].max())
+    _, size, axes = np.linalg.svd(coefficients[2:])
+    return Swing(float(size[0]), float(spread), axes[0], float(frequency), residual)
+
+
+def find_frequency(times: Array, path: Array, hint: float, *, span: float = 0.1) -> float:
+    """Return the frequency [Hz] within `hint` x (1 +- span) whose swing fits a path (T, 3) over times (T,) best."""
+    seen = np.isfinite(path).all(axis=1)
+    t, x = times[seen], path[seen]
+
+    def misfit(f: float) -> float:
+        basis = _basis(t, f)
+        return float(np.sum((x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0]) ** 2))
+
+    # the misfit's valley is about 1 / (record length) wide
+    step = min(0.25 / max(float(np.ptp(t)), 1e-3), span * hint / 2)
+    grid = np.arange(hint * (1 - span), hint * (1 + span) + step, step)
+    best = grid[int(np.argmin([misfit(f) for f in grid]))]
+    found: Any = minimize_scalar(misfit, bounds=(best - step, best + step), method="bounded")
+    return float(found.x)
+
+
+def envelope_amplitude(times: Array, path: Array) -> float:
+    """Return the paper's metric [m]: the median Hilbert envelope of the detrended path along its main direction.
+
+    Args:
+        times: (T,) evenly spaced [s], many to a period.
+        path: (T, 3) [m] without NaN.
+    """
+    basis = _basis(times, 1.0)[:, :2]
+    x = path - basis @ np.linalg.lstsq(basis, path, rcond=None)[0]
+    main = np.linalg.svd(x, full_matrices=False)[2][0]
+    analytic: Any = hilbert(x @ main)
+    return float(np.median(np.abs(analytic)))
+
+
+def _basis(times: Array, frequency: float) -> Array:
+    t = times - times.mean()
+    phase = 2 * np.pi * frequency * t
+    return np.stack([np.ones_like(t), t, np.cos(phase), np.sin(phase)], axis=1)

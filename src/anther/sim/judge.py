@@ -1,0 +1,209 @@
+"""The judge: what really happened in the cell, from its log and the plant's truth alone. No stage sees this.
+
+T log samples, K plant segments, F flowers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+from anther.checks import check_array
+from anther.errors import FailureKind
+from anther.geometry import Array, inverse
+from anther.oscillation import find_frequency, fit_swing
+from anther.sim.cell import Cell, CellLog
+from anther.sim.plant import Organ
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What counts as what.
+
+    Attributes:
+        push: the robot may press on the plant with this before it closes [N].
+        slip: the held point may wander this far between the pads [m].
+        grip: a pad touches with at least this [N].
+        held_share: the pads must hold the stem in at least this share of the samples of the shake.
+        stem_strain, joint_strain: peak bending strain added in stem and branches, and elsewhere (facts: pollination
+            1d, proposed limits: 1 % and 0.5 %).
+        leaf_acceleration: at the bases of petioles, low-passed below 5 Hz, quasi-static [m/s2] (facts: pollination 1d,
+            0.7 g).
+        leaf_band: up to which a leaf is taken to follow quasi-statically [Hz].
+    """
+
+    push: float = 2.0
+    slip: float = 0.005
+    grip: float = 0.2
+    held_share: float = 0.95
+    stem_strain: float = 0.01
+    joint_strain: float = 0.005
+    leaf_acceleration: float = 0.7 * 9.81
+    leaf_band: float = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verdict:
+    """The truth about a trial.
+
+    Attributes:
+        success: the main stem was held through the shake, nothing pushed, struck, slipped or damaged.
+        failure: its kind, or None.
+        reason: in words.
+        organ_grasped: name of the organ between the pads most of the time, "" if none.
+        grasp_height: height of the held point above the soil [m]; NaN if nothing was held.
+        slip: largest wander of the held point between the pads [m]; NaN if nothing was held.
+        push: largest force on the plant before closing [N].
+        stem_strain, joint_strain: peak added bending strain of stem and branches, and of the rest.
+        leaf_acceleration: peak quasi-static acceleration at a petiole's base [m/s2].
+        flower_amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency, over the middle 60 % of
+            the shake [m]: as `anther.response` measures it.
+        flower_frequency: (F,) of that swing [Hz].
+        flower_acceleration: (F,) rms [m/s2].
+        flower_acceleration_peak: (F,) [m/s2].
+    """
+
+    success: bool
+    failure: FailureKind | None
+    reason: str
+    organ_grasped: str
+    grasp_height: float
+    slip: float
+    push: float
+    stem_strain: float
+    joint_strain: float
+    leaf_acceleration: float
+    flower_amplitude: Array
+    flower_frequency: Array
+    flower_acceleration: Array
+    flower_acceleration_peak: Array
+
+    def __post_init__(self) -> None:
+        flowers = len(self.flower_amplitude)
+        for name in ("flower_amplitude", "flower_frequency", "flower_acceleration", "flower_acceleration_peak"):
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
+
+
+def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, params: Params | None = None) -> Verdict:
+    """Judge what happened since the cell was built.
+
+    Args:
+        cell: after the trial.
+        shake: begin and end of the shake on the cell's clock [s], None if it never shook.
+        frequency: of the shake [Hz].
+        params: what counts as what.
+    """
+    params, log = params or Params(), cell.log()
+    shaking = (log.times >= shake[0]) & (log.times <= shake[1]) if shake else np.zeros(len(log.times), dtype=bool)
+    segment, share = _grasped(log, shaking if shake else _closed(log), params)
+    organ = Organ(int(cell.plant.organ[segment])).name.lower() if segment >= 0 else ""
+    slip, height = _slip(cell, log, shaking, segment)
+    push = _push(log)
+    stem, joint = _strain(cell, log, shaking)
+    poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
+    leaf = _leaf_acceleration(cell, log.times[shaking], poses, params)
+    motion = _flower_motion(cell, log.times[shaking], poses, frequency)
+    worst = max(stem / params.stem_strain, joint / params.joint_strain, leaf / params.leaf_acceleration)
+    findings: list[tuple[bool, FailureKind, str]] = [
+        (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
+        (push > params.push, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
+        (segment < 0, "nothing_grasped", "nothing was between the pads"),
+        (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
+        (shake is None, "nothing_grasped", "the plant was not shaken"),
+        (not slip <= params.slip, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
+        (share < params.held_share, "slipped", f"the stem was held in {share:.0%} of the shake only"),
+        (worst > 1, "damaged", f"strain {stem:.2%} in the stem, {joint:.2%} in joints, {leaf:.1f} m/s2 at leaf bases"),
+    ]
+    failure: FailureKind | None = None
+    reason = f"the {organ} was held"
+    for found, kind, why in reversed(findings):
+        failure, reason = (kind, why) if found else (failure, reason)
+    facts = (organ, height, slip, push, stem, joint, leaf)
+    return Verdict(failure is None, failure, reason, *facts, *motion)
+
+
+def _closed(log: CellLog) -> NDArray[np.bool_]:
+    """(T,) whether the gripper was commanded below its largest command."""
+    return log.grip_command < log.grip_command.max() - 1e-3
+
+
+def _grasped(log: CellLog, when: NDArray[np.bool_], params: Params) -> tuple[int, float]:
+    """Return the segment both pads press longest, -1 for none, and the share of samples in which both press any."""
+    real = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > params.grip)
+    real &= when[log.contact_sample]
+    pads = [set(log.contact_sample[real & (log.contact_pad == pad)].tolist()) for pad in (0, 1)]
+    both = pads[0] & pads[1]
+    if not both:
+        return -1, 0.0
+    inside = real & np.isin(log.contact_sample, list(both))
+    impulse = np.bincount(log.contact_other[inside], log.contact_force[inside])
+    return int(np.argmax(impulse)), len(both) / max(int(when.sum()), 1)
+
+
+def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) -> tuple[float, float]:
+    """Return the largest wander of the held point in the flange's frame [m] and its height above the soil at rest."""
+    samples = np.flatnonzero(shaking)
+    if segment < 0 or len(samples) == 0:
+        return np.nan, np.nan
+    near = (log.contact_other == segment) & (log.contact_pad < 2) & (log.contact_sample >= samples[0])
+    touch = log.contact_point[near & (log.contact_sample <= samples[0] + 50)]
+    T_first = cell.segment_poses(log.qpos[samples[0]])[segment]
+    rest = inverse(T_first) @ np.r_[touch.mean(axis=0), 1] if len(touch) else np.r_[cell.plant.start[segment], 1]
+    held = [inverse(cell.flange_pose(q)) @ cell.segment_poses(q)[segment] @ rest for q in log.qpos[samples]]
+    wander = np.linalg.norm(np.array(held)[:, :3] - held[0][:3], axis=1)
+    return float(wander.max()), float(rest[2] - cell.plant.pot.soil_z)
+
+
+def _push(log: CellLog) -> float:
+    """Return the largest sum of the robot's forces on the plant before the gripper first closes [N]."""
+    closed = np.flatnonzero(_closed(log))
+    before = (log.contact_other >= 0) & (log.contact_sample < (closed[0] if len(closed) else len(log.times)))
+    return float(np.bincount(log.contact_sample[before], log.contact_force[before], minlength=1).max())
+
+
+def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the peak bending strain added during the shake: in stem and branches, and in all else."""
+    if not shaking.any():
+        return 0.0, 0.0
+    strain = np.max([cell.mechanics.strain(q) for q in log.qpos[shaking]], axis=0)
+    organ = cell.plant.organ[cell.mechanics.pieces.first]
+    trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
+    return float(strain[trunk].max(initial=0)), float(strain[~trunk].max(initial=0))
+
+
+def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None, params: Params) -> float:
+    plant = cell.plant
+    base = np.flatnonzero((plant.organ == Organ.PETIOLE) & (plant.organ[plant.parent] != Organ.PETIOLE))
+    if poses is None or len(times) < 20 or len(base) == 0:
+        return 0.0
+    dt = float(np.median(np.diff(times)))
+    T = poses[:, base]
+    path = np.einsum("tkij,kj->tki", T[..., :3, :3], plant.start[base]) + T[..., :3, 3]
+    slow = sosfiltfilt(butter(2, params.leaf_band, fs=1 / dt, output="sos"), _acceleration(path, dt), axis=0)
+    return float(np.linalg.norm(slow, axis=2).max())
+
+
+def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: float) -> tuple[Array, ...]:
+    """Return amplitude and frequency of each flower's swing, and rms and peak of its acceleration, each (F,)."""
+    plant = cell.plant
+    if poses is None or len(times) < 20:
+        return tuple(np.full(len(plant.flower_segment), np.nan) for _ in range(4))
+    T = poses[:, plant.flower_segment]
+    path = np.einsum("tfij,fj->tfi", T[..., :3, :3], plant.flower_position) + T[..., :3, 3]
+    steady = slice(round(0.2 * len(times)), round(0.8 * len(times)))
+    dt = float(np.median(np.diff(times)))
+    size = np.linalg.norm(_acceleration(path, dt), axis=2)
+    swings = []
+    for x in np.swapaxes(path[steady], 0, 1):
+        found = find_frequency(times[steady], x, frequency)
+        swings.append((fit_swing(times[steady], x, frequency).amplitude, found))
+    amplitude, frequencies = np.array(swings).reshape(-1, 2).T
+    return amplitude, frequencies, np.sqrt(np.mean(size**2, axis=0)), size.max(axis=0, initial=0)
+
+
+def _acceleration(path: Array, dt: float) -> Array:
+    """Second differences (T - 2, ...) of a path (T, ...)."""
+    return (path[2:] - 2 * path[1:-1] + path[:-2]) / dt**2
