@@ -1,0 +1,376 @@
+"""Plant model: the scanned tree as elastic rods that carry leaves and flowers and hang still under gravity (P16-P23).
+
+N rod nodes: the J skeleton nodes first, under their own numbers, then the pedicels.
+F flowers, S stem nodes, B branches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.checks import check_array, check_range
+from anther.cloud import Cloud
+from anther.elastic_rod.equilibrium import with_gravity_equilibrium
+from anther.elastic_rod.motion import Clamp
+from anther.elastic_rod.rods import NaturalShape, Rods
+from anther.errors import StageFailure, bad_input
+from anther.files import read_npz, write_npz
+from anther.flowers import Flowers
+from anther.geometry import Array
+from anther.plant_geometry import edge_radii, hang_flowers, leaf_mass
+from anther.plant_stability import least_factor, stands, stout_radii
+from anther.skeleton import Skeleton
+from anther.stem import Stem
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What a plant is made of: best guess and spread. A spread is the standard deviation of the natural logarithm.
+
+    Attributes:
+        youngs: Young's modulus of stem and branches [Pa].
+        density: of their tissue [kg/m3].
+        damping_ratio: share of critical damping of a mode, the same at every frequency (hysteretic), leaves included.
+        bend_over_twist: EI / GJ [-]; 1.5 for a round isotropic bar that keeps its volume, larger is softer in twist.
+        youngs_spread, density_spread, damping_spread, twist_spread: their spreads [-].
+    """
+
+    youngs: float = 100e6
+    density: float = 1050.0
+    damping_ratio: float = 0.05
+    bend_over_twist: float = 12.0
+    youngs_spread: float = 0.66
+    density_spread: float = 0.05
+    damping_spread: float = 0.35
+    twist_spread: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_range("youngs", self.youngs, 1e4, 1e12, "Pa")
+        check_range("density", self.density, 10, 5000, "kg/m3")
+        check_range("damping_ratio", self.damping_ratio, 1e-4, 1)
+        check_range("bend_over_twist", self.bend_over_twist, 0.1, 1000)
+        for name in ("youngs_spread", "density_spread", "damping_spread", "twist_spread"):
+            check_range(name, getattr(self, name), 0, 3)
+
+
+TOMATO = Material()
+"""Tomato before anything was measured (facts: pollination 0 and 2).
+
+E: log-uniform 30-300 MPa, centre 100: the authors' 21.6 MPa is a bare-beam value that rises to 71-218 MPa with 5-20 g
+of leaves, and standing up alone asks for 96-113 MPa; the spread is that of a log-uniform decade, ln 10 / sqrt 12.
+Density: 90 % water, and 1100 kg/m3 in the authors' test. Damping: internal < 0.05, leaves add. EI/GJ: 11.5-13.3
+measured on dicot petioles; a stem may be stiffer, hence the spread.
+"""
+
+PEPPER = Material(density=1100.0, density_spread=0.15)
+"""Pepper before anything was measured: no test of a pepper stem was found (facts: pollination, "Not found").
+
+The tomato's values with a wider density, because the authors used 1500 kg/m3 for pepper (facts: pollination 0).
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What the scan does not show.
+
+    Attributes:
+        branch_share: largest radius of a branch at its base over the stem's radius there [-]. Petiole bases measure
+            4-6 mm on stems of 8-12 mm (facts: pollination 2 [R]).
+        least_radius: of any stem or branch edge [m].
+        areal_density: of a leaf blade [kg/m2]. A prior of ours; no source found.
+        leaf_voxel: size of the cubes that count leaf area [m].
+        blade_thickness: apparent thickness of a blade in the cloud, from depth noise [m].
+        flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
+        pedicel_length, pedicel_radius: [m] (facts: 9-22 mm long, about 1 mm thick).
+        pedicel_youngs: [Pa] (facts: 50-100 MPa gives the 23-33 Hz at which tomato flowers answer stem shaking best).
+        pedicel_spread: standard deviation of ln of the pedicel's stiffness, ln 2 / sqrt 12 for that range [-].
+        peduncle_radius: of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R]).
+        pedicel_pieces: edges per pedicel.
+        margin: least ratio of Young's modulus to the value at which the plant buckles [-].
+        stiffen: raise Young's modulus to that margin, with a note, since the plant evidently stands; False refuses.
+    """
+
+    branch_share: float = 0.7
+    least_radius: float = 0.5e-3
+    areal_density: float = 0.25
+    leaf_voxel: float = 0.006
+    blade_thickness: float = 0.003
+    flower_mass: float = 1e-4
+    pedicel_length: float = 0.015
+    pedicel_radius: float = 0.5e-3
+    pedicel_youngs: float = 70e6
+    pedicel_spread: float = 0.2
+    peduncle_radius: float = 1.25e-3
+    pedicel_pieces: int = 3
+    margin: float = 1.5
+    stiffen: bool = True
+
+    def __post_init__(self) -> None:
+        check_range("branch_share", self.branch_share, 0.01, 1)
+        check_range("least_radius", self.least_radius, 1e-5, 0.1, "m")
+        check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
+        check_range("leaf_voxel", self.leaf_voxel, 1e-4, 0.1, "m")
+        check_range("blade_thickness", self.blade_thickness, 0, 0.05, "m")
+        check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
+        check_range("pedicel_length", self.pedicel_length, 1e-3, 0.2, "m")
+        check_range("pedicel_radius", self.pedicel_radius, 1e-5, 0.02, "m")
+        check_range("pedicel_youngs", self.pedicel_youngs, 1e5, 1e11, "Pa")
+        check_range("pedicel_spread", self.pedicel_spread, 0, 3)
+        check_range("peduncle_radius", self.peduncle_radius, 1e-5, 0.02, "m")
+        check_range("pedicel_pieces", self.pedicel_pieces, 1, 50)
+        check_range("margin", self.margin, 1, 100)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlantModel:
+    """A plant ready to be shaken in simulation: it stands still under gravity in the scanned shape.
+
+    Attributes:
+        rods: the N rods without damping; `rods_at` gives them the material's damping.
+        stem_nodes: (S,) rod nodes of the main stem, root first.
+        arc_length: (S,) distance from the root along the stem [m].
+        flower_nodes: (F,) rod node of each flower.
+        branch_bases: (B,) first node of every branch or petiole that leaves the main stem.
+        is_pedicel: (N,) whether the edge to the parent is modelled pedicel; its stiffness is not the stem's.
+        material: what the rods were made of.
+        pedicel_spread: spread of the pedicels' stiffness, standard deviation of ln [-].
+        least_youngs: Young's modulus at which the plant buckles under its own weight [Pa].
+        notes: what the stage wants the user to know.
+    """
+
+    rods: Rods
+    stem_nodes: NDArray[Any]
+    arc_length: Array
+    flower_nodes: NDArray[Any]
+    branch_bases: NDArray[Any]
+    is_pedicel: NDArray[np.bool_]
+    material: Material
+    pedicel_spread: float
+    least_youngs: float
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n, s = len(self.rods.nodes), len(self.stem_nodes)
+        if self.rods.natural is None:
+            raise bad_input("rods", given="no natural shape", allowed="rods at rest", do="Use build_plant.")
+        for name in ("stem_nodes", "flower_nodes", "branch_bases"):
+            nodes = check_array(name, getattr(self, name), (None,), dtype="int64")
+            object.__setattr__(self, name, nodes)
+            if np.any((nodes < 0) | (nodes >= n)):
+                raise bad_input(name, given=f"{nodes}", allowed=f"0 <= node < {n}", do="Use rod node numbers.")
+        object.__setattr__(self, "arc_length", check_array("arc_length", self.arc_length, (s,)))
+        object.__setattr__(self, "is_pedicel", check_array("is_pedicel", self.is_pedicel, (n,), dtype="bool"))
+
+    @property
+    def clamp(self) -> Clamp:
+        """The root and the direction in which the stem leaves the soil are held."""
+        return Clamp.root(self.rods)
+
+    def rods_at(self, frequency: float) -> Rods:
+        """Return the rods with the material's damping ratio for motion at `frequency` [Hz].
+
+        Plant tissue is taken as hysteretic, with the loss factor 2 zeta at every frequency. A Kelvin-Voigt time of
+        zeta / (pi f) is that at f; slower motion is then damped less, faster motion more.
+        """
+        check_range("frequency", frequency, 1e-3, 1e4, "Hz")
+        return replace(self.rods, viscous_time=self.material.damping_ratio / (np.pi * frequency))
+
+    def with_material(self, material: Material, *, pedicel_factor: float = 1.0) -> PlantModel:
+        """Return the same plant of another material, again at rest in the scanned shape.
+
+        Args:
+            material: its youngs replaces that of stem and branches.
+            pedicel_factor: multiplies Young's modulus of the pedicels [-].
+
+        Raises:
+            StageFailure: kind "no_convergence": the plant would buckle.
+        """
+        stiffer = np.where(self.is_pedicel, pedicel_factor, material.youngs / self.material.youngs)
+        heavier = material.density / self.material.density
+        rods = replace(
+            self.rods,
+            youngs=np.asarray(self.rods.youngs) * stiffer,
+            density=np.asarray(self.rods.density) * heavier,
+            bend_over_twist=material.bend_over_twist,
+            natural=None,
+        )
+        if not stands(rods, self.clamp):
+            raise _buckles(material.youngs, self.least_youngs)
+        return replace(self, rods=with_gravity_equilibrium(rods, self.clamp), material=material)
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz (kind 'plant model')."""
+        rods, natural = self.rods, self.rods.natural
+        assert natural is not None
+        arrays = {name: getattr(rods, name) for name in _ROD_ARRAYS} | {n: getattr(self, n) for n in _PLANT_ARRAYS}
+        arrays |= {f"natural_{name}": getattr(natural, name) for name in _NATURAL_ARRAYS}
+        numbers = {"pedicel_spread": self.pedicel_spread, "least_youngs": self.least_youngs}
+        material = [getattr(self.material, name) for name in _MATERIAL]
+        write_npz(path, "plant model", SCHEMA, **arrays, **numbers, material=material, notes=np.array(self.notes, "U"))
+
+    @classmethod
+    def load(cls, path: Path | str) -> PlantModel:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, truncated, or not a plant model of this schema.
+        """
+        stored = read_npz(path, "plant model", SCHEMA)
+        natural = NaturalShape(**{name: stored[f"natural_{name}"] for name in _NATURAL_ARRAYS})
+        return cls(
+            rods=Rods(**{name: stored[name] for name in _ROD_ARRAYS}, natural=natural),
+            **{name: stored[name] for name in _PLANT_ARRAYS},
+            material=Material(**dict(zip(_MATERIAL, stored["material"].tolist(), strict=True))),
+            pedicel_spread=float(stored["pedicel_spread"]),
+            least_youngs=float(stored["least_youngs"]),
+            notes=tuple(stored["notes"].tolist()),
+        )
+
+
+def build_plant(
+    skeleton: Skeleton,
+    stem: Stem,
+    flowers: Flowers,
+    cloud: Cloud | None = None,
+    material: Material = TOMATO,
+    *,
+    params: Params = Params(),
+) -> PlantModel:
+    """Turn a scanned plant into rods that stand still under gravity.
+
+    Args:
+        skeleton: the tree with radii.
+        stem: which of its nodes are main stem.
+        flowers: each gets a modelled pedicel, which no sensor resolves.
+        cloud: gives the leaf area, hence the leaf mass; None means bare branches.
+        material: prior (`TOMATO`, `PEPPER`) or refined.
+        params: what the scan does not show.
+
+    Raises:
+        InputError: a plant of impossible size, or a flower on a node that does not exist.
+        StageFailure: kind "no_convergence": it cannot stand (see `Params.stiffen`).
+    """
+    _check(skeleton, stem, flowers)
+    rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
+    factor = least_factor(rods, Clamp.root(rods), is_pedicel)
+    if factor is None:
+        raise StageFailure(
+            "no_convergence",
+            "plant model: no stiffness of the stem holds the plant up, so a modelled pedicel is too soft for its "
+            "flower. Raise pedicel_youngs or pedicel_radius.",
+        )
+    chosen, note = _youngs_that_holds(material, factor * material.youngs, params)
+    rods = replace(rods, youngs=np.where(is_pedicel, rods.youngs, chosen.youngs))
+    return PlantModel(
+        rods=with_gravity_equilibrium(rods, Clamp.root(rods)),
+        stem_nodes=stem.node_ids,
+        arc_length=stem.arc_length,
+        flower_nodes=tips,
+        branch_bases=_branch_bases(skeleton, stem),
+        is_pedicel=is_pedicel,
+        material=chosen,
+        pedicel_spread=params.pedicel_spread,
+        least_youngs=factor * material.youngs,
+        notes=(_mass_note(rods, leaves, cloud), *note),
+    )
+
+
+def _rods(
+    skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, material: Material, *, params: Params
+) -> tuple[Rods, NDArray[np.bool_], NDArray[Any], float]:
+    """Return the rods in the scanned shape, which edges are pedicel, the flowers' nodes, and the leaf mass [kg]."""
+    radius = edge_radii(skeleton, stem, branch_share=params.branch_share, least=params.least_radius)
+    stalks = hang_flowers(
+        skeleton,
+        flowers,
+        length=params.pedicel_length,
+        radius=params.pedicel_radius,
+        peduncle_radius=params.peduncle_radius,
+        pieces=params.pedicel_pieces,
+    )
+    new = len(stalks.nodes)
+    mass = np.zeros(len(radius) + new)
+    if cloud is not None:
+        mass[: len(radius)] = leaf_mass(
+            skeleton,
+            stem,
+            cloud,
+            areal_density=params.areal_density,
+            voxel=params.leaf_voxel,
+            thickness=params.blade_thickness,
+        )
+    leaves = float(mass.sum())
+    mass[stalks.tips] += params.flower_mass
+    is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
+    rods = Rods(
+        nodes=np.concatenate([skeleton.nodes, stalks.nodes]),
+        parent=np.concatenate([skeleton.parent, stalks.parent]),
+        edge_radius=np.concatenate([radius, stalks.radius]),
+        youngs=np.where(is_pedicel, params.pedicel_youngs, material.youngs),
+        density=material.density,
+        bend_over_twist=material.bend_over_twist,
+        lumped_mass=mass,
+    )
+    stout = stout_radii(rods, margin=2 * params.margin)
+    keeps = is_pedicel | np.isin(np.arange(len(mass)), stem.node_ids)
+    return replace(rods, edge_radius=np.where(keeps, rods.edge_radius, stout)), is_pedicel, stalks.tips, leaves
+
+
+def _youngs_that_holds(material: Material, least: float, params: Params) -> tuple[Material, tuple[str, ...]]:
+    """Return the material, stiffened where the plant would not stand with it, and a note that says so.
+
+    Raises:
+        StageFailure: it would not stand and may not be stiffened.
+    """
+    if material.youngs >= params.margin * least:
+        return material, ()
+    if not params.stiffen:
+        raise _buckles(material.youngs, least)
+    held = params.margin * least
+    note = (
+        f"Young's modulus raised from {material.youngs / 1e6:.3g} to {held / 1e6:.3g} MPa: below {least / 1e6:.3g} MPa "
+        "the plant would buckle under its own weight, and it stands."
+    )
+    return replace(material, youngs=held), (note,)
+
+
+def _buckles(youngs: float, least: float) -> StageFailure:
+    return StageFailure(
+        "no_convergence",
+        f"plant model: with a Young's modulus of {youngs / 1e6:.3g} MPa the plant buckles under its own weight; "
+        f"about {least / 1e6:.3g} MPa would just hold it. Raise youngs, or check radii, units and leaf mass.",
+    )
+
+
+def _branch_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:
+    on_stem = np.isin(np.arange(len(skeleton.nodes)), stem.node_ids)
+    return 1 + np.flatnonzero(on_stem[skeleton.parent[1:]] & ~on_stem[1:])
+
+
+def _mass_note(rods: Rods, leaves: float, cloud: Cloud | None) -> str:
+    total = f"plant model: {1e3 * rods.node_mass.sum():.3g} g above the soil"
+    if cloud is None:
+        return f"{total}, no leaves: without a cloud their mass is unknown, and frequencies come out too high."
+    return f"{total}, {1e3 * leaves:.3g} g of it leaves."
+
+
+def _check(skeleton: Skeleton, stem: Stem, flowers: Flowers) -> None:
+    size = float(np.ptp(skeleton.nodes, axis=0).max())
+    check_range("plant size", size, 0.02, 20, "m")
+    count = len(skeleton.nodes)
+    for name, nodes in (("stem nodes", stem.node_ids), ("flower attachment", flowers.attachment)):
+        if len(nodes) and not (nodes.min() >= 0 and nodes.max() < count):
+            raise bad_input(name, given=f"node {nodes.max()}", allowed=f"0 <= node < {count}", do="Same skeleton?")
+
+
+_ROD_ARRAYS = ("nodes", "parent", "edge_radius", "youngs", "density", "bend_over_twist", "lumped_mass")
+_NATURAL_ARRAYS = ("length", "curvature", "twist")
+_PLANT_ARRAYS = ("stem_nodes", "arc_length", "flower_nodes", "branch_bases", "is_pedicel")
+_MATERIAL = tuple(Material.__dataclass_fields__)

@@ -1,0 +1,78 @@
+"""Does the plant stand? The least stiffness at which it does not buckle, and branches stout enough for their leaves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.elastic_rod.assembly import new_blocks
+from anther.elastic_rod.equilibrium import unstable_directions, with_gravity_equilibrium
+from anther.elastic_rod.model import build_model
+from anther.elastic_rod.motion import Clamp
+from anther.elastic_rod.rods import GRAVITY, Array, Rods
+from anther.elastic_rod.stepping import new_state
+from anther.errors import StageFailure
+
+SOFTEST, STIFFEST = 1e-4, 1e4
+"""Range of the factor on Young's modulus that is searched."""
+
+
+def scaled(rods: Rods, factor: float, fixed: NDArray[np.bool_]) -> Rods:
+    """Return rods whose Young's modulus is `factor` times as large, but for the edges in `fixed` (N,)."""
+    return replace(rods, youngs=np.asarray(rods.youngs) * np.where(fixed, 1.0, factor), natural=None)
+
+
+def stands(rods: Rods, clamp: Clamp) -> bool:
+    """Return whether the scanned shape is stable under gravity: its tangent stiffness is positive definite."""
+    try:
+        resting = with_gravity_equilibrium(rods, clamp)
+    except StageFailure:
+        return False
+    model, frames = build_model(resting, GRAVITY)
+    state = new_state(resting.nodes, frames)
+    return unstable_directions(model, clamp.free(resting), state, new_blocks(len(resting.nodes))) == 0
+
+
+def least_factor(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_]) -> float | None:
+    """Return the factor on Young's modulus at which the rods just stand, within 2 %; None if no stiffness helps.
+
+    The weight's torques do not depend on the stiffness, so the tangent stiffness is E A - B and there is one such
+    factor; it is bracketed and bisected on a logarithmic scale.
+
+    Args:
+        rods: the rods; their natural shape is found anew for every factor.
+        clamp: what is held.
+        fixed: (N,) edges whose stiffness is not scaled.
+    """
+    if not stands(scaled(rods, STIFFEST, fixed), clamp):
+        return None
+    if stands(scaled(rods, SOFTEST, fixed), clamp):
+        return SOFTEST
+    low, high = np.log(SOFTEST), np.log(STIFFEST)
+    while high - low > 0.02:
+        middle = (low + high) / 2
+        low, high = (low, middle) if stands(scaled(rods, float(np.exp(middle)), fixed), clamp) else (middle, high)
+    return float(np.exp(high))
+
+
+def stout_radii(rods: Rods, *, margin: float) -> Array:
+    """Return edge radii (N,) [m], raised where an edge could not hold up what it carries.
+
+    Whatever hangs beyond edge j (mass m, centre of mass at a distance d from the edge's base) needs, as a mass on a
+    clamped column, EI > 4 m g d^2 / pi^2 (Euler). A scan shows a leaf's midrib too thin or not at all, yet it holds.
+
+    Args:
+        rods: tissue, leaves and flowers.
+        margin: ratio of stiffness to that limit [-].
+    """
+    parent, weight = rods.parent, rods.node_mass.copy()
+    moment = weight[:, None] * rods.nodes
+    for j in range(len(weight) - 1, 0, -1):
+        weight[parent[j]] += weight[j]
+        moment[parent[j]] += moment[j]
+    centre = moment / np.maximum(weight, 1e-12)[:, None]
+    lever = np.linalg.norm(centre - rods.nodes[parent], axis=1)
+    needed = margin * 4 / np.pi**2 * weight * -GRAVITY[2] * lever**2
+    return np.maximum(rods.edge_radius, (4 * needed / (np.pi * np.asarray(rods.youngs))) ** 0.25)

@@ -1,0 +1,161 @@
+"""The shake plan as a document: what to do, what it is expected to do, and why. F flowers, G heights, Q frequencies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from anther.checks import check_array, check_range
+from anther.errors import bad_input
+from anther.files import read_json, write_json
+from anther.geometry import Array, transform_from_pose7
+from anther.grasp import Grasp
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseMap:
+    """How the flowers answer, by grip height and frequency, in the best direction and within the limits.
+
+    Attributes:
+        frequencies: (Q,) [Hz].
+        arc_length: (G,) grip height along the stem, rising [m].
+        acceleration: (G, Q) mean peak acceleration of the flowers at the largest allowed shake [m/s2].
+        per_metre: (G, Q) mean flower amplitude over grip amplitude [m/m].
+        amplitude: (G, Q) largest allowed grip amplitude [m].
+    """
+
+    frequencies: Array
+    arc_length: Array
+    acceleration: Array
+    per_metre: Array
+    amplitude: Array
+
+    def __post_init__(self) -> None:
+        q, g = len(self.frequencies), len(self.arc_length)
+        object.__setattr__(self, "frequencies", check_array("map frequencies", self.frequencies, (q,)))
+        object.__setattr__(self, "arc_length", check_array("map arc length", self.arc_length, (g,)))
+        for name in ("acceleration", "per_metre", "amplitude"):
+            object.__setattr__(self, name, check_array(f"map {name}", getattr(self, name), (g, q)))
+
+
+@dataclass(frozen=True, slots=True)
+class RunnerUp:
+    """The best shake at another grasp or another frequency (a fifth away or more).
+
+    Attributes:
+        grasp_index: into the ranked grasps.
+        frequency, amplitude: [Hz], [m].
+        score: of the objective; the plan's own score is `ShakePlan.score`.
+    """
+
+    grasp_index: int
+    frequency: float
+    amplitude: float
+    score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShakePlan:
+    """One shake: hold `grasp`, move it as amplitude * sin(2 pi frequency t) along `direction`, and what that does.
+
+    Attributes:
+        grasp_index: into the ranked grasps it was chosen from.
+        grasp: the grasp itself.
+        direction: (3,) unit vector, world.
+        amplitude: half of peak to peak [m].
+        frequency: [Hz].
+        duration: [s].
+        waveform: "sine", with the amplitude rising over `ramp`.
+        ramp: [s].
+        predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path [m].
+        predicted_amplitude_interval: (F, 2) what nine scenarios in ten stay between, by the material's spread [m].
+        predicted_acceleration: (F,) peak [m/s2].
+        predicted_acceleration_interval: (F, 2) [m/s2].
+        score: of the objective, averaged over flowers and scenarios: pollen dose [-] or amplitude [m].
+        limits: (name, value, limit, share used) each.
+        runner_up: the next best, or None.
+        reason: why this one, for people.
+        response_map: for the picture.
+        notes: what the stage wants the user to know.
+    """
+
+    grasp_index: int
+    grasp: Grasp
+    direction: Array
+    amplitude: float
+    frequency: float
+    duration: float
+    waveform: str
+    ramp: float
+    predicted_amplitude: Array
+    predicted_amplitude_interval: Array
+    predicted_acceleration: Array
+    predicted_acceleration_interval: Array
+    score: float
+    limits: Sequence[tuple[str, float, float, float]]
+    runner_up: RunnerUp | None
+    reason: str
+    response_map: ResponseMap
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        f = len(self.predicted_amplitude)
+        for name, shape in _SHAPES.items():
+            wanted = tuple(f if n is None else n for n in shape)
+            object.__setattr__(self, name, check_array(name.replace("_", " "), getattr(self, name), wanted))
+        check_range("shake amplitude", self.amplitude, 0, 1, "m")
+        check_range("shake frequency", self.frequency, 1e-3, 1e4, "Hz")
+        check_range("shake duration", self.duration, 1e-3, 3600, "s")
+        if self.waveform != "sine":
+            raise bad_input("waveform", given=self.waveform, allowed="sine", do="Plan again.")
+        object.__setattr__(self, "limits", tuple((str(n), float(v), float(m), float(s)) for n, v, m, s in self.limits))
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+    def save(self, path: Path | str) -> None:
+        """Write JSON (kind 'shake plan')."""
+        row: dict[str, Any] = {"kind": "shake plan", "schema": SCHEMA}
+        row |= {name: getattr(self, name) for name in _SAVED}
+        row["grasp"] = {"pose": self.grasp.pose7, **{name: getattr(self.grasp, name) for name in _GRASP}}
+        row["runner_up"] = None if self.runner_up is None else asdict(self.runner_up)
+        row["response_map"] = {name: getattr(self.response_map, name) for name in ResponseMap.__dataclass_fields__}
+        write_json(path, row)
+
+    @classmethod
+    def load(cls, path: Path | str) -> ShakePlan:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, not JSON, or not a shake plan of this schema.
+        """
+        row = read_json(path)
+        if not isinstance(row, dict) or (row.get("kind"), row.get("schema")) != ("shake plan", SCHEMA):
+            raise bad_input(str(path), given="another file", allowed=f"a shake plan, schema {SCHEMA}", do="Plan again.")
+        try:
+            held = row["grasp"]
+            grasp = Grasp(transform_from_pose7(held["pose"]), **{name: held[name] for name in _GRASP})
+            return cls(
+                grasp=grasp,
+                runner_up=None if row["runner_up"] is None else RunnerUp(**row["runner_up"]),
+                response_map=ResponseMap(**row["response_map"]),
+                **{name: row[name] for name in _SAVED},
+            )
+        except (KeyError, TypeError) as error:
+            raise bad_input(
+                str(path), given=f"a broken shake plan ({error!r})", allowed="what save wrote", do="Plan again."
+            ) from error
+
+
+_GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "score", "reason", "joints")
+_NESTED = ("grasp", "runner_up", "response_map")
+_SAVED = tuple(name for name in ShakePlan.__dataclass_fields__ if name not in _NESTED)
+_SHAPES: dict[str, tuple[int | None, ...]] = {
+    "direction": (3,),
+    "predicted_amplitude": (None,),
+    "predicted_amplitude_interval": (None, 2),
+    "predicted_acceleration": (None,),
+    "predicted_acceleration_interval": (None, 2),
+}

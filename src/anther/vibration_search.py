@@ -1,0 +1,107 @@
+"""The linear search behind a shake plan: response of every scenario at every grip, direction and frequency.
+
+M scenarios, Q frequencies, G grip nodes, D directions, F flowers, N rod nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from anther.elastic_rod.response import response_map
+from anther.elastic_rod.rods import Array
+from anther.errors import StageFailure
+from anther.plant import Material, PlantModel
+from anther.vibration_observables import Observables, observables, semi_major
+
+
+class Gains(NamedTuple):
+    """What one metre of grip amplitude does, within linear theory. Leading axes (M, Q, G, D).
+
+    Attributes:
+        flower: (M, Q, G, D, F) amplitude of each flower, the semi-major axis of its path [m/m].
+        stem_strain, joint_strain: (M, Q, G, D) largest bending strain of main stem and pedicels [1/m].
+        leaf_load: (M, Q, G, D) largest equivalent acceleration at a branch base [1/s2].
+    """
+
+    flower: Array
+    stem_strain: Array
+    joint_strain: Array
+    leaf_load: Array
+
+
+def scenarios(plant: PlantModel, count: int, seed: int = 0) -> list[PlantModel]:
+    """Return the plant as believed, and `count` versions of it drawn from the spreads of its material.
+
+    Stiffness, damping, EI/GJ and the pedicels' stiffness are lognormal and independent, drawn by a scrambled Halton
+    sequence so that few draws cover the range evenly. A draw in which the plant would buckle is stiffened until it
+    stands, because it stands; one that still cannot (its pedicels are too soft) is left out.
+    """
+    generator = np.random.default_rng(seed)
+    draws = qmc.MultivariateNormalQMC(np.zeros(4), engine=qmc.Halton(4, rng=generator), rng=generator)
+    versions = [plant]
+    for z in draws.random(count) if count else ():
+        version = _standing(plant, drawn_material(plant.material, z, plant.least_youngs), plant.pedicel_spread * z[3])
+        versions += [] if version is None else [version]
+    return versions
+
+
+def _standing(plant: PlantModel, material: Material, log_pedicel: float) -> PlantModel | None:
+    for stiffer in 1.25 ** np.arange(8):
+        tried = replace(material, youngs=material.youngs * float(stiffer))
+        try:
+            return plant.with_material(tried, pedicel_factor=float(np.exp(log_pedicel)))
+        except StageFailure:
+            continue
+    return None
+
+
+def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs: float) -> Material:
+    """Return the material at standard normal deviates z = (ln E, ln damping, ln EI/GJ, ...), stiff enough to stand."""
+    return replace(
+        material,
+        youngs=max(material.youngs * float(np.exp(material.youngs_spread * z[0])), 1.1 * least_youngs),
+        damping_ratio=float(np.clip(material.damping_ratio * np.exp(material.damping_spread * z[1]), 1e-3, 0.9)),
+        bend_over_twist=float(np.clip(material.bend_over_twist * np.exp(material.twist_spread * z[2]), 0.2, 500)),
+    )
+
+
+def gains(versions: Sequence[PlantModel], grips: NDArray[Any], directions: Array, frequencies: Array) -> Gains:
+    """Return the linear response of every scenario.
+
+    Args:
+        versions: M scenarios of one plant.
+        grips: (G,) rod nodes.
+        directions: (G, D, 3) unit shake directions at each grip.
+        frequencies: (Q,) [Hz].
+    """
+    parts = []
+    for plant in versions:
+        seen = observables(plant)
+        parts.append(
+            [
+                np.stack(a)
+                for a in zip(*(_gains_at(plant, seen, grips, directions, f) for f in frequencies), strict=True)
+            ]
+        )
+    return Gains(*(np.stack(a) for a in zip(*parts, strict=True)))
+
+
+def _gains_at(
+    plant: PlantModel, seen: Observables, grips: NDArray[Any], directions: Array, frequency: float
+) -> tuple[Array, Array, Array, Array]:
+    everything = np.arange(len(plant.rods.nodes))
+    response = response_map(plant.rods_at(frequency), plant.clamp, grips, np.eye(3), [frequency], observe=everything)[0]
+    flat = response.reshape(len(grips) * 3, -1)
+    vectors = (seen.operator @ flat.T).reshape(-1, 3, len(grips), 3)
+    size = semi_major(np.einsum("kigj,gdj->gdki", vectors, directions))
+    omega2 = (2 * np.pi * frequency) ** 2
+    worst = [
+        size[..., rows].max(axis=-1, initial=0.0) for rows in (seen.stem_strain, seen.joint_strain, seen.leaf_load)
+    ]
+    return size[..., seen.flowers], worst[0], worst[1], omega2 * worst[2]
