@@ -85,7 +85,7 @@ def test_pepper_leaves_below_the_first_fork() -> None:
     for seed in SEEDS:
         plant = grow_pepper(seed)
         stem = set(plant.stem_segments().tolist())
-        petioles = np.flatnonzero((plant.organ == Organ.PETIOLE))
+        petioles = np.flatnonzero(plant.organ == Organ.PETIOLE)
         on_stem = [k for k in petioles if int(plant.parent[k]) in stem]
         assert 7 <= len(on_stem) <= 12
         forks = [k for k in np.flatnonzero(plant.organ == Organ.BRANCH) if int(plant.parent[k]) in stem]

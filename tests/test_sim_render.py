@@ -45,7 +45,7 @@ def test_depth_of_a_slanted_plane_is_analytic() -> None:
 
 def test_depth_of_a_sphere_is_analytic() -> None:
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
-    image = scene_of(ball.vertices + [0.5, 0, 0], ball.faces).render(SMALL, LEVEL)
+    image = scene_of(ball.vertices + np.array([0.5, 0, 0]), ball.faces).render(SMALL, LEVEL)
     ray = SMALL.rays()
     a, b, c = (ray**2).sum(axis=2), -2 * 0.5 * ray[..., 2], 0.5**2 - 0.1**2
     root = b**2 - 4 * a * c
@@ -110,7 +110,7 @@ def test_moved_scene_moves_the_plant_only() -> None:
 def test_an_added_object_hides_what_is_behind_it() -> None:
     scene = scene_of(*wall(1.0), organ=Organ.STEM)
     block = trimesh.creation.box([0.1, 0.1, 0.1])
-    image = scene.with_object(block.vertices + [0.6, 0, 0], block.faces, (200, 0, 0)).render(SMALL, LEVEL)
+    image = scene.with_object(block.vertices + np.array([0.6, 0, 0]), block.faces, (200, 0, 0)).render(SMALL, LEVEL)
     assert image.depth[60, 80] == pytest.approx(0.55, abs=1e-4)
     assert image.organ[60, 80] == Organ.BENCH
     assert image.organ[5, 5] == Organ.STEM
@@ -144,7 +144,7 @@ def test_visible_says_what_stands_in_between() -> None:
 def test_organs_have_believable_colours() -> None:
     plant = grow_tomato(1)
     target = np.array([0.72, 0, 0.0])
-    image = Scene.of_plant(plant).render(d455(640, 360), look_at(target + [-0.7, 0, 0.1], target))
+    image = Scene.of_plant(plant).render(d455(640, 360), look_at(target + np.array([-0.7, 0, 0.1]), target))
     leaf = image.rgb[image.organ == Organ.LEAF].astype(int)
     assert (leaf[:, 1] > leaf[:, 0]).mean() > 0.95
     assert (leaf[:, 1] > leaf[:, 2]).mean() > 0.99

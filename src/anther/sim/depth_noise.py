@@ -38,7 +38,7 @@ class DepthNoise:
         edge: disparity step that makes an edge [px].
         edge_dropped: share of edge pixels without a reading.
         edge_flying: share of edge pixels that float between the two surfaces.
-        stereo_shadow: whether surfaces that only one imager sees are dropped.
+        stereo_shadow: whether surfaces that only one imager sees are dropped, as is what lies left of its view.
     """
 
     baseline: float = 0.095
@@ -152,7 +152,7 @@ def _ragged_edges(
 
 @numba.njit(cache=True, nogil=True)
 def _shadowed(disparity: NDArray[Any]) -> NDArray[Any]:
-    """(H, W) whether a nearer surface hides the point from the second imager, which looks from the right."""
+    """(H, W) whether the second imager, on the right, sees another surface there or is not pointed there."""
     height, width = disparity.shape
     out = np.zeros((height, width), np.bool_)
     nearest = np.empty(width, disparity.dtype)
@@ -160,10 +160,10 @@ def _shadowed(disparity: NDArray[Any]) -> NDArray[Any]:
         nearest[:] = 0
         for column in range(width):
             x = int(column - disparity[row, column] + 0.5)
-            if 0 <= x < width and disparity[row, column] > nearest[x]:
+            if x >= 0 and disparity[row, column] > nearest[x]:
                 nearest[x] = disparity[row, column]
         for column in range(width):
             x = int(column - disparity[row, column] + 0.5)
-            if 0 <= x < width and nearest[x] > disparity[row, column] + 1.5:
+            if x < 0 or nearest[x] > disparity[row, column] + 1.5:
                 out[row, column] = True
     return out
