@@ -124,9 +124,10 @@ class Growth:
             (r - 0.01, -0.03),
         ]
         self.surface(revolve(np.repeat(outside, 2, axis=0)), Organ.POT, colour, -1)
-        rings = np.linspace(0, r - 0.006, 14)
-        soil, faces = revolve(np.stack([rings, -0.012 * (rings / r) ** 2], axis=1), sides=48)
-        soil[48:, 2] += self.rng.normal(0, 0.0012, len(soil) - 48)
+        rings = np.linspace(0, r - 0.006, 18)
+        soil, faces = revolve(np.stack([rings, -0.012 * (rings / r) ** 2], axis=1), sides=56)
+        crumbs = slice(56, -56)
+        soil[crumbs] += self.rng.normal(0, 0.0014, soil[crumbs].shape)
         colours = np.clip(np.array(SOIL_COLOUR) * self.rng.uniform(0.6, 1.35, (len(soil), 1)), 0, 255)
         self.surface((soil, faces), Organ.SOIL, colours, -1)
 
