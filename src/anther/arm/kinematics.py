@@ -18,6 +18,7 @@ from anther.geometry import Array
 LIMIT_MARGIN = 0.05  # rad kept free at both ends of every joint's range
 SAME = 0.25  # rad, solutions closer than this in every joint count as one branch
 SHOULDER = np.array([0.0, 0.0, 0.317])
+ITERATIONS = 25  # of Newton; seeds that need more are given up
 REACH = 1.13  # m, farthest flange from the shoulder (facts: sawyer 2)
 
 
@@ -33,16 +34,25 @@ def inverse(T_world_flange: ArrayLike, *, near: ArrayLike | None = None, seeds: 
         near: (7,) joints; solutions come ordered by distance from them. None orders by room to the joint limits.
         seeds: how many postures to start from.
     """
-    target = check_transform("flange pose", T_world_flange)
-    if np.linalg.norm(target[:3, 3] - SHOULDER) > REACH:
-        return np.zeros((0, 7))
-    start = _nearest_postures(target, seeds)
     origin = None if near is None else np.asarray(near, dtype=np.float64)
-    if origin is not None:
-        start = np.concatenate([origin[None], start])
-    q = _turned(_solve(target, start, iterations=25))
+    return inverse_many(check_transform("flange pose", T_world_flange)[None], near=origin, seeds=seeds)[0]
+
+
+def inverse_many(T_world_flange: Array, *, near: Array | None = None, seeds: int = 16) -> list[Array]:
+    """Return joint solutions (B, 7) of each of (N, 4, 4) flange poses, solved together; see `inverse`."""
+    within = np.flatnonzero(np.linalg.norm(T_world_flange[:, :3, 3] - SHOULDER, axis=1) <= REACH)
+    first = np.zeros((0, 7)) if near is None else near[None]
+    starts = [np.concatenate([first, _nearest_postures(T_world_flange[i], seeds)]) for i in within]
+    pose = np.repeat(within, len(first) + seeds)
+    found, of_pose = _solve(T_world_flange, pose, np.concatenate([np.zeros((0, 7)), *starts]))
+    return [_useful(found[of_pose == i], near) for i in range(len(T_world_flange))]
+
+
+def _useful(q: Array, near: Array | None) -> Array:
+    """Return the distinct solutions within limits in order of preference."""
+    q = _turned(q)
     q = q[np.all((q >= sawyer.LOWER + LIMIT_MARGIN) & (q <= sawyer.UPPER - LIMIT_MARGIN), axis=1)]
-    cost = -limit_room(q) if origin is None else np.abs(q - origin).max(axis=1)
+    cost = -limit_room(q) if near is None else np.abs(q - near).max(axis=1)
     return _distinct(q[np.argsort(cost, kind="stable")])
 
 
@@ -88,18 +98,18 @@ def _meet(q: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
     return q, ~np.all(np.abs(error) < 1e-7, axis=-1)
 
 
-def _solve(target: Array, q: Array, *, iterations: int) -> Array:
-    """Return the seeds (K, 7) that converged on `target`."""
-    solved = []
-    for k in range(iterations):
-        step, error = _newton_step(q, target, damping=1e-6 if k > 6 else 1e-3)
+def _solve(targets: Array, pose: NDArray[np.intp], q: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the seeds (K, 7), each for the target its `pose` (K,) names, that converged, and their poses."""
+    solved, of_pose = [np.zeros((0, 7))], [pose[:0]]
+    for k in range(ITERATIONS):
+        step, error = _newton_step(q, targets[pose], damping=1e-6 if k > 6 else 1e-3)
         done = np.abs(error).max(axis=1) < 1e-7
         solved.append(q[done])
-        q = q[~done] + np.clip(step[~done], -0.5, 0.5)
-        q = np.clip(q, sawyer.LOWER, sawyer.UPPER)
+        of_pose.append(pose[done])
+        q, pose = np.clip(q[~done] + np.clip(step[~done], -0.5, 0.5), sawyer.LOWER, sawyer.UPPER), pose[~done]
         if len(q) == 0:
             break
-    return np.concatenate(solved)
+    return np.concatenate(solved), np.concatenate(of_pose)
 
 
 def _newton_step(q: Array, target: Array, *, damping: float) -> tuple[Array, Array]:

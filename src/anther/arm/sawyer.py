@@ -27,6 +27,7 @@ VELOCITY = np.array([1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545])  # rad/s
 ACCELERATION = np.array([10.0, 8.0, 10.0, 10.0, 12.0, 12.0, 12.0])  # rad/s^2, SDK maximum
 EFFORT = np.array([80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0])  # N m
 NEUTRAL = np.array([0.0, -1.18, 0.0, 2.18, 0.0, 0.57, 3.3161])  # rad; the last is pi + the 10 degree mount twist
+READY = np.array([0.0, -1.57, 0.0, 2.57, 0.0, 0.57, 3.3161])  # rad; neutral drawn back from the plant, our choice
 FLOOR_Z = -0.913  # m
 
 

@@ -1,0 +1,272 @@
+"""Viewpoints around a plant that the arm can reach, in an order that keeps the motion short. V views, C choices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.arm import kinematics, sawyer
+from anther.arm.planner import Params as MotionParams
+from anther.arm.planner import Planner
+from anther.checks import check_array, check_range, check_transform
+from anther.devices import JointTrajectory
+from anther.errors import StageFailure
+from anther.geometry import Array, Box, inverse, look_at
+
+FAST = MotionParams(velocity_share=0.85, acceleration_share=0.7)
+COLUMN = 30.0  # degrees of azimuth walked through together
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """Where views are sought.
+
+    Attributes:
+        count: how many views.
+        distances: of the camera from the plant's axis, in order of preference [m]; the D455 sees nothing nearer than
+            0.48 m at 1280 x 720.
+        elevations: of the camera above its target [degrees].
+        azimuth_step: of the viewpoints tried [degrees].
+        height_shares: at which share of the region's height each elevation aims.
+        dwell: standing still for one image [s].
+    """
+
+    count: int = 30
+    distances: tuple[float, ...] = (0.65, 0.58, 0.52)
+    elevations: tuple[float, ...] = (-5.0, 15.0, 35.0, 55.0)
+    azimuth_step: float = 7.5
+    height_shares: tuple[float, ...] = (0.4, 0.45, 0.5, 0.55)
+    dwell: float = 0.2
+
+    def __post_init__(self) -> None:
+        check_range("views", self.count, 1, 500)
+        check_range("azimuth step", self.azimuth_step, 1, 90, "degrees")
+        check_range("nearest view", min(self.distances), 0.2, 2, "m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The views in the order they are taken.
+
+    Attributes:
+        joints: (V, 7) [rad].
+        T_world_cam: (V, 4, 4) camera poses by kinematics and hand-eye calibration, as far as the planner knows them.
+        motions: V motions; the first starts at the start joints.
+        azimuth: (V,) of the camera around the plant's vertical axis [degrees]; 0 is the side of the arm,
+            positive turns counterclockwise seen from above.
+        elevation: (V,) of the camera above its target [degrees].
+        dwell: standing still for one image [s].
+    """
+
+    joints: Array
+    T_world_cam: Array
+    motions: tuple[JointTrajectory, ...]
+    azimuth: Array
+    elevation: Array
+    dwell: float
+
+    def __post_init__(self) -> None:
+        n = len(self.joints)
+        object.__setattr__(self, "joints", check_array("view joints", self.joints, (n, 7)))
+        object.__setattr__(self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, n))
+
+
+def plan_views(
+    region: Box,
+    boxes: Sequence[Box] = (),
+    params: Params = Params(),
+    *,
+    start: ArrayLike = sawyer.READY,
+    T_flange_cam: ArrayLike = sawyer.T_FLANGE_CAM,
+    motion: MotionParams | None = None,
+) -> Views:
+    """Return reachable, collision-free views all around the side of the plant that the arm can reach.
+
+    Viewpoints on a grid of azimuth and elevation look at the region's axis, upright or upside down; those with a free
+    IK branch are kept and thinned out to `count` that are farthest apart. Order and branches are then chosen together
+    for short motion, and the motions planned around the region, which nothing enters.
+
+    Args:
+        region: where the plant may stand, from soil to top; kept free as an upright elliptic cylinder.
+        boxes: solid boxes, such as bench and pot.
+        params: see `Params`.
+        start: (7,) joints the arm comes from.
+        T_flange_cam: (4, 4) hand-eye calibration.
+        motion: how the arm moves; None takes sawyer_moveit's "fast" (facts: sawyer 1), as nothing is near.
+
+    Raises:
+        StageFailure: "unreachable" when fewer than three views can be reached, "collision" when the arm starts within
+            the region or an obstacle.
+    """
+    begin = check_array("start joints", start, (7,))
+    hand_eye = check_transform("T_flange_cam", T_flange_cam)
+    planner = Planner(cylinder_points(region), np.zeros((0, 3)), boxes, params=motion or FAST)
+    if not planner.world.free(begin):
+        raise StageFailure("collision", f"the start joints {begin.round(2)} are not free. Start from sawyer.READY.")
+    directions, branches = _reachable(region, planner, params, hand_eye)
+    if len(branches) < 3:
+        raise StageFailure(
+            "unreachable", f"only {len(branches)} views of {region} can be reached. Move the plant or arm."
+        )
+    chosen = _spread(_unit_rays(directions), params.count)
+    tour = _short_tour(begin, [branches[i] for i in chosen], *directions[chosen].T)
+    rows = [(chosen[i], q) for i, q in tour]
+    kept, motions = _motions(planner, begin, rows)
+    joints = np.array([q for _, q in kept])
+    azimuth, elevation = directions[[i for i, _ in kept]].T
+    return Views(joints, sawyer.forward(joints) @ hand_eye, tuple(motions), azimuth, elevation, params.dwell)
+
+
+def capture_time(views: Views) -> float:
+    """Return the time [s] of all motions and the stops for the images."""
+    return sum(m.duration for m in views.motions) + views.dwell * len(views.joints)
+
+
+def cylinder_points(region: Box, spacing: float = 0.015) -> Array:
+    """Return points (N, 3), at most `spacing` [m] apart, on the elliptic cylinder inscribed upright in a box."""
+    center, half = (region.lower + region.upper) / 2, (region.upper - region.lower) / 2
+    turn = np.arange(0, 2 * np.pi, spacing / half[:2].max())
+    wall = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    heights = np.append(np.arange(region.lower[2], region.upper[2], spacing), region.upper[2])
+    shares = np.arange(spacing, half[:2].max(), spacing) / half[:2].max()
+    layers = [np.column_stack([center[:2] + wall * half[:2], np.full(len(wall), z)]) for z in heights]
+    top = [np.column_stack([center[:2] + s * wall * half[:2], np.full(len(wall), region.upper[2])]) for s in shares]
+    return np.concatenate(layers + top)
+
+
+def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -> tuple[Array, list[Array]]:
+    """Return azimuth and elevation (V, 2) [degrees] of the reachable views and the free joints (C, 7) of each.
+
+    Each direction takes the first distance of the list at which it can be reached.
+    """
+    steps = np.arange(-180, 180, params.azimuth_step)
+    grid = [(a, e, share) for e, share in zip(params.elevations, params.height_shares, strict=True) for a in steps]
+    found: dict[int, Array] = {}
+    for distance in params.distances:
+        open_ = [i for i in range(len(grid)) if i not in found]
+        poses = [_camera_pose(region, *grid[i], distance) @ roll for i in open_ for roll in _ROLLS]
+        solved = kinematics.inverse_many(np.array(poses) @ inverse(hand_eye), seeds=12)
+        for k, i in enumerate(open_):
+            choices = np.concatenate(solved[len(_ROLLS) * k : len(_ROLLS) * (k + 1)])
+            free = choices[[planner.world.free(q) for q in choices]] if len(choices) else choices
+            if len(free):
+                found[i] = free
+    order = sorted(found)
+    return np.array([grid[i][:2] for i in order]).reshape(-1, 2), [found[i] for i in order]
+
+
+_ROLLS = (np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0]))
+
+
+def _camera_pose(region: Box, azimuth: float, elevation: float, height_share: float, distance: float) -> Array:
+    target = (region.lower + region.upper) / 2
+    target[2] = region.lower[2] + height_share * (region.upper[2] - region.lower[2])
+    away = _unit_rays(np.array([[azimuth, elevation]]))[0]
+    toward_arm = np.arctan2(-target[1], -target[0])
+    c, s = np.cos(toward_arm), np.sin(toward_arm)
+    return look_at(
+        target + distance * np.array([c * away[0] - s * away[1], s * away[0] + c * away[1], away[2]]), target
+    )
+
+
+def _unit_rays(directions: Array) -> Array:
+    azimuth, elevation = np.deg2rad(directions).T
+    return np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
+    )
+
+
+def _spread(rays: Array, count: int) -> list[int]:
+    """Return up to `count` indices of rays (V, 3), each the farthest from those before it."""
+    chosen = [int(np.argmax(rays[:, 0]))]
+    distance = np.linalg.norm(rays - rays[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(rays)):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(rays - rays[chosen[-1]], axis=1))
+    return chosen
+
+
+def _short_tour(start: Array, choices: list[Array], azimuth: Array, elevation: Array) -> list[tuple[int, Array]]:
+    """Return (view, joints) in an order and with branches that keep the motion short.
+
+    From columns of azimuth walked up and down, either way round, the branches are chosen for the order (shortest path
+    through the layers) and the order is improved for the branches by reversing pieces (2-opt), in turn. The better
+    result counts.
+    """
+    column = np.round(azimuth / COLUMN).astype(int)
+    serpentine = [int(i) for i in np.lexsort((elevation * (-1.0) ** column, column))]
+    tours = [_improved(start, choices, order) for order in (serpentine, serpentine[::-1])]
+    return min(tours, key=lambda tour: _length(start, [q for _, q in tour]))
+
+
+def _improved(start: Array, choices: list[Array], order: list[int]) -> list[tuple[int, Array]]:
+    picks = _best_branches(start, [choices[v] for v in order])
+    for _ in range(4):
+        stops = np.array([start, *picks])
+        order = [order[i - 1] for i in _two_opt(_times(stops, stops))[1:]]
+        picks = _best_branches(start, [choices[v] for v in order])
+    return list(zip(order, picks, strict=True))
+
+
+def _length(start: Array, picks: list[Array]) -> float:
+    stops = np.array([start, *picks])
+    return float(np.diagonal(_times(stops[:-1], stops[1:])).sum())
+
+
+def _times(a: Array, b: Array) -> Array:
+    """Return (A, B) least times [s] from rest to rest between joints, each joint at its limits."""
+    far = np.abs(a[:, None] - b[None])
+    v, acc = sawyer.VELOCITY, sawyer.ACCELERATION
+    return np.where(far > v**2 / acc, far / v + v / acc, 2 * np.sqrt(far / acc)).max(axis=2)
+
+
+def _two_opt(cost: Array) -> NDArray[Any]:
+    """Return an order (V,) of an open tour that starts at 0 and that no reversal of a piece makes shorter."""
+    n = len(cost)
+    order, improved = np.arange(n), True
+    while improved:
+        improved = False
+        for i in range(1, n - 1):
+            for j in range(i + 1, n):
+                before, first, last = order[i - 1], order[i], order[j]
+                gain = cost[before, first] - cost[before, last]
+                if j + 1 < n:
+                    gain += cost[last, order[j + 1]] - cost[first, order[j + 1]]
+                if gain > 1e-9:
+                    order[i : j + 1] = order[i : j + 1][::-1]
+                    improved = True
+    return order
+
+
+def _best_branches(start: Array, layers: list[Array]) -> list[Array]:
+    """Return the joints of each layer (C, 7) on the shortest way from `start` through all."""
+    total, came = np.zeros(1), []
+    previous = start[None]
+    for layer in layers:
+        reach = total[:, None] + _times(previous, layer)
+        came.append(reach.argmin(axis=0))
+        total, previous = reach.min(axis=0), layer
+    pick, joints = int(total.argmin()), []
+    for layer, back in zip(reversed(layers), reversed(came), strict=True):
+        joints.append(layer[pick])
+        pick = int(back[pick])
+    return joints[::-1]
+
+
+def _motions(
+    planner: Planner, start: Array, rows: list[tuple[int, Array]]
+) -> tuple[list[tuple[int, Array]], list[JointTrajectory]]:
+    """Return the views the arm gets to, and its motions; a view without a path is left out."""
+    kept, motions, here = [], [], start
+    for row in rows:
+        try:
+            motions.append(planner.move(here, row[1]))
+        except StageFailure:
+            continue
+        kept.append(row)
+        here = row[1]
+    return kept, motions
