@@ -99,7 +99,7 @@ def noisy_depth(
     disparity += np.float32(params.subpixel) * _field(exact.shape, params.correlation, rng)
     if params.quantum > 0:
         disparity = np.round(disparity / np.float32(params.quantum)) * np.float32(params.quantum)
-    seen &= ~dropped & (disparity > 0) & (disparity <= params.max_disparity)
+    seen &= ~dropped & (disparity >= focal / params.max_range) & (disparity <= params.max_disparity)
     return np.where(seen, focal / np.maximum(disparity, np.float32(1e-3)), np.float32(0))
 
 
