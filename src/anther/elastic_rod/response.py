@@ -100,7 +100,7 @@ def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayL
     """
     check_range("number of modes", count, 1, 1e5)
     system = _linearise(rods, clamp, gravity)
-    stiffness, mass = _sparse(system.model, system.tangent), _masses(system.model)
+    stiffness, mass = sparse_matrix(system.model, system.tangent), _masses(system.model)
     keep = np.flatnonzero(system.free.ravel())
     count = min(count, len(keep) - 2)
     K = stiffness[keep][:, keep]
@@ -142,7 +142,8 @@ def _masses(model: Model) -> Array:
     return np.concatenate([np.repeat(model.mass[:, None], 3, axis=1), model.spin_inertia[:, None]], axis=1).ravel()
 
 
-def _sparse(model: Model, blocks: Blocks) -> Any:
+def sparse_matrix(model: Model, blocks: Blocks) -> Any:
+    """Return the (4N, 4N) scipy sparse matrix that the blocks stand for."""
     n = len(model.parent)
     rows, columns, values = [], [], []
     index = 4 * np.arange(n)[:, None] + np.arange(4)
