@@ -143,21 +143,21 @@ def urdf() -> str:
 
 
 def _link(name: str, capsules: Sequence[Capsule], solids: Sequence[Solid], margin: float = 0.0) -> str:
-    shapes = [shape for capsule in capsules for shape in _capsule(capsule, margin)]
-    shapes += [(_origin(s.center, (0, 0, 0)), f'<box size="{_numbers(2 * np.array(s.half))}"/>') for s in solids]
-    parts = "".join(f"<collision>{origin}<geometry>{shape}</geometry></collision>" for origin, shape in shapes)
-    return f'<link name="{name}">{parts}</link>'
+    """A cylinder whose name stands under collision_checking/capsule is read as a capsule by pinocchio."""
+    tags = "".join(f'<capsule name="{name}_capsule{i}"/>' for i in range(len(capsules)))
+    shapes = [(f"{name}_capsule{i}", *_capsule(capsule, margin)) for i, capsule in enumerate(capsules)]
+    shapes += [
+        (s.name, _origin(s.center, (0, 0, 0)), f'<box size="{_numbers(2 * np.array(s.half))}"/>') for s in solids
+    ]
+    parts = "".join(f'<collision name="{n}">{at}<geometry>{shape}</geometry></collision>' for n, at, shape in shapes)
+    return f'<link name="{name}">{parts}<collision_checking>{tags}</collision_checking></link>'
 
 
-def _capsule(capsule: Capsule, margin: float) -> list[tuple[str, str]]:
-    """URDF knows no capsule: a cylinder and a sphere at each end."""
+def _capsule(capsule: Capsule, margin: float) -> tuple[str, str]:
     start, end, radius = np.array(capsule.start), np.array(capsule.end), capsule.radius + margin
     length = float(np.linalg.norm(end - start))
     turn = Rotation.align_vectors([(end - start) / length], [[0, 0, 1]])[0]
-    cylinder = f'<cylinder radius="{radius}" length="{length}"/>'
-    ball = f'<sphere radius="{radius}"/>'
-    spheres = [(_origin(p, (0, 0, 0)), ball) for p in (start, end)]
-    return [(_origin((start + end) / 2, turn.as_euler("xyz")), cylinder), *spheres]
+    return _origin((start + end) / 2, turn.as_euler("xyz")), f'<cylinder radius="{radius}" length="{length}"/>'
 
 
 def _fixed(name: str, parent: str, child: str, origin: str) -> str:
