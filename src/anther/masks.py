@@ -25,6 +25,7 @@ from anther.files import read_npz, write_npz
 from anther.geometry import Box
 from anther.ground import ground_cells
 from anther.voting import (
+    BESIDE_FLOWER,
     BROWN_CELL,
     EMPTY,
     FLOWER_CELL,
@@ -32,6 +33,8 @@ from anther.voting import (
     GREEN_CELL,
     GREEN_NO_DEPTH,
     GROUND,
+    LAYERS,
+    PETAL_VIEWS,
     WHITE,
     YELLOW,
     ColourRule,
@@ -55,10 +58,11 @@ class Params:
             perception) so that views agree.
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
         green_share, petal_share: least share of votes that makes a cell green, or petal.
+        petal_votes, petal_views: a petal cell has at least this many petal pixels, from so many views.
         yellow_saturation: least saturation of yellow petals, 0..1.
         white_saturation: greatest saturation of white petals, 0..1.
-        white_gain: how much brighter than bright leaves white petals are.
-        flower_extent: greatest extent of one flower cluster [m].
+        yellow_gain, white_gain: least brightness of petals, relative to bright leaves.
+        flower_extent: greatest extent of a flower cluster (a truss) [m].
         flower_distance: a flower comes at least this close to green cells [m].
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
         ground_margin: what lies less than this above the ground is ground [m].
@@ -71,11 +75,14 @@ class Params:
     voxel: float = 0.005
     green: float = 0.10
     green_share: float = 0.25
-    petal_share: float = 0.3
+    petal_share: float = 0.35
+    petal_votes: int = 8
+    petal_views: int = 3
     yellow_saturation: float = 0.45
     white_saturation: float = 0.25
-    white_gain: float = 1.25
-    flower_extent: float = 0.06
+    yellow_gain: float = 0.5
+    white_gain: float = 0.9
+    flower_extent: float = 0.12
     flower_distance: float = 0.02
     ground_radius: float = 0.035
     ground_margin: float = 0.008
@@ -137,7 +144,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
     rule = None if capture.rgb is None else _colour_rule(capture.rgb, params)
     cameras = [camera_numbers(T, capture.intrinsics) for T in capture.T_world_cam]
     threads = 2  # each votes in a grid of its own
-    counts = np.zeros((threads, 4, *grid.shape), dtype=np.int32)
+    counts = np.zeros((threads, LAYERS, *grid.shape), dtype=np.int32)
     classes = np.zeros(capture.depth.shape, dtype=np.uint8)
     labels = np.zeros(capture.depth.shape, dtype=np.uint8)
 
@@ -145,7 +152,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         for view in range(thread, capture.views, threads):
             rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
             classes[view] = vote(
-                rgb, capture.depth[view], camera=cameras[view], grid=grid, rule=rule, counts=counts[thread]
+                rgb, capture.depth[view], camera=cameras[view], grid=grid, rule=rule, counts=counts[thread], view=view
             )
 
     def label_view(view: int) -> None:
@@ -154,7 +161,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
         list(pool.map(vote_views, range(threads)))
-        cells = _label_cells(counts.sum(axis=0), params, has_colour=rule is not None)
+        cells = _label_cells(counts.sum(axis=0), params, rule is not None, capture.views)
         list(pool.map(label_view, range(capture.views)))
     found = int((labels > 0).sum())
     if found < params.least_pixels:
@@ -182,15 +189,15 @@ def _colour_rule(rgb: NDArray[Any], params: Params) -> ColourRule:
         gains=(float(gains[0]), float(gains[1]), float(gains[2])),
         green=params.green,
         yellow_saturation=params.yellow_saturation,
-        yellow_value=float(np.clip(bright, 60, 200)),
+        yellow_value=float(np.clip(params.yellow_gain * bright, 40, 200)),
         white_saturation=params.white_saturation,
-        white_value=float(np.clip(params.white_gain * bright, 90, 220)),
+        white_value=float(np.clip(params.white_gain * bright, 80, 220)),
     )
 
 
-def _label_cells(counts: NDArray[Any], params: Params, *, has_colour: bool) -> NDArray[Any]:
+def _label_cells(counts: NDArray[Any], params: Params, has_colour: bool, views: int) -> NDArray[Any]:
     """Return what each cell is, (X, Y, Z) uint8: EMPTY, GROUND, GREEN_CELL, BROWN_CELL or FLOWER_CELL."""
-    total = counts.sum(axis=0)
+    total = counts[:PETAL_VIEWS].sum(axis=0)
     green = counts[GREEN - 1] >= np.maximum(2, params.green_share * total)
     occupied = total >= 2
     below, rim = ground_cells(
@@ -209,14 +216,21 @@ def _label_cells(counts: NDArray[Any], params: Params, *, has_colour: bool) -> N
     green &= ~below
     cells[green] = GREEN_CELL
     petal_votes = counts[YELLOW - 1] + counts[WHITE - 1]
-    petals = rest & (petal_votes >= np.maximum(2, params.petal_share * total))
+    seen_often = (petal_votes >= params.petal_votes) & (counts[PETAL_VIEWS] >= min(params.petal_views, views))
+    petals = occupied & ~below & ~rim & seen_often & (petal_votes >= params.petal_share * total)
     flowers = _parts_near(
-        petals, green, distance=params.flower_distance, extent=params.flower_extent, axis=0, voxel=params.voxel
+        petals,
+        green & ~petals,
+        distance=params.flower_distance,
+        extent=params.flower_extent,
+        axis=0,
+        voxel=params.voxel,
     )
     brown = _parts_near(
         rest & ~flowers, green, distance=params.attach_distance, extent=params.brown_extent, axis=1, voxel=params.voxel
     )
     cells[brown] = BROWN_CELL
+    cells[(ndimage.maximum_filter(flowers.astype(np.uint8), size=3) > 0) & (cells != GROUND)] = BESIDE_FLOWER
     cells[flowers] = FLOWER_CELL
     return cells
 

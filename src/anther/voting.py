@@ -17,8 +17,16 @@ from anther.geometry import Array, Box, Intrinsics
 OUTSIDE, OTHER, GREEN, YELLOW, WHITE, GREEN_NO_DEPTH = range(6)
 """Colour class of a pixel. OUTSIDE: beyond the workspace or without depth (and not green)."""
 
-EMPTY, GROUND, GREEN_CELL, BROWN_CELL, FLOWER_CELL = range(5)
+EMPTY, GROUND, GREEN_CELL, BROWN_CELL, FLOWER_CELL, BESIDE_FLOWER = range(6)
 """What a cell of the grid was found to be. BROWN_CELL: a part of the plant that is not green."""
+
+PETAL_VIEWS, LAST_PETAL_VIEW = 4, 5
+"""Layers of the vote grid after the four colours: in how many views petals voted, and the last of these plus one."""
+
+LAYERS = 6
+"""Number of layers of the vote grid."""
+
+_BLEED_REACH, _BLEED_COLOUR, _BLEED_DEPTH = 4, 25, 0.05  # [px], [grey levels], [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +94,7 @@ def vote(
     grid: Grid,
     rule: ColourRule | None,
     counts: NDArray[Any],
+    view: int = 0,
 ) -> NDArray[Any]:
     """Add one view's pixels to `counts` and return their colour classes (H, W) uint8.
 
@@ -95,13 +104,14 @@ def vote(
         camera: from `camera_numbers`.
         grid: the cells.
         rule: None without colour.
-        counts: (4, X, Y, Z) int32, votes for OTHER, GREEN, YELLOW, WHITE; added to in place.
+        counts: (LAYERS, X, Y, Z) int32, votes for OTHER, GREEN, YELLOW, WHITE and the petal layers; added to.
+        view: its number.
     """
     classes = np.zeros(depth.shape, dtype=np.uint8)
     if rgb is None or rule is None:
         _vote_depth(depth, camera, grid.numbers(), classes, counts)
     else:
-        _vote_colour(rgb, depth, camera, grid.numbers(), rule.numbers(), classes, counts)
+        _vote_colour(rgb, depth, camera, grid.numbers(), rule.numbers(), classes, counts, view)
     return classes
 
 
@@ -130,17 +140,33 @@ def _colour_class(red, green, blue, rule):
     if total < 30:  # too dark to have a colour
         return OTHER
     saturation = (high - low) / high
-    if saturation >= rule[4] and high >= rule[5] and r >= 0.95 * g and g > 1.3 * b and g >= 0.6 * r:
+    if saturation >= rule[4] and high >= rule[5] and r >= 0.9 * g and g >= 0.58 * r:
         return YELLOW
-    if (2 * g - r - b) / total >= rule[3]:
-        return GREEN
     if saturation <= rule[6] and high >= rule[7]:
         return WHITE
+    if (2 * g - r - b) / total >= rule[3]:
+        return GREEN
     return OTHER
 
 
+@numba.njit(nogil=True, cache=True, inline="always")
+def _bleeds(rgb, depth, v, u):
+    """Return whether a pixel has the colour of a background near it: then it is that background, wrongly placed."""
+    for dv in (-_BLEED_REACH, 0, _BLEED_REACH):
+        for du in (-_BLEED_REACH, 0, _BLEED_REACH):
+            j = min(max(v + dv, 0), depth.shape[0] - 1)
+            i = min(max(u + du, 0), depth.shape[1] - 1)
+            if depth[j, i] > depth[v, u] + _BLEED_DEPTH or depth[j, i] <= 0:
+                alike = True
+                for c in range(3):
+                    alike = alike and abs(float(rgb[j, i, c]) - float(rgb[v, u, c])) < _BLEED_COLOUR
+                if alike:
+                    return True
+    return False
+
+
 @numba.njit(nogil=True, cache=True)
-def _vote_colour(rgb, depth, cam, grid, rule, classes, counts):  # noqa: PLR0917
+def _vote_colour(rgb, depth, cam, grid, rule, classes, counts, view):  # noqa: PLR0917
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             i, j, k = _cell(u, v, depth[v, u], cam, grid)
@@ -150,8 +176,13 @@ def _vote_colour(rgb, depth, cam, grid, rule, classes, counts):  # noqa: PLR0917
             if depth[v, u] <= 0:
                 classes[v, u] = GREEN_NO_DEPTH if kind == GREEN else OUTSIDE
             else:
+                if kind >= YELLOW and _bleeds(rgb, depth, v, u):
+                    kind = OTHER
                 classes[v, u] = kind
                 counts[kind - 1, i, j, k] += 1
+                if kind >= YELLOW and counts[LAST_PETAL_VIEW, i, j, k] != view + 1:
+                    counts[LAST_PETAL_VIEW, i, j, k] = view + 1
+                    counts[PETAL_VIEWS, i, j, k] += 1
 
 
 @numba.njit(nogil=True, cache=True)
@@ -176,7 +207,7 @@ def _read_back(depth, cam, grid, classes, cells, labels):  # noqa: PLR0917
             cell = cells[i, j, k]
             if kind == GREEN:
                 labels[v, u] = 1 if cell != GROUND else 0
-            elif cell == FLOWER_CELL and kind != OTHER:
+            elif cell == FLOWER_CELL or (cell == BESIDE_FLOWER and kind != OTHER):
                 labels[v, u] = 2
             elif cell == BROWN_CELL or (cell == GREEN_CELL and kind != OTHER):
                 labels[v, u] = 1
@@ -193,7 +224,7 @@ def read_back(
     Args:
         depth, camera, grid: as in `vote`.
         classes: (H, W) from `vote`.
-        cells: (X, Y, Z) uint8, EMPTY, GROUND, GREEN_CELL, BROWN_CELL or FLOWER_CELL.
+        cells: (X, Y, Z) uint8, EMPTY, GROUND, GREEN_CELL, BROWN_CELL, FLOWER_CELL or BESIDE_FLOWER.
     """
     labels = np.zeros(depth.shape, dtype=np.uint8)
     _read_back(depth, camera, grid.numbers(), classes, cells, labels)
