@@ -27,7 +27,7 @@ class Note:
 def work(folder: Path, word: str, **options) -> tuple[str, str, dict[str, float]]:
     with Run(folder, quiet=True, **options) as run:
         first = run.stage("masks", Note.load, lambda _: Note(f"{word} masks"))
-        second = run.stage("skeleton", Note.load, lambda advance: (advance(1, 2), Note(f"{first.text}, {word} skeleton"))[1])
+        second = run.stage("skeleton", Note.load, lambda _: Note(f"{first.text}, {word} skeleton"))
     return first.text, second.text, run.seconds
 
 

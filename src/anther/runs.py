@@ -20,6 +20,7 @@ FILES = {
     "stem": "05_stem.npz",
     "flowers": "06_flowers.npz",
     "grasp": "07_grasps.json",
+    "plant model": "08_plant_model.npz",
     "shake plan": "08_shake_plan.json",
     "execution": "09_trial.npz",
     "response": "09_response.npz",

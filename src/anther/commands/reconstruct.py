@@ -1,0 +1,54 @@
+"""RGB-D views of a plant -> cloud, skeleton, main stem, flowers, grasp, and a report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from anther.pipeline import Params
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: what to reconstruct and where to write it."""
+
+    capture: Annotated[Path, tyro.conf.Positional]
+    """Capture folder with a transforms.json (docs/capture.md says what it holds)."""
+    out: Path | None = None
+    """Run folder; by default runs/ and the capture's name."""
+    workspace: tuple[float, float, float, float, float, float] | None = None
+    """Box the plant stands in: x0 y0 z0 x1 y1 z1 [m]. By default it is found from where the cameras look."""
+    restart_from: str | None = None
+    """Read the results of earlier stages from the run folder and go on from this stage."""
+    overwrite: bool = False
+    """Replace the results of an earlier run in the same folder."""
+    params: Params = field(default_factory=Params)
+    """Parameters of the stages."""
+
+
+def run(args: Args) -> None:
+    """Reconstruct one plant and print what was found."""
+    import numpy as np
+
+    from anther import pipeline
+    from anther.capture import Capture
+    from anther.commands.run_folder import finish, open_run
+    from anther.geometry import Box
+
+    out = args.out or Path("runs") / args.capture.resolve().name
+    workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))
+    capture = Capture.load(args.capture)
+    with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
+        capture = run.stage("capture", Capture.load, lambda _: capture)
+        seen = pipeline.perceive(capture, workspace, run, args.params)
+        grasps = pipeline.rank_grasps(seen, None, run, args.params)
+    results = finish(run)
+    stem = seen.stem.arc_length[-1]
+    print(f"{len(seen.cloud.points):,} points, {len(seen.skeleton.nodes)} skeleton nodes, main stem {stem:.3f} m")
+    print(f"{len(seen.flowers.positions)} flowers; grasp at {grasps[0].arc_length:.3f} m: {grasps[0].reason}")
+    for note in results.notes():
+        print(f"note: {note}")
+    print(f"report: {run.path('report')}")

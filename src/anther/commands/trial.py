@@ -1,0 +1,109 @@
+"""See, grasp and shake one plant in the simulated cell, measure how its flowers answer, and write a report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from anther.pipeline import Params
+
+if TYPE_CHECKING:
+    from anther.commands.simulated_cell import SimulatedCell
+    from anther.pipeline import Done
+    from anther.plant import Material
+    from anther.sim.judge import Verdict
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: which plant, how it is seen, and where the run is kept."""
+
+    plant: Literal["tomato", "pepper"] = "tomato"
+    """Species of the simulated plant."""
+    seed: int = 0
+    """Which plant; all noise comes from it too."""
+    viewpoint: float = 0.0
+    """Turn the plant about its pot's axis [degrees]."""
+    views: int = 30
+    """How many RGB-D views the arm takes."""
+    out: Path | None = None
+    """Run folder; by default runs/PLANT-SEED-VIEWPOINT."""
+    restart_from: str | None = None
+    """Read the results of earlier stages from the run folder and go on from this stage."""
+    overwrite: bool = False
+    """Replace the results of an earlier run in the same folder."""
+    history: Path = Path("runs/history.sqlite")
+    """Trial history to add this trial to."""
+    params: Params = field(default_factory=Params)
+    """Parameters of the stages."""
+
+
+def run(args: Args) -> int:
+    """Run one trial; return 0 when the main stem was held and shaken without harm, else 1."""
+    from anther.checks import check_range
+    from anther.commands import simulated_cell
+    from anther.commands.run_folder import finish, open_run
+    from anther.commands.trial_summary import print_summary, summarise
+    from anther.errors import StageFailure
+    from anther.files import write_json
+    from anther.pipeline import pollinate
+
+    check_range("seed", args.seed, 0, 2**31 - 1)
+    check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
+    check_range("views", args.views, 3, 200)
+    out = args.out or Path("runs") / f"{args.plant}-{args.seed}-{args.viewpoint:g}"
+    done, failure = None, None
+    with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
+        cell = run.timed("cell", lambda _: simulated_cell.build(args.plant, args.seed, args.viewpoint, args.views))
+        try:
+            done = pollinate(cell.robot_side, _material(args.plant), run, args.params)
+        except StageFailure as stopped:
+            failure = stopped
+        verdict = None if done is None else run.timed("judge", lambda _: _judge(cell, done))
+        summary = summarise(cell, done, verdict, failure)
+        write_json(run.folder / "trial.json", summary)
+        _remember(args, out, done, summary)
+    results = finish(run)
+    print_summary(results)
+    return 0 if summary["success"] else 1
+
+
+def _material(species: str) -> Material:
+    from anther.plant import PEPPER, TOMATO
+
+    return PEPPER if species == "pepper" else TOMATO
+
+
+def _judge(cell: SimulatedCell, done: Done) -> Verdict:
+    from anther.sim.judge import judge
+
+    times = done.trial.shake_times
+    return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency)
+
+
+def _remember(args: Args, out: Path, done: Done | None, summary: dict[str, Any]) -> None:
+    """Add the trial to the history."""
+    from anther.store import TrialRecord, record_trial
+
+    grasp = {name: summary.get(f"grasp_{name}") for name in ("pose7", "arc_length_m")}
+    shake = {name: summary.get(f"shake_{name}") for name in ("amplitude_m", "frequency_hz", "direction")}
+    record_trial(
+        TrialRecord(
+            species=args.plant,
+            plant=f"simulated {args.seed}",
+            success=summary["success"],
+            failure=summary["failure"],
+            grasp={name: _listed(value) for name, value in grasp.items()},
+            shake={name: _listed(value) for name, value in shake.items()},
+            predicted_amplitude=tuple(summary.get("predicted_flower_amplitude_m", ())),
+            measured_amplitude=tuple(summary.get("measured_flower_amplitude_m", ())),
+            material=None if done is None else done.material,
+            run=str(out),
+        ),
+        args.history,
+    )
+
+
+def _listed(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else value

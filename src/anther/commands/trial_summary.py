@@ -1,0 +1,145 @@
+"""trial.json, and the table that ends a trial: what was grasped, planned, predicted, measured, and the time it took."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from anther.geometry import Array
+
+if TYPE_CHECKING:
+    from anther.commands.simulated_cell import SimulatedCell
+    from anther.errors import StageFailure
+    from anther.pipeline import Done
+    from anther.results import RunResults
+    from anther.sim.judge import Verdict
+
+
+def summarise(
+    cell: SimulatedCell, done: Done | None, verdict: Verdict | None, failure: StageFailure | None
+) -> dict[str, Any]:
+    """Return trial.json: flat, units in the names, null for what was not reached or cannot be measured."""
+    return {
+        **_verdict(verdict, failure),
+        **_planned(done),
+        **_measured(done),
+        **_true(verdict),
+        "simulated_capture_seconds": cell.capture_seconds,
+        "simulated_execution_seconds": cell.world.time,
+    }
+
+
+def _verdict(verdict: Verdict | None, failure: StageFailure | None) -> dict[str, Any]:
+    if verdict is None:
+        kind, message = (None, None) if failure is None else (failure.kind, str(failure))
+        return {"success": False, "failure": kind, "message": message, "organ_grasped": None}
+    return {
+        "success": verdict.success,
+        "failure": verdict.failure,
+        "message": verdict.reason,
+        "organ_grasped": verdict.organ_grasped or None,
+    }
+
+
+def _planned(done: Done | None) -> dict[str, Any]:
+    if done is None:
+        return {}
+    shake, grasp = done.shake, done.shake.grasp
+    return {
+        "grasp_pose7": grasp.pose7,
+        "grasp_arc_length_m": grasp.arc_length,
+        "grasp_stem_diameter_m": grasp.stem_diameter,
+        "shake_amplitude_m": shake.amplitude,
+        "shake_frequency_hz": shake.frequency,
+        "shake_direction": shake.direction,
+        "shake_duration_s": shake.duration,
+        "predicted_flower_amplitude_m": shake.predicted_amplitude,
+        "predicted_flower_amplitude_median_m": _median(shake.predicted_amplitude),
+        "predicted_flower_acceleration_ms2": shake.predicted_acceleration,
+        "predicted_flower_acceleration_median_ms2": _median(shake.predicted_acceleration),
+        "execution": done.trial.stop_reason,
+        "learned_youngs_pa": done.material.youngs,
+        "learned_damping_ratio": done.material.damping_ratio,
+    }
+
+
+def _measured(done: Done | None) -> dict[str, Any]:
+    if done is None or done.response is None:
+        return {}
+    response = done.response
+    return {
+        "measured_flower_amplitude_m": response.amplitude,
+        "measured_flower_amplitude_median_m": _median(response.amplitude),
+        "measured_flower_acceleration_ms2": response.acceleration_peak,
+        "measured_flower_acceleration_median_ms2": _median(response.acceleration_peak),
+    }
+
+
+def _true(verdict: Verdict | None) -> dict[str, Any]:
+    """The judge's own figures, by the simulator's truth."""
+    if verdict is None:
+        return {}
+    return {
+        "true_flower_amplitude_median_m": _median(verdict.flower_amplitude),
+        "true_flower_acceleration_peak_median_ms2": _median(verdict.flower_acceleration_peak),
+        "true_slip_m": verdict.slip,
+        "true_push_before_closing_n": verdict.push,
+        "true_stem_strain": verdict.stem_strain,
+        "true_joint_strain": verdict.joint_strain,
+        "true_leaf_acceleration_ms2": verdict.leaf_acceleration,
+    }
+
+
+def _median(values: Array) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else None
+
+
+def print_summary(results: RunResults) -> None:
+    """Print the short table that ends a trial."""
+    table = Table(title=results.title, show_header=False, title_justify="left", pad_edge=False)
+    for name, value in _rows(results.summary or {}):
+        table.add_row(name, value)
+    slowest = sorted(results.seconds.items(), key=lambda item: -item[1])
+    times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in slowest if seconds >= 0.05)
+    table.add_row("time per stage [s]", f"{times}; total {sum(results.seconds.values()):.1f}")
+    table.add_row("report", str(results.folder / "10_report.html"))
+    Console().print(table)
+
+
+def _rows(s: dict[str, Any]) -> list[tuple[str, str]]:
+    rows = [("verdict", "success" if s["success"] else f"failed: {s['failure'] or 'execution stopped'}")]
+    rows.append(("", s["message"] or ""))
+    if "grasp_pose7" in s:
+        held = s["organ_grasped"] or "nothing"
+        height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
+        rows.append(("grasped", f"{held}, {height:.1f} cm above the root, {diameter:.1f} mm thick as measured"))
+        along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
+        amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
+        rows.append(
+            (
+                "planned shake",
+                f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {s['shake_duration_s']:.1f} s",
+            )
+        )
+        rows.append(("flowers, predicted", _motion(s, "predicted")))
+        rows.append(("flowers, measured", _motion(s, "measured")))
+        true = s.get("true_flower_amplitude_median_m")
+        if true is not None:
+            acceleration = s["true_flower_acceleration_peak_median_ms2"]
+            rows.append(("flowers, simulator", f"median {1000 * true:.2f} mm, {acceleration:.1f} m/s²"))
+    return rows
+
+
+def _motion(s: dict[str, Any], kind: str) -> str:
+    amplitude, acceleration = (
+        s.get(f"{kind}_flower_amplitude_median_m"),
+        s.get(f"{kind}_flower_acceleration_median_ms2"),
+    )
+    if amplitude is None or acceleration is None:
+        return "not measurable"
+    seen = sum(value is not None for value in s[f"{kind}_flower_amplitude_m"])
+    return f"median {1000 * amplitude:.2f} mm, {acceleration:.1f} m/s² over {seen} flowers"

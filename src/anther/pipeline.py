@@ -1,0 +1,198 @@
+"""The whole way through the house: views -> masks -> cloud -> skeleton -> stem -> grasp -> shake -> response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from anther import cloud, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
+from anther.capture import Capture
+from anther.cloud import Cloud
+from anther.devices import Robot, SafetyLimits
+from anther.execution import Trial
+from anther.flowers import Flowers
+from anther.geometry import Array, Box
+from anther.grasp import Grasp
+from anther.identification import refine
+from anther.masks import Masks
+from anther.plant import Material, PlantModel
+from anther.response import Response, measure_response
+from anther.runs import Advance, Run
+from anther.skeleton import Skeleton
+from anther.stem import Stem
+from anther.vibration import ShakePlan
+
+
+@dataclass(frozen=True)
+class Params:
+    """Every stage's parameters; each stage documents its own."""
+
+    masks: masks.Params = field(default_factory=masks.Params)
+    cloud: cloud.Params = field(default_factory=cloud.Params)
+    skeleton: skeleton.Params = field(default_factory=skeleton.Params)
+    stem: stem.Params = field(default_factory=stem.Params)
+    flowers: flowers.Params = field(default_factory=flowers.Params)
+    grasp: grasp.Params = field(default_factory=grasp.Params)
+    plant: plant.Params = field(default_factory=plant.Params)
+    vibration: vibration.Params = field(default_factory=vibration.Params)
+    execution: execution.Params = field(default_factory=execution.Params)
+    response: response.Params = field(default_factory=response.Params)
+
+
+class MotionPlanner(execution.Planner, Protocol):
+    """What a trial asks of an arm's planner, beyond the motions that execution asks for."""
+
+    def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
+        """See `grasp.Reach`."""
+        ...
+
+    def shake_limit(self, q: Array, direction: Array, frequencies: Array) -> Array:
+        """Return the largest amplitude (Q,) [m] the arm manages about joints (7,) [rad]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cell:
+    """One robot before one plant, simulated or real.
+
+    Attributes:
+        take_views: moves the wrist camera around the plant and returns the views.
+        plan_around: Cloud -> a motion planner that keeps clear of what the cloud shows.
+        robot: arm, gripper and cameras.
+        workspace: box the plant stands in, world [m].
+        limits: what no command may exceed.
+    """
+
+    take_views: Callable[[Advance], Capture]
+    plan_around: Callable[[Cloud], MotionPlanner]
+    robot: Robot
+    workspace: Box
+    limits: SafetyLimits
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What perception made of the views."""
+
+    masks: Masks
+    cloud: Cloud
+    skeleton: Skeleton
+    stem: Stem
+    flowers: Flowers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Done:
+    """What a trial did: the shake, its execution, how the flowers answered, and what that taught of the material."""
+
+    shake: ShakePlan
+    trial: Trial
+    response: Response | None
+    material: Material
+
+
+def perceive(capture: Capture, workspace: Box | None, run: Run, params: Params) -> Seen:
+    """Turn views into a labelled cloud, a rooted skeleton, its main stem and its flowers.
+
+    Raises:
+        StageFailure: no plant or no stem was found.
+    """
+    labels = run.stage("masks", Masks.load, lambda _: masks.segment(capture, workspace, params.masks))
+    fused = run.stage(
+        "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
+    )
+    tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
+    main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem))
+    found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, params.flowers))
+    return Seen(labels, fused, tree, main, found)
+
+
+def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params) -> list[Grasp]:
+    """Rank the grasps of the main stem, best first; with `reach`, only those the arm can take.
+
+    Raises:
+        StageFailure: there is none.
+    """
+    return run.stage(
+        "grasp",
+        grasp.load_grasps,
+        lambda _: grasp.plan_grasps(seen.stem, seen.skeleton, seen.cloud, params.grasp, reach=reach),
+        save=lambda ranked, path: grasp.save_grasps(path, ranked),
+    )
+
+
+def pollinate(cell: Cell, material: Material, run: Run, params: Params) -> Done:
+    """See, grasp and shake one plant, and measure how its flowers answer.
+
+    When a grasp turns out to hold nothing, or the wrong thing, the next best is tried.
+
+    Args:
+        cell: robot and plant.
+        material: what is believed of the plant's stiffness, density and damping.
+        run: where every stage's result is kept.
+        params: of every stage.
+
+    Raises:
+        StageFailure: a stage before the execution cannot go on; its kind says why.
+    """
+    capture = run.stage("capture", Capture.load, cell.take_views)
+    seen = perceive(capture, cell.workspace, run, params)
+    planner = cell.plan_around(seen.cloud)
+    grasps = rank_grasps(seen, planner.reach, run, params)
+    rods = run.stage(
+        "plant model",
+        PlantModel.load,
+        lambda _: plant.build_plant(seen.skeleton, seen.stem, seen.flowers, seen.cloud, material, params=params.plant),
+    )
+    while True:
+        shake, trial = _shake_once(cell, planner, rods, grasps, run, params=params)
+        grasps = [g for i, g in enumerate(grasps) if i != shake.grasp_index]
+        if trial.failure not in ("nothing_grasped", "branch_or_leaf_grasped") or not grasps:
+            break
+    answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
+    if answer is None or not answer.visible.any():
+        return Done(shake, trial, answer, rods.material)
+    learned = run.timed("learning", lambda _: refine(rods, shake, answer.amplitude, answer.amplitude_std))
+    return Done(shake, trial, answer, learned.material)
+
+
+def _watched(
+    cell: Cell, trial: Trial, shake: ShakePlan, found: Flowers, run: Run, *, params: Params
+) -> Response | None:
+    """Measure the flowers' motion in the side camera's frames; None when there are none."""
+    camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
+    if camera is None or pose is None or not trial.frames:
+        return None
+    return run.stage(
+        "response",
+        Response.load,
+        lambda _: measure_response(trial.frames, camera.intrinsics, pose, found, shake.frequency, params.response),
+    )
+
+
+def _shake_once(
+    cell: Cell, planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, *, params: Params
+) -> tuple[ShakePlan, Trial]:
+    """Choose a shake among the grasps and execute it."""
+
+    def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
+        assert at.joints is not None
+        return planner.shake_limit(at.joints, direction, frequencies)
+
+    shake = run.stage(
+        "shake plan", ShakePlan.load, lambda _: vibration.plan_shake(rods, grasps, arm_limit, params.vibration)
+    )
+    trial = run.stage(
+        "execution",
+        Trial.load,
+        lambda advance: execution.execute(
+            planner,
+            shake,
+            cell.robot,
+            cell.limits,
+            params.execution,
+            progress=advance,
+        ),
+    )
+    return shake, trial

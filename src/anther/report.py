@@ -1,0 +1,218 @@
+"""The report: one self-contained HTML file about a run, for a grower's engineer."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther import report_figures as figures
+from anther.files import write_text
+from anther.results import RunResults
+
+STYLE = """
+:root { --ink:#1d2a22; --soft:#5d6b62; --line:#dfe6e1; --leaf:#2f7d4f; --bad:#b3402e;
+  --paper:#ffffff; --ground:#f4f7f5 }
+* { box-sizing:border-box } body { margin:0; background:var(--ground); color:var(--ink);
+  font:16px/1.5 system-ui,"Segoe UI",Roboto,"Helvetica Neue",sans-serif }
+main { max-width:1080px; margin:0 auto; padding:32px 24px 64px }
+h1 { font-size:28px; margin:0 0 4px } h2 { font-size:20px; margin:0 0 12px } p { margin:0 0 12px }
+.soft { color:var(--soft) } section { background:var(--paper); border:1px solid var(--line); border-radius:10px;
+  padding:20px 24px; margin-top:20px } img { width:100%; height:auto; display:block; border-radius:6px }
+table { border-collapse:collapse; width:100%; font-variant-numeric:tabular-nums } th,td { text-align:left;
+  padding:6px 12px 6px 0; border-bottom:1px solid var(--line); vertical-align:top }
+th { font-weight:600; color:var(--soft) }
+td.n, th.n { text-align:right } tr:last-child td { border-bottom:0 }
+.verdict { border-left:8px solid var(--leaf) } .verdict.bad { border-left-color:var(--bad) }
+.facts { display:grid; grid-template-columns:repeat(auto-fit,minmax(150px,1fr)); gap:16px; margin-top:12px }
+.facts b { display:block; font-size:22px; font-weight:600 } .facts span { color:var(--soft); font-size:14px }
+.bar { display:flex; height:26px; border-radius:6px; overflow:hidden; margin-bottom:14px } .bar i { display:block }
+.key { display:inline-block; width:10px; height:10px; border-radius:2px; margin-right:8px }
+li { margin-bottom:4px } footer { margin-top:28px; color:var(--soft); font-size:14px }
+"""
+
+PALETTE = (
+    "#2f7d4f", "#6fae7b", "#b7cf8b", "#e3c567", "#d98f4e", "#b3594a", "#8a5a83", "#5b6fa8", "#4f97a6", "#8fa39a",
+    "#c4b59d", "#7a7a7a",
+)  # fmt: skip
+
+
+def write_report(path: Path, results: RunResults) -> None:
+    """Write the report of a run to one HTML file that needs nothing else.
+
+    Args:
+        path: file to write.
+        results: what the run folder holds; sections of stages that were not reached are left out.
+    """
+    sections = [
+        _verdict(results),
+        _section("What the camera saw", _views(results)),
+        _section("The plant in 3-D", _plant(results)),
+        _section("The grasp", _grasp(results)),
+        _section("The shake", _shake(results)),
+        _section("How the flowers moved", _motion(results)),
+        _section("What to know", _notes(results)),
+        _section("Where the time went", _timing(results)),
+        _section("Parameters", _parameters(results)),
+    ]
+    title = escape(f"Anther: {results.title}")
+    footer = "Lengths in metres unless marked; poses are x, y, z, qx, qy, qz, qw in the arm's base frame."
+    write_text(
+        path,
+        f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"
+        f"<title>{title}</title><style>{STYLE}</style><main><h1>{title}</h1>"
+        f"<p class=soft>{escape(results.subtitle)}</p>{''.join(sections)}<footer>{footer}</footer></main></html>",
+    )
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{body}</section>" if body else ""
+
+
+def _image(draw: Callable[[], Any], alt: str) -> str:
+    """Draw a figure and return it as an embedded PNG."""
+    figure = draw()
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    figures.close(figure)
+    return f"<img alt='{escape(alt)}' src='data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}'>"
+
+
+def _table(header: list[str], rows: list[list[str]]) -> str:
+    """Rows of text; columns after the first are aligned right."""
+    align = ["", *[" class=n"] * (len(header) - 1)]
+    head = "".join(f"<th{a}>{escape(h)}</th>" for a, h in zip(align, header, strict=True))
+    body = "".join(
+        "<tr>" + "".join(f"<td{a}>{escape(c)}</td>" for a, c in zip(align, row, strict=True)) + "</tr>" for row in rows
+    )
+    return f"<table><tr>{head}</tr>{body}</table>"
+
+
+def _verdict(results: RunResults) -> str:
+    if results.summary is None:
+        return ""
+    good = bool(results.summary.get("success"))
+    failure = str(results.summary.get("failure") or "").replace("_", " ")
+    headline = "Success" if good else f"Failed: {failure}"
+    why = str(results.summary.get("message") or "")
+    facts = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in results.headline_facts())
+    return (
+        f"<section class='verdict{'' if good else ' bad'}'><h2>{escape(headline)}</h2>"
+        f"<p>{escape(why)}</p><div class=facts>{facts}</div></section>"
+    )
+
+
+def _views(results: RunResults) -> str:
+    if results.capture is None:
+        return ""
+    text = f"{results.capture.views} RGB-D views. "
+    if results.masks is not None:
+        text += f"Green: pixels taken for plant; magenta: flowers ({results.masks.source})."
+    picture = _image(lambda: figures.views(results.capture, results.masks), "camera views with masks")
+    return f"<p>{escape(text)}</p>{picture}"
+
+
+def _plant(results: RunResults) -> str:
+    if results.cloud is None:
+        return ""
+    parts = [f"{len(results.cloud.points):,} points"]
+    if results.skeleton is not None:
+        parts.append(f"a skeleton of {len(results.skeleton.nodes)} nodes")
+    if results.stem is not None:
+        parts.append(f"a main stem {results.stem.arc_length[-1]:.2f} m long")
+    if results.flowers is not None:
+        parts.append(f"{len(results.flowers.positions)} flowers")
+    text = f"<p>{escape(', '.join(parts))}.</p>"
+    if results.skeleton is None or results.stem is None:
+        return text
+    return text + _image(lambda: figures.plant(results), "cloud, skeleton, main stem and grasp")
+
+
+def _grasp(results: RunResults) -> str:
+    if not results.grasps:
+        return ""
+    rows = [
+        [
+            f"{rank + 1}",
+            f"{g.arc_length:.3f} m",
+            f"{1000 * g.stem_diameter:.1f} mm",
+            f"{1000 * g.clearance:.0f} mm",
+            " ".join(f"{x:.3f}" for x in g.pose7),
+            g.reason,
+        ]
+        for rank, g in enumerate(results.grasps[:5])
+    ]
+    return _table(["Rank", "Height along stem", "Stem diameter", "Clearance", "Flange pose", "Why"], rows)
+
+
+def _shake(results: RunResults) -> str:
+    shake = results.shake
+    if shake is None:
+        return ""
+    limits = [
+        [name, f"{value:.3g}", f"{limit:.3g}", f"{100 * share:.0f} %"] for name, value, limit, share in shake.limits
+    ]
+    picture = _image(lambda: figures.response_map(shake), "flower response over grip height and frequency")
+    return f"<p>{escape(shake.reason)}</p>{picture}<h2 style='margin-top:16px'>How close each limit is</h2>" + _table(
+        ["Limit", "Planned", "Allowed", "Used"], limits
+    )
+
+
+def _motion(results: RunResults) -> str:
+    if results.shake is None or results.response is None:
+        return ""
+    picture = _image(lambda: figures.motion(results.shake, results.response), "predicted and measured flower motion")
+    rows = [
+        [f"Flower {i + 1}", *(_milli(v) for v in (p, m)), *(_number(v) for v in (pa, ma))]
+        for i, (p, m, pa, ma) in enumerate(
+            zip(
+                results.shake.predicted_amplitude,
+                results.response.amplitude,
+                results.shake.predicted_acceleration,
+                results.response.acceleration_peak,
+                strict=True,
+            )
+        )
+    ]
+    header = ["", "Predicted amplitude", "Measured amplitude", "Predicted acceleration", "Measured acceleration"]
+    return picture + _table(header, rows)
+
+
+def _milli(value: float) -> str:
+    return f"{1000 * value:.2f} mm" if np.isfinite(value) else "not measurable"
+
+
+def _number(value: float) -> str:
+    return f"{value:.1f} m/s²" if np.isfinite(value) else "not measurable"
+
+
+def _notes(results: RunResults) -> str:
+    notes = results.notes()
+    return "<ul>" + "".join(f"<li>{escape(n)}</li>" for n in notes) + "</ul>" if notes else ""
+
+
+def _timing(results: RunResults) -> str:
+    seconds = results.seconds
+    total = sum(seconds.values())
+    if not total:
+        return ""
+    colour = dict(zip(seconds, PALETTE * 2, strict=False))
+    bar = "".join(f"<i style='width:{100 * s / total:.2f}%;background:{colour[k]}'></i>" for k, s in seconds.items())
+    rows = "".join(
+        f"<tr><td><span class=key style='background:{colour[k]}'></span>{escape(k)}</td>"
+        f"<td class=n>{s:.1f} s</td><td class=n>{100 * s / total:.0f} %</td></tr>"
+        for k, s in seconds.items()
+    )
+    return (
+        f"<div class=bar>{bar}</div><table>{rows}<tr><td>total</td><td class=n>{total:.1f} s</td><td></td></tr></table>"
+    )
+
+
+def _parameters(results: RunResults) -> str:
+    rows = [[str(k), str(v)] for k, v in results.params.items()]
+    return _table(["Parameter", "Value"], rows) if rows else ""

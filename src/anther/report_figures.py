@@ -1,0 +1,159 @@
+"""The report's figures, drawn with matplotlib without a screen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from anther.capture import Capture
+from anther.masks import FLOWER, PLANT, Masks
+from anther.response import Response
+from anther.skeleton_picture import draw_plant
+from anther.vibration import ShakePlan
+
+if TYPE_CHECKING:
+    from anther.results import RunResults
+
+mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "white"})
+
+GREEN, MAGENTA, ORANGE, INK = "#2f7d4f", "#c2389a", "#d9772b", "#1d2a22"
+SHOWN_VIEWS = 8
+
+
+def close(figure: Figure) -> None:
+    """Free a figure's memory."""
+    figure.clear()
+
+
+def views(capture: Capture | None, masks: Masks | None) -> Figure:
+    """Draw a contact sheet of eight views, evenly picked, with the mask outlined."""
+    assert capture is not None
+    chosen = np.unique(np.linspace(0, capture.views - 1, SHOWN_VIEWS).round().astype(int))
+    figure = Figure(figsize=(11, 2.05 * -(-len(chosen) // 4) * 0.82))
+    for place, view in enumerate(chosen):
+        axes = figure.add_axes(
+            (
+                place % 4 / 4 + 0.003,
+                1 - (place // 4 + 1) / -(-len(chosen) // 4) + 0.006,
+                0.244,
+                0.98 / -(-len(chosen) // 4),
+            )
+        )
+        axes.imshow(_overlay(capture, masks, int(view)))
+        axes.set_axis_off()
+        axes.text(
+            0.02,
+            0.04,
+            f"{view}",
+            transform=axes.transAxes,
+            color="white",
+            fontsize=8,
+            bbox={"facecolor": "black", "alpha": 0.5, "pad": 1.5, "lw": 0},
+        )
+    return figure
+
+
+def _overlay(capture: Capture, masks: Masks | None, view: int) -> NDArray[Any]:
+    """One view, smaller and upright, the plant's outline in green and flowers in magenta."""
+    size = (capture.intrinsics.width // 3, capture.intrinsics.height // 3)
+    picture = capture.rgb[view] if capture.rgb is not None else _depth_colours(capture.depth[view])
+    picture = cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_AREA)
+    upside_down = capture.T_world_cam[view, 2, 1] > 0
+    if masks is None:
+        return picture[::-1, ::-1] if upside_down else picture
+    labels = cv2.resize(np.ascontiguousarray(masks.labels[view]), size, interpolation=cv2.INTER_NEAREST)
+    for label, colour in ((PLANT, (60, 230, 110)), (FLOWER, (255, 60, 220))):
+        outline, _ = cv2.findContours((labels == label).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, outline, -1, colour, 1)
+    return picture[::-1, ::-1] if upside_down else picture
+
+
+def _depth_colours(depth: NDArray[Any]) -> NDArray[Any]:
+    """Colour a depth image, near is bright; black where there is no reading."""
+    read = depth > 0
+    if not read.any():
+        return np.zeros((*depth.shape, 3), np.uint8)
+    near, far = np.percentile(depth[read], [2, 98])
+    shade = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
+    colours = (mpl.colormaps["viridis"](shade)[..., :3] * 255).astype(np.uint8)
+    colours[~read] = 0
+    return colours
+
+
+def plant(results: RunResults) -> Figure:
+    """Draw cloud, skeleton, stem, flowers and grasp from several sides."""
+    assert results.cloud is not None
+    assert results.skeleton is not None
+    assert results.stem is not None
+    grasp = results.shake.grasp if results.shake is not None else next(iter(results.grasps), None)
+    return draw_plant(results.cloud, results.skeleton, results.stem, grasp, flowers=results.flowers)
+
+
+def response_map(shake: ShakePlan) -> Figure:
+    """Draw mean flower acceleration over grip height and frequency, with the chosen shake marked."""
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    axes = figure.subplots()
+    response = shake.response_map
+    mesh = axes.pcolormesh(
+        response.frequencies, 100 * response.arc_length, response.acceleration, shading="nearest", cmap="viridis"
+    )
+    axes.plot(shake.frequency, 100 * shake.grasp.arc_length, "o", mfc="none", mec="white", ms=11, mew=2)
+    axes.set(xscale="log", xlabel="frequency [Hz]", ylabel="grip height along the stem [cm]")
+    ticks = [f for f in (1, 2, 3, 5, 10, 20, 30) if response.frequencies[0] <= f <= response.frequencies[-1]]
+    axes.set_xticks(ticks, [str(f) for f in ticks])
+    axes.minorticks_off()
+    figure.colorbar(mesh, ax=axes, label="mean flower acceleration\nat the largest allowed shake [m/s²]")
+    return figure
+
+
+def motion(shake: ShakePlan | None, response: Response | None) -> Figure:
+    """Draw the best-seen flower's track and, per flower, predicted against measured amplitude."""
+    assert shake is not None
+    assert response is not None
+    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[3, 2])
+    _draw_track(left, shake, response)
+    index = np.arange(len(shake.predicted_amplitude))
+    low, high = 1000 * shake.predicted_amplitude_interval.T
+    middle = 1000 * shake.predicted_amplitude
+    right.bar(index - 0.2, middle, 0.38, color=GREEN, label="predicted")
+    right.errorbar(
+        index - 0.2,
+        middle,
+        [np.maximum(middle - low, 0), np.maximum(high - middle, 0)],
+        fmt="none",
+        ecolor=INK,
+        capsize=3,
+        lw=1,
+    )
+    right.bar(index + 0.2, np.nan_to_num(1000 * response.amplitude), 0.38, color=ORANGE, label="measured")
+    right.set(xlabel="flower", ylabel="amplitude [mm]", xticks=index, xticklabels=[str(i + 1) for i in index])
+    right.legend(frameon=False)
+    return figure
+
+
+def _draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
+    """The displacement along its main direction of the flower that was seen in most frames."""
+    seen = np.isfinite(response.tracks).all(axis=2).sum(axis=0)
+    if not len(seen) or seen.max() < 3:
+        axes.text(0.5, 0.5, "no flower could be measured", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    flower = int(seen.argmax())
+    good = np.isfinite(response.tracks[:, flower]).all(axis=1)
+    track = response.tracks[good, flower] - response.tracks[good, flower].mean(axis=0)
+    main = np.linalg.svd(track, full_matrices=False)[2][0]
+    start = response.times[good][0]
+    axes.plot(response.times[good] - start, 1000 * track @ main, ".-", color=ORANGE, lw=1, ms=4)
+    for sign in (-1, 1):
+        axes.axhline(sign * 1000 * shake.predicted_amplitude[flower], color=GREEN, ls="--", lw=1.2)
+    axes.set(
+        xlabel="time [s]",
+        ylabel="displacement [mm]",
+        title=f"flower {flower + 1}: measured (dots), predicted amplitude (dashed)",
+    )
