@@ -29,6 +29,8 @@ class Swing:
         direction: (3,) unit vector along that axis.
         frequency: [Hz].
         residual: root mean square distance of the samples from the fit, per axis [m].
+        coefficients: (4, 3) of the fit: c, d, a, b about `middle`.
+        middle: mean time of the samples [s].
     """
 
     amplitude: float
@@ -36,6 +38,12 @@ class Swing:
     direction: Array
     frequency: float
     residual: float
+    coefficients: Array
+    middle: float
+
+    def at(self, times: Array) -> Array:
+        """Return the fitted path (T, 3) [m] at `times` (T,) [s]."""
+        return _basis(times - self.middle, self.frequency) @ self.coefficients
 
 
 def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
@@ -54,7 +62,8 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
     seen = np.isfinite(path).all(axis=1)
     if seen.sum() < 8:
         raise bad_input("swing", given=f"{seen.sum()} samples", allowed="8 or more", do="Record longer.")
-    basis = _basis(times[seen], frequency)
+    middle = float(times[seen].mean())
+    basis = _basis(times[seen] - middle, frequency)
     scale = np.linalg.norm(basis, axis=0)
     if np.linalg.cond(basis / scale) > 30:
         raise bad_input(
@@ -63,18 +72,18 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
             allowed=f"samples that tell the phase at {frequency:g} Hz",
             do="Choose a frame rate that is not twice the frequency divided by a whole number, or record longer.",
         )
-    coefficients, *_ = np.linalg.lstsq(basis, path[seen], rcond=None)
+    coefficients: Array = np.linalg.lstsq(basis, path[seen], rcond=None)[0].astype(np.float64)
     free = max(int(seen.sum()) - basis.shape[1], 1)
     residual = float(np.sqrt(np.sum((path[seen] - basis @ coefficients) ** 2) / (3 * free)))
     spread = residual * np.sqrt(np.linalg.inv(basis.T @ basis)[[2, 3], [2, 3]].max())
     _, size, axes = np.linalg.svd(coefficients[2:])
-    return Swing(float(size[0]), float(spread), axes[0], float(frequency), residual)
+    return Swing(float(size[0]), float(spread), axes[0], float(frequency), residual, coefficients, middle)
 
 
 def find_frequency(times: Array, path: Array, hint: float, *, span: float = 0.1) -> float:
     """Return the frequency [Hz] within `hint` x (1 +- span) whose swing fits a path (T, 3) over times (T,) best."""
     seen = np.isfinite(path).all(axis=1)
-    t, x = times[seen], path[seen]
+    t, x = times[seen] - times[seen].mean(), path[seen]
 
     def misfit(f: float) -> float:
         basis = _basis(t, f)
@@ -95,14 +104,13 @@ def envelope_amplitude(times: Array, path: Array) -> float:
         times: (T,) evenly spaced [s], many to a period.
         path: (T, 3) [m] without NaN.
     """
-    basis = _basis(times, 1.0)[:, :2]
+    basis = _basis(times - times.mean(), 1.0)[:, :2]
     x = path - basis @ np.linalg.lstsq(basis, path, rcond=None)[0]
     main = np.linalg.svd(x, full_matrices=False)[2][0]
     analytic: Any = hilbert(x @ main)
     return float(np.median(np.abs(analytic)))
 
 
-def _basis(times: Array, frequency: float) -> Array:
-    t = times - times.mean()
+def _basis(t: Array, frequency: float) -> Array:
     phase = 2 * np.pi * frequency * t
     return np.stack([np.ones_like(t), t, np.cos(phase), np.sin(phase)], axis=1)

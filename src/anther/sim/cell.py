@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.arm import sawyer
+from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.sim import arm_model, plant_mechanics
 from anther.sim.plant import SimPlant
@@ -158,6 +159,8 @@ class Cell:
         d.ctrl[:7], d.ctrl[7:14], d.ctrl[14:21], d.ctrl[21] = q, v, torque[self._arm_dofs], opening / 2
         d.qfrc_applied[self.mechanics.dofs] = self.mechanics.air_force(d)
         mujoco.mj_step(m, d)
+        if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+            raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")
         if round(d.time / m.opt.timestep) % self.params.log_every == 0:
             self._note()
 
@@ -210,6 +213,7 @@ def _world(timestep: float, plant: SimPlant) -> Any:
     option = spec.option
     option.timestep, option.gravity = timestep, [0, 0, -9.81]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
     bits = {"contype": SCENERY_BIT, "conaffinity": ROBOT_BIT}
     pot = plant.pot

@@ -1,0 +1,234 @@
+"""Response: how the flowers moved during the shake, measured in the side camera's frames. T frames, F flowers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.checks import check_array, check_range, check_transform
+from anther.devices import Frame
+from anther.errors import InputError, bad_input
+from anther.files import read_npz, write_npz
+from anther.flower_tracking import (
+    Image,
+    back_projected,
+    centre_of_petals,
+    common_shift,
+    follow_template,
+    petal_depth,
+    petal_weight,
+)
+from anther.flowers import Flowers
+from anther.geometry import Array, Intrinsics, inverse, transform_points
+from anther.oscillation import find_frequency, fit_swing
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How flowers are found and followed.
+
+    Attributes:
+        depth_gate: a flower is looked for this far before and behind where it was found at rest [m].
+        flower_radius: of a flower [m].
+        patch: half the edge of what is followed around a flower [m]; its neighbours on the truss help to tell it apart.
+        shift: farthest that the held plant may stand from where it was seen at rest [m].
+        reach: farthest that a flower may be, in the next frame, from where its last two places point to [m].
+        correlation: below this a flower counts as lost in a frame.
+        seen_share: of the frames in which a flower must be followed to be measured.
+        outlier: samples this many robust standard deviations off the fit are left out.
+    """
+
+    depth_gate: float = 0.08
+    flower_radius: float = 0.007
+    patch: float = 0.012
+    shift: float = 0.025
+    reach: float = 0.012
+    correlation: float = 0.6
+    seen_share: float = 0.5
+    outlier: float = 4.0
+
+    def __post_init__(self) -> None:
+        for name in ("depth_gate", "flower_radius", "patch", "shift", "reach"):
+            check_range(name, getattr(self, name), 1e-4, 1.0, "m")
+        check_range("seen_share", self.seen_share, 0, 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Measured flower motion. What could not be measured is NaN.
+
+    Attributes:
+        times: (T,) of the frames [s].
+        tracks: (T, F, 3) flower centres, world [m]; NaN where not seen.
+        amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency [m].
+        amplitude_std: (F,) its standard deviation [m].
+        frequency: (F,) of the swing [Hz].
+        acceleration_peak: (F,) amplitude x (2 pi frequency)^2 [m/s2].
+        visible: (F,) bool, whether it could be measured.
+        notes: what the stage wants the user to know.
+    """
+
+    times: Array
+    tracks: Array
+    amplitude: Array
+    amplitude_std: Array
+    frequency: Array
+    acceleration_peak: Array
+    visible: NDArray[Any]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        frames, flowers = len(self.times), len(self.amplitude)
+        object.__setattr__(self, "times", check_array("response times", self.times, (frames,)))
+        tracks = check_array("response tracks", self.tracks, (frames, flowers, 3), finite=False)
+        object.__setattr__(self, "tracks", tracks)
+        for name in ("amplitude", "amplitude_std", "frequency", "acceleration_peak"):
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
+        object.__setattr__(self, "visible", check_array("visible", self.visible, (flowers,), dtype="bool"))
+
+    def save(self, path: Path | str) -> None:
+        """Write the response to an .npz."""
+        names = ("times", "tracks", "amplitude", "amplitude_std", "frequency", "acceleration_peak", "visible")
+        write_npz(
+            path, "response", SCHEMA, notes=json.dumps(self.notes), **{name: getattr(self, name) for name in names}
+        )
+
+    @classmethod
+    def load(cls, path: Path | str) -> Response:
+        """Read a response written by `save`.
+
+        Raises:
+            InputError: missing, truncated or of another kind.
+        """
+        arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
+        return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), **arrays)
+
+
+def measure_response(
+    frames: Sequence[Frame],
+    intrinsics: Intrinsics,
+    T_world_cam: Array,
+    flowers: Flowers,
+    *,
+    frequency_hint: float,
+    params: Params = Params(),
+) -> Response:
+    """Follow every flower through the frames and fit its swing.
+
+    Each flower is looked for where its position at rest projects, all flowers shifted together first because the held
+    plant stands a little differently; then followed by template, lifted to 3-D by the petals' depth, and a sinusoid of
+    the shake's frequency is fitted (`oscillation.fit_swing`).
+
+    Args:
+        frames: of a camera that stands still, while the plant was shaken.
+        intrinsics: of the camera.
+        T_world_cam: (4, 4) its pose.
+        flowers: at rest, as perception found them.
+        frequency_hint: the shake's frequency [Hz].
+        params: of finding and following.
+
+    Raises:
+        InputError: fewer than 8 frames, or frames of another size.
+    """
+    _check(frames, intrinsics)
+    check_range("frequency_hint", frequency_hint, 1e-3, 1e3, "Hz")
+    T = check_transform("T_world_cam", T_world_cam)
+    times = np.array([f.time for f in frames])
+    tracks = np.full((len(frames), len(flowers.positions), 3), np.nan)
+    notes: list[str] = []
+    if len(flowers.positions):
+        tracks, notes = _track(frames, intrinsics, transform_points(inverse(T), flowers.positions), params)
+        tracks = tracks @ T[:3, :3].T + T[:3, 3]
+    numbers = np.full((4, tracks.shape[1]), np.nan)
+    for i in range(tracks.shape[1]):
+        try:
+            numbers[:, i] = _motion(times, tracks[:, i], frequency_hint, params)
+        except InputError as error:
+            notes.append(f"Flower {i + 1} could not be measured: {error}")
+    amplitude, spread, frequency, acceleration = numbers
+    faint = np.flatnonzero(amplitude < 3 * spread)
+    notes += [f"Flower {i + 1} moves less than the camera's noise can tell." for i in faint]
+    return Response(times, tracks, amplitude, spread, frequency, acceleration, np.isfinite(amplitude), tuple(notes))
+
+
+def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
+    if len(frames) < 8:
+        raise bad_input("frames", given=len(frames), allowed="8 or more", do="Record longer or faster.")
+    size = (intrinsics.height, intrinsics.width)
+    wrong = [f for f in frames if f.depth.shape != size or f.rgb.shape != (*size, 3)]
+    if wrong:
+        raise bad_input(
+            "frame", given=f"{wrong[0].depth.shape}", allowed=f"{size}", do="Give this camera's intrinsics."
+        )
+
+
+def _track(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params: Params) -> tuple[Array, list[str]]:
+    """Return camera-frame tracks (T, F, 3) of the flowers that are at `rest` (F, 3) when still, and notes."""
+    tracks = np.full((len(frames), len(rest), 3), np.nan)
+    nearest, farthest = rest[:, 2].min() - params.depth_gate, rest[:, 2].max() + params.depth_gate
+    if nearest <= 0:
+        return tracks, ["The side camera does not look at the flowers."]
+    notes: list[str] = []
+    weights = [petal_weight(frame, nearest, farthest) for frame in frames]
+    pixels = intrinsics.project(rest)
+    per_metre = intrinsics.fx / rest[:, 2]
+    pixels = pixels + common_shift(weights[0], pixels, int(params.shift * float(per_metre.mean())))
+    for i, (pixel, scale) in enumerate(zip(pixels, per_metre, strict=True)):
+        radius = params.flower_radius * scale
+        start = centre_of_petals(weights[0], pixel, radius)
+        if start is None:
+            notes.append(f"Flower {i + 1} is hidden from the side camera.")
+            continue
+        half, reach = int(np.ceil(params.patch * scale)), int(np.ceil(params.reach * scale))
+        path = follow_template(weights, start, half=half, reach=reach, least=params.correlation)
+        tracks[:, i] = _lifted(frames, weights, intrinsics, path, radius)
+    return tracks, notes
+
+
+def _lifted(
+    frames: Sequence[Frame], weights: Sequence[Image], intrinsics: Intrinsics, path: Array, radius: float
+) -> Array:
+    """Return camera-frame points (T, 3) of a pixel path (T, 2), by the petals' depth."""
+    near = max(int(radius), 2)
+    depth = np.array([petal_depth(f, w, p, near) for f, w, p in zip(frames, weights, path, strict=True)])
+    if not np.isfinite(depth).any():
+        return np.full((len(frames), 3), np.nan)
+    middle = np.nanmedian(depth)
+    # lateral motion is measured at the median depth: depth noise would otherwise leak into it
+    points = back_projected(intrinsics, path, np.full(len(path), middle))
+    points[:, 2] = np.where(np.abs(depth - middle) < 0.05, depth, np.nan)
+    return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
+
+
+def _motion(times: Array, track: Array, hint: float, params: Params) -> tuple[float, float, float, float]:
+    """Return amplitude, its deviation, frequency and peak acceleration of a track (T, 3); NaN if never seen.
+
+    Raises:
+        InputError: seen in too few frames, or at times that cannot tell the phase.
+    """
+    seen = int(np.isfinite(track).all(axis=1).sum())
+    if seen == 0:
+        return np.nan, np.nan, np.nan, np.nan
+    if seen < max(params.seen_share * len(times), 8):
+        raise bad_input(
+            "frames with the flower", given=seen, allowed=f">= half of {len(times)}", do="Move the side camera."
+        )
+    clean = _without_outliers(times, track, hint, params.outlier)
+    swing, frequency = fit_swing(times, clean, hint), find_frequency(times, clean, hint)
+    return swing.amplitude, swing.amplitude_std, frequency, swing.amplitude * (2 * np.pi * frequency) ** 2
+
+
+def _without_outliers(times: Array, track: Array, frequency: float, most: float) -> Array:
+    """Return the track (T, 3) with NaN where it lies more than `most` robust deviations off its swing."""
+    swing = fit_swing(times, track, frequency)
+    distance = np.linalg.norm(track - swing.at(times), axis=1)
+    spread = 1.4826 * float(np.nanmedian(distance))
+    return np.where((distance <= most * max(spread, 1e-5))[:, None], track, np.nan)
