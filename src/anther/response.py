@@ -117,8 +117,8 @@ def measure_response(
     intrinsics: Intrinsics,
     T_world_cam: Array,
     flowers: Flowers,
-    *,
     frequency_hint: float,
+    *,
     params: Params = Params(),
 ) -> Response:
     """Follow every flower through the frames and fit its swing.
