@@ -16,7 +16,7 @@ from anther.errors import InputError, StageFailure
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Params, Skeleton, skeletonize
 
-METHODS: list[Literal["geodesic", "thinning"]] = ["geodesic"]
+METHODS: list[Literal["geodesic", "thinning"]] = ["geodesic", "thinning"]
 
 
 def assert_one_tree(skeleton: Skeleton) -> None:

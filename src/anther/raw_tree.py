@@ -46,14 +46,15 @@ def edge_lengths(nodes: Array, parent: Parents) -> Array:
 def path_gain(nodes: Array, parent: Parents, radius: Array, *, alpha: float, v_bias: float) -> Array:
     """Return (J,) what the edge above each node adds to the path score S (paper P10).
 
-    S = sum over edges of L_e * r_e^alpha * (1 + v_bias * |dz_e| / L_e), with r_e relative to the thickest node, so
-    that S does not depend on units.
+    S = sum over edges of L_e * r_e^alpha * (1 + v_bias * dz_e / L_e), with r_e relative to the thickest node, so that
+    S does not depend on units. The paper has |dz_e|; there a drooping leaf counts as upright, so here falling edges
+    lose what rising ones gain.
     """
     length = edge_lengths(nodes, parent)
     above = np.maximum(parent, 0)
     mean_radius = (radius + radius[above]) / 2 / radius.max()
-    rise = np.abs(nodes[:, 2] - nodes[above, 2])
-    return length * mean_radius**alpha * (1 + v_bias * rise / np.maximum(length, 1e-12))
+    rise = nodes[:, 2] - nodes[above, 2]
+    return length * mean_radius**alpha * np.maximum(1 + v_bias * rise / np.maximum(length, 1e-12), 0)
 
 
 def subtree_best(parent: Parents, gain: Array) -> Array:
@@ -82,14 +83,18 @@ def chains(parent: Parents, gain: Array) -> list[NDArray[Any]]:
 
 def rerooted(parent: Parents, root: int) -> tuple[Parents, NDArray[Any]]:
     """Return (parent, order): the same tree rooted at `root`, and the old number of each new node."""
-    n = len(parent)
-    graph = sparse.coo_matrix((np.ones(n - 1), (parent[1:], np.arange(1, n))), (n, n)).tocsr()
+    return rooted(np.stack([parent[1:], np.arange(1, len(parent))], axis=1), len(parent), root)
+
+
+def rooted(links: NDArray[Any], count: int, root: int) -> tuple[Parents, NDArray[Any]]:
+    """Return (parent, order) of the tree with these (T, 2) links: node `order[j]` becomes node j."""
+    graph = sparse.coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), (count, count)).tocsr()
     order, before = breadth_first_order(graph, root, directed=False)
-    rank = np.full(n, -1)
-    rank[order] = np.arange(n)
-    new = np.full(n, -1)
-    new[1:] = rank[before[order[1:]]]
-    return new, order
+    rank = np.full(count, -1)
+    rank[order] = np.arange(len(order))
+    parent = np.full(len(order), -1)
+    parent[1:] = rank[before[order[1:]]]
+    return parent, order
 
 
 def subset(parent: Parents, keep: NDArray[np.bool_]) -> tuple[Parents, NDArray[Any]]:

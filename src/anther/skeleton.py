@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from small_gicp import voxelgrid_sampling
 
 from anther.bridging import bridges, without_specks
 from anther.centreline import centred, resample
@@ -18,12 +19,15 @@ from anther.files import read_npz, write_npz
 from anther.geodesic_levels import level_tree
 from anther.geometry import Array
 from anther.masks import FLOWER
-from anther.raw_tree import RawTree, without_spurs
+from anther.raw_tree import RawTree, rerooted, without_spurs
 from anther.rooting import find_root, stem_gain
+from anther.thinning import thinned_tree
 from anther.voxel_solid import VoxelSolid, components, neighbour_edges, point_spacing, solidify
 
 _KIND, _SCHEMA = "skeleton", 1
 _FEWEST_POINTS = 50
+_MANY_POINTS = 150_000
+_FINEST = 1000  # a cloud of many points is thinned to one per cube of plant size / _FINEST
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +161,8 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     params = params or Params()
     points = _plant_points(cloud)
     size = _plant_size(points)
+    if len(points) > _MANY_POINTS:
+        points = np.asarray(voxelgrid_sampling(points, size / _FINEST).points())[:, :3]
     voxel = params.voxel or max(size / params.resolution, 1.3 * point_spacing(points))
     solid = solidify(points, voxel, close=params.close, fill=params.hollow * size)
     coarse, notes = _coarse_tree(solid, size, params)
@@ -191,18 +197,25 @@ def _plant_size(points: Array) -> float:
 
 def _coarse_tree(solid: VoxelSolid, size: float, params: Params) -> tuple[RawTree, tuple[str, ...]]:
     points, thickness, edges, notes = _connected(solid, size, params)
+    if params.method == "thinning":
+        tree = _not_trivial(thinned_tree(points, thickness, edges, solid.voxel), size, params)
+        return tree.taking(*rerooted(tree.parent, find_root(tree))), notes
     width = params.level * solid.voxel
     lowest = np.argmin(points[:, 2])
-    tree = level_tree(points, thickness, edges, np.array([lowest]), width)
-    if len(tree.nodes) < 2:
-        raise StageFailure(
-            "no_plant_found",
-            f"skeleton: got points whose largest connected piece measures {np.ptp(points, axis=0).max():g} m; allowed: "
-            f"a plant of some {size:g} m in pieces not more than {params.bridge * size:g} m apart. Use a denser cloud.",
-        )
+    tree = _not_trivial(level_tree(points, thickness, edges, np.array([lowest]), width), size, params)
     base = tree.nodes[find_root(tree)]
     source = np.flatnonzero(np.linalg.norm(points - base, axis=1) <= width)
     return level_tree(points, thickness, edges, source, width), notes
+
+
+def _not_trivial(tree: RawTree, size: float, params: Params) -> RawTree:
+    if len(tree.nodes) < 2:
+        raise StageFailure(
+            "no_plant_found",
+            f"skeleton: got specks in a space of {size:g} m; allowed: a plant in pieces not more than "
+            f"{params.bridge * size:g} m apart. Use a denser cloud.",
+        )
+    return tree
 
 
 def _connected(solid: VoxelSolid, size: float, params: Params) -> tuple[Array, Array, NDArray[Any], tuple[str, ...]]:

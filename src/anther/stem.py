@@ -19,6 +19,7 @@ from anther.skeleton import Skeleton
 STEM, BRANCH = 0, 1
 
 _KIND, _SCHEMA = "stem", 1
+_ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +32,8 @@ class Params:
         turn: the stem ends where what follows turns from its growth axis by more than this [degrees].
         axis_memory: how far back the growth axis is averaged (share of the plant's size).
         window: over what length a turn must last to count (share of the plant's size).
-        flattest: the stem ends where it stays broader than thick by more than this factor: a blade begins.
+        flattest: the stem ends where it stays broader than its thickness, here and so far, by more than this factor:
+            a blade begins.
         thinnest: the stem ends where it stays thinner than this share of its median radius so far.
         shortest: a shorter stem is not believed (share of the plant's size).
     """
@@ -112,8 +114,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None) -> Stem:
     """
     params = params or Params()
     size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
-    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius, alpha=params.alpha, v_bias=params.v_bias)
-    path = chains(skeleton.parent, gain)[0]
+    path = chains(skeleton.parent, _gain(skeleton, params))[0]
     end = _growth_end(skeleton, path, size, params)
     node_ids = path[:end]
     nodes = skeleton.nodes[node_ids]
@@ -126,10 +127,18 @@ def find_stem(skeleton: Skeleton, params: Params | None = None) -> Stem:
     return Stem(node_ids, arc_length, attachments, organ)
 
 
+def _gain(skeleton: Skeleton, params: Params) -> Array:
+    """Return what each edge adds to the path score (P10); less on a blade, by how much broader than thick it is."""
+    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius, alpha=params.alpha, v_bias=params.v_bias)
+    if skeleton.width is None:
+        return gain
+    return gain * np.minimum(_ROUND * skeleton.radius / skeleton.width, 1)
+
+
 def _growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Params) -> int:
     """Return how many nodes of the path belong to the stem: all before a lasting turn, thinning or blade."""
     nodes, radius = skeleton.nodes[path], skeleton.radius[path]
-    flatness = np.ones(len(path)) if skeleton.width is None else skeleton.width[path] / radius
+    width = radius if skeleton.width is None else skeleton.width[path]
     step = np.diff(nodes, axis=0)
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(step, axis=1))])
     window, memory = params.window * size, params.axis_memory * size
@@ -139,8 +148,9 @@ def _growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Par
         back = np.searchsorted(arc, arc[i] - memory)
         ahead = min(np.searchsorted(arc, arc[i] + window), len(nodes) - 1)
         turned = _angle(nodes[i] - nodes[back], nodes[ahead] - nodes[i]) > params.turn
-        thin = np.median(radius[i : ahead + 1]) < params.thinnest * np.median(radius[: i + 1])
-        flat = np.median(flatness[i : ahead + 1]) > params.flattest
+        usual, coming = np.median(radius[: i + 1]), slice(i, ahead + 1)
+        thin = np.median(radius[coming]) < params.thinnest * usual
+        flat = np.median(width[coming]) > params.flattest * max(np.median(radius[coming]), usual)
         if turned or thin or flat:
             return i + 1
     return len(nodes)

@@ -1,0 +1,125 @@
+"""Point cloud of a plant -> one rooted tree, main stem, grasp, and a picture."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from anther.cloud import Cloud
+from anther.cloud_files import read_cloud
+from anther.errors import StageFailure
+from anther.files import replacing
+from anther.grasp import Grasp, plan_grasps, save_grasps
+from anther.grasp import Params as GraspParams
+from anther.point_formats import Axis, Units
+from anther.skeleton import Params, Skeleton, skeletonize
+from anther.skeleton_files import write_skeleton
+from anther.skeleton_picture import draw_plant
+from anther.stem import Stem, find_stem
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: the cloud, what its numbers mean, and where the results go."""
+
+    cloud: Annotated[Path, tyro.conf.Positional]
+    """Point cloud: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz."""
+    units: Units | None = None
+    """Units of the file; by default what the file states, else metres."""
+    up: Axis | None = None
+    """Axis that points up in the file; by default what the file states, else z."""
+    plant: int = 0
+    """Which plant of an .npz that holds several."""
+    out: Path | None = None
+    """Folder for skeleton.npz, skeleton.swc, grasp.json and overview.png."""
+    json: bool = False
+    """Print the result as JSON."""
+    params: Params = field(default_factory=Params)
+    """How the cloud becomes a skeleton."""
+
+
+def run(args: Args) -> None:
+    """Read, skeletonise, find stem and grasp, write and print them."""
+    cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
+    begin = time.perf_counter()
+    skeleton = skeletonize(cloud, args.params)
+    stem = find_stem(skeleton)
+    grasps, notes = best_grasps(stem, skeleton, cloud)
+    seconds = time.perf_counter() - begin
+    if args.out is not None:
+        write_results(args.out, cloud, skeleton, stem, grasps)
+    result = summary(cloud, skeleton, stem, grasps[0], notes) | {"seconds": seconds, "out": args.out}
+    print(json.dumps(result, indent=2, default=_plain) if args.json else _text(result))
+
+
+def best_grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> tuple[list[Grasp], tuple[str, ...]]:
+    """Return (grasps, notes): those of our gripper, or of one scaled to the plant where ours does not fit.
+
+    A tree's trunk is too thick for a gripper made for tomato stems; where to take it is still worth knowing.
+    """
+    try:
+        return plan_grasps(stem, skeleton, cloud), ()
+    except StageFailure as failure:
+        if failure.kind != "no_grasp_found":
+            raise
+        grasps = plan_grasps(stem, skeleton, cloud, GraspParams(fit_gripper=False))
+        return grasps, (f"the gripper does not fit this plant ({failure})",)
+
+
+def write_results(folder: Path, cloud: Cloud, skeleton: Skeleton, stem: Stem, grasps: list[Grasp]) -> None:
+    """Write skeleton.npz, skeleton.swc, grasp.json (all grasps, best first) and overview.png."""
+    skeleton.save(folder / "skeleton.npz")
+    write_skeleton(folder / "skeleton.swc", skeleton)
+    save_grasps(folder / "grasp.json", grasps)
+    with replacing(folder / "overview.png") as temporary:
+        draw_plant(cloud, skeleton, stem, grasps[0]).savefig(temporary, dpi=110)
+
+
+def grasp_numbers(grasp: Grasp) -> dict[str, Any]:
+    """Return the grasp as numbers [m] with names; `pose` is x, y, z, qx, qy, qz, qw of the flange."""
+    return {
+        "pose": grasp.pose7,
+        "point": grasp.point,
+        "tangent": grasp.tangent,
+        "approach": grasp.approach,
+        "arc_length": grasp.arc_length,
+        "stem_diameter": grasp.stem_diameter,
+        "clearance": grasp.clearance,
+        "reason": grasp.reason,
+    }
+
+
+def summary(cloud: Cloud, skeleton: Skeleton, stem: Stem, grasp: Grasp, notes: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return what was found, in words and numbers [m]."""
+    return {
+        "points": len(cloud.points),
+        "nodes": len(skeleton.nodes),
+        "tips": int((skeleton.children_count == 0).sum()),
+        "root": skeleton.nodes[0],
+        "stem_length": float(stem.arc_length[-1]),
+        "stem_diameter_at_grasp": grasp.stem_diameter,
+        "attachments": len(stem.attachments),
+        "grasp": grasp_numbers(grasp),
+        "notes": [*cloud.notes, *skeleton.notes, *stem.notes, *notes],
+    }
+
+
+def _text(result: dict[str, Any]) -> str:
+    grasp = result["grasp"]
+    lines = [
+        f"{result['points']:,} points -> {result['nodes']} nodes, {result['tips']} tips, one tree",
+        f"main stem {result['stem_length']:.4f} m with {result['attachments']} attachments",
+        f"grasp at {grasp['arc_length']:.4f} m, stem {grasp['stem_diameter'] * 1e3:.1f} mm thick: {grasp['reason']}",
+        *(f"note: {note}" for note in result["notes"]),
+        f"{result['seconds']:.1f} s" + (f"; results in {result['out']}" if result["out"] else ""),
+    ]
+    return "\n".join(lines)
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -1,0 +1,192 @@
+"""Parsers of point-cloud files: each returns what the file holds, in its own units and axes. N points."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
+from numpy.typing import NDArray
+from trimesh.exchange.ply import load_ply
+
+from anther.checks import check_array
+from anther.errors import InputError, bad_input
+from anther.geometry import Array
+
+Units = Literal["m", "mm"]
+Axis = Literal["x", "y", "z"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawPoints:
+    """What a file holds, before units and axes are settled.
+
+    Attributes:
+        points: (N, 3) in the file's units and axes; NaN allowed.
+        colors: (N, 3) uint8, or None.
+        units: the units the file states, or None.
+        up: the up axis the file states, or None.
+    """
+
+    points: Array
+    colors: NDArray[Any] | None = None
+    units: Units | None = None
+    up: Axis | None = None
+
+
+def read_ply(path: Path) -> RawPoints:
+    """Read a PLY, ASCII or binary; of a mesh, its vertices."""
+    try:
+        with path.open("rb") as stream:
+            stored = load_ply(stream, fix_texture=False, skip_materials=True)
+        points = np.asarray(stored["vertices"], dtype=np.float64)
+    except InputError:
+        raise
+    except Exception as error:  # trimesh raises whatever the bytes provoke
+        raise _unreadable(path, error, "a PLY with vertices x, y, z") from error
+    colors = stored.get("vertex_colors", stored.get("colors"))
+    has_colors = colors is not None and len(colors) == len(points)
+    return RawPoints(points, np.asarray(colors)[:, :3].astype(np.uint8) if has_colors else None)
+
+
+def read_text(path: Path) -> RawPoints:
+    """Read rows of x y z, further columns (r g b as 0-255) optional, separated by blanks, commas or semicolons."""
+    try:
+        lines = path.read_text(encoding="utf-8").replace(",", " ").replace(";", " ").splitlines()
+        lines = [line for line in lines if _is_row(line)]
+        if not lines:
+            raise ValueError("no row of numbers")
+        rows = np.loadtxt(lines, dtype=np.float64, ndmin=2)
+    except (UnicodeDecodeError, ValueError) as error:
+        raise _unreadable(path, error, "rows of at least three numbers: x y z") from error
+    if rows.shape[1] < 3:
+        raise bad_input(str(path), given=f"{rows.shape[1]} columns", allowed="x y z [r g b]", do="Export x, y and z.")
+    colors = rows[:, 3:6]
+    is_colour = (
+        colors.shape[1] == 3 and np.all((colors >= 0) & (colors <= 255)) and float(np.max(colors, initial=0)) > 1
+    )
+    return RawPoints(rows[:, :3], colors.astype(np.uint8) if is_colour else None)
+
+
+def read_npz_points(path: Path, plant: int) -> RawPoints:
+    """Read an NPZ with `points` (N, 3), or `points_x100` (N, 3) integers and `offsets` of several plants.
+
+    `colors` (N, 3), `units` and `up` (3,) are used when they are there.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            held = {name: stored[name] for name in stored.files if name in _NPZ_KEYS}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise _unreadable(path, error, "an .npz with points (N, 3)") from error
+    part = slice(None)
+    if "points_x100" in held:
+        part = _plant_part(path, held, plant)
+        held["points"] = held["points_x100"] / 100.0
+    if "points" not in held:
+        raise bad_input(str(path), given="no array 'points'", allowed="points (N, 3)", do="Rename the array.")
+    points = check_array(f"{path}: points", held["points"], (None, 3), finite=False)[part]
+    colors = held.get("colors")
+    units = str(held.get("units", "")).rstrip("?")
+    up = np.asarray(held.get("up", (0, 0, 0)), dtype=np.float64)
+    return RawPoints(
+        points,
+        None if colors is None or len(colors) != len(held["points"]) else colors[part, :3].astype(np.uint8),
+        "m" if units == "m" else "mm" if units == "mm" else None,
+        ("x", "y", "z")[int(np.argmax(up))] if up.shape == (3,) and up.max() > 0.9 else None,
+    )
+
+
+def read_pcd(path: Path) -> RawPoints:
+    """Read a PCD (ASCII or binary) with fields x, y, z and, optionally, rgb."""
+    content = path.read_bytes()
+    header, body = _pcd_header(path, content)
+    try:
+        record = _pcd_record(header)
+        count, kind = int(header["POINTS"][0]), header["DATA"][0]
+        rows = _pcd_ascii(body, record, count) if kind == "ascii" else np.frombuffer(body, record, count)
+    except (KeyError, ValueError, IndexError) as error:
+        raise _unreadable(path, error, "a PCD with as many points as its header says") from error
+    missing = {"x", "y", "z"} - set(record.names or ())
+    if missing:
+        raise bad_input(str(path), given=f"no field {sorted(missing)}", allowed="fields x y z", do="Export x, y, z.")
+    points = structured_to_unstructured(rows[["x", "y", "z"]], dtype=np.float64)
+    return RawPoints(points, _packed_rgb(rows["rgb"]) if "rgb" in (record.names or ()) else None)
+
+
+_NPZ_KEYS = {"points", "points_x100", "offsets", "colors", "units", "up"}
+
+
+def _plant_part(path: Path, held: dict[str, NDArray[Any]], plant: int) -> slice:
+    offsets = held.get("offsets", np.array([0, len(held["points_x100"])]))
+    if not 0 <= plant < len(offsets) - 1:
+        raise bad_input(
+            str(path), given=f"plant {plant}", allowed=f"0 <= plant <= {len(offsets) - 2}", do="Choose another."
+        )
+    return slice(int(offsets[plant]), int(offsets[plant + 1]))
+
+
+def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes]:
+    header: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in header:
+        end = content.find(b"\n", at)
+        if end < 0:
+            raise bad_input(str(path), given="no complete header", allowed="a PCD file", do="Is it truncated?")
+        words = content[at:end].decode("ascii", errors="replace").split()
+        at = end + 1
+        if words and not words[0].startswith("#"):
+            header[words[0]] = words[1:]
+    if header["DATA"] not in (["ascii"], ["binary"]):
+        raise bad_input(
+            str(path), given=f"DATA {' '.join(header['DATA'])}", allowed="ascii or binary", do="Save it uncompressed."
+        )
+    return header, content[at:]
+
+
+def _pcd_record(header: dict[str, list[str]]) -> np.dtype[Any]:
+    kinds = {"F": "f", "I": "i", "U": "u"}
+    counts = header.get("COUNT", ["1"] * len(header["FIELDS"]))
+    fields = []
+    for i, (name, size, kind, count) in enumerate(
+        zip(header["FIELDS"], header["SIZE"], header["TYPE"], counts, strict=True)
+    ):
+        unique = name if name != "_" else f"_{i}"
+        fields.append(
+            (unique, f"<{kinds[kind]}{size}", (int(count),)) if count != "1" else (unique, f"<{kinds[kind]}{size}")
+        )
+    return np.dtype(fields)
+
+
+def _pcd_ascii(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
+    rows = np.loadtxt(body.decode("ascii").splitlines(), dtype=np.float64, ndmin=2)
+    if len(rows) != count:
+        raise ValueError(f"{len(rows)} rows instead of {count}")
+    out = np.zeros(count, record)
+    column = 0
+    for name in record.names or ():
+        width = int(np.prod(record[name].shape, dtype=int))
+        values = rows[:, column] if width == 1 else rows[:, column : column + width]
+        out[name] = values
+        column += width
+    return out
+
+
+def _packed_rgb(values: NDArray[Any]) -> NDArray[Any]:
+    """Return (N, 3) colours from PCL's packed field: 0x00RRGGBB, often stored in the bits of a float."""
+    bits = np.ascontiguousarray(values).view(np.uint32) if values.dtype.itemsize == 4 else values.astype(np.uint32)
+    return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+
+
+def _is_row(line: str) -> bool:
+    """Tell rows of numbers from headers, comments and a leading count."""
+    words = line.split()
+    return (len(words) > 1 and words[0].lstrip("+-.")[:1].isdigit()) or (bool(words) and words[0].lower() == "nan")
+
+
+def _unreadable(path: Path, error: Exception, allowed: str) -> InputError:
+    return bad_input(
+        str(path), given=f"unreadable ({error})", allowed=allowed, do="Is it truncated, or another format?"
+    )

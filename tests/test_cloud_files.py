@@ -1,0 +1,170 @@
+"""Reading clouds: every format, units and axes, and what is refused with which words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from trimesh.exchange.ply import export_ply
+
+from anther.cloud_files import read_cloud
+from anther.errors import InputError
+
+RNG = np.random.default_rng(0)
+POINTS = RNG.uniform(0, 0.4, (400, 3)).astype(np.float32)
+COLORS = RNG.integers(0, 256, (400, 3)).astype(np.uint8)
+
+
+def write_ply(path: Path, encoding: str = "binary") -> None:
+    cloud = trimesh.PointCloud(POINTS, colors=COLORS)
+    path.write_bytes(export_ply(cloud, encoding=encoding))
+
+
+def pcd_header(kind: str, fields: str = "x y z rgb", count: int = 400) -> str:
+    n = len(fields.split())
+    return (
+        "# .PCD v0.7\nVERSION 0.7\n"
+        f"FIELDS {fields}\nSIZE {' '.join(['4'] * n)}\nTYPE {' '.join(['F'] * n)}\nCOUNT {' '.join(['1'] * n)}\n"
+        f"WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA {kind}\n"
+    )
+
+
+def write_pcd(path: Path, kind: str) -> None:
+    c = COLORS.astype(np.uint32)
+    packed = ((c[:, 0] << 16) | (c[:, 1] << 8) | c[:, 2]).view(np.float32)
+    rows = np.column_stack([POINTS, packed])
+    if kind == "binary":
+        path.write_bytes(pcd_header(kind).encode() + rows.astype("<f4").tobytes())
+    else:
+        text = "\n".join(" ".join(f"{v:.9g}" for v in row) for row in POINTS)
+        path.write_text(pcd_header(kind, "x y z") + text + "\n")
+
+
+@pytest.mark.parametrize("encoding", ["binary", "ascii"])
+def test_ply(tmp_path: Path, encoding: str) -> None:
+    write_ply(tmp_path / "a.ply", encoding)
+    cloud = read_cloud(tmp_path / "a.ply")
+    assert np.allclose(cloud.points, POINTS, atol=1e-6)
+    assert cloud.colors is not None
+    assert np.array_equal(cloud.colors, COLORS)
+
+
+def test_pcd_binary_with_packed_colours(tmp_path: Path) -> None:
+    write_pcd(tmp_path / "a.pcd", "binary")
+    cloud = read_cloud(tmp_path / "a.pcd")
+    assert np.allclose(cloud.points, POINTS)
+    assert cloud.colors is not None
+    assert np.array_equal(cloud.colors, COLORS)
+
+
+def test_pcd_ascii(tmp_path: Path) -> None:
+    write_pcd(tmp_path / "a.pcd", "ascii")
+    assert np.allclose(read_cloud(tmp_path / "a.pcd").points, POINTS)
+
+
+@pytest.mark.parametrize("separator", [" ", ",", ";", "\t"])
+@pytest.mark.parametrize("header", ["", "x y z r g b\n", "# made by hand\n", "400\n"])
+def test_text(tmp_path: Path, separator: str, header: str) -> None:
+    rows = "\n".join(
+        separator.join([*(f"{v:.9g}" for v in p), *map(str, c)]) for p, c in zip(POINTS, COLORS, strict=True)
+    )
+    (tmp_path / "a.xyz").write_text(header + rows)
+    cloud = read_cloud(tmp_path / "a.xyz")
+    assert np.allclose(cloud.points, POINTS)
+    assert cloud.colors is not None
+    assert np.array_equal(cloud.colors, COLORS)
+
+
+def test_npz_states_its_units_and_axis(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", points=POINTS * 1000, up=[0, 1.0, 0], units="mm", colors=COLORS)
+    cloud = read_cloud(tmp_path / "a.npz")
+    assert np.allclose(cloud.points[:, 2], POINTS[:, 1])
+    assert np.allclose(read_cloud(tmp_path / "a.npz", up="z").points, POINTS, atol=1e-6)
+
+
+def test_npz_of_several_plants(tmp_path: Path) -> None:
+    whole = np.round(POINTS * 1e5).astype(np.int32)
+    np.savez(tmp_path / "a.npz", points_x100=whole, offsets=[0, 100, 400])
+    assert len(read_cloud(tmp_path / "a.npz", "mm", plant=0).points) == 100
+    second = read_cloud(tmp_path / "a.npz", "mm", plant=1)
+    assert np.allclose(second.points, POINTS[100:], atol=1e-5)
+    with pytest.raises(InputError, match="0 <= plant <= 1"):
+        read_cloud(tmp_path / "a.npz", "mm", plant=2)
+
+
+@pytest.mark.parametrize(("up", "axis"), [("x", 0), ("y", 1), ("z", 2)])
+def test_turning_z_up_keeps_handedness(tmp_path: Path, up: str, axis: int) -> None:
+    np.savez(tmp_path / "a.npz", points=POINTS)
+    turned = read_cloud(tmp_path / "a.npz", "m", up).points  # type: ignore[arg-type]
+    assert np.allclose(turned[:, 2], POINTS[:, axis])
+    turn = np.linalg.lstsq(POINTS - POINTS.mean(axis=0), turned - turned.mean(axis=0), rcond=None)[0]
+    assert np.linalg.det(turn) == pytest.approx(1, abs=1e-3)
+
+
+def test_a_few_broken_points_are_dropped_with_a_note(tmp_path: Path) -> None:
+    points = POINTS.copy()
+    points[:5, 1] = np.nan
+    np.savez(tmp_path / "a.npz", points=points)
+    cloud = read_cloud(tmp_path / "a.npz")
+    assert len(cloud.points) == 395
+    assert "5 of 400" in cloud.notes[0]
+
+
+def broken(count: int) -> np.ndarray:
+    points = POINTS.copy()
+    points[:count] = np.inf
+    return points
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (broken(100), "25%"),
+        (POINTS[:2], "50 or more"),
+        (POINTS[:0], "50 or more"),
+        (POINTS * 1000, "--units mm"),
+        (POINTS / 1000, "units"),
+        (POINTS[:, :2], "shape"),
+    ],
+)
+def test_bad_points_are_refused(tmp_path: Path, points: np.ndarray, message: str) -> None:
+    np.savez(tmp_path / "a.npz", points=points)
+    with pytest.raises(InputError, match=message):
+        read_cloud(tmp_path / "a.npz")
+
+
+def test_missing_unknown_and_wrong_arrays(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_cloud(tmp_path / "none.ply")
+    (tmp_path / "a.las").write_bytes(b"LASF")
+    with pytest.raises(InputError, match=r"\.pcd"):
+        read_cloud(tmp_path / "a.las")
+    np.savez(tmp_path / "a.npz", vertices=POINTS)
+    with pytest.raises(InputError, match="'points'"):
+        read_cloud(tmp_path / "a.npz")
+    (tmp_path / "a.pcd").write_text(pcd_header("binary_compressed"))
+    with pytest.raises(InputError, match="uncompressed"):
+        read_cloud(tmp_path / "a.pcd")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "xyz"])
+@settings(max_examples=12, deadline=None)
+@given(share=st.floats(0, 0.9), junk=st.binary(max_size=40))
+def test_truncated_files_are_refused_in_words(tmp_path_factory, suffix: str, share: float, junk: bytes) -> None:
+    path = tmp_path_factory.mktemp("cut") / f"a.{suffix}"
+    if suffix == "ply":
+        write_ply(path)
+    elif suffix == "pcd":
+        write_pcd(path, "binary")
+    elif suffix == "npz":
+        np.savez(path, points=POINTS)
+    else:
+        path.write_bytes(b"0.1 0.2\n" * 100)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))] + junk)
+    with pytest.raises(InputError, match="allowed"):
+        read_cloud(path)
