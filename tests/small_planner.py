@@ -11,7 +11,7 @@ from anther.arm import sawyer
 from anther.devices import JointTrajectory
 from anther.geometry import Array
 
-RATE = 250  # samples per second
+RATE = 50  # samples per second
 
 
 class SmallPlanner:
@@ -36,7 +36,7 @@ class SmallPlanner:
 
     def shake(self, q: Any, direction: Any, amplitude: float, frequency: float, duration: float) -> JointTrajectory:
         T = sawyer.forward(q)
-        t = np.linspace(0, duration, int(duration * RATE * 4) + 2)
+        t = np.linspace(0, duration, int(duration * frequency * 32) + 2)
         edge = min(1 / frequency, duration / 4)
         ramp = np.clip(np.minimum(t, duration - t) / edge, 0, 1)
         wave = amplitude * (3 * ramp**2 - 2 * ramp**3) * np.sin(2 * np.pi * frequency * t)
@@ -47,9 +47,11 @@ def follow(q: Any, rotation: Array, path: Array) -> Array:
     """Return joints (N, 7) that keep the flange's orientation along (N, 3) positions."""
     q, out = np.array(q, dtype=float), []
     for p in path:
-        for _ in range(3):
+        for _ in range(2):
             T = sawyer.forward(q)
             error = np.r_[p - T[:3, 3], Rotation.from_matrix(rotation @ T[:3, :3].T).as_rotvec()]
+            if np.abs(error).max() < 1e-7:
+                break
             J = sawyer.jacobian(q)
             q = q + J.T @ np.linalg.solve(J @ J.T + 1e-8 * np.eye(6), error)
         out.append(q)

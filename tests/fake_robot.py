@@ -1,0 +1,98 @@
+"""A robot without physics: the arm goes where it is told, the gripper meets a stem of a given width or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from anther.arm import sawyer
+from anther.devices import ArmRecord, Frame, GripperState, JointTrajectory, Robot, SafetyLimits
+from anther.geometry import Array, Box, Intrinsics, transform
+from anther.grasp import Grasp
+
+LIMITS = SafetyLimits(
+    forward=sawyer.forward,
+    joint_lower=sawyer.LOWER,
+    joint_upper=sawyer.UPPER,
+    joint_speed=sawyer.VELOCITY,
+    workspace=Box(np.array([-1.0, -1.2, -0.5]), np.array([1.2, 1.2, 1.5])),
+)
+
+
+class FakeArm:
+    """Follows perfectly. `fault` is called before each motion and may raise; `done` counts finished motions."""
+
+    def __init__(self, joints: Array = sawyer.NEUTRAL, fault: Callable[[int], None] = lambda _: None) -> None:
+        self.now, self.clock, self.done, self.held, self.fault = np.array(joints), 0.0, 0, 0, fault
+
+    def joints(self) -> Array:
+        return self.now.copy()
+
+    def follow(self, trajectory: JointTrajectory) -> ArmRecord:
+        self.fault(self.done)
+        times = self.clock + trajectory.times
+        self.now, self.clock, self.done = trajectory.positions[-1].copy(), float(times[-1]), self.done + 1
+        return ArmRecord(times, trajectory.positions, trajectory.positions)
+
+    def hold(self) -> None:
+        self.held += 1
+
+
+class FakeGripper:
+    """Closes until it meets something `width` wide [m]; 0 is nothing."""
+
+    def __init__(self, width: float = 0.008) -> None:
+        self.width, self.opening, self.commands = width, sawyer.STROKE, []
+
+    def move(self, opening: float) -> GripperState:
+        self.commands.append(opening)
+        self.opening = max(opening, self.width) if opening < self.opening else opening
+        return self.state()
+
+    def state(self) -> GripperState:
+        held = self.width > 0 and self.opening <= self.width and self.commands[-1] < self.width
+        return GripperState(self.opening, 8.0 if held else 0.0, held)
+
+
+class FakeCamera:
+    """Sees nothing, at the rate asked for, for a second."""
+
+    intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
+
+    def __init__(self) -> None:
+        self.rates: list[float] = []
+
+    def read(self) -> Frame:
+        return self._frame(0.0)
+
+    def start(self, rate: float) -> None:
+        self.rates.append(rate)
+
+    def stop(self) -> list[Frame]:
+        return [self._frame(i / self.rates[-1]) for i in range(int(self.rates[-1]))] if self.rates else []
+
+    def _frame(self, time: float) -> Frame:
+        return Frame(time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
+
+
+def fake_robot(arm: FakeArm | None = None, gripper: FakeGripper | None = None) -> Robot:
+    return Robot(arm or FakeArm(), gripper or FakeGripper(), FakeCamera(), FakeCamera(), np.eye(4))
+
+
+def horizontal_grasp(point: Array, joints: Array, *, diameter: float = 0.008) -> Grasp:
+    """Return a grasp of an upright stem, approached along +x, with the flange's +x up."""
+    R = np.array([[0, 0, 1.0], [0, -1, 0], [1, 0, 0]])
+    T = transform(R, point - R @ sawyer.T_FLANGE_GRASP[:3, 3])
+    return Grasp(
+        T_world_flange=T,
+        point=point,
+        tangent=np.array([0, 0, 1.0]),
+        approach=R[:, 2],
+        arc_length=0.2,
+        stem_diameter=diameter,
+        clearance=0.05,
+        score=1.0,
+        reason="the test's own",
+        joints=joints,
+    )
