@@ -325,7 +325,13 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
 
 
 def _read_image(path: Path, flags: int, intrinsics: Intrinsics) -> NDArray[Any]:
-    data = existing(path).read_bytes()
+    try:
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        raise InputError(
+            f"{path}: {reason}. transforms.json names this image; copy it there or correct the path."
+        ) from error
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _is_intact(data) else None
     if image is None:
         raise bad_input(

@@ -91,17 +91,19 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
     params = params or Params()
     views = _thin(points_cam, params.voxel, params.points_per_view)
     given = np.asarray(T_world_cam)
-    if sum(len(p) > 0 for p in views.points_per_view) < 2:
+    if len(np.unique(views.view)) < 2:
         return Registration(given, False, np.nan, np.nan, ("registration: fewer than two views show the plant",))
     draw = np.random.default_rng(0).random(len(views.points))
     held_out, source = draw < params.held_out_share, draw > 1 - params.source_share
-    poses = np.array(given)
+    poses, pairs = np.array(given), np.zeros((0, 2), dtype=np.int64)
     information = _prior_information(len(given), params)
     for distance in params.match_distances:
         pairs = _match(views, poses, distance, params, source)
         scale = max(params.point_sigma, distance / 3)
         for _ in range(2):
             poses = _gauss_newton_step(views, poses, given, pairs, information=information, scale=scale, params=params)
+    if len(pairs) == 0:
+        return Registration(given, False, np.nan, np.nan, ("registration: the views share no surface",))
     before, after = (_disagreement(views, T, params, held_out) for T in (given, poses))
     if not after < (1 - params.least_gain) * before:
         note = (
@@ -119,10 +121,6 @@ class _Views:
     points: Array
     normals: Array
     view: NDArray[Any]
-
-    @property
-    def points_per_view(self) -> list[Array]:
-        return [self.points[self.view == v] for v in range(int(self.view.max(initial=-1)) + 1)]
 
     def world(self, poses: Array) -> tuple[Array, Array]:
         """Return points and normals in the world frame."""
