@@ -64,8 +64,7 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
         raise bad_input("swing", given=f"{seen.sum()} samples", allowed="8 or more", do="Record longer.")
     middle = float(times[seen].mean())
     basis = _basis(times[seen] - middle, frequency)
-    scale = np.linalg.norm(basis, axis=0)
-    if np.linalg.cond(basis / scale) > 30:
+    if np.linalg.cond(basis / [1, max(np.ptp(basis[:, 1]), 1e-9), 1, 1]) > 30:
         raise bad_input(
             "swing",
             given=f"{seen.sum()} samples over {np.ptp(times):.2f} s",

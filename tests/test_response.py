@@ -1,0 +1,160 @@
+"""Measuring flower motion: synthetic frames of a moving truss with known truth, and the sinusoid fit itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from anther.devices import Frame
+from anther.errors import InputError
+from anther.execution import Params as ExecutionParams
+from anther.execution import choose_rate
+from anther.flowers import Flowers
+from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
+from anther.oscillation import envelope_amplitude, find_frequency, fit_swing
+from anther.response import Response, measure_response
+
+CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
+T_WORLD_CAM = look_at([0.72, -0.55, 0.1], [0.72, 0.0, 0.1])
+REST = np.array([[0.70, 0.0, 0.12], [0.722, 0.01, 0.11], [0.75, -0.01, 0.09]])
+FINE = 4  # drawn this many times finer, so that petals move by fractions of a pixel
+
+
+def draw(flowers: Array, time: float, rng: np.random.Generator, colour: tuple[int, int, int]) -> Frame:
+    """Return a frame with a grey wall at 2 m, a green leaf and one petal disc a flower, with noise."""
+    K = CAMERA
+    rgb = np.full((K.height * FINE, K.width * FINE, 3), (140, 150, 140), np.uint8)
+    depth = np.full(rgb.shape[:2], 2.0, np.float32)
+    cv2.rectangle(rgb, (100, 500), (500, 640), (60, 105, 45), -1)
+    cv2.rectangle(depth, (100, 500), (500, 640), 0.55, -1)  # type: ignore[call-overload]
+    points = transform_points(inverse(T_WORLD_CAM), flowers)
+    for p, pixel in zip(points, K.project(points), strict=True):
+        centre = tuple(int(x) for x in np.rint((pixel + 0.5) * FINE - 0.5))
+        radius = round(0.007 * K.fx / p[2] * FINE)
+        cv2.circle(rgb, centre, radius, colour, -1)
+        cv2.circle(rgb, centre, radius // 3, (230, 170, 25), -1)
+        cv2.circle(depth, centre, radius, float(p[2]), -1)
+    rgb = cv2.resize(rgb, (K.width, K.height), interpolation=cv2.INTER_AREA)
+    near = depth[FINE // 2 :: FINE, FINE // 2 :: FINE].copy()
+    near += rng.normal(0, 0.0008, near.shape).astype(np.float32)
+    noisy = np.clip(rgb + rng.normal(0, 2, rgb.shape), 0, 255).astype(np.uint8)
+    return Frame(time, noisy, near)
+
+
+def record(
+    amplitude: float, frequency: float, *, count: int = 45, colour: tuple[int, int, int] = (245, 215, 40)
+) -> list[Frame]:
+    rng = np.random.default_rng(0)
+    rate = choose_rate(frequency, ExecutionParams().rates)
+    direction = np.array([0.8, 0.3, 0.52]) / np.linalg.norm([0.8, 0.3, 0.52])
+    gain = np.array([1.0, 0.5, 1.5])[:, None]
+    frames = []
+    for i in range(count):
+        shift = amplitude * np.sin(2 * np.pi * frequency * i / rate + 0.4)
+        frames.append(draw(REST + 0.002 + gain * shift * direction, i / rate, rng, colour))
+    return frames
+
+
+def flowers(positions: Array = REST) -> Flowers:
+    return Flowers(positions, np.zeros(len(positions), dtype=int))
+
+
+@pytest.mark.parametrize(("amplitude", "frequency"), [(0.001, 30.0), (0.002, 10.0), (0.004, 5.0), (0.008, 1.5)])
+def test_amplitude_and_frequency_are_measured(amplitude: float, frequency: float) -> None:
+    response = measure_response(record(amplitude, frequency), CAMERA, T_WORLD_CAM, flowers(), frequency)
+    truth = amplitude * np.array([1.0, 0.5, 1.5])
+    assert response.visible.all()
+    assert np.abs(response.amplitude - truth).max() < max(0.0003, 0.1 * truth.max())
+    assert response.frequency == pytest.approx(np.full(3, frequency), rel=0.01 if amplitude > 0.001 else 0.02)
+    assert response.acceleration_peak == pytest.approx(response.amplitude * (2 * np.pi * response.frequency) ** 2)
+
+
+def test_white_petals_are_followed_too() -> None:
+    frames = record(0.003, 5.0, colour=(245, 245, 240))
+    response = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(), 5.0)
+    assert response.amplitude == pytest.approx(0.003 * np.array([1, 0.5, 1.5]), abs=3e-4)
+
+
+def test_a_flower_that_is_not_there_is_nan_with_a_note() -> None:
+    absent = np.vstack([REST, [0.66, 0.0, 0.02]])
+    response = measure_response(record(0.002, 5.0), CAMERA, T_WORLD_CAM, flowers(absent), 5.0)
+    assert response.visible.tolist() == [True, True, True, False]
+    assert np.isnan(response.amplitude[3])
+    assert any("Flower 4" in note for note in response.notes)
+
+
+def test_flowers_behind_the_camera_and_no_flowers_at_all() -> None:
+    frames = record(0.002, 5.0, count=10)
+    behind = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(REST - [0, 2.0, 0]), 5.0)
+    assert not behind.visible.any()
+    assert behind.notes
+    none = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(np.zeros((0, 3))), 5.0)
+    assert none.amplitude.shape == (0,)
+    assert none.tracks.shape == (10, 0, 3)
+
+
+def test_too_few_frames_and_a_wrong_size_are_refused() -> None:
+    frames = record(0.002, 5.0, count=9)
+    with pytest.raises(InputError, match="8 or more"):
+        measure_response(frames[:5], CAMERA, T_WORLD_CAM, flowers(), 5.0)
+    other = Intrinsics(320, 240, 424.0, 424.0, 160, 120)
+    with pytest.raises(InputError, match="this camera's intrinsics"):
+        measure_response(frames, other, T_WORLD_CAM, flowers(), 5.0)
+
+
+def test_a_response_survives_the_disk(tmp_path: Path) -> None:
+    response = measure_response(record(0.002, 5.0, count=12), CAMERA, T_WORLD_CAM, flowers(), 5.0)
+    response.save(tmp_path / "r.npz")
+    back = Response.load(tmp_path / "r.npz")
+    assert back.notes == response.notes
+    for name in ("times", "tracks", "amplitude", "amplitude_std", "frequency", "acceleration_peak", "visible"):
+        assert np.array_equal(getattr(back, name), getattr(response, name), equal_nan=name != "visible")
+
+
+@settings(max_examples=40)
+@given(
+    amplitude=st.floats(1e-4, 0.05),
+    frequency=st.floats(0.7, 35),
+    phase=st.floats(0, 6.28),
+    drift=st.floats(-0.01, 0.01),
+)
+def test_the_fit_is_exact_on_a_sinusoid(amplitude: float, frequency: float, phase: float, drift: float) -> None:
+    rate = choose_rate(frequency, ExecutionParams().rates)
+    times = np.arange(90) / rate
+    direction = np.array([0.6, 0.0, 0.8])
+    path = np.outer(amplitude * np.sin(2 * np.pi * frequency * times + phase), direction) + drift * times[:, None]
+    swing = fit_swing(times, path, frequency)
+    assert swing.amplitude == pytest.approx(amplitude, rel=1e-6)
+    assert abs(swing.direction @ direction) == pytest.approx(1, abs=1e-6)
+    assert swing.at(times) == pytest.approx(path, abs=1e-9)
+
+
+def test_a_rate_of_twice_the_frequency_is_refused_not_guessed() -> None:
+    times = np.arange(60) / 60
+    with pytest.raises(InputError, match="frame rate"):
+        fit_swing(times, np.zeros((60, 3)), 30.0)
+
+
+def test_the_stated_deviation_is_honest() -> None:
+    rng = np.random.default_rng(1)
+    times = np.arange(90) / 60
+    clean = np.outer(0.002 * np.sin(2 * np.pi * 5 * times), [1.0, 0, 0])
+    swings = [fit_swing(times, clean + rng.normal(0, 0.0005, clean.shape), 5.0) for _ in range(200)]
+    assert np.std([s.amplitude for s in swings]) == pytest.approx(np.mean([s.amplitude_std for s in swings]), rel=0.2)
+
+
+def test_frequency_is_found_near_the_hint() -> None:
+    times = np.arange(120) / 60
+    path = np.outer(np.sin(2 * np.pi * 4.83 * times), [0.001, 0.0005, 0])
+    assert find_frequency(times, path, 5.0) == pytest.approx(4.83, rel=1e-3)
+
+
+def test_the_papers_envelope_agrees_on_a_steady_swing() -> None:
+    times = np.arange(300) / 60
+    path = np.outer(0.004 * np.sin(2 * np.pi * 2 * times), [0, 1.0, 0])
+    assert envelope_amplitude(times, path) == pytest.approx(0.004, rel=0.02)
