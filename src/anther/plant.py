@@ -23,7 +23,7 @@ from anther.files import read_npz, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.plant_geometry import edge_radii, hang_flowers, leaf_mass
-from anther.plant_stability import least_factor, stands, stout_radii
+from anther.plant_stability import least_youngs, stands, stout_radii
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
@@ -101,7 +101,7 @@ class Params:
     least_radius: float = 0.5e-3
     areal_density: float = 0.25
     leaf_voxel: float = 0.006
-    blade_thickness: float = 0.003
+    blade_thickness: float = 0.001
     flower_mass: float = 1e-4
     pedicel_length: float = 0.015
     pedicel_radius: float = 0.5e-3
@@ -259,14 +259,14 @@ def build_plant(
     """
     _check(skeleton, stem, flowers)
     rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
-    factor = least_factor(rods, Clamp.root(rods), is_pedicel)
-    if factor is None:
+    least = least_youngs(rods, Clamp.root(rods), is_pedicel)
+    if least is None:
         raise StageFailure(
             "no_convergence",
             "plant model: no stiffness of the stem holds the plant up, so a modelled pedicel is too soft for its "
             "flower. Raise pedicel_youngs or pedicel_radius.",
         )
-    chosen, note = _youngs_that_holds(material, factor * material.youngs, params)
+    chosen, note = _youngs_that_holds(material, least, params)
     rods = replace(rods, youngs=np.where(is_pedicel, rods.youngs, chosen.youngs))
     return PlantModel(
         rods=with_gravity_equilibrium(rods, Clamp.root(rods)),
@@ -277,7 +277,7 @@ def build_plant(
         is_pedicel=is_pedicel,
         material=chosen,
         pedicel_spread=params.pedicel_spread,
-        least_youngs=factor * material.youngs,
+        least_youngs=least,
         notes=(_mass_note(rods, leaves, cloud), *note),
     )
 

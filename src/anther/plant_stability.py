@@ -15,13 +15,8 @@ from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.stepping import new_state
 from anther.errors import StageFailure
 
-SOFTEST, STIFFEST = 1e-4, 1e4
-"""Range of the factor on Young's modulus that is searched."""
-
-
-def scaled(rods: Rods, factor: float, fixed: NDArray[np.bool_]) -> Rods:
-    """Return rods whose Young's modulus is `factor` times as large, but for the edges in `fixed` (N,)."""
-    return replace(rods, youngs=np.asarray(rods.youngs) * np.where(fixed, 1.0, factor), natural=None)
+SOFTEST, STIFFEST = 1e4, 1e12
+"""Range of Young's modulus that is searched [Pa]."""
 
 
 def stands(rods: Rods, clamp: Clamp) -> bool:
@@ -35,25 +30,30 @@ def stands(rods: Rods, clamp: Clamp) -> bool:
     return unstable_directions(model, clamp.free(resting), state, new_blocks(len(resting.nodes))) == 0
 
 
-def least_factor(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_]) -> float | None:
-    """Return the factor on Young's modulus at which the rods just stand, within 2 %; None if no stiffness helps.
+def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_]) -> float | None:
+    """Return Young's modulus at which the rods just stand [Pa], within 2 %; None if no stiffness helps.
 
     The weight's torques do not depend on the stiffness, so the tangent stiffness is E A - B and there is one such
-    factor; it is bracketed and bisected on a logarithmic scale.
+    value; it is bisected on a logarithmic scale.
 
     Args:
-        rods: the rods; their natural shape is found anew for every factor.
+        rods: the rods; their natural shape is found anew for every value.
         clamp: what is held.
-        fixed: (N,) edges whose stiffness is not scaled.
+        fixed: (N,) edges that keep their own Young's modulus.
     """
-    if not stands(scaled(rods, STIFFEST, fixed), clamp):
-        return None
-    if stands(scaled(rods, SOFTEST, fixed), clamp):
-        return SOFTEST
+
+    def stands_with(log_youngs: float) -> bool:
+        youngs = np.where(fixed, rods.youngs, np.exp(log_youngs))
+        return stands(replace(rods, youngs=youngs, natural=None), clamp)
+
     low, high = np.log(SOFTEST), np.log(STIFFEST)
+    if not stands_with(high):
+        return None
+    if stands_with(low):
+        return SOFTEST
     while high - low > 0.02:
         middle = (low + high) / 2
-        low, high = (low, middle) if stands(scaled(rods, float(np.exp(middle)), fixed), clamp) else (middle, high)
+        low, high = (low, middle) if stands_with(middle) else (middle, high)
     return float(np.exp(high))
 
 

@@ -20,6 +20,8 @@ SCHEMA = 1
 class ResponseMap:
     """How the flowers answer, by grip height and frequency, in the best direction and within the limits.
 
+    Means are over flowers and over the scenarios of the plant's material.
+
     Attributes:
         frequencies: (Q,) [Hz].
         arc_length: (G,) grip height along the stem, rising [m].

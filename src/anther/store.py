@@ -81,7 +81,7 @@ class _Trial(_Base):
     shake: Mapped[Any] = mapped_column(JSON)
     predicted_amplitude: Mapped[Any] = mapped_column(JSON)
     measured_amplitude: Mapped[Any] = mapped_column(JSON)
-    material: Mapped[Any] = mapped_column(JSON(none_as_null=True))
+    material: Mapped[Any] = mapped_column(JSON(none_as_null=True), nullable=True)
 
 
 def record_trial(record: TrialRecord, path: Path | str = DEFAULT) -> int:

@@ -22,7 +22,7 @@ from anther.plant import PlantModel
 from anther.shake_plan import ResponseMap, RunnerUp, ShakePlan
 from anther.vibration_limits import ArmLimit, pollen_dose, sawyer_limit
 from anther.vibration_observables import semi_major
-from anther.vibration_search import Gains, gains, scenarios
+from anther.vibration_search import Gains, gains, grip_rows, scenarios
 
 __all__ = ["Params", "ResponseMap", "RunnerUp", "ShakePlan", "plan_shake", "sawyer_limit"]
 
@@ -149,17 +149,14 @@ def plan_shake(
 
 
 def _grips(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> _Grips:
-    usable = ~np.isin(plant.stem_nodes, plant.clamp.nodes)
-    nodes, arc = plant.stem_nodes[usable], plant.arc_length[usable]
-    if not len(nodes):
-        raise StageFailure("no_grasp_found", "the main stem is too short to be held above its root.")
-    points = plant.rods.nodes[nodes]
-    held = np.array([int(np.argmin(np.linalg.norm(points - g.point, axis=1))) for g in grasps])
-    map_rows = np.unique(np.linspace(0, len(nodes) - 1, params.heights).round().astype(int))
-    rows = np.concatenate([held, map_rows])
-    nearest = np.abs(arc[map_rows][:, None] - arc[held]).argmin(axis=1)
-    near = np.concatenate([np.arange(len(grasps)), nearest])
-    return _Grips(nodes[rows], arc[rows], near, _directions(plant, nodes[rows], params.directions))
+    held = grip_rows(plant, np.array([g.point for g in grasps]))
+    usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
+    others = usable[np.unique(np.linspace(0, len(usable) - 1, params.heights).round().astype(int))]
+    rows = np.concatenate([held, others])
+    nodes, arc = plant.stem_nodes[rows], plant.arc_length[rows]
+    nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
+    near = np.concatenate([np.arange(len(held)), nearest])
+    return _Grips(nodes, arc, near, _directions(plant, nodes, params.directions))
 
 
 def _directions(plant: PlantModel, nodes: NDArray[Any], count: int) -> Array:

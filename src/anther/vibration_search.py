@@ -71,6 +71,19 @@ def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs:
     )
 
 
+def grip_rows(plant: PlantModel, points: Array) -> NDArray[Any]:
+    """Return for each of (n, 3) points the position within `plant.stem_nodes` of the nearest node that can be moved.
+
+    Raises:
+        StageFailure: "no_grasp_found": every stem node is clamped.
+    """
+    usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
+    if not len(usable):
+        raise StageFailure("no_grasp_found", "the main stem is too short to be held above its root.")
+    nodes = plant.rods.nodes[plant.stem_nodes[usable]]
+    return usable[np.linalg.norm(nodes[None] - np.asarray(points)[:, None], axis=2).argmin(axis=1)]
+
+
 def gains(versions: Sequence[PlantModel], grips: NDArray[Any], directions: Array, frequencies: Array) -> Gains:
     """Return the linear response of every scenario.
 

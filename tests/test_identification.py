@@ -1,0 +1,172 @@
+"""Identification: the authors' number, free vibrations, density, and a material refined from a measured response."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sample_plants import branched, grasps_on
+
+from anther.elastic_rod.motion import Clamp
+from anther.elastic_rod.response import natural_frequencies
+from anther.elastic_rod.rods import Rods
+from anther.errors import InputError
+from anther.identification import (
+    Params,
+    density_from_samples,
+    fit_free_vibration,
+    refine,
+    youngs_from_frequency,
+)
+from anther.plant import TOMATO, PlantModel, build_plant
+from anther.vibration import Params as ShakeParams
+from anther.vibration import ShakePlan, plan_shake
+from anther.vibration_search import gains
+
+
+@pytest.mark.parametrize(("tip_mass", "youngs"), [(0, 21.6), (5e-3, 71), (10e-3, 120), (20e-3, 218)])
+def test_the_authors_stem(tip_mass: float, youngs: float) -> None:
+    found = youngs_from_frequency(0.292, 3e-3, 1.38, 1100, tip_mass=tip_mass) / 1e6
+    assert found == pytest.approx(youngs, rel=0.02)
+
+
+@pytest.mark.parametrize("tip_mass", [0.0, 0.01])
+def test_identifies_the_rod_engines_own_stiffness(tip_mass: float) -> None:
+    n = 61
+    nodes = np.stack([np.zeros(n), np.zeros(n), np.linspace(0, 0.305, n)], axis=1)
+    lumps = np.zeros(n)
+    lumps[-1] = tip_mass
+    rods = Rods(nodes, np.arange(-1, n - 1), 3e-3, 2e8, 1100.0, lumped_mass=lumps)
+    first = natural_frequencies(rods, Clamp.root(rods), 2, gravity=(0, 0, 0))[0][0]
+    free = 0.30 + 0.0025  # the clamped edge bends over half its length
+    assert youngs_from_frequency(free, 3e-3, first, 1100, tip_mass=tip_mass) == pytest.approx(2e8, rel=0.01)
+
+
+@given(st.floats(0.1, 1), st.floats(1e-3, 1e-2), st.floats(0.2, 10), st.floats(0, 0.1))
+def test_youngs_grows_with_frequency_squared(length: float, radius: float, frequency: float, tip_mass: float) -> None:
+    once, twice = (youngs_from_frequency(length, radius, k * frequency, 1000, tip_mass=tip_mass) for k in (1, 2))
+    assert twice == pytest.approx(4 * once, rel=1e-9)
+    assert once >= youngs_from_frequency(length, radius, frequency, 1000) * (1 - 1e-9)
+
+
+@given(st.sampled_from(["length", "radius", "frequency", "density"]), st.sampled_from([0.0, -1.0, np.nan, np.inf]))
+def test_impossible_stems_are_refused(name: str, value: float) -> None:
+    stem = {"length": 0.3, "radius": 3e-3, "frequency": 1.4, "density": 1000.0} | {name: value}
+    with pytest.raises(InputError, match=name):
+        youngs_from_frequency(**stem)
+
+
+def test_density_of_samples() -> None:
+    rng = np.random.default_rng(0)
+    radius, length = rng.uniform(2e-3, 5e-3, 40), rng.uniform(0.02, 0.05, 40)
+    truth = rng.normal(1050, 30, 40)
+    found = density_from_samples(truth * np.pi * radius**2 * length, radius, length)
+    assert found.mean == pytest.approx(truth.mean())
+    assert found.sd == pytest.approx(truth.std(ddof=1))
+    assert found.standard_error == pytest.approx(found.sd / np.sqrt(40))
+    assert np.isnan(density_from_samples([1e-3], [3e-3], [0.03]).sd)
+    for bad in (([], [], []), ([1e-3], [3e-3, 1e-3], [0.03]), ([1e-3], [-3e-3], [0.03])):
+        with pytest.raises(InputError):
+            density_from_samples(*bad)
+
+
+@settings(max_examples=15)
+@given(st.floats(0.7, 8.0), st.floats(0.005, 0.15), st.floats(0, 6), st.integers(0, 1000))
+def test_free_vibration_is_found_within_its_errors(f: float, z: float, phase: float, seed: int) -> None:
+    t = np.arange(0, 6, 0.02)
+    rng = np.random.default_rng(seed)
+    x = 0.01 * np.exp(-z / np.sqrt(1 - z * z) * 2 * np.pi * f * t) * np.cos(2 * np.pi * f * t + phase) + 0.3
+    found = fit_free_vibration(t, x + rng.normal(0, 2e-4, len(t)))
+    assert abs(found.frequency - f) < 6 * found.frequency_error
+    assert abs(found.damping_ratio - z) < 6 * found.damping_error
+    assert found.frequency_error < 0.05 * f
+    assert found.damping_error < 0.3 * z + 0.002
+
+
+def test_standard_errors_are_the_scatter_of_repeated_fits() -> None:
+    t = np.arange(0, 5, 0.02)
+    rng = np.random.default_rng(3)
+    clean = np.exp(-0.05 * 2 * np.pi * 1.4 * t) * np.cos(2 * np.pi * 1.4 * t)
+    fits = [fit_free_vibration(t, clean + rng.normal(0, 0.03, len(t))) for _ in range(40)]
+    for value, error in (("frequency", "frequency_error"), ("damping_ratio", "damping_error")):
+        scatter = np.std([getattr(fit, value) for fit in fits])
+        assert np.mean([getattr(fit, error) for fit in fits]) == pytest.approx(scatter, rel=0.4)
+
+
+def test_no_oscillation_is_refused() -> None:
+    t = np.arange(20) * 0.1
+    for times, x in ((t, np.ones(20)), (t[:5], t[:5]), (t[::-1], t), (t, np.full(20, np.nan))):
+        with pytest.raises(InputError):
+            fit_free_vibration(times, x)
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantModel:
+    skeleton, stem, flowers = branched()
+    return build_plant(skeleton, stem, flowers, None, replace(TOMATO, youngs=2e8))
+
+
+@pytest.fixture(scope="module")
+def plan(plant: PlantModel) -> ShakePlan:
+    skeleton, stem, _ = branched()
+    return plan_shake(
+        plant,
+        grasps_on(skeleton, stem, [8]),
+        params=ShakeParams(frequencies=8, lowest=3, highest=6, draws=2, directions=2),
+    )
+
+
+def amplitude_of(truth: PlantModel, plant: PlantModel, plan: ShakePlan) -> np.ndarray:
+    """What another plant would do in that shake, with the plan's own nonlinear correction."""
+    node = np.array([plan_node(plant, plan)])
+    response = gains([plant, truth], node, plan.direction[None, None], np.array([plan.frequency])).flower[:, 0, 0, 0]
+    return plan.predicted_amplitude * response[1] / response[0]
+
+
+def plan_node(plant: PlantModel, plan: ShakePlan) -> int:
+    return int(plant.stem_nodes[np.argmin(np.abs(plant.arc_length - plan.grasp.arc_length))])
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.6])
+def test_a_measured_response_improves_prediction_and_belief(plant: PlantModel, plan: ShakePlan, factor: float) -> None:
+    truth = plant.with_material(replace(plant.material, youngs=factor * plant.material.youngs))
+    measured = amplitude_of(truth, plant, plan)
+    params = Params(model_error=0.05)
+    after = refine(plant, plan, measured, np.full(len(measured), 1e-4 * measured.max()), params)
+    before = np.abs(np.log(plan.predicted_amplitude / measured)).mean()
+    assert np.abs(np.log(after.predicted_amplitude / measured)).mean() < before + 0.05
+    assert after.material.youngs_spread < 0.8 * plant.material.youngs_spread
+    assert abs(np.log(after.material.youngs / truth.material.youngs)) < 2 * after.material.youngs_spread + 0.05
+    assert after.effective_members >= params.least_members * 0.98
+    assert 0 < after.evidence <= 1
+
+
+def test_an_unmeasurable_response_teaches_nothing(plant: PlantModel, plan: ShakePlan) -> None:
+    after = refine(plant, plan, np.full(3, np.nan), np.full(3, np.nan))
+    assert after.material == plant.material
+    assert "no flower" in after.notes[0]
+
+
+def test_a_vague_measurement_leaves_the_belief_nearly_as_it_was(plant: PlantModel, plan: ShakePlan) -> None:
+    after = refine(plant, plan, plan.predicted_amplitude, np.full(3, 10.0), Params(model_error=10))
+    assert abs(np.log(after.material.youngs / plant.material.youngs)) < 0.5
+    assert after.material.youngs_spread > 0.6 * plant.material.youngs_spread
+
+
+def test_one_flower_mistaken_for_another_does_not_decide_alone(plant: PlantModel, plan: ShakePlan) -> None:
+    fair = plan.predicted_amplitude.copy()
+    wrong = fair.copy()
+    wrong[0] *= 30
+    error = 0.05 * fair
+    one, two = (refine(plant, plan, m, error).material.youngs for m in (fair, wrong))
+    assert abs(np.log(one / two)) < plant.material.youngs_spread
+
+
+def test_bad_measurements_are_refused(plant: PlantModel, plan: ShakePlan) -> None:
+    good = plan.predicted_amplitude
+    for measured, error in ((good[:2], good[:2]), (good, 0 * good), (-good, good), (good, np.full(3, np.nan))):
+        with pytest.raises(InputError):
+            refine(plant, plan, measured, error)

@@ -1,0 +1,218 @@
+"""Shake planning: observables are right, limits hold, the choice does not depend on the frame, and it is explained."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sample_plants import branched, grasps_on, read_paper_plant, turned
+
+from anther.elastic_rod.motion import Drive
+from anther.elastic_rod.response import frequency_response
+from anther.errors import InputError, StageFailure
+from anther.flowers import Flowers
+from anther.geometry import Array
+from anther.grasp import Grasp
+from anther.plant import TOMATO, Material, PlantModel, build_plant
+from anther.vibration import Params, ShakePlan, plan_shake, sawyer_limit, shaken_amplitude
+from anther.vibration_limits import pollen_dose
+from anther.vibration_observables import observables, semi_major
+
+QUICK = Params(frequencies=12, directions=4, heights=4, draws=3)
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantModel:
+    skeleton, stem, flowers = branched()
+    return build_plant(skeleton, stem, flowers, None, TOMATO)
+
+
+@pytest.fixture(scope="module")
+def grasps() -> list[Grasp]:
+    skeleton, stem, _ = branched()
+    return grasps_on(skeleton, stem, [8, 14, 20])
+
+
+@pytest.fixture(scope="module")
+def plan(plant: PlantModel, grasps: list[Grasp]) -> ShakePlan:
+    return plan_shake(plant, grasps, params=QUICK)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=6, max_size=6))
+def test_semi_major_is_the_largest_excursion(parts: list[float]) -> None:
+    v = np.array(parts[:3]) + 1j * np.array(parts[3:])
+    phase = np.exp(1j * np.linspace(0, 2 * np.pi, 2001))
+    sampled = np.linalg.norm((phase[:, None] * v).real, axis=1).max()
+    assert semi_major(v[None])[0] == pytest.approx(sampled, rel=1e-5, abs=1e-12)
+
+
+def seen_sizes(plant: PlantModel, displacement: Array) -> dict[str, Array]:
+    seen = observables(plant)
+    size = np.linalg.norm((seen.operator @ displacement.ravel()).reshape(-1, 3), axis=1)
+    return {name: size[getattr(seen, name)] for name in ("flowers", "stem_strain", "joint_strain", "leaf_load")}
+
+
+def test_rigid_motion_strains_nothing_and_loads_a_leaf_with_its_acceleration(plant: PlantModel) -> None:
+    x = plant.rods.nodes - plant.rods.nodes[0]
+    moved = seen_sizes(plant, np.tile([1.0, 0.0, 0.0], (len(x), 1)))
+    assert moved["stem_strain"].max() < 1e-9
+    assert moved["joint_strain"].max() < 1e-9
+    assert moved["flowers"] == pytest.approx(1.0)
+    assert np.all((moved["leaf_load"] > 0.3) & (moved["leaf_load"] <= 1 + 1e-9))
+    rocked = seen_sizes(plant, np.cross([0.0, 1.0, 0.0], x))
+    assert rocked["stem_strain"].max() < 1e-9
+
+
+def test_stem_strain_is_radius_times_curvature() -> None:
+    skeleton, stem, flowers = branched(radius=(4e-3, 4e-3))
+    plant = build_plant(skeleton, stem, flowers, None, TOMATO)
+    z = plant.rods.nodes[:, 2] - plant.rods.nodes[0, 2]
+    curvature = 0.37
+    bent = np.stack([0.5 * curvature * z**2, 0 * z, 0 * z], axis=1)
+    assert seen_sizes(plant, bent)["stem_strain"] == pytest.approx(4e-3 * curvature, rel=1e-3)
+
+
+def test_nonlinear_amplitude_agrees_with_linear_theory_for_small_shakes(plant: PlantModel) -> None:
+    node, way, frequency = int(plant.stem_nodes[14]), np.array([1.0, 0.2, 0.0]), 6.0
+    response = frequency_response(plant.rods_at(frequency), plant.clamp, node, way, [frequency])[0]
+    linear = 1e-4 * semi_major(response[plant.flower_nodes])
+    found = shaken_amplitude(plant, Drive(node, way, 1e-4, frequency, 0.5), 4.0)
+    assert found == pytest.approx(linear, rel=0.03)
+
+
+def test_the_plan_keeps_every_limit_and_uses_one_up(plan: ShakePlan, plant: PlantModel) -> None:
+    shares = [share for *_, share in plan.limits]
+    assert max(shares) <= 1 + 1e-9
+    assert max(shares[:-1]) == pytest.approx(1.0)
+    arm = sawyer_limit(plan.grasp, plan.direction, np.array([plan.frequency]))[0]
+    assert plan.amplitude <= QUICK.arm_share * arm * (1 + 1e-9)
+    assert np.linalg.norm(plan.direction) == pytest.approx(1.0)
+    assert plan.duration <= QUICK.most_duration
+    low, high = plan.predicted_amplitude_interval.T
+    assert np.all((low <= plan.predicted_amplitude) & (plan.predicted_amplitude <= high))
+    assert len(plan.predicted_amplitude) == len(plant.flower_nodes)
+    omega2 = (2 * np.pi * plan.frequency) ** 2
+    assert plan.predicted_acceleration == pytest.approx(omega2 * plan.predicted_amplitude)
+
+
+def test_the_plan_explains_itself(plan: ShakePlan) -> None:
+    for word in ("Hz", "mm", "limit", "Runner-up"):
+        assert word in plan.reason
+    assert plan.runner_up is not None
+    assert plan.runner_up.score <= plan.score
+    shown = plan.response_map
+    assert shown.acceleration.shape == (len(shown.arc_length), QUICK.frequencies)
+    assert np.all(np.diff(shown.arc_length) > 0)
+    assert np.all(shown.acceleration > 0)
+
+
+def test_turning_plant_and_grasps_turns_the_plan(plan: ShakePlan) -> None:
+    skeleton, stem, flowers = branched()
+    moved, blooms = turned(skeleton, flowers, np.pi / 2)
+    other = plan_shake(
+        build_plant(moved, stem, blooms, None, TOMATO), grasps_on(moved, stem, [8, 14, 20], np.pi / 2), params=QUICK
+    )
+    assert (other.grasp_index, other.frequency) == (plan.grasp_index, plan.frequency)
+    assert other.amplitude == pytest.approx(plan.amplitude, rel=1e-6)
+    assert other.predicted_amplitude == pytest.approx(plan.predicted_amplitude, rel=1e-3)
+    assert abs(other.direction @ [-plan.direction[1], plan.direction[0], 0]) == pytest.approx(1, abs=1e-6)
+
+
+def test_a_stronger_arm_never_does_worse_and_a_tighter_limit_never_better(
+    plant: PlantModel, grasps: list[Grasp], plan: ShakePlan
+) -> None:
+    strong = plan_shake(plant, grasps, lambda g, d, f: 3 * sawyer_limit(g, d, f), QUICK)
+    gentle = plan_shake(plant, grasps, params=replace(QUICK, leaf_load=1.0, caution=1.0))
+    assert strong.score >= 0.7 * plan.score  # caution below 1 lets single scenarios drop out
+    assert gentle.score < plan.score
+
+
+def test_the_papers_objective_asks_for_amplitude(plant: PlantModel, grasps: list[Grasp], plan: ShakePlan) -> None:
+    far = plan_shake(plant, grasps, params=replace(QUICK, objective="amplitude"))
+    assert far.predicted_amplitude.mean() > plan.predicted_amplitude.mean()
+    assert far.frequency < plan.frequency
+    assert "amplitude" in far.reason
+
+
+def test_the_choice_is_among_the_grasps(plant: PlantModel, grasps: list[Grasp], plan: ShakePlan) -> None:
+    alone = plan_shake(plant, [grasps[plan.grasp_index]], params=QUICK)
+    assert alone.frequency == plan.frequency
+    assert alone.grasp_index == 0
+
+
+def test_nothing_to_shake_for_nothing_to_hold_nothing_allowed(plant: PlantModel, grasps: list[Grasp]) -> None:
+    skeleton, stem, _ = branched()
+    barren = build_plant(skeleton, stem, Flowers(np.zeros((0, 3)), np.zeros(0, dtype=int)), None, TOMATO)
+    for args, kind in (((barren, grasps), "no_flowers_found"), ((plant, []), "no_grasp_found")):
+        with pytest.raises(StageFailure) as failure:
+            plan_shake(*args, params=QUICK)
+        assert failure.value.kind == kind
+    with pytest.raises(StageFailure, match="limit that binds is arm amplitude") as failure:
+        plan_shake(plant, grasps, lambda g, d, f: np.zeros(len(f)), QUICK)
+    assert failure.value.kind == "limits_exceeded"
+
+
+def test_round_trip(plan: ShakePlan, tmp_path: Path) -> None:
+    plan.save(tmp_path / "plan.json")
+    again = ShakePlan.load(tmp_path / "plan.json")
+    assert again.limits == plan.limits
+    assert again.runner_up == plan.runner_up
+    assert (again.reason, again.notes, again.grasp_index) == (plan.reason, plan.notes, plan.grasp_index)
+    assert np.array_equal(again.predicted_amplitude_interval, plan.predicted_amplitude_interval)
+    assert np.array_equal(again.response_map.acceleration, plan.response_map.acceleration)
+    assert again.grasp.T_world_flange == pytest.approx(plan.grasp.T_world_flange)
+    for text in ("{", "[]", '{"kind": "shake plan", "schema": 1}'):
+        (tmp_path / "broken.json").write_text(text)
+        with pytest.raises(InputError):
+            ShakePlan.load(tmp_path / "broken.json")
+
+
+def test_default_arm_limit_is_the_tabulated_one(grasps: list[Grasp]) -> None:
+    f = np.array([1.0, 5.0, 10.0, 30.0, 60.0])
+    approach, lateral = (sawyer_limit(grasps[0], np.array(d), f) for d in ([1.0, 0, 0], [0, 1.0, 0]))
+    assert approach == pytest.approx([0.111, 4.4e-3, 1.1e-3, 0.12e-3, 0.03e-3])
+    assert lateral == pytest.approx([0.180, 7.2e-3, 1.8e-3, 0.20e-3, 0.05e-3])
+
+
+@given(st.floats(0, 6.28), st.floats(-1, 1))
+def test_default_arm_limit_is_below_every_axis_share(angle: float, rise: float) -> None:
+    skeleton, stem, _ = branched()
+    grasp = grasps_on(skeleton, stem, [8])[0]
+    d = np.array([np.cos(angle), np.sin(angle), rise])
+    d /= np.linalg.norm(d)
+    f = np.array([1.0, 3.0, 12.0, 40.0])
+    found = sawyer_limit(grasp, d, f)
+    assert np.all(np.diff(found) < 0)
+    for axis in np.eye(3):
+        assert np.all(found * abs(d @ axis) <= sawyer_limit(grasp, axis, f) * (1 + 1e-9))
+
+
+@given(st.lists(st.floats(0, 1e4), min_size=2, max_size=8))
+def test_dose_rises_and_saturates(accelerations: list[float]) -> None:
+    dose = pollen_dose(np.sort(accelerations), 45.0)
+    assert np.all((dose >= 0) & (dose <= 1))
+    assert np.all(np.diff(dose) >= 0)
+
+
+@given(
+    st.sampled_from(["lowest", "directions", "draws", "caution", "arm_share", "stem_strain", "duration", "half_dose"]),
+    st.sampled_from([-1.0, float("nan")]),
+)
+def test_impossible_parameters_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError):
+        Params(**{name: value})  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="objective"):
+        Params(objective="yield")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("name", "flower"), [("tomato2", 73), ("pepper0", 143)])
+def test_the_papers_plants_can_be_planned_for(data: Path, name: str, flower: int) -> None:
+    skeleton, stem, flowers = read_paper_plant(data / "skeletons" / f"{name}.txt", flower)
+    plant = build_plant(skeleton, stem, flowers, None, Material(youngs=3e8))
+    plan = plan_shake(plant, grasps_on(skeleton, stem, [10, 25]), params=replace(QUICK, frequencies=6))
+    assert np.all(plan.predicted_amplitude > 0)
+    assert max(share for *_, share in plan.limits) <= 1 + 1e-9
