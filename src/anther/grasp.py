@@ -92,7 +92,7 @@ class Grasp:
         approach: (3,) unit approach direction n, world (the flange's +z).
         arc_length: distance from the root along the stem [m].
         stem_diameter: [m], as measured by perception.
-        clearance: smallest distance between the open gripper on its way in and plant, pot or bench [m], at most 0.05;
+        clearance: smallest distance between the open gripper on its way in and plant, pot or bench [m], at most 0.03;
             negative when it brushes leaves.
         score: higher is better; comparable within one ranked list only.
         reason: why it ranks where it does, for people.
@@ -137,7 +137,7 @@ class Reach(Protocol):
 
 
 def plan_grasps(
-    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = Params(), *, reach: Reach | None = None
+    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = Params(), reach: Reach | None = None
 ) -> list[Grasp]:
     """Return grasps of the main stem, best first, at most one per station along it.
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.geometry import Array, transform
+from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
@@ -79,12 +79,16 @@ def candidates_along(
         arc = arcs[station]
         nearby = branches[np.abs(branch_arc - arc) <= 2 * window]
         best = paper_approach(tangent, nearby)
-        for n in (*directions_across(tangent, directions), best, -best):
-            alignment = np.abs(nearby @ n).max(initial=0)
-            for up in (tangent, -tangent):
-                T = flange_pose(point, up, n, depth)
-                rows.append((station, arc, point, tangent, n, T, radius, bend, np.abs(joints - arc).min(), alignment))
-    return Candidates(*(np.array(column) for column in zip(*rows, strict=True)))
+        around = np.concatenate([directions_across(tangent, directions), [best, -best]])
+        alignment = np.abs(around @ nearby.T).max(axis=1, initial=0)
+        free = np.abs(joints - arc).min()
+        rows += [
+            (station, arc, point, tangent, up, n, radius, bend, free, along)
+            for n, along in zip(around, alignment, strict=True)
+            for up in (tangent, -tangent)
+        ]
+    station, arc, point, tangent, up, n, *rest = (np.array(column) for column in zip(*rows, strict=True))
+    return Candidates(station, arc, point, tangent, n, flange_pose(point, up, n, depth), *rest)
 
 
 def _fits(stem: Stem, skeleton: Skeleton, arcs: Array, window: float) -> list[tuple[Array, Array, float, float]]:
@@ -151,9 +155,12 @@ def directions_across(tangent: Array, count: int) -> Array:
 
 
 def flange_pose(point: Array, tangent: Array, approach: Array, depth: float) -> Array:
-    """Return T_world_flange with `point` (3,) lying `depth` [m] along +z = `approach`, +x = `tangent` (P14)."""
-    rotation = np.stack([tangent, np.cross(approach, tangent), approach], axis=1)
-    return transform(rotation, point - depth * approach)
+    """Return T_world_flange (..., 4, 4): `point` (..., 3) is `depth` [m] along +z = `approach`, +x = `tangent`."""
+    T = np.zeros((*np.shape(point)[:-1], 4, 4))
+    T[..., 3, 3] = 1
+    T[..., :3, :3] = np.stack([tangent, np.cross(approach, tangent), approach], axis=-1)
+    T[..., :3, 3] = point - depth * approach
+    return T
 
 
 def branch_directions(stem: Stem, skeleton: Skeleton, length: float) -> tuple[Array, Array]:

@@ -19,7 +19,7 @@ from anther.stem import Stem
 LEAF, FLOWER_POINT, BRANCH, STEM, OBSTACLE = range(5)
 KINDS = 5
 STIFF_LENGTH = 0.06  # m, piece of a branch next to the stem that pushes back; our judgement
-FAR = 0.05  # m, distances beyond are not told apart
+FAR = 0.03  # m, distances beyond are not told apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,14 +186,19 @@ def _meet(poses, centers, radius, kind, boxes, closing, touch, distance, touched
     for g in range(len(boxes)):
         for a in range(3):
             lower[a], upper[a] = min(lower[a], boxes[g, a]), max(upper[a], boxes[g, a + 3])
-    whole, local = np.concatenate((lower, upper)), np.empty(3)
+    local = np.empty(3)
     for i in range(len(poses)):
         for m in range(len(centers)):
-            for a in range(3):
+            near = True
+            for a in (1, 0, 2):
                 local[a] = 0.0
                 for b in range(3):
                     local[a] += poses[i, b, a] * (centers[m, b] - poses[i, b, 3])
-            if _box_distance(local, whole) > FAR + radius[m]:
+                margin = FAR + radius[m]
+                if local[a] < lower[a] - margin or local[a] > upper[a] + margin:
+                    near = False
+                    break
+            if not near:
                 continue
             k, gap = kind[m], FAR
             for g in range(len(boxes)):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from roboplan.core import JointConfiguration, PathShortcutter, PathShortcuttingOptions
+from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathShortcuttingOptions
 from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -21,6 +21,7 @@ from anther.geometry import Array, Box, transform
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
+SEARCHES = 3  # for a path, each with half the step of the one before
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
 
 
@@ -34,7 +35,9 @@ class Params:
         approach_speed: of the flange along straight lines [m/s].
         line_step: spacing of the poses along a straight line [m].
         back_out: how far the gripper draws back out of leaves before it moves freely [m].
-        search_time: for a path around obstacles [s].
+        search_time: for a path around obstacles, in each of `SEARCHES` [s].
+        reach_time: the same when only asked whether a grasp can be reached [s].
+        home: (7,) joints from which grasps must be reachable [rad].
         seed: of that search.
     """
 
@@ -44,11 +47,14 @@ class Params:
     line_step: float = 0.003
     back_out: float = 0.3
     search_time: float = 2.0
+    reach_time: float = 0.2
+    home: tuple[float, ...] = tuple(sawyer.READY.tolist())
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_range("velocity share", self.velocity_share, 0.01, 1)
         check_range("acceleration share", self.acceleration_share, 0.01, 1)
+        check_array("home joints", self.home, (7,))
         check_range("approach speed", self.approach_speed, 0.001, 0.5, "m/s")
 
 
@@ -78,17 +84,16 @@ class Planner:
         """Return joints (7,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
 
         On that way gripper and camera may touch the plant (grasp planning has judged that), the arm may not. Of several
-        branches the one that can shake hardest, in its worst direction, is returned. Satisfies `grasp.Reach`.
+        branches the one that can shake hardest, in its worst direction, is returned, provided a path from
+        `Params.home` to its pre-grasp is found quickly. Satisfies `grasp.Reach`.
         """
         branches = kinematics.inverse(check_transform("grasp", T_world_grasp))
         poses = _poses_between(T_world_grasp, check_transform("pre-grasp", T_world_pregrasp), REACH_STEP)
         with self.world.touching_plant():
             free = branches[[self.world.free(q) for q in branches]] if len(branches) else branches
-            for q in free[np.argsort(-_shake_rank(free))][:5]:
-                path = kinematics.follow(q[None], poses)[0]
-                if np.isfinite(path).all() and self.world.path_free(path):
-                    return q
-        return None
+            ways = [kinematics.follow(q[None], poses)[0] for q in free[np.argsort(-_shake_rank(free))][:5]]
+            ways = [way for way in ways if np.isfinite(way).all() and self.world.path_free(way)]
+        return next((way[0] for way in ways[:2] if self._connected(way[-1])), None)
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
         """Return a free motion between two joint vectors (7,).
@@ -151,42 +156,63 @@ class Planner:
                 raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
         return motion
 
-    def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
-        path = np.stack([start, goal])
-        if not self.world.path_free(path):
-            path = self._path_around(start, goal)
-        p = self.params
-        for way in timing.WAYS if len(path) > 2 else timing.WAYS[:1]:
-            motion = timing.fastest(self.world.scene, path, p.velocity_share, p.acceleration_share, way)
-            sound = timing.limit_share(motion) <= 1.05 * max(p.velocity_share, p.acceleration_share)
-            if sound and (len(path) == 2 or self.world.path_free(motion.positions[::4])):
-                return motion
-        raise StageFailure("limits_exceeded", "a path was found but cannot be timed within the joint limits.")
+    def _connected(self, q: Array) -> bool:
+        """Return whether a path from home to q, or to where q can be backed out to, is found quickly."""
+        home = np.asarray(self.params.home)
+        if not self.world.free(home):
+            return True
+        try:
+            goal = self._backed_out(q)[0]
+        except StageFailure:
+            return False
+        return self._search(home, goal, self.params.reach_time, SEARCH_STEP, self.params.seed) is not None
 
-    def _path_around(self, start: Array, goal: Array) -> Array:
-        """Return waypoints (N, 7) found by RRT-Connect, shortcut where that survives the fine check."""
-        names, scene, seed = list(sawyer.JOINTS), self.world.scene, self.params.seed
-        for attempt in range(3):
-            step = SEARCH_STEP / 2**attempt
-            options = RRTOptions(
-                group_name=GROUP,
-                rrt_connect=True,
-                max_nodes=20_000,
-                collision_check_step_size=step,
-                max_planning_time=self.params.search_time,
-            )
-            rrt = RRT(scene, options)
-            rrt.setRngSeed(seed + attempt)
-            try:
-                found = rrt.plan(JointConfiguration(names, start), JointConfiguration(names, goal))
-            except RuntimeError:
-                continue
+    def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
+        path = self._path(start, goal)
+        shares = self.params.velocity_share, self.params.acceleration_share
+        motion = timing.fastest(self.world.scene, path, *shares)
+        within = timing.limit_share(motion) <= 1.05 * max(shares)
+        if within and (len(path) == 2 or self.world.path_free(motion.positions[::4])):
+            return motion
+        return timing.stopping(self.world.scene, path, *shares)
+
+    def _path(self, start: Array, goal: Array) -> Array:
+        """Return waypoints (N, 7): the straight joint line, or else RRT-Connect's, shortened if that stays free."""
+        straight = np.stack([start, goal])
+        if self.world.path_free(straight):
+            return straight
+        for attempt in range(SEARCHES):
+            step, seed = SEARCH_STEP / 2**attempt, self.params.seed + attempt
+            found = self._search(start, goal, self.params.search_time, step, seed)
+            for path in self._variants(found, step, seed):
+                if self.world.path_free(path):
+                    return path
+        given = f"no free path found in {SEARCHES * self.params.search_time:g} s to joints {goal.round(2)}"
+        raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
+
+    def _variants(self, found: JointPath | None, step: float, seed: int) -> Iterator[Array]:
+        """Yield waypoints (N, 7) of a path that was found: shortened, and as it is."""
+        if found is not None:
             cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
-            for path in (PathShortcutter(scene, cut).shortcut(found), found):
-                waypoints = np.array(path.positions)
-                if self.world.path_free(waypoints):
-                    return waypoints
-        raise StageFailure("unreachable", f"no free path found in {3 * self.params.search_time:g} s. Move the plant.")
+            yield np.array(PathShortcutter(self.world.scene, cut).shortcut(found).positions)
+            yield np.array(found.positions)
+
+    def _search(self, start: Array, goal: Array, seconds: float, step: float, seed: int) -> JointPath | None:
+        """Return a path by RRT-Connect, checked at `step` [rad] only, or None."""
+        names = list(sawyer.JOINTS)
+        options = RRTOptions(
+            group_name=GROUP,
+            rrt_connect=True,
+            max_nodes=20_000,
+            collision_check_step_size=step,
+            max_planning_time=seconds,
+        )
+        rrt = RRT(self.world.scene, options)
+        rrt.setRngSeed(seed)
+        try:
+            return rrt.plan(JointConfiguration(names, start), JointConfiguration(names, goal))
+        except RuntimeError:
+            return None
 
     def _backed_out(self, q: Array) -> tuple[Array, JointTrajectory | None]:
         """Return free joints straight back along the approach axis and the way there; None if q is free."""

@@ -14,25 +14,22 @@ from anther.geometry import Array
 
 PERIOD = 0.004  # s between samples
 BLEND = 0.01  # rad, how far a rounded corner may leave the waypoint
-# Corners, in order of preference: rounded by at most BLEND, a spline through them, a stop at each.
-WAYS = (SplineFittingMode.LinearBlend, SplineFittingMode.Adaptive, SplineFittingMode.Hermite)
 RAMP = 0.25  # s to reach the speed of a slow line
 
 
-def fastest(
-    scene: Scene, path: Array, velocity_share: float, acceleration_share: float, way: SplineFittingMode
-) -> JointTrajectory:
-    """Return the time-optimal motion along joints (N, 7) by TOPP-RA. The caller checks it: a corner may be left sharp.
+def fastest(scene: Scene, path: Array, velocity_share: float, acceleration_share: float) -> JointTrajectory:
+    """Return the time-optimal motion along joints (N, 7) by TOPP-RA, corners rounded by at most `BLEND`.
+
+    The caller checks it against limits and obstacles: a corner that cannot be rounded is left sharp.
 
     Args:
         scene: knows the limits.
         path: waypoints [rad].
         velocity_share, acceleration_share: of the joints' limits.
-        way: one of `WAYS` to treat the corners.
     """
     options = TOPPRAOptions(
         dt=PERIOD,
-        mode=way,
+        mode=SplineFittingMode.LinearBlend,
         velocity_scale=velocity_share,
         acceleration_scale=acceleration_share,
         max_blend_deviation=BLEND,
@@ -42,6 +39,12 @@ def fastest(
     waypoints.positions = list(path)
     timed = PathParameterizerTOPPRA(scene, GROUP).generate(waypoints, options)
     return JointTrajectory(np.array(timed.times), np.array(timed.positions), np.array(timed.velocities))
+
+
+def stopping(scene: Scene, path: Array, velocity_share: float, acceleration_share: float) -> JointTrajectory:
+    """Return the motion that follows joints (N, 7) exactly and stops at every waypoint; arguments as of `fastest`."""
+    legs = [leg for leg in zip(path, path[1:], strict=False) if np.abs(leg[1] - leg[0]).max() > 1e-9]
+    return joined([fastest(scene, np.array(leg), velocity_share, acceleration_share) for leg in legs])
 
 
 def along_line(path: Array, length: float, speed: float) -> JointTrajectory:
