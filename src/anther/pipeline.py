@@ -167,7 +167,9 @@ def _watched(
     return run.stage(
         "response",
         Response.load,
-        lambda _: measure_response(trial.frames, camera.intrinsics, pose, found, shake.frequency, params.response),
+        lambda _: measure_response(
+            trial.frames, camera.intrinsics, pose, found, frequency_hint=shake.frequency, params=params.response
+        ),
     )
 
 

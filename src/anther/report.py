@@ -83,9 +83,9 @@ def _image(draw: Callable[[], Any], alt: str) -> str:
     return f"<img alt='{escape(alt)}' src='data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}'>"
 
 
-def _table(header: list[str], rows: list[list[str]]) -> str:
-    """Rows of text; columns after the first are aligned right."""
-    align = ["", *[" class=n"] * (len(header) - 1)]
+def _table(header: list[str], rows: list[list[str]], text_columns: int = 1) -> str:
+    """Rows of text; the first `text_columns` and a last column "Why" are aligned left, the others right."""
+    align = ["" if i < text_columns or name == "Why" else " class=n" for i, name in enumerate(header)]
     head = "".join(f"<th{a}>{escape(h)}</th>" for a, h in zip(align, header, strict=True))
     body = "".join(
         "<tr>" + "".join(f"<td{a}>{escape(c)}</td>" for a, c in zip(align, row, strict=True)) + "</tr>" for row in rows
@@ -215,4 +215,4 @@ def _timing(results: RunResults) -> str:
 
 def _parameters(results: RunResults) -> str:
     rows = [[str(k), str(v)] for k, v in results.params.items()]
-    return _table(["Parameter", "Value"], rows) if rows else ""
+    return _table(["Parameter", "Value"], rows, text_columns=2) if rows else ""

@@ -1,7 +1,8 @@
-"""anther convert-kinect: a folder of Kinect depth frames with known poses becomes a capture folder."""
+"""Kinect depth frames with known poses (millimetres) -> a capture folder (metres)."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,29 +19,30 @@ from anther.geometry import Array, Intrinsics
 _MM = 1e-3  # [m]
 
 
-def convert_kinect(
-    source: Annotated[Path, tyro.conf.Positional],
-    out: Annotated[Path, tyro.conf.Positional],
-) -> None:
-    """Convert a folder of Kinect depth frames and `poses.json` (millimetres) to a capture folder (metres).
+@dataclass(frozen=True)
+class Args:
+    """Attributes: what to convert, and where to."""
 
-    The world's z axis stays the turntable's, which is the plant's up axis.
+    source: Annotated[Path, tyro.conf.Positional]
+    """Folder with poses.json (intrinsics, depth_scale_mm, frames with file and T_world_cam [mm]) and 16-bit PNGs."""
+    out: Annotated[Path, tyro.conf.Positional]
+    """Capture folder to write."""
 
-    Args:
-        source: folder with `poses.json` (intrinsics, depth_scale_mm, frames with file and T_world_cam [mm])
-            and one 16-bit PNG per frame.
-        out: capture folder to write.
+
+def run(args: Args) -> None:
+    """Convert, in metres; the world's z axis stays the turntable's, which is the plant's up axis.
 
     Raises:
         InputError: a file is missing or unusable.
     """
-    capture = read_kinect(source)
-    capture.save(out)
-    print(f"{out}: {capture.views} views of {capture.intrinsics.width} x {capture.intrinsics.height} px, depth only")
+    capture = read_kinect(args.source)
+    capture.save(args.out)
+    size = f"{capture.intrinsics.width} x {capture.intrinsics.height} px"
+    print(f"{args.out}: {capture.views} views of {size}, depth only")
 
 
 def read_kinect(folder: Path) -> Capture:
-    """Return the capture in a Kinect folder; see `convert_kinect`."""
+    """Return the capture in a Kinect folder; see `Args`."""
     meta = read_json(existing(folder) / "poses.json")
     try:
         values = {key: meta["intrinsics"][key] for key in ("width", "height", "fx", "fy", "cx", "cy")}

@@ -1,0 +1,111 @@
+"""Ten trials: tomato and pepper, seeds 0 to 4, the whole pipeline: successes, failures, predicted and measured motion.
+
+    python experiments/trials.py --json docs/results/trials.json
+
+Each trial is one `anther trial` in its own process; finished ones are kept in --out and not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from anther.files import read_json, write_json
+
+
+def one_trial(species: str, seed: int, viewpoint: float, out: Path) -> dict[str, Any]:
+    """Run one trial unless it is there already, and return its trial.json with the stage times."""
+    folder = out / f"{species}-{seed}-{viewpoint:g}"
+    if not (folder / "trial.json").exists():
+        words = ["trial", "--plant", species, "--seed", str(seed), "--viewpoint", str(viewpoint), "--out", str(folder)]
+        command = [sys.executable, "-m", "anther.cli", *words, "--overwrite", "--history", str(out / "history.sqlite")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        (out / f"{folder.name}.log").write_text(done.stdout + done.stderr)
+        if not (folder / "trial.json").exists():
+            return {
+                "success": False,
+                "failure": "crashed",
+                "message": done.stderr.strip().splitlines()[-1:],
+                "seconds": {},
+            }
+    return {**read_json(folder / "trial.json"), "seconds": read_json(folder / "timing.json")}
+
+
+def ratio(trial: dict[str, Any], above: str, below: str) -> float:
+    """Ratio of two medians in a trial; NaN where either is missing."""
+    a, b = trial.get(above), trial.get(below)
+    return float(a) / float(b) if a and b else float("nan")
+
+
+def show(rows: list[tuple[str, int, dict[str, Any]]]) -> None:
+    """Print one line a trial."""
+    table = Table(
+        "plant", "seed", "result", "organ", "grasp [cm]", "shake", "predicted [mm]", "measured [mm]", "true [mm]", "s"
+    )
+    for species, seed, t in rows:
+        amplitude, hertz = t.get("shake_amplitude_m"), t.get("shake_frequency_hz")
+        table.add_row(
+            species,
+            str(seed),
+            "success" if t["success"] else str(t["failure"]),
+            str(t.get("organ_grasped") or ""),
+            _scaled(t.get("grasp_arc_length_m"), 100, 1),
+            "" if amplitude is None else f"{1000 * amplitude:.2f} mm, {hertz:.1f} Hz",
+            *(
+                _scaled(t.get(f"{kind}_flower_amplitude_median_m"), 1000, 2)
+                for kind in ("predicted", "measured", "true")
+            ),
+            f"{sum(t['seconds'].values()):.0f}",
+        )
+    Console().print(table)
+
+
+def _scaled(value: float | None, factor: float, digits: int) -> str:
+    return "" if value is None else f"{factor * value:.{digits}f}"
+
+
+def main() -> None:
+    """Run the trials and write a flat table of metrics."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="two seeds of each species instead of five")
+    parser.add_argument("--seed", type=int, default=0, help="first seed")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("runs/trials"))
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    seeds = range(args.seed, args.seed + (2 if args.quick else 5))
+    todo = [(species, seed) for species in ("tomato", "pepper") for seed in seeds]
+    with ThreadPoolExecutor(args.jobs) as pool:
+        futures = [pool.submit(one_trial, species, seed, 0.0, args.out) for species, seed in todo]
+        rows = [(*what, future.result()) for what, future in track(list(zip(todo, futures, strict=True)), "trials")]
+    show(rows)
+    metrics = {
+        f"success_{species}": sum(t["success"] for s, _, t in rows if s == species) / len(seeds)
+        for species in ("tomato", "pepper")
+    }
+    true_ratio = [ratio(t, "true_flower_amplitude_median_m", "predicted_flower_amplitude_median_m") for *_, t in rows]
+    seen_ratio = [ratio(t, "measured_flower_amplitude_median_m", "true_flower_amplitude_median_m") for *_, t in rows]
+    metrics |= {
+        "trials": len(rows),
+        "true_over_predicted_amplitude_median": float(np.nanmedian(true_ratio)),
+        "measured_over_true_amplitude_median": float(np.nanmedian(seen_ratio)),
+        "seconds_median": float(np.median([sum(t["seconds"].values()) for *_, t in rows])),
+    }
+    print(json.dumps(metrics, indent=2))
+    if args.json:
+        write_json(args.json, metrics)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,171 @@
+"""The command line: exit codes, and one clear message for bad input."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anther import __version__
+from anther.capture import Capture
+from anther.cli import COMMANDS, main
+from anther.geometry import Intrinsics, look_at
+
+
+def refused(capfd, *words: object) -> str:
+    """Run a command that must fail with exit code 2 and without a traceback; return what it said."""
+    try:
+        code = main([str(word) for word in words])
+    except SystemExit as stop:  # the argument parser's own way out
+        code = stop.code
+    said = capfd.readouterr()
+    assert code == 2
+    assert "Traceback" not in said.out + said.err
+    return re.sub(r"[\s│]+", " ", said.err + said.out)
+
+
+def test_help_names_every_command(capsys) -> None:
+    assert main([]) == 2
+    capsys.readouterr()
+    assert main(["--help"]) == 0
+    assert set(re.findall(r"^  ([a-z-]+) ", capsys.readouterr().out, flags=re.MULTILINE)) == set(COMMANDS)
+
+
+def test_version(capsys) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == f"anther {__version__}"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name, capsys) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    assert stop.value.code == 0
+    assert f"anther {name}" in capsys.readouterr().out
+
+
+def test_unknown_command(capfd) -> None:
+    assert "no command 'tral'; allowed: trial, reconstruct" in refused(capfd, "tral")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_unknown_option(capfd, name) -> None:
+    required = {"trial": [], "shake": ["a", "--grip", 1, "--flower", 2], "convert-kinect": ["a", "b"]}.get(name, ["a"])
+    required += ["--units", "m", "--up", "z"] if name == "skeletonize" else []
+    assert "--frobnicate" in refused(capfd, name, *required, "--frobnicate", 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--plant", "potato"], "potato"),
+        (["--seed", -1], "0 <= seed"),
+        (["--seed", "one"], "one"),
+        (["--views", 1], "3 <= views"),
+        (["--viewpoint", "nan"], "viewpoint: got nan"),
+        (["--restart-from", "skelton"], "'skelton'; allowed: capture"),
+    ],
+)
+def test_trial_refuses_bad_options(capfd, tmp_path, words, message) -> None:
+    assert message in refused(capfd, "trial", "--out", tmp_path / "run", *words)
+    assert not (tmp_path / "run" / "trial.json").exists()
+
+
+def test_trial_does_not_overwrite(capfd, tmp_path) -> None:
+    (tmp_path / "precious.txt").write_text("mine")
+    assert "holds other files" in refused(capfd, "trial", "--out", tmp_path, "--overwrite")
+    assert (tmp_path / "precious.txt").read_text() == "mine"
+    (tmp_path / "00_params.json").write_text("{}")
+    assert "add --overwrite" in refused(capfd, "trial", "--out", tmp_path)
+    assert (tmp_path / "precious.txt").exists()
+
+
+@pytest.mark.parametrize("name", ["reconstruct", "skeletonize", "shake", "view"])
+def test_missing_files(capfd, tmp_path, name) -> None:
+    extra = ["--units", "m", "--up", "z"] if name == "skeletonize" else []
+    extra += ["--grip", 3, "--flower", 5] if name == "shake" else []
+    extra += ["--out", tmp_path / "out"] if name not in ("view",) else []
+    assert "nowhere" in refused(capfd, name, tmp_path / "nowhere", *extra)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("points", "units", "message"),
+    [
+        (np.random.default_rng(0).random((2, 3)), "m", "2 points"),
+        (np.random.default_rng(0).random((500, 3)) * 600, "m", "unit"),
+        (np.full((500, 3), np.nan), "m", "NaN"),
+        (np.random.default_rng(0).random((500, 2)), "m", "column"),
+        (np.zeros((0, 3)), "m", "no row of numbers"),
+    ],
+    ids=["two points", "600 m", "NaN", "two columns", "empty"],
+)
+def test_skeletonize_refuses_bad_clouds(capfd, tmp_path, points, units, message) -> None:
+    path = tmp_path / "cloud.xyz"
+    np.savetxt(path, points)
+    assert message in refused(capfd, "skeletonize", path, "--units", units, "--up", "z", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def empty_room() -> Capture:
+    """Three views of nothing."""
+    poses = np.stack([look_at([np.cos(a), np.sin(a), 0.3], [0, 0, 0]) for a in (0.0, 1.0, 2.0)])
+    camera = Intrinsics(width=64, height=48, fx=50, fy=50, cx=31.5, cy=23.5)
+    return Capture(np.zeros((3, 48, 64)), camera, poses, np.full((3, 48, 64, 3), 128))
+
+
+def test_reconstruct_says_when_there_is_no_plant(capfd, tmp_path) -> None:
+    empty_room().save(tmp_path / "capture")
+    assert "Is the plant within" in refused(capfd, "reconstruct", tmp_path / "capture", "--out", tmp_path / "run")
+    assert not (tmp_path / "run" / "10_report.html").exists()
+
+
+def test_reconstruct_refuses_a_truncated_image(capfd, tmp_path) -> None:
+    empty_room().save(tmp_path / "capture")
+    image = sorted((tmp_path / "capture").rglob("*.png"))[0]
+    image.write_bytes(image.read_bytes()[:60])
+    assert image.name in refused(capfd, "reconstruct", tmp_path / "capture", "--out", tmp_path / "run")
+
+
+def test_view_refuses_a_folder_that_is_no_run(capfd, tmp_path) -> None:
+    assert "00_params.json" in refused(capfd, "view", tmp_path)
+
+
+def test_module_runs_as_a_program() -> None:
+    done = subprocess.run([sys.executable, "-m", "anther.cli", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("anther ")
+
+
+def test_a_trial_end_to_end(tmp_path, capsys) -> None:
+    """The main job, with fewer views than usual; what it leaves behind is complete and can be read."""
+    out = tmp_path / "run"
+    code = main(
+        [
+            "trial",
+            "--plant",
+            "pepper",
+            "--seed",
+            "0",
+            "--views",
+            "12",
+            "--out",
+            str(out),
+            "--history",
+            str(tmp_path / "h.sqlite"),
+        ]
+    )
+    summary = json.loads((out / "trial.json").read_text())
+    assert code == (0 if summary["success"] else 1)
+    assert summary["success"] or summary["failure"]
+    assert {"01_capture", "03_cloud.ply", "04_skeleton.npz", "10_report.html"} <= {p.name for p in out.iterdir()}
+    assert not list(Path(out).rglob(".*")), "no temporary files are left"
+    assert len(summary["grasp_pose7"]) == 7
+    assert np.isclose(np.linalg.norm(summary["shake_direction"]), 1)
+    assert "report" in capsys.readouterr().out
+    assert main(["view", str(out), "--html", str(tmp_path / "scene.html")]) == 0
+    assert (tmp_path / "scene.html").stat().st_size > 100_000
