@@ -29,22 +29,23 @@ class Params:
     Attributes:
         alpha: exponent of the mean radius in the path score S.
         v_bias: weight of verticality in S.
-        turn: the stem ends where what follows turns from its growth axis by more than this [degrees].
-        axis_memory: how far back the growth axis is averaged (share of the plant's size).
-        window: over what length a turn must last to count (share of the plant's size).
-        flattest: the stem ends where it stays broader than its thickness, here and so far, by more than this factor:
-            a blade begins.
-        thinnest: the stem ends where it stays thinner than this share of its median radius so far.
+        turn: a step that turns from the growth axis by more than this is not stem-like [degrees].
+        window: length over which a step is judged (share of the plant's size).
+        flattest: nor is one that is broader than thick by more than this factor,
+        broadest: and broader than the median so far by more than this factor: a blade.
+        thinnest: nor one thinner than this share of the median radius so far.
+        doubt: how much a length that is not stem-like counts against one that is.
         shortest: a shorter stem is not believed (share of the plant's size).
     """
 
     alpha: float = 2.0
     v_bias: float = 1.0
-    turn: float = 50.0
-    axis_memory: float = 0.2
+    turn: float = 45.0
     window: float = 0.06
-    flattest: float = 2.5
+    flattest: float = 1.6
+    broadest: float = 1.5
     thinnest: float = 0.35
+    doubt: float = 2.0
     shortest: float = 0.05
 
 
@@ -136,24 +137,36 @@ def _gain(skeleton: Skeleton, params: Params) -> Array:
 
 
 def _growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Params) -> int:
-    """Return how many nodes of the path belong to the stem: all before a lasting turn, thinning or blade."""
+    """Return how many nodes of the path belong to the stem (P11).
+
+    Every step is stem-like or not: whether it turns from the growth axis (root to here), thins, or broadens to a blade.
+    The stem ends where the length that is stem-like, less `doubt` times the length that is not, is largest, so that
+    a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
+    """
+    nodes = skeleton.nodes[path]
+    length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+    arc = np.concatenate([[0], np.cumsum(length)])
+    like = _stem_like(skeleton, path, arc, params.window * size, params)
+    gain = np.cumsum(length * np.where(like, 1.0, -params.doubt))
+    return int(np.argmax(gain)) + 2
+
+
+def _stem_like(
+    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, params: Params
+) -> NDArray[np.bool_]:
+    """Return (S - 1,) whether each step of the path looks like stem, over the window ahead of it."""
     nodes, radius = skeleton.nodes[path], skeleton.radius[path]
     width = radius if skeleton.width is None else skeleton.width[path]
-    step = np.diff(nodes, axis=0)
-    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(step, axis=1))])
-    window, memory = params.window * size, params.axis_memory * size
-    for i in range(1, len(nodes) - 1):
-        if arc[i] < window:
-            continue
-        back = np.searchsorted(arc, arc[i] - memory)
-        ahead = min(np.searchsorted(arc, arc[i] + window), len(nodes) - 1)
-        turned = _angle(nodes[i] - nodes[back], nodes[ahead] - nodes[i]) > params.turn
-        usual, coming = np.median(radius[: i + 1]), slice(i, ahead + 1)
-        thin = np.median(radius[coming]) < params.thinnest * usual
-        flat = np.median(width[coming]) > params.flattest * max(np.median(radius[coming]), usual)
-        if turned or thin or flat:
-            return i + 1
-    return len(nodes)
+    ahead = np.minimum(np.searchsorted(arc, arc + window), len(path) - 1)
+    like = np.ones(len(path) - 1, dtype=bool)
+    for i in np.flatnonzero(arc[:-1] >= window):
+        coming = slice(i, max(ahead[i], i + 1) + 1)
+        turned = _angle(nodes[i] - nodes[0], nodes[coming][-1] - nodes[i]) > params.turn
+        thin = np.median(radius[coming]) < params.thinnest * np.median(radius[: i + 1])
+        flat = np.median(width[coming] / radius[coming]) > params.flattest
+        flat = flat and np.median(width[coming]) > params.broadest * np.median(width[: i + 1])
+        like[i] = not (turned or thin or flat)
+    return like
 
 
 def _angle(one: Array, other: Array) -> float:
