@@ -59,7 +59,7 @@ def test_the_shake_is_what_was_planned() -> None:
 
 
 @pytest.mark.parametrize(
-    ("width", "kind"), [(0.0, "nothing_grasped"), (0.005, "nothing_grasped"), (0.03, "branch_or_leaf_grasped")]
+    ("width", "kind"), [(0.0, "nothing_grasped"), (0.001, "nothing_grasped"), (0.03, "branch_or_leaf_grasped")]
 )
 def test_a_wrong_grip_is_let_go(width: float, kind: str) -> None:
     gripper = FakeGripper(width)
@@ -69,6 +69,16 @@ def test_a_wrong_grip_is_let_go(width: float, kind: str) -> None:
     assert "shake" not in trial.phases
     assert gripper.commands[-1] == Params().opening
     assert trial.phases[-1] == "retreat"
+
+
+def test_a_stem_thinner_than_it_looked_is_closed_upon_in_steps() -> None:
+    gripper = FakeGripper(0.005)
+    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
+    assert trial.finished
+    closing = [w for w in gripper.commands if w < Params().opening]
+    assert len(closing) > 1
+    assert np.all(np.diff(closing) < 0)
+    assert trial.gripper[0, 0] == pytest.approx(0.005)
 
 
 @pytest.mark.parametrize("when", range(4))

@@ -65,18 +65,20 @@ def centre_of_petals(weight: Image, pixel: Array, radius: float) -> Array | None
     return centre if np.linalg.norm(centre - pixel) < 4 * radius else None
 
 
-def follow_template(weights: Sequence[Image], start: Array, *, half: int, reach: int, least: float) -> Array:
-    """Return the pixels (T, 2) of what is at `start` (2,) in the first image; NaN where it is not found again.
+def follow(weights: Sequence[Image], start: Array, *, radius: float, reach: int, least: float) -> Array:
+    """Return the pixels (T, 2) of the flower at `start` (2,) in the first image; NaN where it is not found again.
 
-    The patch of the first image is looked for where its last two places point to, to a fraction of a pixel.
+    It is looked for where its last two places point to: first its patch of the first image, to a fraction of a pixel;
+    where that has turned too much to be recognised, the centre of the petals there.
 
     Args:
         weights: T petal images.
-        start: [px].
-        half: half the patch's edge [px].
-        reach: how far from there [px].
-        least: correlation below which it counts as lost.
+        start: centre of its petals [px].
+        radius: of a flower [px].
+        reach: how far from there the patch is looked for [px].
+        least: correlation below which it is not recognised.
     """
+    half = int(np.ceil(1.4 * radius))
     pad = half + reach + 2
     padded = [np.pad(w, pad) for w in weights]
     corner = np.rint(start).astype(int) + pad
@@ -87,11 +89,13 @@ def follow_template(weights: Sequence[Image], start: Array, *, half: int, reach:
         expected = np.clip(np.rint(place + step).astype(int), pad, np.array(image.shape[::-1]) - pad - 1)
         score = cv2.matchTemplate(_cut(image, expected, half + reach), patch, cv2.TM_CCOEFF_NORMED)
         row, column = (int(x) for x in np.unravel_index(int(np.argmax(score)), score.shape))
-        if not score[row, column] >= least:
+        now = centre_of_petals(image, place + step, radius) if score[row, column] < least else None
+        if score[row, column] >= least:
+            peak = np.array([column + _vertex(score[row], column), row + _vertex(score[:, column], row)])
+            now = expected + peak - reach + (start + pad - corner)
+        if now is None:
             step = np.zeros(2)
             continue
-        peak = np.array([column + _vertex(score[row], column), row + _vertex(score[:, column], row)])
-        now = expected + peak - reach + (start + pad - corner)
         step = now - place if i else step
         place = now
         found[i] = place - pad

@@ -20,7 +20,7 @@ from anther.flower_tracking import (
     back_projected,
     centre_of_petals,
     common_shift,
-    follow_template,
+    follow,
     petal_depth,
     petal_weight,
 )
@@ -38,25 +38,27 @@ class Params:
     Attributes:
         depth_gate: a flower is looked for this far before and behind where it was found at rest [m].
         flower_radius: of a flower [m].
-        patch: half the edge of what is followed around a flower [m]; its neighbours on the truss help to tell it apart.
         shift: farthest that the held plant may stand from where it was seen at rest [m].
         reach: farthest that a flower may be, in the next frame, from where its last two places point to [m].
         correlation: below this a flower counts as lost in a frame.
         seen_share: of the frames in which a flower must be followed to be measured.
+        least_error, relative_error: an amplitude whose standard deviation is larger than both the former [m] and the
+            latter's share of it counts as not measured.
         outlier: samples this many robust standard deviations off the fit are left out.
     """
 
     depth_gate: float = 0.08
     flower_radius: float = 0.007
-    patch: float = 0.012
     shift: float = 0.025
     reach: float = 0.012
     correlation: float = 0.6
     seen_share: float = 0.5
+    least_error: float = 0.0003
+    relative_error: float = 0.1
     outlier: float = 4.0
 
     def __post_init__(self) -> None:
-        for name in ("depth_gate", "flower_radius", "patch", "shift", "reach"):
+        for name in ("depth_gate", "flower_radius", "shift", "reach"):
             check_range(name, getattr(self, name), 1e-4, 1.0, "m")
         check_range("seen_share", self.seen_share, 0, 1)
 
@@ -187,8 +189,8 @@ def _track(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
         if start is None:
             notes.append(f"Flower {i + 1} is hidden from the side camera.")
             continue
-        half, reach = int(np.ceil(params.patch * scale)), int(np.ceil(params.reach * scale))
-        path = follow_template(weights, start, half=half, reach=reach, least=params.correlation)
+        reach = int(np.ceil(params.reach * scale))
+        path = follow(weights, start, radius=radius, reach=reach, least=params.correlation)
         tracks[:, i] = _lifted(frames, weights, intrinsics, path, radius)
     return tracks, notes
 
@@ -212,7 +214,7 @@ def _motion(times: Array, track: Array, hint: float, params: Params) -> tuple[fl
     """Return amplitude, its deviation, frequency and peak acceleration of a track (T, 3); NaN if never seen.
 
     Raises:
-        InputError: seen in too few frames, or at times that cannot tell the phase.
+        InputError: seen in too few frames, at times that cannot tell the phase, or not as a swing.
     """
     seen = int(np.isfinite(track).all(axis=1).sum())
     if seen == 0:
@@ -223,6 +225,13 @@ def _motion(times: Array, track: Array, hint: float, params: Params) -> tuple[fl
         )
     clean = _without_outliers(times, track, hint, params.outlier)
     swing, frequency = fit_swing(times, clean, hint), find_frequency(times, clean, hint)
+    if swing.amplitude_std > max(params.least_error, params.relative_error * swing.amplitude):
+        raise bad_input(
+            "its track's deviation from the shake's swing",
+            given=f"{1000 * swing.residual:.1f} mm rms around {1000 * swing.amplitude:.1f} mm",
+            allowed=f"a deviation of the amplitude of {1000 * params.least_error:g} mm or {params.relative_error:.0%}",
+            do="Neighbouring flowers were probably confused: shake less, or move the side camera closer.",
+        )
     return swing.amplitude, swing.amplitude_std, frequency, swing.amplitude * (2 * np.pi * frequency) ** 2
 
 
