@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,9 @@ from anther.elastic_rod import (
     Clamp,
     Rods,
     equilibrium,
+    least_stiffness,
     natural_frequencies,
+    stands,
     with_gravity_equilibrium,
 )
 from anther.elastic_rod.assembly import assemble, elastic_energy, move_frames, new_blocks
@@ -149,12 +153,22 @@ def test_buckling_is_an_error_not_a_result():
         natural_frequencies(hanging, Clamp.root(hanging), 1)
 
 
-@pytest.mark.parametrize(("youngs", "stands"), [(0.97, False), (1.03, True)])
-def test_a_column_buckles_at_greenhills_height(youngs, stands):
+def test_least_stiffness_is_greenhills():
+    rods = cantilever(60, axis=2, length=0.5 * 120 / 119)
+    critical = 1100 * 9.81 * 0.5**3 / (7.8373 * 3e-3**2 / 4)
+    factor = least_stiffness(rods, Clamp.root(rods))
+    assert factor is not None
+    assert factor * 2e8 == pytest.approx(critical, rel=0.02)
+    assert not stands(replace(rods, youngs=0.9 * critical), Clamp.root(rods))
+    assert least_stiffness(rods, Clamp([0])) is None
+
+
+@pytest.mark.parametrize(("youngs", "standing"), [(0.97, False), (1.03, True)])
+def test_a_column_buckles_at_greenhills_height(youngs, standing):
     length, radius = 0.5, 3e-3
     critical = 1100 * 9.81 * length**3 / (7.8373 * radius**2 / 4)  # E where g rho A L^3 = 7.8373 E I
     rods = cantilever(100, axis=2, length=length * 200 / 199, youngs=youngs * critical)
-    if stands:
+    if standing:
         assert natural_frequencies(rods, Clamp.root(rods), 1)[0][0] > 0
     else:
         with pytest.raises(StageFailure):

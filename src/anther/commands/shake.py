@@ -19,13 +19,14 @@ from anther.elastic_rod import (
     Drive,
     Rods,
     Trajectory,
+    least_stiffness,
     natural_frequencies,
     simulate,
+    stands,
     with_gravity_equilibrium,
 )
 from anther.errors import StageFailure
 from anther.files import replacing, write_json
-from anther.plant_stability import least_factor, stands
 from anther.skeleton_files import SkeletonFile, read_skeleton
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -137,7 +138,7 @@ def _rods(args: Args, source: SkeletonFile) -> tuple[Rods, Clamp]:
 def _refuse_buckling(args: Args, rods: Rods, clamp: Clamp) -> None:
     if args.rest == "stress-free" or stands(rods, clamp):
         return
-    factor = least_factor(rods, clamp, np.zeros(len(rods.nodes), dtype=np.bool_))
+    factor = least_stiffness(rods, clamp)
     enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * args.youngs:.3g} Pa"
     raise StageFailure(
         "no_convergence",

@@ -9,6 +9,7 @@ from anther.elastic_rod.motion import Clamp, Drive, Motion, SampledDrive
 from anther.elastic_rod.response import frequency_response, natural_frequencies, response_map
 from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
 from anther.elastic_rod.simulation import Trajectory, simulate
+from anther.elastic_rod.stability import least_stiffness, stands
 
 __all__ = [
     "GRAVITY",
@@ -21,8 +22,10 @@ __all__ = [
     "Trajectory",
     "equilibrium",
     "frequency_response",
+    "least_stiffness",
     "natural_frequencies",
     "response_map",
     "simulate",
+    "stands",
     "with_gravity_equilibrium",
 ]

@@ -86,72 +86,73 @@ def assemble(model: Model, x: Any, frames: Frames, velocity: Any, rate: float, b
         rate: d velocity / d position of the time step [1/s]; 0 for statics.
         blocks: filled anew.
     """
-    for array in (blocks.near, blocks.diagonal):
-        array[:] = 0
-    blocks.far[:] = 0
-    blocks.gradient[:] = 0
+    parent, near, far, swapped = model.parent, model.near, model.far, model.swapped  # unpacked once: it is faster
+    EA, K, T, viscous = model.stretch, model.bend, model.twist, model.viscous
+    length, curvature, natural_twist = model.length, model.curvature, model.natural_twist
+    m1, twist = frames.m1, frames.twist
+    D, U, V, g, H, G = blocks.diagonal, blocks.near, blocks.far, blocks.gradient, blocks.local, blocks.slopes
+    D[:], U[:], V[:], g[:] = 0, 0, 0, 0
     for j in range(1, len(x)):
-        _add_stretch(model, x, velocity, rate, blocks, j)
-        if model.far[j] >= 0:
-            _add_bend_and_twist(model, x, frames, velocity, rate, blocks, j)
+        p, a, b = parent[j], near[j], far[j]
+        f = subtract(load(x, j), load(x, p))
+        speed = dot(f, subtract(load(velocity, j), load(velocity, p))) / norm(f)
+        _add_stretch(D, U, V, g, j, p, p == a, f, EA[j], length[j], speed, viscous[j], rate)
+        if b < 0:
+            continue
+        e, f = spring_edges(x, parent, near, far, swapped, j)
+        k1, k2, tau = springs.gradients(e, f, load(m1, a), load(m1, j), twist[j], G)
+        s1, s2, s3 = k1 - curvature[j, 0], k2 - curvature[j, 1], tau - natural_twist[j]
+        if viscous[j] > 0:
+            r1, r2, r3 = strain_rates(velocity, parent[j], a, b, swapped[j], G, j)
+            s1, s2, s3 = s1 + viscous[j] * r1, s2 + viscous[j] * r2, s3 + viscous[j] * r3
+        stress, stiffer = (K[j] * s1, K[j] * s2, T[j] * s3), 1 + viscous[j] * rate
+        springs.stiffness(G, (K[j] * stiffer, K[j] * stiffer, T[j] * stiffer), H)
+        springs.add_geometric(e, f, load(m1, a), load(m1, j), stress, H)
+        for i in range(8):
+            G[0, i] = stress[0] * G[0, i] + stress[1] * G[1, i] + stress[2] * G[2, i]
+            for k in range(i):
+                H[k, i] = H[i, k]
+        _scatter(D, U, V, g, G, H, j, a, b, near[a] == b, swapped[j])
 
 
 @compiled
-def _add_stretch(model: Model, x: Any, velocity: Any, rate: float, blocks: Blocks, j: int) -> None:
-    p = model.parent[j]
-    f = subtract(load(x, j), load(x, p))
+def _add_stretch(
+    D: Any,
+    U: Any,
+    V: Any,
+    g: Any,
+    j: int,
+    p: int,
+    p_is_near: bool,
+    f: Any,
+    EA: float,
+    natural: float,
+    speed: float,
+    viscous: float,
+    rate: float,
+) -> None:
     length = norm(f)
     t = scale(1 / length, f)
-    speed = dot(t, subtract(load(velocity, j), load(velocity, p)))
-    natural, viscous, EA = model.length[j], model.viscous[j], model.stretch[j]
     tension = EA * (length / natural - 1 + viscous * speed / natural)
     along = EA * (1 + viscous * rate) / natural
     across = tension / length
     for i in range(3):
-        blocks.gradient[j, i] += tension * t[i]
-        blocks.gradient[p, i] -= tension * t[i]
+        g[j, i] += tension * t[i]
+        g[p, i] -= tension * t[i]
         for k in range(3):
             value = (along - across) * t[i] * t[k] + (across if i == k else 0.0)
-            blocks.diagonal[j, i, k] += value
-            blocks.diagonal[p, i, k] += value
-            if p == model.near[j]:
-                blocks.near[j, i, k] -= value
+            D[j, i, k] += value
+            D[p, i, k] += value
+            if p_is_near:
+                U[j, i, k] -= value
             else:
-                blocks.far[j, i, k] -= value
+                V[j, i, k] -= value
 
 
 @compiled
-def _add_bend_and_twist(
-    model: Model, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks, j: int
-) -> None:
-    a, b = model.near[j], model.far[j]
-    e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
-    m1e, m1f = load(frames.m1, a), load(frames.m1, j)
-    G, H = blocks.slopes, blocks.local
-    k1, k2, tau = springs.gradients(e, f, m1e, m1f, frames.twist[j], G)
-    K, T, viscous = model.bend[j], model.twist[j], model.viscous[j]
-    s1 = K * (k1 - model.curvature[j, 0])
-    s2 = K * (k2 - model.curvature[j, 1])
-    s3 = T * (tau - model.natural_twist[j])
-    if viscous > 0:
-        r1, r2, r3 = strain_rates(model, velocity, G, j)
-        s1, s2, s3 = s1 + K * viscous * r1, s2 + K * viscous * r2, s3 + T * viscous * r3
-    stiffer = 1 + viscous * rate
-    springs.stiffness(G, (K * stiffer, K * stiffer, T * stiffer), H)
-    springs.add_geometric(e, f, m1e, m1f, (s1, s2, s3), H)
-    for i in range(8):
-        for k in range(i):
-            H[k, i] = H[i, k]
-    for i in range(8):
-        G[0, i] = s1 * G[0, i] + s2 * G[1, i] + s3 * G[2, i]
-    _scatter(blocks, G[0], H, j, a, b, model.near[a] == b, model.swapped[j])
-
-
-@compiled
-def strain_rates(model: Model, velocity: Any, G: Any, j: int) -> Any:
+def strain_rates(velocity: Any, p: int, a: int, b: int, swapped: bool, G: Any, j: int) -> Any:
     """Return the rates of the strains of spring j, given their local gradients G and the velocities (N, 4)."""
-    a, b, p = model.near[j], model.far[j], model.parent[j]
-    sign = -1.0 if model.swapped[j] else 1.0
+    sign = -1.0 if swapped else 1.0
     r1 = r2 = r3 = 0.0
     for i in range(3):
         ve = sign * (velocity[a, i] - velocity[b, i])
@@ -168,42 +169,43 @@ def strain_rates(model: Model, velocity: Any, G: Any, j: int) -> Any:
 
 
 @compiled
-def _scatter(blocks: Blocks, g: Any, H: Any, j: int, a: int, b: int, b_is_near: bool, swapped: bool) -> None:
-    """Add a local gradient and Hessian in (e, f, spin e, spin f) to the blocks of j, a = near and b = far.
+def _scatter(
+    D: Any, U: Any, V: Any, g: Any, G: Any, H: Any, j: int, a: int, b: int, b_is_near: bool, swapped: bool
+) -> None:
+    """Add a local gradient G[0] and Hessian H in (e, f, spin e, spin f) to the blocks of j, a = near and b = far.
 
     e = sign (x_a - x_b), spin e = sign spin_a, f = x_j - x_a, or x_j - x_b where swapped.
     """
     sign = -1.0 if swapped else 1.0
     fa, fb = (0.0, 1.0) if swapped else (1.0, 0.0)
-    D, near, far = blocks.diagonal, blocks.near, blocks.far
     for i in range(3):
-        blocks.gradient[j, i] += g[3 + i]
-        blocks.gradient[a, i] += sign * g[i] - fa * g[3 + i]
-        blocks.gradient[b, i] += -sign * g[i] - fb * g[3 + i]
+        g[j, i] += G[0, 3 + i]
+        g[a, i] += sign * G[0, i] - fa * G[0, 3 + i]
+        g[b, i] += -sign * G[0, i] - fb * G[0, 3 + i]
         for k in range(3):
             ee, ef, fe, ff = H[i, k], H[i, 3 + k], H[3 + i, k], H[3 + i, 3 + k]
             D[j, i, k] += ff
-            near[j, i, k] += sign * fe - fa * ff
-            far[j, i, k] += -sign * fe - fb * ff
             D[a, i, k] += ee + fa * (ff - sign * (ef + fe))
             D[b, i, k] += ee + fb * (ff + sign * (ef + fe))
-            cross_term = -ee - sign * fb * ef + sign * fa * fe  # fa fb = 0
+            U[j, i, k] += sign * fe - fa * ff
+            V[j, i, k] += -sign * fe - fb * ff
+            crossed = -ee - sign * fb * ef + sign * fa * fe  # fa fb = 0
             if b_is_near:
-                near[a, i, k] += cross_term
+                U[a, i, k] += crossed
             else:
-                far[a, i, k] += cross_term
-        near[j, i, 3] += sign * H[3 + i, 6]
-        near[j, 3, i] += sign * H[7, i] - fa * H[7, 3 + i]
-        far[j, 3, i] += -sign * H[7, i] - fb * H[7, 3 + i]
+                V[a, i, k] += crossed
+        U[j, i, 3] += sign * H[3 + i, 6]
+        U[j, 3, i] += sign * H[7, i] - fa * H[7, 3 + i]
+        V[j, 3, i] += -sign * H[7, i] - fb * H[7, 3 + i]
         D[j, 3, i] += H[7, 3 + i]
         D[a, 3, i] += H[6, i] - sign * fa * H[6, 3 + i]
         turn = -H[6, i] - sign * fb * H[6, 3 + i]
         if b_is_near:
-            near[a, 3, i] += turn
+            U[a, 3, i] += turn
         else:
-            far[a, 3, i] += turn
-    blocks.gradient[a, 3] += sign * g[6]
-    blocks.gradient[j, 3] += g[7]
-    near[j, 3, 3] += sign * H[7, 6]
+            V[a, 3, i] += turn
+    g[a, 3] += sign * G[0, 6]
+    g[j, 3] += G[0, 7]
+    U[j, 3, 3] += sign * H[7, 6]
     D[j, 3, 3] += H[7, 7]
     D[a, 3, 3] += H[6, 6]

@@ -24,7 +24,7 @@ from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import GRAVITY, Array, NaturalShape, Rods
 from anther.elastic_rod.stepping import POSITION_FLOOR, State, new_state
 from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled, load
+from anther.elastic_rod.vectors import compiled, dot, load, scale, subtract
 from anther.errors import StageFailure
 
 NEWTON_LIMIT = 500
@@ -79,17 +79,18 @@ def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, mo
     force, G = np.zeros_like(move), np.zeros((3, 8))
     for j in range(1, len(x)):
         p = model.parent[j]
-        t = (x[j] - x[p]) / model.length[j]
-        change = model.stretch[j] / model.length[j] * np.dot(t, move[j, :3] - move[p, :3])
+        t = scale(1 / model.length[j], subtract(load(x, j), load(x, p)))
+        change = model.stretch[j] / model.length[j] * dot(t, subtract(load(move, j), load(move, p)))
         tension[j] += change
-        force[j, :3] += change * t
-        force[p, :3] -= change * t
+        for i in range(3):
+            force[j, i] += change * t[i]
+            force[p, i] -= change * t[i]
         if model.far[j] < 0:
             continue
         a, b = model.near[j], model.far[j]
         e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
         springs.gradients(e, f, load(frames.m1, a), load(frames.m1, j), frames.twist[j], G)
-        strain = strain_rates(model, move, G, j)
+        strain = strain_rates(move, p, a, b, model.swapped[j], G, j)
         sign = -1.0 if model.swapped[j] else 1.0
         for k in range(3):
             moment = (model.bend[j] if k < 2 else model.twist[j]) * strain[k]
@@ -121,7 +122,7 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
         StageFailure: kind "no_convergence" when none is found, or it is not stable (buckling).
     """
     state, blocks = new_state(x, frames), new_blocks(len(x))
-    residual, correction = _descend(model, free, state, blocks, NEWTON_LIMIT)
+    residual, correction = _descend(model, free, state, blocks)
     if not (correction < 1e-8 and residual < 1e-3 * np.abs(model.weight).sum() + 1e-6):
         raise StageFailure(
             "no_convergence",
@@ -145,27 +146,23 @@ def unstable_directions(model: Model, free: Any, state: State, blocks: Blocks) -
     return int(factor(model, blocks))
 
 
-@compiled
-def _potential(model: Model, x: Any, frames: Frames) -> float:
-    return elastic_energy(model, x, frames.m1, frames.twist) - np.sum(model.weight * x)
+def _potential(model: Model, x: Array, frames: Frames) -> float:
+    return elastic_energy(model, x, frames.m1, frames.twist) - float(np.sum(model.weight * x))
 
 
-@compiled
-def _descend(model: Model, free: Any, state: State, blocks: Blocks, most: int) -> Any:
+def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[float, float]:
     """Minimise the potential energy by Newton's method with a shift where needed and a backtracking line search.
 
     Returns the last residual [N] and the last correction [m].
     """
-    shift, floor = 0.0, 1e-12 * np.max(model.stretch) + 1e-12
-    residual, correction = np.inf, np.inf
-    for _ in range(most):
+    shift, floor = 0.0, 1e-12 * model.stretch.max() + 1e-12
+    residual = correction = np.inf
+    for _ in range(NEWTON_LIMIT):
         assemble(model, state.x, state.frames, state.v, 0.0, blocks)
         blocks.gradient[:, :3] -= model.weight
-        for j in range(len(free)):
-            for i in range(4):
-                blocks.diagonal[j, i, i] += shift * (1.0 if i < 3 else 1e-4)
+        blocks.diagonal[:, range(4), range(4)] += shift * np.array([1, 1, 1, 1e-4])
         constrain(model, free, blocks)
-        residual = np.sqrt(np.sum(blocks.gradient**2))
+        residual = float(np.linalg.norm(blocks.gradient))
         if factor(model, blocks) > 0:
             if residual <= floor and shift == 0:
                 return residual, 0.0  # balanced but unstable: the caller tells
@@ -173,24 +170,22 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks, most: int) -
             continue
         step = blocks.gradient.copy()
         solve(model, blocks, step)
-        correction = np.max(np.abs(step[:, :3]))
+        correction = float(np.abs(step[:, :3]).max())
         if correction < POSITION_FLOOR or residual <= floor:
             return residual, correction
-        _line_search(model, state, step, np.sum(step * blocks.gradient), correction)
+        _line_search(model, state, step, float(np.sum(step * blocks.gradient)), correction)
         shift = shift / 8 if shift > 1e-9 else 0.0
     return residual, correction
 
 
-@compiled
-def _line_search(model: Model, state: State, step: Any, slope: float, size: float) -> None:
+def _line_search(model: Model, state: State, step: Array, slope: float, size: float) -> None:
     """Move the state against `step`, halving it until the potential energy falls."""
     start = _potential(model, state.x, state.frames)
     x, m1, twist = state.x.copy(), state.frames.m1.copy(), state.frames.twist.copy()
-    share = min(1.0, 5 * np.max(model.length) / size)
+    share = min(1.0, 5 * model.length.max() / size)
     for _ in range(40):
         state.x[:] = x - share * step[:, :3]
         move_frames(model, x, m1, twist, state.x, -share * step[:, 3], state.frames.m1, state.frames.twist)
-        now = _potential(model, state.x, state.frames)
-        if now <= start - 1e-4 * share * slope + 1e-14 * abs(start):
+        if _potential(model, state.x, state.frames) <= start - 1e-4 * share * slope + 1e-14 * abs(start):
             return
         share *= 0.5

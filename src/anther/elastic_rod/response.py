@@ -18,7 +18,7 @@ from anther.elastic_rod.equilibrium import static_state
 from anther.elastic_rod.model import Model, build_model
 from anther.elastic_rod.motion import Clamp, unit_direction
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.tree_solver import constrain, factor, solve
+from anther.elastic_rod.tree_solver import constrain, factor, solve_at
 from anther.elastic_rod.vectors import compiled
 from anther.errors import bad_input
 
@@ -85,8 +85,10 @@ def response_map(
     system = _linearise(rods, clamp, gravity)
     for grip in grips:
         clamp.free(rods, int(grip))
-    matrices = (system.tangent, system.damping, new_blocks(len(rods.nodes), np.complex128))
-    return _receptances(system.model, system.free, matrices, grips, units, 2 * np.pi * hertz, seen)
+    at_grip, at_seen = _receptances(system, grips, 2 * np.pi * hertz, seen)
+    forces = np.linalg.solve(at_grip, units.T.astype(np.complex128))  # (Q, G, 3, D); receptances are symmetric
+    moves = np.swapaxes(forces, -1, -2) @ at_seen.reshape(*at_seen.shape[:3], -1)
+    return moves.reshape(len(hertz), len(grips), len(units), len(seen), 3)
 
 
 def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY) -> tuple[Array, Array]:
@@ -100,7 +102,7 @@ def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayL
     """
     check_range("number of modes", count, 1, 1e5)
     system = _linearise(rods, clamp, gravity)
-    stiffness, mass = sparse_matrix(system.model, system.tangent), _masses(system.model)
+    stiffness, mass = sparse_matrix(system.model, system.tangent), _masses(system.model).ravel()
     keep = np.flatnonzero(system.free.ravel())
     count = min(count, len(keep) - 2)
     K = stiffness[keep][:, keep]
@@ -139,7 +141,8 @@ def _linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike) -> _Linear:
 
 
 def _masses(model: Model) -> Array:
-    return np.concatenate([np.repeat(model.mass[:, None], 3, axis=1), model.spin_inertia[:, None]], axis=1).ravel()
+    """(N, 4) masses [kg] and spin inertias [kg m^2]."""
+    return np.concatenate([np.repeat(model.mass[:, None], 3, axis=1), model.spin_inertia[:, None]], axis=1)
 
 
 def sparse_matrix(model: Model, blocks: Blocks) -> Any:
@@ -160,42 +163,55 @@ def sparse_matrix(model: Model, blocks: Blocks) -> Any:
     return coo_array(entries, shape=(4 * n, 4 * n)).tocsc()
 
 
-@compiled
-def _set_dynamic(model: Model, tangent: Blocks, damping: Blocks, omega: float, dynamic: Blocks) -> None:
+def _set_dynamic(system: _Linear, omega: float, dynamic: Blocks) -> None:
     """Fill `dynamic` with K + i omega C - omega^2 M."""
-    dynamic.diagonal[:] = tangent.diagonal + 1j * omega * damping.diagonal
-    dynamic.near[:] = tangent.near + 1j * omega * damping.near
-    dynamic.far[:] = tangent.far + 1j * omega * damping.far
-    for j in range(len(model.mass)):
-        for i in range(3):
-            dynamic.diagonal[j, i, i] -= omega * omega * model.mass[j]
-        dynamic.diagonal[j, 3, 3] -= omega * omega * model.spin_inertia[j]
+    for k in range(3):  # the three matrices
+        dynamic[k][:] = system.tangent[k] + 1j * omega * system.damping[k]
+    dynamic.diagonal[:, range(4), range(4)] -= omega**2 * _masses(system.model)
+
+
+def _receptances(
+    system: _Linear, grips: NDArray[Any], omegas: Array, seen: NDArray[Any]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return the motion of the grips (Q, G, 3, 3) and of what is seen (Q, G, 3, O, 3) per unit force on each grip."""
+    dynamic = new_blocks(len(system.free), np.complex128)
+    wanted = _towards_root(system.model, np.concatenate([grips, seen]))
+    at_grip = np.zeros((len(omegas), len(grips), 3, 3), np.complex128)
+    at_seen = np.zeros((len(omegas), len(grips), 3, len(seen), 3), np.complex128)
+    for q, omega in enumerate(omegas):
+        _set_dynamic(system, omega, dynamic)
+        constrain(system.model, system.free, dynamic)
+        factor(system.model, dynamic)
+        _solve_columns(system.model, dynamic, grips, seen, wanted, at_grip[q], at_seen[q])
+    return at_grip, at_seen
 
 
 @compiled
-def _receptances(
-    model: Model, free: Any, matrices: tuple[Blocks, Blocks, Blocks], grips: Any, units: Any, omegas: Any, seen: Any
-) -> Any:
-    tangent, damping, dynamic = matrices
-    out = np.zeros((len(omegas), len(grips), len(units), len(seen), 3), np.complex128)
-    columns = np.zeros((3, len(free), 4), np.complex128)
-    at_grip = np.zeros((3, 3), np.complex128)
-    for q in range(len(omegas)):
-        _set_dynamic(model, tangent, damping, omegas[q], dynamic)
-        constrain(model, free, dynamic)
-        factor(model, dynamic)
-        for g in range(len(grips)):
-            columns[:] = 0
-            for i in range(3):
-                columns[i, grips[g], i] = 1
-                solve(model, dynamic, columns[i])
-                at_grip[:, i] = columns[i, grips[g], :3]
-            for d in range(len(units)):
-                force = np.linalg.solve(at_grip, units[d].astype(np.complex128))
+def _solve_columns(
+    model: Model, dynamic: Blocks, grips: Any, seen: Any, wanted: Any, at_grip: Any, at_seen: Any
+) -> None:
+    column = np.zeros_like(dynamic.gradient)
+    for g in range(len(grips)):
+        for i in range(3):
+            column[:] = 0
+            column[grips[g], i] = 1
+            solve_at(model, dynamic, column, grips[g], wanted)
+            for k in range(3):
+                at_grip[g, i, k] = column[grips[g], k]
                 for o in range(len(seen)):
-                    for i in range(3):
-                        out[q, g, d, o] += force[i] * columns[i, seen[o], :3]
-    return out
+                    at_seen[g, i, o, k] = column[seen[o], k]
+
+
+def _towards_root(model: Model, nodes: NDArray[Any]) -> NDArray[Any]:
+    """Return the rows on the ways from the nodes to the root, in the order in which they can be substituted."""
+    needed = np.zeros(len(model.near), dtype=np.bool_)
+    for start in nodes:
+        node = int(start)
+        while node >= 0 and not needed[node]:
+            needed[node] = True
+            node = int(model.near[node])
+    rootward = model.order[::-1]
+    return rootward[needed[rootward]]
 
 
 def _node_list(name: str, nodes: ArrayLike, rods: Rods) -> NDArray[Any]:

@@ -119,7 +119,7 @@ class Rods:
 
 _LIMITS = (
     ("edge_radius", (1e-6, 1.0), "m"),
-    ("youngs", (1.0, 1e13), "Pa"),
+    ("youngs", (1.0, 1e17), "Pa"),
     ("density", (1e-3, 1e5), "kg/m^3"),
     ("bend_over_twist", (1e-3, 1e12), ""),
     ("lumped_mass", (0.0, 1e3), "kg"),

@@ -17,7 +17,7 @@ from anther.elastic_rod.assembly import Blocks, assemble, elastic_energy, move_f
 from anther.elastic_rod.model import Frames, Model
 from anther.elastic_rod.rods import Array
 from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled
+from anther.elastic_rod.vectors import compiled, merged
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""
@@ -58,7 +58,7 @@ def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: flo
         blocks.diagonal[j, 3, 3] += rate * rate * inertia
 
 
-@compiled
+@merged
 def implicit_step(
     model: Model,
     free: Any,

@@ -3,13 +3,34 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
 
-compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp", "nsz"})
+
+def _drop_stale_kernels() -> None:
+    """Delete compiled kernels older than any source file here.
+
+    Numba looks only at the file of the kernel itself, so that an edit to a kernel it calls would go unnoticed.
+    """
+    folder = Path(__file__).parent
+    newest = max(file.stat().st_mtime for file in folder.glob("*.py"))
+    for index in (folder / "__pycache__").glob("*.nbi"):
+        with suppress(OSError):
+            if index.stat().st_mtime < newest:
+                index.unlink()
+
+
+_drop_stale_kernels()
+
+OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
+compiled = numba.njit(**OPTIONS)
 """How every kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
+merged = numba.njit(inline="always", **OPTIONS)
+"""For a large kernel with one caller: compiled as a part of it, not twice."""
 
 Vector = tuple[Any, Any, Any]
 
