@@ -91,8 +91,8 @@ class Planner:
         poses = _poses_between(T_world_grasp, check_transform("pre-grasp", T_world_pregrasp), REACH_STEP)
         with self.world.touching_plant():
             free = branches[[self.world.free(q) for q in branches]] if len(branches) else branches
-            ways = [kinematics.follow(q[None], poses)[0] for q in free[np.argsort(-_shake_rank(free))][:5]]
-            ways = [way for way in ways if np.isfinite(way).all() and self.world.path_free(way)]
+            ways = kinematics.follow(free[np.argsort(-_shake_rank(free))][:5], poses)
+            ways = [way for way in ways if _inside(way) and self.world.path_free(way)]
         return next((way[0] for way in ways[:2] if self._connected(way[-1])), None)
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
@@ -243,6 +243,11 @@ def _poses_between(start: Array, end: Array, step: float) -> Array:
 def _shake_rank(branches: Array) -> Array:
     """Return (B,) the amplitude at 10 Hz in the worst of the three world directions [m]."""
     return np.min([shaking.amplitude_limit(branches, axis, [10.0])[:, 0] for axis in np.eye(3)], axis=0)
+
+
+def _inside(way: Array) -> bool:
+    """Return whether a way in was followed to its end, a little inside the joint limits so that it works back too."""
+    return bool(np.all((way > sawyer.LOWER + 0.01) & (way < sawyer.UPPER - 0.01)))
 
 
 def _angle(a: Array, b: Array) -> float:
