@@ -39,9 +39,9 @@ def observables(plant: PlantModel) -> Observables:
     """Return what is observed of a plant.
 
     The strain of a joint is its change of angle, shared between its two half edges by their compliance as in the rod
-    model, over the half edge's length, times its radius; the larger of both counts. The leaf load of a branch is the
+    model, over the half edge's length, times its radius; the larger of both counts. The leaf load of a leaf is the
     inertia torque about its base over the sum of mass times distance: uniform acceleration a gives at most a, gravity
-    gives at most g, so that a limit in g is a share of the branch's own weight (facts: pollination 1d, safety factor
+    gives at most g, so that a limit in g is a share of the leaf's own weight (facts: pollination 1d, safety factor
     1.7 of petioles).
     """
     n = len(plant.rods.nodes)
@@ -108,19 +108,29 @@ def _bend_row(nodes: Array, a: int, b: int, c: int) -> Array:
 
 
 def _load_rows(plant: PlantModel, n: int) -> Array:
-    """Return (3B, 3N): inertia torque about each branch base per squared angular frequency, over sum of m |r| [m]."""
+    """Return (3B, 3N): inertia torque about each leaf's base per squared angular frequency, over sum of m |r| [m].
+
+    Flowers and pedicels do not count, nor do branches without leaves (trusses) where the leaves are known: the flowers
+    are meant to move, and their stalks have their own limit.
+    """
     rods, rows = plant.rods, []
+    leaf = np.array(rods.lumped_mass)
+    leaf[plant.flower_nodes] = 0
+    tissue = np.where(plant.is_pedicel, 0, rods.node_mass)
+    tissue[plant.flower_nodes] = 0
     for base in plant.branch_bases:
         beyond = np.zeros(n, dtype=bool)
         beyond[base] = True
         for j in range(int(base) + 1, n):
             beyond[j] = beyond[rods.parent[j]]
+        if leaf.sum() > 0 and leaf[beyond].sum() < 1e-4:
+            continue
         lever = rods.nodes - rods.nodes[rods.parent[base]]
-        mass = np.where(beyond, rods.node_mass, 0)
+        mass = np.where(beyond, tissue, 0)
         row = np.zeros((3, n, 3))
         for j in np.flatnonzero(beyond):
             row[:, j] = mass[j] * _cross(lever[j])
-        rows.append(row.reshape(3, -1) / np.sum(mass * np.linalg.norm(lever, axis=1)))
+        rows.append(row.reshape(3, -1) / max(np.sum(mass * np.linalg.norm(lever, axis=1)), 1e-12))
     return _stack(rows, n)
 
 
