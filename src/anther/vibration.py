@@ -283,8 +283,9 @@ def _verified(plant: PlantModel, drive: Drive, linear: Array) -> tuple[Array, tu
 def shaken_amplitude(plant: PlantModel, drive: Drive) -> Array:
     """Return each flower's amplitude (F,) [m] in steady shaking, by the nonlinear solver.
 
-    The shake grows slowly, so that few transients arise, and the last quarter of the simulated time is fitted by sine and cosine at the drive's frequency (least squares); the amplitude is the semi-major axis of that path. 30
-    steps a period, and at most 4 ms, keep the midpoint rule's phase error small.
+    The shake grows slowly, so that few transients arise, and the last quarter of the simulated time is fitted by sine
+    and cosine at the drive's frequency (least squares); the amplitude is the semi-major axis of that path. 30 steps a
+    period, and at most 4 ms, keep the midpoint rule's phase error small.
     """
     dt = min(1 / (30 * drive.frequency), 0.004)
     time = float(np.clip(20 / drive.frequency, 1.5, 8.0))
