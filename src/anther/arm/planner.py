@@ -21,6 +21,7 @@ from anther.geometry import Array, Box, transform
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
+STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 SEARCHES = 3  # for a path, each with half the step of the one before
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
 
@@ -92,7 +93,7 @@ class Planner:
         with self.world.touching_plant():
             free = branches[[self.world.free(q) for q in branches]] if len(branches) else branches
             ways = kinematics.follow(free[np.argsort(-_shake_rank(free))][:5], poses)
-            ways = [way for way in ways if _inside(way) and self.world.path_free(way)]
+            ways = [way for way in ways if _steady(way) and self.world.path_free(way)]
         return next((way[0] for way in ways[:2] if self._connected(way[-1])), None)
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
@@ -245,9 +246,13 @@ def _shake_rank(branches: Array) -> Array:
     return np.min([shaking.amplitude_limit(branches, axis, [10.0])[:, 0] for axis in np.eye(3)], axis=0)
 
 
-def _inside(way: Array) -> bool:
-    """Return whether a way in was followed to its end, a little inside the joint limits so that it works back too."""
-    return bool(np.all((way > sawyer.LOWER + 0.01) & (way < sawyer.UPPER - 0.01)))
+def _steady(way: Array) -> bool:
+    """Return whether a way in was followed to its end without nearing a joint limit or a singular pose.
+
+    Near either the way back, or the same way in other steps, might not be found again.
+    """
+    inside = np.all((way > sawyer.LOWER + 0.01) & (way < sawyer.UPPER - 0.01))
+    return bool(inside and np.abs(np.diff(way, axis=0)).max() < STEADY)
 
 
 def _angle(a: Array, b: Array) -> float:
