@@ -107,7 +107,9 @@ def test_the_plan_explains_itself(plan: ShakePlan) -> None:
     shown = plan.response_map
     assert shown.acceleration.shape == (len(shown.arc_length), QUICK.frequencies)
     assert np.all(np.diff(shown.arc_length) > 0)
-    assert np.all(shown.acceleration > 0)
+    allowed = shown.amplitude >= QUICK.least_amplitude
+    assert np.array_equal(shown.acceleration > 0, allowed)
+    assert allowed.any()
 
 
 def test_turning_plant_and_grasps_turns_the_plan(plan: ShakePlan) -> None:

@@ -25,7 +25,8 @@ class ResponseMap:
     Attributes:
         frequencies: (Q,) [Hz].
         arc_length: (G,) grip height along the stem, rising [m].
-        acceleration: (G, Q) mean peak acceleration of the flowers at the largest allowed shake [m/s2].
+        acceleration: (G, Q) mean peak acceleration of the flowers at the largest allowed shake [m/s2]; 0 where that is
+            below the least amplitude the arm can be trusted with.
         per_metre: (G, Q) mean flower amplitude over grip amplitude [m/m].
         amplitude: (G, Q) largest allowed grip amplitude [m].
     """

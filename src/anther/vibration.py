@@ -263,7 +263,7 @@ def _plan(
         ],
         runner_up=other,
         reason=_reason(search, best, grips, motion, other, params=params),
-        response_map=_map(grips, response, search, len(grasps)),
+        response_map=_map(grips, response, search, len(grasps), params.least_amplitude),
         notes=plant.notes + notes,
     )
 
@@ -339,13 +339,13 @@ def _reason(
     )
 
 
-def _map(grips: _Grips, response: Gains, search: _Search, grasps: int) -> ResponseMap:
+def _map(grips: _Grips, response: Gains, search: _Search, grasps: int, least: float) -> ResponseMap:
     """Return the best direction's response at the map's heights, or at the grasps when there are no others."""
     rows = np.arange(grasps, len(grips.nodes)) if len(grips.nodes) > grasps else np.arange(grasps)
     rows = rows[np.argsort(grips.arc_length[rows], kind="stable")]
     mean = response.flower.mean(axis=(0, -1))[:, rows]
     size = search.amplitude[:, rows]
-    acceleration = mean * size * (2 * np.pi * search.frequencies[:, None, None]) ** 2
+    acceleration = np.where(size < least, 0, mean * size * (2 * np.pi * search.frequencies[:, None, None]) ** 2)
     at = acceleration.argmax(axis=2)[..., None]
     pick = [np.take_along_axis(values, at, axis=2)[..., 0].T for values in (acceleration, mean, size)]
     return ResponseMap(search.frequencies, grips.arc_length[rows], *pick)
