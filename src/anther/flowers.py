@@ -34,17 +34,19 @@ class Params:
         fewest: a flower has at least so many points, counted on a grid of `grid`.
         grid: points are thinned to one per cube of this edge first [m].
         smallest: a flower is at least so large [m], or it is a speck.
+        fullness: its points cover at least this share of the disc as wide as it is: specks on a leaf lie scattered.
         pedicel: a flower farther than this from every skeleton node is not believed [m].
         blade_cost: a node on a leaf blade counts as so many times farther away: flowers hang on trusses and stems.
     """
 
     gap: float = 0.005
     largest: float = 0.033
-    reach: float = 0.010
+    reach: float = 0.008
     apart: float = 0.012
     fewest: int = 8
     grid: float = 0.0015
     smallest: float = 0.003
+    fullness: float = 0.45
     pedicel: float = 0.08
     blade_cost: float = 1.5
 
@@ -115,8 +117,14 @@ def _centres(points: Array, params: Params) -> Array:
     pieces = [part for cluster in _clusters(points, params.gap) for part in _split(cluster, params)]
     middles = np.array([piece.mean(axis=0) for piece in pieces])
     joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, params.apart)]
-    real = [f for f in joined if len(f) >= params.fewest and _extent(f) >= params.smallest]
-    return np.array([f.mean(axis=0) for f in real]).reshape(-1, 3)
+    real = [flower.mean(axis=0) for flower in joined if _is_flower(flower, params)]
+    return np.array(real).reshape(-1, 3)
+
+
+def _is_flower(points: Array, params: Params) -> bool:
+    extent = _extent(points)
+    covered = len(points) * params.grid**2 / (np.pi / 4 * max(extent, params.grid) ** 2)
+    return len(points) >= params.fewest and extent >= params.smallest and covered >= params.fullness
 
 
 def _clusters(points: Array, gap: float) -> list[Array]:

@@ -26,8 +26,8 @@ from anther.voxel_solid import VoxelSolid, components, neighbour_edges, point_sp
 
 _KIND, _SCHEMA = "skeleton", 1
 _FEWEST_POINTS = 50
-_MANY_POINTS = 150_000
-_FINEST = 1000  # a cloud of many points is thinned to one per cube of plant size / _FINEST
+_MANY_POINTS = 80_000
+_FINEST = 700  # a cloud of many points is thinned to one per cube of plant size / _FINEST
 
 
 @dataclass(frozen=True, slots=True)

@@ -151,9 +151,7 @@ def _growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Par
     return int(np.argmax(gain)) + 2
 
 
-def _stem_like(
-    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, params: Params
-) -> NDArray[np.bool_]:
+def _stem_like(skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, params: Params) -> NDArray[np.bool_]:
     """Return (S - 1,) whether each step of the path looks like stem, over the window ahead of it."""
     nodes, radius = skeleton.nodes[path], skeleton.radius[path]
     width = radius if skeleton.width is None else skeleton.width[path]

@@ -64,11 +64,10 @@ def solidify(points: Array, voxel: float, *, close: int, fill: float) -> VoxelSo
     """
     origin = points.min(axis=0) - voxel
     keys = _keys(np.rint((points - origin) / voxel).astype(np.int64))
-    keys = np.unique(np.concatenate([keys, *(_between(keys, axis, close) for axis in range(3))]))
-    candidates, votes = np.unique(
-        np.concatenate([np.unique(_between(keys, axis, int(fill / voxel))) for axis in range(3)]), return_counts=True
-    )
-    keys = np.union1d(keys, candidates[votes >= 2])
+    keys = _distinct(keys)
+    keys = _distinct(np.concatenate([keys, *(_between(keys, axis, close) for axis in range(3))]))
+    votes = np.sort(np.concatenate([_between(keys, axis, int(fill / voxel)) for axis in range(3)]))
+    keys = _distinct(np.concatenate([keys, votes[1:][votes[1:] == votes[:-1]]]))  # enclosed along two axes or three
     index = _unkeys(keys)
     return VoxelSolid(index, origin, voxel, _thickness(keys) * voxel)
 
@@ -118,7 +117,25 @@ def _between(keys: NDArray[Any], axis: int, gap: int) -> NDArray[Any]:
 
 
 def _thickness(keys: NDArray[Any]) -> Array:
-    """Return distance in voxels to the nearest empty voxel: exact, by KD-tree to the background shell."""
-    shell = np.setdiff1d(np.concatenate([keys + _keys(np.array(face)) for face in _FACES]), keys)
-    distance, _ = KDTree(_unkeys(shell)).query(_unkeys(keys))
+    """Return distance in voxels to the nearest empty voxel: exact, by KD-tree to the background shell.
+
+    Voxels with an empty face neighbour, which are most, are at distance 1 and need no search.
+    """
+    around = [keys + _keys(np.array(face)) for face in _FACES]
+    occupied = [_contains(keys, beside) for beside in around]
+    inside = np.all(occupied, axis=0)
+    shell = _distinct(np.concatenate([beside[~held] for beside, held in zip(around, occupied, strict=True)]))
+    distance = np.ones(len(keys))
+    distance[inside] = KDTree(_unkeys(shell)).query(_unkeys(keys[inside]))[0]
     return distance
+
+
+def _distinct(keys: NDArray[Any]) -> NDArray[Any]:
+    """Return the sorted distinct keys (sorting is several times faster here than numpy's hashing `unique`)."""
+    keys = np.sort(keys)
+    return keys[np.concatenate([[True], keys[1:] != keys[:-1]])] if len(keys) else keys
+
+
+def _contains(keys: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
+    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return keys[at] == wanted
