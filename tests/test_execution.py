@@ -15,9 +15,10 @@ from small_planner import SmallPlanner, solve
 from anther.arm import sawyer
 from anther.devices import DeviceError, JointTrajectory, SafetyLimits
 from anther.errors import InputError, StageFailure
-from anther.execution import PHASES, Params, Trial, alias, choose_rate, execute, pregrasp
+from anther.execution import PHASES, Params, Trial, choose_rate, execute, pregrasp
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
+from anther.oscillation import alias
 from anther.safety import GuardedArm, check_shake, check_trajectory
 
 POINT = np.array([0.72, 0.0, -0.08])
@@ -81,7 +82,7 @@ def test_a_stem_thinner_than_it_looked_is_closed_upon_in_steps() -> None:
     assert trial.gripper[0, 0] == pytest.approx(0.005)
 
 
-@pytest.mark.parametrize("when", range(4))
+@pytest.mark.parametrize("when", range(5))
 @pytest.mark.parametrize("error", [DeviceError("the arm stopped"), RuntimeError("bug"), KeyboardInterrupt()])
 def test_a_fault_in_any_motion_ends_held_open_and_recorded(when: int, error: BaseException) -> None:
     def fault(done: int) -> None:

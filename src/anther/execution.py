@@ -18,6 +18,7 @@ from anther.errors import AntherError, FailureKind, StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Array, transform
 from anther.grasp import Grasp
+from anther.oscillation import alias
 from anther.safety import GuardedArm, check_shake
 
 Progress = Callable[[int, int], None]
@@ -77,6 +78,7 @@ class Params:
             sawyer 3), so the position is the gentleness.
         thinnest: while nothing is felt, the gripper closes on, down to this [m].
         steps: in how many steps.
+        settle: wait between closing and shaking, in which the touched plant calms down [s].
         opening: before closing [m]; the stroke is 41.667 mm.
         thickest: a held thing may be wider than the measured diameter by this [m] before it counts as something else.
         rates: frame rates the side camera has [Hz] (D455).
@@ -87,6 +89,7 @@ class Params:
     squeeze: float = 0.0015
     thinnest: float = 0.002
     steps: int = 4
+    settle: float = 0.5
     opening: float = 0.0416
     thickest: float = 0.012
     rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
@@ -94,6 +97,7 @@ class Params:
     def __post_init__(self) -> None:
         check_range("stand_off", self.stand_off, 0.0, 0.5, "m")
         check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
+        check_range("settle", self.settle, 0.01, 30.0, "s")
         check_range("steps", self.steps, 1, 100)
         check_range("squeeze", self.squeeze, 0.0, 0.02, "m")
 
@@ -270,6 +274,7 @@ def _forward(work: _Work) -> None:
         work.follow(reversed_path(outward))
     with work.phase("close"):
         work.grips.append(_close(work.robot.gripper, grasp, params))
+        work.follow(standstill(arm.joints(), params.settle))
     with work.phase("shake"):
         _shake(work, grasp.joints)
         work.grips.append(work.robot.gripper.state())
@@ -338,6 +343,11 @@ def pregrasp(grasp: Grasp, params: Params) -> Array:
     return transform(grasp.T_world_flange[:3, :3], grasp.T_world_flange[:3, 3] - params.stand_off * grasp.approach)
 
 
+def standstill(joints: Array, duration: float) -> JointTrajectory:
+    """Return the trajectory of an arm that waits at joints (7,) for `duration` [s]."""
+    return JointTrajectory(np.array([0.0, duration]), np.tile(joints, (2, 1)), np.zeros((2, 7)))
+
+
 def reversed_path(trajectory: JointTrajectory) -> JointTrajectory:
     """Return the same path backwards."""
     times = trajectory.duration - trajectory.times[::-1]
@@ -353,8 +363,3 @@ def choose_rate(frequency: float, rates: Sequence[float]) -> float:
     """
     ample = [r for r in rates if r >= 8 * frequency]
     return min(ample) if ample else min(rates, key=lambda r: abs(alias(frequency, r) / r - 0.25))
-
-
-def alias(frequency: float, rate: float) -> float:
-    """Return the frequency [Hz], between 0 and rate/2, at which `frequency` [Hz] shows up at a sampling `rate` [Hz]."""
-    return abs(frequency - rate * round(frequency / rate))

@@ -19,8 +19,7 @@ def petal_weight(frame: Frame, nearest: float, farthest: float) -> Image:
     """Return (H, W) in 0..1 how much a pixel looks like a petal: yellow or white, not green, and at the right distance.
 
     Yellow is saturated and, unlike leaves and stems, reflects no more green than red. White is brighter in its darkest
-    channel than all but 2 % of the picture. Pixels without a depth reading count where one within 3 pixels has the
-    right depth, since sensors drop the edges of thin things.
+    channel than all but 2 % of the picture. Pixels without a depth reading count, since sensors drop thin things.
 
     Args:
         frame: RGB-D.
@@ -34,22 +33,22 @@ def petal_weight(frame: Frame, nearest: float, farthest: float) -> Image:
     yellow *= np.clip((top - 70) / 40, 0, 1)
     darkest = np.minimum(np.minimum(red, green), blue)
     white = np.clip((darkest - np.percentile(darkest, 98) - 5) / 25, 0, 1)
-    right = ((frame.depth >= nearest) & (frame.depth <= farthest)).astype(np.uint8)
-    around = cv2.dilate(right, np.ones((7, 7), np.uint8))
-    allowed = (right > 0) | ((frame.depth == 0) & (around > 0))
+    allowed = (frame.depth == 0) | ((frame.depth >= nearest) & (frame.depth <= farthest))
     return np.asarray(np.maximum(yellow, white) * allowed, dtype=np.float32)
 
 
-def common_shift(weight: Image, pixels: Array, reach: int) -> Array:
-    """Return the shift (2,) [px], at most `reach`, by which expected flower pixels (F, 2) fit the petals best."""
+def common_shift(weight: Image, pixels: Array, reach: int) -> tuple[float, Array]:
+    """Return how well expected flower pixels (F, 2) fit the petals, and the shift (2,) [px] that makes them fit best.
+
+    The fit falls by 30 % towards a shift of `reach`: of two equal ones the nearer counts more.
+    """
     smooth = cv2.GaussianBlur(weight, (0, 0), 3.0)
     grid = np.arange(-reach, reach + 1)
     u = np.clip(np.rint(pixels[:, 0]).astype(int)[:, None, None] + grid[None, None, :], 0, weight.shape[1] - 1)
     v = np.clip(np.rint(pixels[:, 1]).astype(int)[:, None, None] + grid[None, :, None], 0, weight.shape[0] - 1)
-    # a small pull to zero: of two equal fits the nearer one
-    fit = smooth[v, u].mean(axis=0) * (1 - 0.3 * np.hypot(grid[None, :], grid[:, None]) / (1.5 * reach))
+    fit = smooth[v, u].mean(axis=0) * (1 - 0.3 * np.hypot(grid[None, :], grid[:, None]) / reach)
     row, column = np.unravel_index(int(np.argmax(fit)), fit.shape)
-    return np.array([grid[column], grid[row]], dtype=float)
+    return float(fit[row, column]), np.array([grid[column], grid[row]], dtype=float)
 
 
 def centre_of_petals(weight: Image, pixel: Array, radius: float) -> Array | None:

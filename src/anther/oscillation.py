@@ -1,8 +1,10 @@
 """How large and how fast something swings: a sinusoid fitted to a sampled path. T samples.
 
-The fit x(t) = c + d t + a cos(2 pi f t) + b sin(2 pi f t) is linear least squares at a known frequency (lock-in). It
-needs no even sampling, and no sampling above twice the frequency: a shake of known frequency can be measured with a
-slower camera as long as f is not close to a multiple of rate/2, where cosine and sine cannot be told apart.
+The fit x(t) = slow(t) + a cos(2 pi f t) + b sin(2 pi f t) is linear least squares at a known frequency (lock-in), with
+slow(t) a Legendre series that wriggles up to half the frequency: it takes up the free sway of a plant that was just
+touched. The fit needs no even sampling, and no sampling above twice the frequency: a shake of known frequency can be
+measured with a slower camera as long as f is not close to a multiple of rate/2, where cosine and sine cannot be told
+apart.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ class Swing:
         direction: (3,) unit vector along that axis.
         frequency: [Hz].
         residual: root mean square distance of the samples from the fit, per axis [m].
-        coefficients: (4, 3) of the fit: c, d, a, b about `middle`.
-        middle: mean time of the samples [s].
+        coefficients: (2 + slow terms, 3) of the fit: a, b, then the Legendre series.
+        span: (start, end) of the samples [s], the series' interval.
     """
 
     amplitude: float
@@ -39,11 +41,11 @@ class Swing:
     frequency: float
     residual: float
     coefficients: Array
-    middle: float
+    span: tuple[float, float]
 
     def at(self, times: Array) -> Array:
         """Return the fitted path (T, 3) [m] at `times` (T,) [s]."""
-        return _basis(times - self.middle, self.frequency) @ self.coefficients
+        return _basis(times, self.span, self.frequency, len(self.coefficients) - 2) @ self.coefficients
 
 
 def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
@@ -62,35 +64,37 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
     seen = np.isfinite(path).all(axis=1)
     if seen.sum() < 8:
         raise bad_input("swing", given=f"{seen.sum()} samples", allowed="8 or more", do="Record longer.")
-    middle = float(times[seen].mean())
-    basis = _basis(times[seen] - middle, frequency)
-    if np.linalg.cond(basis / [1, max(np.ptp(basis[:, 1]), 1e-9), 1, 1]) > 30:
+    t, x = times[seen], path[seen]
+    span, slow = (float(t[0]), float(t[-1])), _slow_terms(t, frequency)
+    basis = _basis(t, span, frequency, slow)
+    if np.linalg.cond(basis) > 30:
         raise bad_input(
             "swing",
-            given=f"{seen.sum()} samples over {np.ptp(times):.2f} s",
+            given=f"{len(t)} samples over {np.ptp(t):.2f} s",
             allowed=f"samples that tell the phase at {frequency:g} Hz",
             do="Choose a frame rate that is not twice the frequency divided by a whole number, or record longer.",
         )
-    coefficients: Array = np.linalg.lstsq(basis, path[seen], rcond=None)[0].astype(np.float64)
-    free = max(int(seen.sum()) - basis.shape[1], 1)
-    residual = float(np.sqrt(np.sum((path[seen] - basis @ coefficients) ** 2) / (3 * free)))
-    spread = residual * np.sqrt(np.linalg.inv(basis.T @ basis)[[2, 3], [2, 3]].max())
-    _, size, axes = np.linalg.svd(coefficients[2:])
-    return Swing(float(size[0]), float(spread), axes[0], float(frequency), residual, coefficients, middle)
+    coefficients: Array = np.linalg.lstsq(basis, x, rcond=None)[0].astype(np.float64)
+    free = max(len(t) - basis.shape[1], 1)
+    residual = float(np.sqrt(np.sum((x - basis @ coefficients) ** 2) / (3 * free)))
+    spread = residual * np.sqrt(np.diag(np.linalg.inv(basis.T @ basis))[:2].max())
+    _, size, axes = np.linalg.svd(coefficients[:2])
+    return Swing(float(size[0]), float(spread), axes[0], float(frequency), residual, coefficients, span)
 
 
-def find_frequency(times: Array, path: Array, hint: float, *, span: float = 0.1) -> float:
-    """Return the frequency [Hz] within `hint` x (1 +- span) whose swing fits a path (T, 3) over times (T,) best."""
+def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1) -> float:
+    """Return the frequency [Hz] within `hint` x (1 +- width) whose swing fits a path (T, 3) over times (T,) best."""
     seen = np.isfinite(path).all(axis=1)
-    t, x = times[seen] - times[seen].mean(), path[seen]
+    t, x = times[seen], path[seen]
+    span, slow = (float(t[0]), float(t[-1])), _slow_terms(t, hint)
 
     def misfit(f: float) -> float:
-        basis = _basis(t, f)
+        basis = _basis(t, span, f, slow)
         return float(np.sum((x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0]) ** 2))
 
     # the misfit's valley is about 1 / (record length) wide
-    step = min(0.25 / max(float(np.ptp(t)), 1e-3), span * hint / 2)
-    grid = np.arange(hint * (1 - span), hint * (1 + span) + step, step)
+    step = min(0.25 / max(float(np.ptp(t)), 1e-3), width * hint / 2)
+    grid = np.arange(hint * (1 - width), hint * (1 + width) + step, step)
     best = grid[int(np.argmin([misfit(f) for f in grid]))]
     found: Any = minimize_scalar(misfit, bounds=(best - step, best + step), method="bounded")
     return float(found.x)
@@ -103,13 +107,28 @@ def envelope_amplitude(times: Array, path: Array) -> float:
         times: (T,) evenly spaced [s], many to a period.
         path: (T, 3) [m] without NaN.
     """
-    basis = _basis(times - times.mean(), 1.0)[:, :2]
-    x = path - basis @ np.linalg.lstsq(basis, path, rcond=None)[0]
+    x = path - _line(times, path)
     main = np.linalg.svd(x, full_matrices=False)[2][0]
     analytic: Any = hilbert(x @ main)
     return float(np.median(np.abs(analytic)))
 
 
-def _basis(t: Array, frequency: float) -> Array:
-    phase = 2 * np.pi * frequency * t
-    return np.stack([np.ones_like(t), t, np.cos(phase), np.sin(phase)], axis=1)
+def alias(frequency: float, rate: float) -> float:
+    """Return the frequency [Hz], between 0 and rate/2, at which `frequency` [Hz] shows up at a sampling `rate` [Hz]."""
+    return abs(frequency - rate * round(frequency / rate))
+
+
+def _slow_terms(t: Array, frequency: float) -> int:
+    """How many Legendre polynomials have fewer zeros over the record than half the frequency that shows up."""
+    shown = alias(frequency, 1 / float(np.median(np.diff(t))))
+    return 2 + int(min(np.ptp(t) * shown, len(t) / 4))
+
+
+def _basis(t: Array, span: tuple[float, float], frequency: float, slow: int) -> Array:
+    phase = 2 * np.pi * frequency * (t - span[0])
+    along = 2 * (t - span[0]) / max(span[1] - span[0], 1e-9) - 1
+    return np.column_stack([np.cos(phase), np.sin(phase), np.polynomial.legendre.legvander(along, slow - 1)])
+
+
+def _line(times: Array, path: Array) -> Any:
+    return np.column_stack([np.polynomial.Polynomial.fit(times, x, 1)(times) for x in path.T]).astype(np.float64)

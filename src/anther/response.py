@@ -180,33 +180,43 @@ def _track(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
         return tracks, ["The side camera does not look at the flowers."]
     notes: list[str] = []
     weights = [petal_weight(frame, nearest, farthest) for frame in frames]
-    pixels = intrinsics.project(rest)
-    per_metre = intrinsics.fx / rest[:, 2]
-    pixels = pixels + common_shift(weights[0], pixels, int(params.shift * float(per_metre.mean())))
-    for i, (pixel, scale) in enumerate(zip(pixels, per_metre, strict=True)):
-        radius = params.flower_radius * scale
-        start = centre_of_petals(weights[0], pixel, radius)
+    pixels, per_metre = intrinsics.project(rest), intrinsics.fx / rest[:, 2]
+    # start where the flowers stand most like at rest: there neighbours are told apart most surely
+    fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in weights]
+    first = int(np.argmax([fit for fit, _ in fits]))
+    for i, (pixel, scale) in enumerate(zip(pixels + fits[first][1], per_metre, strict=True)):
+        radius, reach = params.flower_radius * scale, int(np.ceil(params.reach * scale))
+        start = centre_of_petals(weights[first], pixel, radius)
         if start is None:
             notes.append(f"Flower {i + 1} is hidden from the side camera.")
             continue
-        reach = int(np.ceil(params.reach * scale))
-        path = follow(weights, start, radius=radius, reach=reach, least=params.correlation)
-        tracks[:, i] = _lifted(frames, weights, intrinsics, path, radius)
+        onward, back = (
+            follow(way, start, radius=radius, reach=reach, least=params.correlation)
+            for way in (weights[first:], weights[first::-1])
+        )
+        path = np.concatenate([back[:0:-1], onward])
+        depth = _depth(frames, weights, path, max(int(radius), 2))
+        if np.isfinite(depth).mean() < params.seen_share * np.isfinite(path[:, 0]).mean():
+            notes.append(f"Flower {i + 1} has no depth: its motion towards the camera is left out.")
+            depth = np.full(len(frames), rest[i, 2])
+        tracks[:, i] = _lifted(intrinsics, path, depth)
     return tracks, notes
 
 
-def _lifted(
-    frames: Sequence[Frame], weights: Sequence[Image], intrinsics: Intrinsics, path: Array, radius: float
-) -> Array:
-    """Return camera-frame points (T, 3) of a pixel path (T, 2), by the petals' depth."""
-    near = max(int(radius), 2)
-    depth = np.array([petal_depth(f, w, p, near) for f, w, p in zip(frames, weights, path, strict=True)])
-    if not np.isfinite(depth).any():
-        return np.full((len(frames), 3), np.nan)
-    middle = np.nanmedian(depth)
-    # lateral motion is measured at the median depth: depth noise would otherwise leak into it
-    points = back_projected(intrinsics, path, np.full(len(path), middle))
-    points[:, 2] = np.where(np.abs(depth - middle) < 0.05, depth, np.nan)
+def _depth(frames: Sequence[Frame], weights: Sequence[Image], path: Array, radius: int) -> Array:
+    """Return the petals' depth (T,) [m] along a pixel path (T, 2); NaN without a reading near the median."""
+    depth = np.array([petal_depth(f, w, p, radius) for f, w, p in zip(frames, weights, path, strict=True)])
+    seen = np.isfinite(depth)
+    return np.where(seen & (np.abs(depth - np.median(depth[seen])) < 0.05), depth, np.nan) if seen.any() else depth
+
+
+def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
+    """Return camera-frame points (T, 3) of a pixel path (T, 2) at depths (T,); NaN where either is missing.
+
+    Sideways motion is measured at the median depth: depth noise would otherwise leak into it.
+    """
+    points = back_projected(intrinsics, path, np.full(len(path), np.nanmedian(depth)))
+    points[:, 2] = depth
     return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
 
 

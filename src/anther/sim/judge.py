@@ -28,8 +28,8 @@ class Params:
         slip: the held point may wander this far between the pads [m].
         grip: a pad touches with at least this [N].
         held_share: the pads must hold the stem in at least this share of the samples of the shake.
-        stem_strain, joint_strain: peak bending strain added in stem and branches, and elsewhere (facts: pollination
-            1d, proposed limits: 1 % and 0.5 %).
+        stem_strain, joint_strain: peak bending strain in stem and branches, and peak swing of it elsewhere (facts:
+            pollination 1d, proposed limits: 1 % and 0.5 %).
         leaf_acceleration: at the bases of petioles, low-passed below 5 Hz, quasi-static [m/s2] (facts: pollination 1d,
             0.7 g).
         leaf_band: up to which a leaf is taken to follow quasi-statically [Hz].
@@ -57,7 +57,7 @@ class Verdict:
         grasp_height: height of the held point above the soil [m]; NaN if nothing was held.
         slip: largest wander of the held point between the pads [m]; NaN if nothing was held.
         push: largest force on the plant before closing [N].
-        stem_strain, joint_strain: peak added bending strain of stem and branches, and of the rest.
+        stem_strain, joint_strain: peak added bending strain of stem and branches, peak swing of it in the rest.
         leaf_acceleration: peak quasi-static acceleration at a petiole's base [m/s2].
         flower_amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency, over the middle 60 % of
             the shake [m]: as `anther.response` measures it.
@@ -165,13 +165,18 @@ def _push(log: CellLog) -> float:
 
 
 def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the peak bending strain added during the shake: in stem and branches, and in all else."""
+    """Return the peak bending strain during the shake: all that is added in stem and branches, the swing elsewhere.
+
+    A petiole that the gripper holds aside is bent, which it survives; what counts there is how the shake swings it.
+    """
     if not shaking.any():
         return 0.0, 0.0
-    strain = np.max([cell.mechanics.strain(q) for q in log.qpos[shaking]], axis=0)
     organ = cell.plant.organ[cell.mechanics.pieces.first]
     trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
-    return float(strain[trunk].max(initial=0)), float(strain[~trunk].max(initial=0))
+    qpos = log.qpos[shaking]
+    bent = np.max([cell.mechanics.strain(q) for q in qpos], axis=0)
+    swung = np.max([cell.mechanics.strain(q) for q in qpos - qpos.mean(axis=0)], axis=0)
+    return float(bent[trunk].max(initial=0)), float(swung[~trunk].max(initial=0))
 
 
 def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None, params: Params) -> float:
