@@ -127,7 +127,8 @@ def _slow_terms(t: Array, frequency: float) -> int:
 def _basis(t: Array, span: tuple[float, float], frequency: float, slow: int) -> Array:
     phase = 2 * np.pi * frequency * (t - span[0])
     along = 2 * (t - span[0]) / max(span[1] - span[0], 1e-9) - 1
-    return np.column_stack([np.cos(phase), np.sin(phase), np.polynomial.legendre.legvander(along, slow - 1)])
+    slow_part: Array = np.polynomial.legendre.legvander(along, slow - 1).astype(np.float64)
+    return np.column_stack([np.cos(phase), np.sin(phase), slow_part])
 
 
 def _line(times: Array, path: Array) -> Any:
