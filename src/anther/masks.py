@@ -58,17 +58,20 @@ class Params:
             perception) so that views agree.
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
         green_share, petal_share: least share of votes that makes a cell green, or petal.
-        petal_votes, petal_views: a petal cell has at least this many petal pixels, from so many views.
+        petal_cover, petal_views: a petal cell has at least this share of the pixels that one view has on a cell's
+            face, in all views together, and from so many views.
         yellow_saturation: least saturation of yellow petals, 0..1.
         white_saturation: greatest saturation of white petals, 0..1.
         yellow_gain, white_gain: least brightness of petals, relative to bright leaves.
         flower_extent: greatest extent of a flower cluster (a truss) [m].
         flower_distance: a flower comes at least this close to green cells [m].
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
+        bare_ground_radius: the same for the soil without colour, when leaves could be mistaken for it [m].
         ground_margin: what lies less than this above the ground is ground [m].
         rim_height: a pot's rim stands at most this much above its soil [m].
         attach_distance: a part that is not green belongs to the plant if it comes this close to green ones [m].
         brown_extent: greatest second extent of such a part [m]: stems and fruits are slender, walls are not.
+        least_part: flowers are looked for beside green parts of at least this many cells.
         least_pixels: with fewer plant pixels in all views together there is no plant.
     """
 
@@ -76,7 +79,7 @@ class Params:
     green: float = 0.10
     green_share: float = 0.25
     petal_share: float = 0.35
-    petal_votes: int = 8
+    petal_cover: float = 0.4
     petal_views: int = 3
     yellow_saturation: float = 0.45
     white_saturation: float = 0.25
@@ -85,10 +88,12 @@ class Params:
     flower_extent: float = 0.12
     flower_distance: float = 0.02
     ground_radius: float = 0.035
+    bare_ground_radius: float = 0.06
     ground_margin: float = 0.008
     rim_height: float = 0.05
     attach_distance: float = 0.012
     brown_extent: float = 0.08
+    least_part: int = 20
     least_pixels: int = 200
 
     def __post_init__(self) -> None:
@@ -144,7 +149,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
     rule = None if capture.rgb is None else _colour_rule(capture.rgb, params)
     cameras = [camera_numbers(T, capture.intrinsics) for T in capture.T_world_cam]
     threads = 2  # each votes in a grid of its own
-    counts = np.zeros((threads, LAYERS, *grid.shape), dtype=np.int32)
+    counts = np.zeros((threads, LAYERS if rule else 1, *grid.shape), dtype=np.uint16)
     classes = np.zeros(capture.depth.shape, dtype=np.uint8)
     labels = np.zeros(capture.depth.shape, dtype=np.uint8)
 
@@ -161,7 +166,11 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
 
     with ThreadPoolExecutor(max_workers=threads) as pool:
         list(pool.map(vote_views, range(threads)))
-        cells = _label_cells(counts.sum(axis=0), params, rule is not None, capture.views)
+        votes = counts.sum(axis=0, dtype=np.uint16)
+        if rule:
+            cells = _cells_by_colour(votes, params, *_enough_petals(capture, grid, params))
+        else:
+            cells = _cells_by_geometry(votes[0], params)
         list(pool.map(label_view, range(capture.views)))
     found = int((labels > 0).sum())
     if found < params.least_pixels:
@@ -195,32 +204,36 @@ def _colour_rule(rgb: NDArray[Any], params: Params) -> ColourRule:
     )
 
 
-def _label_cells(counts: NDArray[Any], params: Params, has_colour: bool, views: int) -> NDArray[Any]:
-    """Return what each cell is, (X, Y, Z) uint8: EMPTY, GROUND, GREEN_CELL, BROWN_CELL or FLOWER_CELL."""
-    total = counts[:PETAL_VIEWS].sum(axis=0)
+def _cells_by_geometry(votes: NDArray[Any], params: Params) -> NDArray[Any]:
+    """Return what each cell is, (X, Y, Z) uint8: whatever is seen above the ground is a part of the plant."""
+    below, rim = _ground(votes >= 2, params, params.bare_ground_radius, rings=False)
+    return np.where(below | rim, GROUND, np.where(votes >= 2, BROWN_CELL, EMPTY)).astype(np.uint8)
+
+
+def _enough_petals(capture: Capture, grid: Grid, params: Params) -> tuple[float, int]:
+    """Return how many petal pixels, and from how many views, a petal cell needs."""
+    centre = grid.lower + np.multiply(grid.shape, grid.voxel) / 2
+    distance = float(np.median(np.linalg.norm(capture.T_world_cam[:, :3, 3] - centre, axis=1)))
+    pixels = (grid.voxel * capture.intrinsics.fx / max(distance, grid.voxel)) ** 2
+    return params.petal_cover * pixels, min(params.petal_views, capture.views)
+
+
+def _cells_by_colour(counts: NDArray[Any], params: Params, least_votes: float, least_views: int) -> NDArray[Any]:
+    """Return what each cell is, (X, Y, Z) uint8, from the votes (LAYERS, X, Y, Z)."""
+    total = counts[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
     green = counts[GREEN - 1] >= np.maximum(2, params.green_share * total)
     occupied = total >= 2
-    below, rim = ground_cells(
-        (total >= 5) & (counts[GREEN - 1] <= 0.1 * total),
-        params.voxel,
-        radius=params.ground_radius,
-        margin=params.ground_margin,
-        rim_height=params.rim_height,
-        rings=has_colour,
-    )
+    below, rim = _ground((total >= 5) & (counts[GREEN - 1] <= 0.1 * total), params, params.ground_radius, rings=True)
     rest = occupied & ~green & ~below & ~rim
     cells = np.where(below | (rim & ~green), GROUND, EMPTY).astype(np.uint8)
-    if not has_colour:
-        cells[rest] = BROWN_CELL
-        return cells
     green &= ~below
     cells[green] = GREEN_CELL
-    petal_votes = counts[YELLOW - 1] + counts[WHITE - 1]
-    seen_often = (petal_votes >= params.petal_votes) & (counts[PETAL_VIEWS] >= min(params.petal_views, views))
+    petal_votes = counts[YELLOW - 1].astype(np.int32) + counts[WHITE - 1]
+    seen_often = (petal_votes >= least_votes) & (counts[PETAL_VIEWS] >= least_views)
     petals = occupied & ~below & ~rim & seen_often & (petal_votes >= params.petal_share * total)
     flowers = _parts_near(
         petals,
-        green & ~petals,
+        _large_parts(green & ~petals, params.least_part),
         distance=params.flower_distance,
         extent=params.flower_extent,
         axis=0,
@@ -233,6 +246,29 @@ def _label_cells(counts: NDArray[Any], params: Params, has_colour: bool, views: 
     cells[(ndimage.maximum_filter(flowers.astype(np.uint8), size=3) > 0) & (cells != GROUND)] = BESIDE_FLOWER
     cells[flowers] = FLOWER_CELL
     return cells
+
+
+def _ground(
+    solid: NDArray[np.bool_], params: Params, sure_radius: float, *, rings: bool
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    return ground_cells(
+        solid,
+        params.voxel,
+        radius=params.ground_radius,
+        sure_radius=sure_radius,
+        margin=params.ground_margin,
+        rim_height=params.rim_height,
+        rings=rings,
+    )
+
+
+def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
+    parts = np.zeros(part.shape, dtype=np.int32)
+    ndimage.label(part, structure=np.ones((3, 3, 3)), output=parts)
+    large = np.bincount(parts.ravel()) >= least
+    large[0] = False
+    return large[parts]
 
 
 def _parts_near(

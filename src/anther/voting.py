@@ -104,7 +104,8 @@ def vote(
         camera: from `camera_numbers`.
         grid: the cells.
         rule: None without colour.
-        counts: (LAYERS, X, Y, Z) int32, votes for OTHER, GREEN, YELLOW, WHITE and the petal layers; added to.
+        counts: (LAYERS, X, Y, Z) uint16, votes for OTHER, GREEN, YELLOW, WHITE and the petal layers; added to in
+            place. Without colour the first layer is enough.
         view: its number.
     """
     classes = np.zeros(depth.shape, dtype=np.uint8)
