@@ -204,6 +204,37 @@ def test_hard_steps_are_split_and_hopeless_ones_refused():
         simulate(rods, clamp, Drive(12, (1, 0, 0), 5.0, 300), 0.05, 1e-3, newton_limit=3)
 
 
+def test_the_drive_pays_for_the_energy():
+    rods = cantilever(20)
+    run = simulate(rods, Clamp.root(rods), Drive(8, (0, 1, 1), 2e-3, 12, ramp=0.2), 1.0, 5e-4, gravity=NO_GRAVITY)
+    gained = run.energy - run.energy[0]
+    assert np.ptp(gained) > 1e-6
+    assert np.abs(gained - run.work).max() < 0.02 * np.ptp(gained)
+
+
+def three_d_network() -> Rods:
+    """A 51-node stem and five branches of 7 edges, spiralling, 10 mm an edge: the 3-D network of the peers."""
+    nodes, parent = [np.array([0, 0, 0.01 * k]) for k in range(51)], list(range(-1, 50))
+    for k, base in enumerate((15, 20, 28, 35, 42)):
+        turn = np.radians(137.5) * k
+        way = np.array([np.cos(turn), np.sin(turn), 1]) / np.sqrt(2)
+        for step in range(7):
+            parent.append(len(nodes) - 1 if step else base)
+            nodes.append(nodes[base] + 0.01 * (step + 1) * way)
+    return Rods(np.array(nodes), np.array(parent), 3e-3, 2e8, 1000.0)
+
+
+def test_a_violent_shake_of_the_3d_network():
+    shake = Drive(20, (1, 0, 0), 5e-3, 30)
+    damped = replace(three_d_network(), viscous_time=1e-4)
+    run = simulate(damped, Clamp([0, 1]), shake, 0.5, 1e-3, start="scanned")
+    assert run.split_steps == 0
+    assert run.energy[-1] - run.energy[0] < run.work[-1]
+    undamped = replace(damped, viscous_time=1e-5)
+    with pytest.raises(StageFailure, match=r"energy grows by itself|residual"):
+        simulate(undamped, Clamp([0, 1]), shake, 0.5, 1e-3, start="scanned")
+
+
 def test_trajectory_round_trip(tmp_path: Path):
     rods = cantilever(6)
     run = simulate(rods, Clamp.root(rods), Drive(3, (0, 1, 0), 1e-3, 5), 0.02, 1e-3, record_every=5)
@@ -211,6 +242,7 @@ def test_trajectory_round_trip(tmp_path: Path):
     run.save(tmp_path / "run.npz")
     again = Trajectory.load(tmp_path / "run.npz")
     np.testing.assert_array_equal(again.positions, run.positions)
+    np.testing.assert_array_equal(again.work, run.work)
     assert again.newton_iterations == run.newton_iterations
 
 

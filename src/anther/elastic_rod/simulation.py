@@ -33,6 +33,7 @@ class Trajectory:
         energy: (T,) elastic + kinetic + gravitational energy [J].
         grip_force: (T, 3) force the gripper exerts on the driven node [N]; for the midpoint rule its mean over the
             step that ends there. Zero without a drive and at the start.
+        work: (T,) work done by the drive since the start [J].
         newton_iterations: Newton iterations spent.
         split_steps: steps that had to be split to converge.
     """
@@ -41,6 +42,7 @@ class Trajectory:
     positions: Array
     energy: Array
     grip_force: Array
+    work: Array
     newton_iterations: int
     split_steps: int
 
@@ -50,6 +52,7 @@ class Trajectory:
         object.__setattr__(self, "positions", check_array("trajectory positions", self.positions, (t, None, 3)))
         object.__setattr__(self, "energy", check_array("trajectory energy", self.energy, (t,)))
         object.__setattr__(self, "grip_force", check_array("grip force", self.grip_force, (t, 3)))
+        object.__setattr__(self, "work", check_array("work", self.work, (t,)))
 
     def displacement(self, node: int) -> Array:
         """Return (T, 3) displacement of a node from its start [m]."""
@@ -66,6 +69,7 @@ class Trajectory:
             positions=self.positions,
             energy=self.energy,
             grip_force=self.grip_force,
+            work=self.work,
             counts=counts,
         )
 
@@ -145,6 +149,7 @@ class _Output(NamedTuple):
     x: Array
     energy: Array
     force: Array
+    work: Array
 
 
 class _Run:
@@ -156,11 +161,12 @@ class _Run:
         self.scratch, self.turn, self.blocks = new_state(state.x, state.frames), np.zeros(n), new_blocks(n)
         self.driven = -1 if drive is None else drive.node
         self.home = state.x[self.driven].copy()
+        self.work = np.zeros(1)
         self.iterations = self.splits = 0
 
     def trajectory(self, steps: int, dt: float, every: int) -> Trajectory:
         rows = steps // every
-        out = _Output(np.zeros((rows, len(self.state.x), 3)), np.zeros(rows), np.zeros((rows, 3)))
+        out = _Output(np.zeros((rows, len(self.state.x), 3)), np.zeros(rows), np.zeros((rows, 3)), np.zeros(rows))
         first_x, first_energy = self.state.x.copy(), total_energy(self.model, self.state)
         targets = self._targets(np.arange(steps + 1, dtype=np.float64) * dt)
         done, residual = self._advance(targets, dt, 0, every, out)
@@ -170,14 +176,17 @@ class _Run:
             if done % every == 0:
                 self._record(out, done // every - 1)
             done, residual = self._advance(targets, dt, done, every, out)
-        return Trajectory(
+        trajectory = Trajectory(
             times=np.arange(rows + 1, dtype=np.float64) * every * dt,
             positions=np.concatenate([first_x[None], out.x]),
             energy=np.concatenate([[first_energy], out.energy]),
             grip_force=np.concatenate([np.zeros((1, 3)), out.force]),
+            work=np.concatenate([[0.0], out.work]),
             newton_iterations=self.iterations,
             split_steps=self.splits,
         )
+        _refuse_free_energy(trajectory, self.model)
+        return trajectory
 
     def _split(self, t0: float, dt: float, residual: float, halvings: int) -> None:
         """Take one step of length dt as two halves, splitting these again where needed."""
@@ -196,6 +205,7 @@ class _Run:
 
     def _record(self, out: _Output, row: int) -> None:
         out.x[row], out.energy[row] = self.state.x, total_energy(self.model, self.state)
+        out.work[row] = self.work[0]
         if self.driven >= 0:
             out.force[row] = self.blocks.gradient[self.driven, :3]
 
@@ -219,6 +229,7 @@ class _Run:
             self.settings.tolerance,
             self.settings.newton_limit,
             *out,
+            self.work,
             first,
             every,
         )
@@ -226,4 +237,20 @@ class _Run:
         return done, residual
 
 
-_NOTHING = _Output(np.zeros((0, 0, 3)), np.zeros(0), np.zeros((0, 3)))
+_NOTHING = _Output(np.zeros((0, 0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
+
+
+def _refuse_free_energy(run: Trajectory, model: Model) -> None:
+    """Refuse a trajectory that gained far more energy than the drive and the weight can have given it.
+
+    Midpoint steps that are much too long for undamped, stiff stretching modes can gain energy without end.
+    """
+    gained = run.energy - run.energy[0] - run.work
+    given = np.abs(run.work).max() + np.abs(model.weight).sum() * np.ptp(run.positions, axis=0).max()
+    if gained.max() > given + 1e-9:
+        start = run.times[np.argmax(gained > given + 1e-9)]
+        raise StageFailure(
+            "no_convergence",
+            f"rods: from t = {start:.6g} s on the energy grows by itself ({gained.max():.3g} J): the time step is too "
+            "long for these undamped rods. Use a smaller time step or some viscous_time (1e-4 s is 1 % at 30 Hz).",
+        )

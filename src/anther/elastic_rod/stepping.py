@@ -17,10 +17,16 @@ from anther.elastic_rod.assembly import Blocks, assemble, elastic_energy, move_f
 from anther.elastic_rod.model import Frames, Model
 from anther.elastic_rod.rods import Array
 from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled, merged
+from anther.elastic_rod.vectors import compiled, dot, load, merged, subtract
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""
+
+LARGEST_TURN = 0.5
+"""Largest change of an edge, as a share of its length, in one Newton correction and in one solve (0.5: 29 degrees).
+
+Beyond it Newton can converge to a solution in which an edge has flipped over. The step is split instead.
+"""
 
 
 class State(NamedTuple):
@@ -56,6 +62,23 @@ def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: flo
         inertia = model.spin_inertia[j]
         blocks.gradient[j, 3] += inertia * rate * (new.v[j, 3] - old.v[j, 3])
         blocks.diagonal[j, 3, 3] += rate * rate * inertia
+
+
+@compiled
+def _largest_turn(parent: Any, x: Any, step: Any) -> float:
+    """Return the largest change of an edge, as a share of its length, if the nodes x moved by `step`."""
+    worst = 0.0
+    for j in range(1, len(x)):
+        p = parent[j]
+        change, edge = subtract(load(step, j), load(step, p)), subtract(load(x, j), load(x, p))
+        worst = max(worst, dot(change, change) / dot(edge, edge))
+    return np.sqrt(worst)
+
+
+@compiled
+def _accepted(model: Model, old: State, new: State, iterations: int, most: int) -> int:
+    """Return the iterations, or -most where an edge changed so much that Newton may have found another solution."""
+    return iterations if _largest_turn(model.parent, old.x, new.x - old.x) < LARGEST_TURN else -most
 
 
 @merged
@@ -100,18 +123,19 @@ def implicit_step(
         residual = np.sqrt(np.sum(blocks.gradient[:, :3] ** 2))
         if residual <= tolerance:
             blocks.gradient[:] = held_force
-            return iteration, residual
+            return _accepted(model, old, new, iteration, most), residual
         if not np.isfinite(residual):
             break
         factor(model, blocks)
         solve(model, blocks, blocks.gradient)
+        share = min(1.0, LARGEST_TURN / (1e-300 + _largest_turn(model.parent, new.x, blocks.gradient)))
         for j in range(n):
-            turn[j] -= blocks.gradient[j, 3]
+            turn[j] -= share * blocks.gradient[j, 3]
             for i in range(3):
-                new.x[j, i] -= blocks.gradient[j, i]
+                new.x[j, i] -= share * blocks.gradient[j, i]
         if np.max(np.abs(blocks.gradient[:, :3])) < POSITION_FLOOR and residual < 1e3 * tolerance:
             blocks.gradient[:] = held_force
-            return iteration, residual
+            return _accepted(model, old, new, iteration, most), residual
     return -most, residual
 
 
@@ -155,13 +179,15 @@ def advance(
     out_x: Any,
     out_energy: Any,
     out_force: Any,
+    out_work: Any,
+    work: Any,
     first: int,
     every: int,
 ) -> Any:
     """Take steps `first` .. S - 1; `targets` (S + 1, 3) is the position of the driven node at each step's end [m].
 
-    Writes every `every`-th state (none if 0) to out_x, out_energy and out_force. On failure `state` stays at the last
-    good step.
+    Writes every `every`-th state (none if 0) to out_x, out_energy, out_force and out_work; work (1,) sums up the work
+    of the drive [J]. On failure `state` stays at the last good step.
 
     Returns:
         The step it got to, Newton iterations spent, and the residual [N] of the step that failed.
@@ -181,10 +207,17 @@ def advance(
         if midpoint:
             _extrapolate(model, free, state, scratch, turn, far)
         _copy(scratch, state)
+        if driven >= 0:
+            last = min(step + 2, len(targets) - 1)
+            for i in range(3):
+                work[0] += blocks.gradient[driven, i] * (targets[step + 1, i] - targets[step, i])
+                if midpoint:
+                    state.v[driven, i] = (targets[last, i] - targets[step, i]) / ((last - step) * dt)
         if every > 0 and (step + 1) % every == 0:
             row = (step + 1) // every - 1
             out_x[row] = state.x
             out_energy[row] = total_energy(model, state)
+            out_work[row] = work[0]
             if driven >= 0:
                 out_force[row] = blocks.gradient[driven, :3]
     return len(targets) - 1, spent, residual
