@@ -52,16 +52,19 @@ def common_shift(weight: Image, pixels: Array, reach: int) -> tuple[float, Array
 
 
 def centre_of_petals(weight: Image, pixel: Array, radius: float) -> Array | None:
-    """Return where the petals around a pixel (2,) have their centre, by mean shift; None if there are too few."""
+    """Return where the petals around a pixel (2,) have their centre, by mean shift within 1.5 flower radii.
+
+    None if there are too few petals, or if it slides away to a neighbour.
+    """
     v, u = np.nonzero(weight > 0.2)
     w = weight[v, u].astype(np.float64)
     centre = np.array(pixel, dtype=float)
     for _ in range(10):
-        share = w * np.exp(-0.5 * ((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / radius**2)
+        share = w * np.exp(-0.5 * ((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / (0.7 * radius) ** 2)
         if share.sum() < 4:
             return None
         centre = np.array([share @ u, share @ v]) / share.sum()
-    return centre if np.linalg.norm(centre - pixel) < 4 * radius else None
+    return centre if np.linalg.norm(centre - pixel) < 1.5 * radius else None
 
 
 def follow(weights: Sequence[Image], start: Array, *, radius: float, reach: int, least: float) -> Array:

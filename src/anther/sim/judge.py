@@ -201,10 +201,10 @@ def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: flo
     steady = slice(round(0.2 * len(times)), round(0.8 * len(times)))
     dt = float(np.median(np.diff(times)))
     size = np.linalg.norm(_acceleration(path, dt), axis=2)
-    swings = []
-    for x in np.swapaxes(path[steady], 0, 1):
-        found = find_frequency(times[steady], x, frequency)
-        swings.append((fit_swing(times[steady], x, frequency).amplitude, found))
+    every = max(int(1 / (dt * 16 * frequency)), 1)  # 16 samples a period are plenty
+    t, swings = times[steady][::every], []
+    for x in np.swapaxes(path[steady][::every], 0, 1):
+        swings.append((fit_swing(t, x, frequency).amplitude, find_frequency(t, x, frequency)))
     amplitude, frequencies = np.array(swings).reshape(-1, 2).T
     return amplitude, frequencies, np.sqrt(np.mean(size**2, axis=0)), size.max(axis=0, initial=0)
 
