@@ -186,9 +186,7 @@ def fuse(
     fused = fused.only(attached_points(fused.points, params.gap, params.far_gap, params.far_share))
     _require(len(fused.points), params, "points that hang together")
     report()
-    obstacles = _background_cells(
-        capture, labels, poses, box, plant=fused.points, voxel=params.obstacle_voxel
-    )
+    obstacles = _background_cells(capture, labels, poses, box, plant=fused.points, voxel=params.obstacle_voxel)
     report()
     return Cloud(
         fused.points,
@@ -219,7 +217,9 @@ def _registered(pixels: list[ViewPoints], given: Array, params: Params) -> tuple
     return result.T_world_cam, result.notes
 
 
-def _background_cells(capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float) -> Array:
+def _background_cells(
+    capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float
+) -> Array:
     """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
     points, views, step = [], [], 4
     for v in range(capture.views):

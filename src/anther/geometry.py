@@ -78,7 +78,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     """
     eye, target = np.asarray(eye, dtype=np.float64), np.asarray(target, dtype=np.float64)
     forward = target - eye
-    right = np.cross(forward, up)
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
     if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
         raise bad_input(
             "look_at", given=f"eye {eye}, target {target}", allowed="distinct points, not along up", do="Move the eye."
@@ -120,8 +120,8 @@ class Intrinsics:
 
     def rays(self) -> Array:
         """Return (H, W, 3) camera-frame directions with z = 1: depth times ray is the point."""
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
-        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u, dtype=float)], axis=-1)
+        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], axis=-1)
 
     def project(self, points_cam: ArrayLike) -> Array:
         """Return (N, 2) pixel coordinates of (N, 3) camera-frame points; NaN where z <= 0."""

@@ -10,6 +10,7 @@ from anther import cloud, execution, flowers, grasp, masks, plant, response, ske
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.devices import Robot, SafetyLimits
+from anther.errors import FailureKind
 from anther.execution import Trial
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
@@ -22,6 +23,9 @@ from anther.runs import Advance, Run
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.vibration import ShakePlan
+
+TRY_THE_NEXT: tuple[FailureKind, ...] = ("nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision")
+"""How one grasp can fail so that another may still succeed."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +152,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params) -> Done:
     while True:
         shake, trial = _shake_once(cell, planner, rods, grasps, run, params=params)
         grasps = [g for i, g in enumerate(grasps) if i != shake.grasp_index]
-        if trial.failure not in ("nothing_grasped", "branch_or_leaf_grasped") or not grasps:
+        if trial.failure not in TRY_THE_NEXT or not grasps:
             break
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
     if answer is None or not answer.visible.any():

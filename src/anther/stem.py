@@ -31,8 +31,8 @@ class Params:
         v_bias: weight of verticality in S.
         turn: a step that turns from the growth axis by more than this is not stem-like [degrees].
         window: length over which a step is judged (share of the plant's size).
-        flattest: nor is one that is broader than thick by more than this factor,
-        broadest: and broader than the median so far by more than this factor: a blade.
+        flattest: nor is a blade: a step broader than thick by more than this factor,
+        broadest: and broader, and flatter, than the median so far by more than this factor.
         thinnest: nor one thinner than this share of the median radius so far.
         doubt: how much a length that is not stem-like counts against one that is.
         shortest: a shorter stem is not believed (share of the plant's size).
@@ -43,7 +43,7 @@ class Params:
     turn: float = 45.0
     window: float = 0.06
     flattest: float = 1.6
-    broadest: float = 1.5
+    broadest: float = 1.4
     thinnest: float = 0.35
     doubt: float = 2.0
     shortest: float = 0.05
@@ -155,13 +155,15 @@ def _stem_like(skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float
     """Return (S - 1,) whether each step of the path looks like stem, over the window ahead of it."""
     nodes, radius = skeleton.nodes[path], skeleton.radius[path]
     width = radius if skeleton.width is None else skeleton.width[path]
+    flatness = width / radius
     ahead = np.minimum(np.searchsorted(arc, arc + window), len(path) - 1)
     like = np.ones(len(path) - 1, dtype=bool)
     for i in np.flatnonzero(arc[:-1] >= window):
         coming = slice(i, max(ahead[i], i + 1) + 1)
         turned = _angle(nodes[i] - nodes[0], nodes[coming][-1] - nodes[i]) > params.turn
         thin = np.median(radius[coming]) < params.thinnest * np.median(radius[: i + 1])
-        flat = np.median(width[coming] / radius[coming]) > params.flattest
+        usual = params.broadest * np.median(flatness[: i + 1])  # noise and one-sided views flatten stems as well
+        flat = np.median(flatness[coming]) > max(params.flattest, usual)
         flat = flat and np.median(width[coming]) > params.broadest * np.median(width[: i + 1])
         like[i] = not (turned or thin or flat)
     return like

@@ -77,7 +77,7 @@ def build(species: Species, seed: int, viewpoint: float, views: int) -> Simulate
     planned = plan_views(PLANT_REGION, (BENCH,), ViewParams(count=views))
     sight, camera, noise = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(3))
     scene = Scene.of_plant(plant)
-    mujoco = world.Cell(plant)
+    mujoco = world.Cell(plant, sawyer.READY)
     robot = robot_of(
         mujoco,
         errors=CameraErrors(),
