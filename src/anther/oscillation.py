@@ -67,17 +67,19 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
     t, x = times[seen], path[seen]
     span, slow = (float(t[0]), float(t[-1])), _slow_terms(t, frequency)
     basis = _basis(t, span, frequency, slow)
-    if np.linalg.cond(basis) > 30:
+    # normal equations: a decomposition of the basis would wake BLAS threads, which cost more than the work
+    gram = np.einsum("ti,tj->ij", basis, basis)
+    if np.linalg.cond(gram) > 1000:
         raise bad_input(
             "swing",
             given=f"{len(t)} samples over {np.ptp(t):.2f} s",
             allowed=f"samples that tell the phase at {frequency:g} Hz",
             do="Choose a frame rate that is not twice the frequency divided by a whole number, or record longer.",
         )
-    coefficients: Array = np.linalg.lstsq(basis, x, rcond=None)[0].astype(np.float64)
+    coefficients: Array = np.linalg.solve(gram, np.einsum("ti,tk->ik", basis, x)).astype(np.float64)
     free = max(len(t) - basis.shape[1], 1)
     residual = float(np.sqrt(np.sum((x - basis @ coefficients) ** 2) / (3 * free)))
-    spread = residual * np.sqrt(np.diag(np.linalg.inv(basis.T @ basis))[:2].max())
+    spread = residual * np.sqrt(np.diag(np.linalg.inv(gram))[:2].max())
     _, size, axes = np.linalg.svd(coefficients[:2])
     return Swing(float(size[0]), float(spread), axes[0], float(frequency), residual, coefficients, span)
 
@@ -90,7 +92,8 @@ def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1
 
     def misfit(f: float) -> float:
         basis = _basis(t, span, f, slow)
-        return float(np.sum((x - basis @ np.linalg.lstsq(basis, x, rcond=None)[0]) ** 2))
+        along = np.einsum("ti,tk->ik", basis, x)
+        return -float(np.sum(along * np.linalg.solve(np.einsum("ti,tj->ij", basis, basis), along)))
 
     # the misfit's valley is about 1 / (record length) wide
     step = min(0.25 / max(float(np.ptp(t)), 1e-3), width * hint / 2)
