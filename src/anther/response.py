@@ -40,6 +40,10 @@ class Params:
         flower_radius: of a flower [m].
         shift: farthest that the held plant may stand from where it was seen at rest [m].
         reach: farthest that a flower may be, in the next frame, from where its last two places point to [m].
+        depth_reach: depth further than this from a track's median, or from where the flower was at rest, is not its
+            own [m].
+        depth_share: of the frames in which depth must be sure; else only the sideways motion is measured.
+        overlap: flowers closer than this many flower radii in the image cannot be told apart.
         correlation: below this a flower counts as lost in a frame.
         seen_share: of the frames in which a flower must be followed to be measured.
         least_error, relative_error: an amplitude whose standard deviation is larger than both the former [m] and the
@@ -51,6 +55,9 @@ class Params:
     flower_radius: float = 0.007
     shift: float = 0.025
     reach: float = 0.012
+    depth_reach: float = 0.02
+    depth_share: float = 0.8
+    overlap: float = 1.5
     correlation: float = 0.6
     seen_share: float = 0.5
     least_error: float = 0.0003
@@ -184,30 +191,35 @@ def _track(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
     # start where the flowers stand most like at rest: there neighbours are told apart most surely
     fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in weights]
     first = int(np.argmax([fit for fit, _ in fits]))
+    near = np.linalg.norm(pixels[:, None] - pixels, axis=2) + np.diag(np.full(len(pixels), np.inf))
     for i, (pixel, scale) in enumerate(zip(pixels + fits[first][1], per_metre, strict=True)):
         radius, reach = params.flower_radius * scale, int(np.ceil(params.reach * scale))
         start = centre_of_petals(weights[first], pixel, radius)
-        if start is None:
-            notes.append(f"Flower {i + 1} is hidden from the side camera.")
+        if start is None or (near[i] < params.overlap * radius).any():
+            how = "is hidden from" if start is None else "overlaps another in the view of"
+            notes.append(f"Flower {i + 1} {how} the side camera.")
             continue
         onward, back = (
             follow(way, start, radius=radius, reach=reach, least=params.correlation)
             for way in (weights[first:], weights[first::-1])
         )
         path = np.concatenate([back[:0:-1], onward])
-        depth = _depth(frames, weights, path, max(int(radius), 2))
-        if np.isfinite(depth).mean() < params.seen_share * np.isfinite(path[:, 0]).mean():
-            notes.append(f"Flower {i + 1} has no depth: its motion towards the camera is left out.")
+        depth = _depth(frames, weights, path, radius=max(int(radius), 2), reach=params.depth_reach)
+        if np.isfinite(depth).any() and abs(np.nanmedian(depth) - rest[i, 2]) > params.depth_reach:
+            notes.append(f"Flower {i + 1} is hidden from the side camera by something like a flower.")
+            continue
+        if np.isfinite(depth).mean() < params.depth_share * np.isfinite(path[:, 0]).mean():
+            notes.append(f"Flower {i + 1} has no sure depth: its motion towards the camera is left out.")
             depth = np.full(len(frames), rest[i, 2])
         tracks[:, i] = _lifted(intrinsics, path, depth)
     return tracks, notes
 
 
-def _depth(frames: Sequence[Frame], weights: Sequence[Image], path: Array, radius: int) -> Array:
-    """Return the petals' depth (T,) [m] along a pixel path (T, 2); NaN without a reading near the median."""
+def _depth(frames: Sequence[Frame], weights: Sequence[Image], path: Array, *, radius: int, reach: float) -> Array:
+    """Return the petals' depth (T,) [m] along a pixel path (T, 2); NaN where none is within `reach` of the median."""
     depth = np.array([petal_depth(f, w, p, radius) for f, w, p in zip(frames, weights, path, strict=True)])
     seen = np.isfinite(depth)
-    return np.where(seen & (np.abs(depth - np.median(depth[seen])) < 0.05), depth, np.nan) if seen.any() else depth
+    return np.where(seen & (np.abs(depth - np.median(depth[seen])) < reach), depth, np.nan) if seen.any() else depth
 
 
 def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
