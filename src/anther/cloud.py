@@ -221,7 +221,7 @@ def _background_cells(
     capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float
 ) -> Array:
     """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
-    points, views, step = [], [], 4
+    points, views, step = [], [], max(1, round(capture.intrinsics.fx / 160))
     for v in range(capture.views):
         depth = np.where(labels[v] == BACKGROUND, capture.depth[v], 0)
         thin = np.zeros_like(depth)

@@ -17,6 +17,8 @@ FailureKind = Literal[
     "limits_exceeded",
     "damaged",
     "no_convergence",
+    "device_fault",
+    "interrupted",
 ]
 """Why a trial did not succeed. `trial.json` holds one of these, or null."""
 

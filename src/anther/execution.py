@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range
 from anther.devices import ArmRecord, Frame, Gripper, GripperState, JointTrajectory, Robot, SafetyLimits
-from anther.errors import AntherError, FailureKind, StageFailure
+from anther.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Array, transform
 from anther.grasp import Grasp
@@ -115,7 +115,7 @@ class Trial:
         gripper: the state after closing, after the shake and after release: (opening [m], force [N], held) rows (G, 3).
         frame_times: (N,) when the side camera's frames were taken [s].
         stop_reason: "finished", or why it stopped.
-        failure: the failure's kind; None when it finished, and for a fault of a machine or an interruption.
+        failure: the failure's kind; None when it finished.
         frames: the side camera's frames; not saved.
     """
 
@@ -197,11 +197,15 @@ def execute(
     except StageFailure as failure:
         work.stop_reason, work.failure = str(failure), failure.kind
         _retire(work)
+    except InputError as refused:  # by the safety limits
+        work.stop_reason, work.failure = str(refused), "limits_exceeded"
+        _retire(work)
     except AntherError as error:
-        work.stop_reason = str(error)
+        work.stop_reason, work.failure = str(error), "device_fault"
         _retire(work)
     except (Exception, KeyboardInterrupt) as error:
         work.stop_reason = f"{type(error).__name__}: {error}"
+        work.failure = "interrupted" if isinstance(error, KeyboardInterrupt) else "device_fault"
         _retire(work)
     return work.trial()
 

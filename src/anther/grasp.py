@@ -221,6 +221,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     met = clearance(candidates.T_world_flange, around, boxes, closing, touch=params.touch)
     refusals = _refusals(candidates, met, params)
     costs = _costs(candidates, met, cloud, gripper.stroke, length)
+    costs["above a fork"] = 2.0 * (candidates.arc_length > stem.arc_length[stem.fork])
     if toward_base:
         costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
     refused = np.any(list(refusals.values()), axis=0)

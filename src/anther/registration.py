@@ -41,18 +41,18 @@ class Params:
         least_gain: the held-out distance must fall at least by this share, else the arm's own poses are kept.
     """
 
-    rotation_sigma: float = np.deg2rad(0.2)
+    rotation_sigma: float = float(np.deg2rad(0.2))
     translation_sigma: float = 0.0015
-    hand_eye_rotation_sigma: float = np.deg2rad(0.2)
+    hand_eye_rotation_sigma: float = float(np.deg2rad(0.2))
     hand_eye_translation_sigma: float = 0.001
     voxel: float = 0.004
     points_per_view: int = 1500
     neighbours: int = 12
     match_distances: tuple[float, ...] = (0.012, 0.009, 0.007, 0.005)
     source_share: float = 0.4
-    normal_angle: float = np.deg2rad(60)
+    normal_angle: float = float(np.deg2rad(40))
     point_sigma: float = 0.0015
-    points_per_constraint: float = 20.0
+    points_per_constraint: float = 8.0
     held_out_share: float = 0.2
     least_gain: float = 0.02
 

@@ -18,7 +18,8 @@ from anther.skeleton import Skeleton
 
 STEM, BRANCH = 0, 1
 
-_KIND, _SCHEMA = "stem", 1
+_KIND, _SCHEMA = "stem", 2
+_FORK_NODES = 6  # nodes after a fork whose median radius is compared
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
@@ -36,6 +37,9 @@ class Params:
         thinnest: nor one thinner than this share of the median radius so far.
         doubt: how much a length that is not stem-like counts against one that is.
         shortest: a shorter stem is not believed (share of the plant's size).
+        fork_share: a branch forks the stem when it is at least this share as thick as the stem beyond it and rises at
+            least this share as high,
+        fork_angle: and on the whole leans from the vertical by less than this [degrees].
     """
 
     alpha: float = 2.0
@@ -47,6 +51,8 @@ class Params:
     thinnest: float = 0.35
     doubt: float = 2.0
     shortest: float = 0.05
+    fork_share: float = 0.5
+    fork_angle: float = 50.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +64,8 @@ class Stem:
         arc_length: (S,) distance from the root along the stem [m].
         attachments: (A,) positions within node_ids where a branch or petiole leaves the stem.
         organ: (J,) uint8 per skeleton node: STEM or BRANCH.
+        fork: position within node_ids of the first fork, above which the stem is one of several (pepper); the last
+            position when there is none.
         notes: what the stage wants the user to know.
     """
 
@@ -65,6 +73,7 @@ class Stem:
     arc_length: Array
     attachments: NDArray[Any]
     organ: NDArray[Any]
+    fork: int = -1
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -75,9 +84,12 @@ class Stem:
         object.__setattr__(self, "organ", check_array("organ", self.organ, (None,), dtype="uint8"))
         if n < 2 or np.any(np.diff(self.arc_length) <= 0):
             raise bad_input("stem", given=f"{n} nodes", allowed="two or more, root first", do="Order the nodes.")
+        if not -n <= self.fork < n:
+            raise bad_input("stem fork", given=self.fork, allowed=f"a position in {n} nodes", do="Find the stem again.")
+        object.__setattr__(self, "fork", int(self.fork) % n)
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz (schema 1)."""
+        """Write an .npz (schema 2)."""
         write_npz(
             path,
             _KIND,
@@ -86,6 +98,7 @@ class Stem:
             arc_length=self.arc_length,
             attachments=self.attachments,
             organ=self.organ,
+            fork=self.fork,
             notes=np.array(self.notes, dtype=np.str_),
         )
 
@@ -98,7 +111,7 @@ class Stem:
         """
         a = read_npz(path, _KIND, _SCHEMA)
         notes = tuple(str(note) for note in a["notes"])
-        return cls(a["node_ids"], a["arc_length"], a["attachments"], a["organ"], notes)
+        return cls(a["node_ids"], a["arc_length"], a["attachments"], a["organ"], int(a["fork"]), notes)
 
 
 def find_stem(skeleton: Skeleton, params: Params | None = None) -> Stem:
@@ -125,7 +138,37 @@ def find_stem(skeleton: Skeleton, params: Params | None = None) -> Stem:
     organ[node_ids] = STEM
     branches = np.flatnonzero((organ[1:] == BRANCH) & (organ[skeleton.parent[1:]] == STEM)) + 1
     attachments = np.flatnonzero(np.isin(node_ids, skeleton.parent[branches]))
-    return Stem(node_ids, arc_length, attachments, organ)
+    forks = [i for i in attachments if _forks(skeleton, path, organ, int(i), params)]
+    return Stem(node_ids, arc_length, attachments, organ, int(min(forks, default=len(node_ids) - 1)))
+
+
+def _forks(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int, params: Params) -> bool:
+    """Whether a branch that leaves the stem at position `at` of the path is as much a stem as what goes on."""
+    base = skeleton.nodes[path[at]]
+    beyond = path[at + 1 :]
+    if not len(beyond):
+        return False
+    rise = float(skeleton.nodes[beyond, 2].max() - base[2])
+    thick = float(np.median(skeleton.radius[beyond[:_FORK_NODES]]))
+    for child in np.flatnonzero((skeleton.parent == path[at]) & (organ == BRANCH)):
+        limb = _highest_path(skeleton, int(child))
+        lean = _angle(skeleton.nodes[limb[-1]] - base, np.array([0.0, 0.0, 1.0]))
+        higher = skeleton.nodes[limb[-1], 2] - base[2] >= params.fork_share * rise
+        thicker = np.median(skeleton.radius[limb[:_FORK_NODES]]) >= params.fork_share * thick
+        if higher and thicker and lean < params.fork_angle:
+            return True
+    return False
+
+
+def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:
+    """Return the nodes from `start` to the highest node of its subtree."""
+    inside = np.zeros(len(skeleton.nodes), dtype=bool)
+    inside[start] = True
+    for j in range(start + 1, len(skeleton.nodes)):
+        inside[j] = inside[skeleton.parent[j]]
+    top = int(np.argmax(np.where(inside, skeleton.nodes[:, 2], -np.inf)))
+    whole = skeleton.path_from_root(top)
+    return whole[np.flatnonzero(whole == start)[0] :]
 
 
 def _gain(skeleton: Skeleton, params: Params) -> Array:

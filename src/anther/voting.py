@@ -26,7 +26,7 @@ PETAL_VIEWS, LAST_PETAL_VIEW = 4, 5
 LAYERS = 6
 """Number of layers of the vote grid."""
 
-_BLEED_REACH, _BLEED_COLOUR, _BLEED_DEPTH = 4, 25, 0.05  # [px], [grey levels], [m]
+_BLEED_REACH, _BLEED_COLOUR, _BLEED_DEPTH = 3, 18, 0.05  # [px], [grey levels], [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +210,7 @@ def _read_back(depth, cam, grid, classes, cells, labels):  # noqa: PLR0917
                 labels[v, u] = 1 if cell != GROUND else 0
             elif cell == FLOWER_CELL or (cell == BESIDE_FLOWER and kind != OTHER):
                 labels[v, u] = 2
-            elif cell == BROWN_CELL or (cell == GREEN_CELL and kind != OTHER):
+            elif cell == BROWN_CELL or (cell == GREEN_CELL and kind == YELLOW):
                 labels[v, u] = 1
 
 

@@ -30,14 +30,18 @@ Species = Literal["tomato", "pepper"]
 
 WORKSPACE = Box(np.array([0.32, -0.40, -0.48]), np.array([1.12, 0.40, 0.52]))
 """Where the cell's builder put the plant [m]: on the bench, about 0.72 m in front of the arm."""
-PLANT_REGION = Box(np.array([0.47, -0.25, -0.30]), np.array([0.97, 0.25, 0.35]))
+PLANT_REGION = Box(np.array([0.47, -0.25, -0.30]), np.array([0.97, 0.25, 0.45]))
 """What the views look at [m]."""
 BENCH = Box(np.array([0.42, -0.55, -0.60]), np.array([1.22, 0.55, -0.48]))
 """Where nothing may ever go [m]."""
 ARM_SPACE = Box(np.array([-0.6, -1.1, -0.47]), np.array([1.2, 1.1, 1.4]))
 """Where the flange may be [m]."""
-T_WORLD_SIDE_CAMERA = look_at([0.77, -0.72, 0.22], [0.72, 0.0, 0.10])
-"""A second camera beside the bench, put there by hand and calibrated."""
+T_WORLD_SIDE_CAMERA = look_at([0.74, -0.52, 0.17], [0.72, 0.0, 0.15])
+"""A second camera beside the bench, where flowers usually are; put there by hand and calibrated."""
+SIDE_CAMERA = Box(np.array([0.66, -0.60, 0.13]), np.array([0.82, -0.50, 0.21]))
+"""Its body and arm [m]."""
+
+SOLIDS = (BENCH, SIDE_CAMERA)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +78,7 @@ def grow(species: Species, seed: int, viewpoint: float) -> SimPlant:
 def build(species: Species, seed: int, viewpoint: float, views: int) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`."""
     plant = grow(species, seed, viewpoint)
-    planned = plan_views(PLANT_REGION, (BENCH,), ViewParams(count=views))
+    planned = plan_views(PLANT_REGION, SOLIDS, ViewParams(count=views))
     sight, camera, noise = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(3))
     scene = Scene.of_plant(plant)
     mujoco = world.Cell(plant, sawyer.READY)
@@ -101,7 +105,7 @@ def build(species: Species, seed: int, viewpoint: float, views: int) -> Simulate
                 joint_upper=sawyer.UPPER,
                 joint_speed=sawyer.VELOCITY,
                 workspace=ARM_SPACE,
-                keep_out=(BENCH,),
+                keep_out=SOLIDS,
             ),
         ),
     )
@@ -120,4 +124,4 @@ def _views_of(
 
 
 def _plan_around(cloud: Cloud) -> Planner:
-    return Planner(cloud.points, cloud.obstacles, (BENCH,))
+    return Planner(cloud.points, cloud.obstacles, SOLIDS)
