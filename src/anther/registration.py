@@ -192,7 +192,7 @@ def _gauss_newton_step(
 
 
 @numba.njit(cache=True)
-def _accumulate(pairs, points, view, world, normals, poses, scale, hessian, gradient):  # noqa: PLR0917
+def _accumulate(pairs, points, view, world, normals, poses, scale, hessian, gradient):
     """Add the pairs' Welsch-weighted normal equations; weight exp(-(r / scale)^2), Welsch (Holland 1977)."""
     J = np.empty((2, 6))
     for p in range(pairs.shape[0]):

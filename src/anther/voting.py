@@ -167,7 +167,7 @@ def _bleeds(rgb, depth, v, u):
 
 
 @numba.njit(nogil=True, cache=True)
-def _vote_colour(rgb, depth, cam, grid, rule, classes, counts, view):  # noqa: PLR0917
+def _vote_colour(rgb, depth, cam, grid, rule, classes, counts, view):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             i, j, k = _cell(u, v, depth[v, u], cam, grid)
@@ -198,7 +198,7 @@ def _vote_depth(depth, cam, grid, classes, counts):
 
 
 @numba.njit(nogil=True, cache=True)
-def _read_back(depth, cam, grid, classes, cells, labels):  # noqa: PLR0917
+def _read_back(depth, cam, grid, classes, cells, labels):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             kind = classes[v, u]
