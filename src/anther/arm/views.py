@@ -39,7 +39,7 @@ class Params:
     distances: tuple[float, ...] = (0.65, 0.58, 0.52)
     elevations: tuple[float, ...] = (-5.0, 15.0, 35.0, 55.0)
     azimuth_step: float = 7.5
-    height_shares: tuple[float, ...] = (0.4, 0.45, 0.5, 0.55)
+    height_shares: tuple[float, ...] = (0.4, 0.65, 0.45, 0.6)
     dwell: float = 0.2
 
     def __post_init__(self) -> None:
