@@ -27,10 +27,10 @@ from rich.table import Table
 from scipy.spatial import KDTree
 
 from anther.cloud import Cloud
-from anther.cloud_files import read_cloud
 from anther.commands.skeletonize import best_grasps
 from anther.errors import AntherError
 from anther.files import write_json
+from anther.formats.clouds import read_cloud
 from anther.skeleton import Params, skeletonize
 from anther.stem import find_stem
 

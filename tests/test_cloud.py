@@ -13,12 +13,12 @@ from scipy.spatial import KDTree
 
 from anther.capture import Capture
 from anther.cloud import Cloud, Params, fuse
+from anther.cloud.fusion import attached_points, occupied_cells, supported_pixels
+from anther.cloud.ply import read_ply, write_ply
 from anther.commands.convert_kinect import read_kinect
 from anther.errors import InputError, StageFailure
-from anther.fusion import attached_points, occupied_cells, supported_pixels
 from anther.geometry import Box, Intrinsics, look_at, transform_points
 from anther.masks import FLOWER, PLANT, Masks, segment
-from anther.ply import read_ply, write_ply
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from trimesh.exchange.ply import export_ply
 
-from anther.cloud_files import read_cloud
 from anther.errors import InputError
+from anther.formats.clouds import read_cloud
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(0, 0.4, (400, 3)).astype(np.float32)

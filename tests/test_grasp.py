@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import Grasp, Gripper, Params, load_grasps, plan_grasps, save_grasps
-from anther.grasp_candidates import branch_directions, directions_across, flange_pose, paper_approach, paper_grasp_arc
-from anther.grasp_clearance import KINDS, OBSTACLE, Surroundings, clearance
+from anther.grasp.candidates import branch_directions, directions_across, flange_pose, paper_approach, paper_grasp_arc
+from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, STEM, Stem

@@ -24,7 +24,7 @@ from anther.identification import (
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import Params as ShakeParams
 from anther.vibration import ShakePlan, plan_shake
-from anther.vibration_search import gains
+from anther.vibration.search import gains
 
 
 @pytest.mark.parametrize(("tip_mass", "youngs"), [(0, 21.6), (5e-3, 71), (10e-3, 120), (20e-3, 218)])

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from anther.cli import main
-from anther.cloud_files import read_cloud
+from anther.formats.clouds import read_cloud
 from anther.grasp import load_grasps
 from anther.skeleton import Skeleton, skeletonize
 from anther.stem import find_stem

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from anther.cloud.registration import Params, register
 from anther.geometry import Array, inverse, look_at, small_transform, transform_points
-from anther.registration import Params, register
 
 
 def shape(rng: np.random.Generator) -> tuple[Array, Array]:

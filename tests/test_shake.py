@@ -12,8 +12,8 @@ import pytest
 from anther.commands import shake
 from anther.elastic_rod import Trajectory
 from anther.errors import InputError, StageFailure
+from anther.formats.skeletons import write_skeleton
 from anther.skeleton import Skeleton
-from anther.skeleton_files import write_skeleton
 
 
 @pytest.fixture

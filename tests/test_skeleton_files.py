@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.errors import InputError
+from anther.formats.skeletons import read_skeleton, write_skeleton
 from anther.skeleton import Skeleton
-from anther.skeleton_files import read_skeleton, write_skeleton
 
 LOOP = "*Nodes\n0, 0, 0\n0, 0, 1\n0, 1, 1\n*Edges\n1, 2\n2, 3\n3, 1\n"
 APART = "*Nodes\n0,0,0\n0,0,1\n0,1,1\n1,1,1\n*Edges\n1,2\n2,1\n3,4\n"

@@ -8,8 +8,8 @@ from made_plants import simple_plant, tube
 
 from anther.cloud import Cloud
 from anther.skeleton import Params, skeletonize
-from anther.thinning import knn_links, link_costs, medial_line, spanning_tree
-from anther.voxel_solid import VoxelSolid, components, neighbour_edges, solidify
+from anther.skeleton.thinning import knn_links, link_costs, medial_line, spanning_tree
+from anther.skeleton.voxel_solid import VoxelSolid, components, neighbour_edges, solidify
 
 
 def bar(width: int, depth: int, length: int) -> np.ndarray:

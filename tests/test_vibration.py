@@ -19,8 +19,8 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import TOMATO, Material, PlantModel, build_plant
 from anther.vibration import Params, ShakePlan, plan_shake, sawyer_limit, shaken_amplitude
-from anther.vibration_limits import pollen_dose
-from anther.vibration_observables import observables, semi_major
+from anther.vibration.limits import pollen_dose
+from anther.vibration.observables import observables, semi_major
 
 QUICK = Params(frequencies=12, directions=4, heights=4, draws=3)
 

@@ -16,8 +16,8 @@ from anther.files import read_npz, write_npz
 from anther.geometry import Array
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
+from anther.skeleton.voxel_solid import components
 from anther.stem import Stem
-from anther.voxel_solid import components
 
 _KIND, _SCHEMA = "flowers", 1
 

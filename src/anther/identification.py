@@ -17,7 +17,7 @@ from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
 from anther.plant import Material, PlantModel
 from anther.vibration import ShakePlan
-from anther.vibration_search import gains, grip_rows, scenarios
+from anther.vibration.search import gains, grip_rows, scenarios
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from anther import report_figures as figures
 from anther.files import write_text
+from anther.pictures import report as figures
 from anther.results import RunResults
 
 STYLE = """

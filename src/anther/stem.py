@@ -13,8 +13,8 @@ from anther.checks import check_array
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
 from anther.geometry import Array
-from anther.raw_tree import chains, path_gain
 from anther.skeleton import Skeleton
+from anther.skeleton.raw_tree import chains, path_gain
 
 STEM, BRANCH = 0, 1
 

@@ -15,6 +15,7 @@ import numpy as np
 from sqlalchemy import JSON, Boolean, Engine, String, create_engine, event, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column
+from sqlalchemy.schema import CreateIndex, CreateTable
 
 from anther.errors import AntherError, bad_input
 from anther.plant import Material
@@ -153,7 +154,7 @@ def _session(path: Path) -> Iterator[Session]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         engine = _engine(path)
-        _Base.metadata.create_all(engine)
+        _make_tables(engine)
         with Session(engine) as session:
             yield session
     except (SQLAlchemyError, OSError) as error:
@@ -169,6 +170,15 @@ def _session(path: Path) -> Iterator[Session]:
     finally:
         if engine is not None:
             engine.dispose()
+
+
+def _make_tables(engine: Engine) -> None:
+    """Make what is missing. SQL itself says "if not exists": asking first would race with another process."""
+    with engine.begin() as connection:
+        for table in _Base.metadata.sorted_tables:
+            connection.execute(CreateTable(table, if_not_exists=True))
+            for index in table.indexes:
+                connection.execute(CreateIndex(index, if_not_exists=True))
 
 
 def _engine(path: Path) -> Engine:

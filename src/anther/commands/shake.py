@@ -27,7 +27,7 @@ from anther.elastic_rod import (
 )
 from anther.errors import StageFailure
 from anther.files import replacing, write_json
-from anther.skeleton_files import SkeletonFile, read_skeleton
+from anther.formats.skeletons import SkeletonFile, read_skeleton
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -172,7 +172,7 @@ def measure(rods: Rods, clamp: Clamp, drive: Drive, trajectory: Trajectory, flow
 def vibration(displacement: Any, dt: float) -> tuple[float, float]:
     """Return the median Hilbert envelope [m] and the dominant frequency [Hz] of a (T,) displacement [m]."""
     flat = detrend(displacement)
-    envelope = np.abs(hilbert(flat))
+    envelope = np.abs(np.asarray(hilbert(flat)))
     padded = 8 * len(flat)
     spectrum = np.abs(np.fft.rfft(flat * np.hanning(len(flat)), padded))
     return float(np.median(envelope)), float(np.fft.rfftfreq(padded, dt)[np.argmax(spectrum)])

@@ -11,15 +11,15 @@ from typing import Annotated, Any
 import tyro
 
 from anther.cloud import Cloud
-from anther.cloud_files import read_cloud
 from anther.errors import StageFailure
 from anther.files import replacing
+from anther.formats.clouds import read_cloud
+from anther.formats.points import Axis, Units
+from anther.formats.skeletons import write_skeleton
 from anther.grasp import Grasp, plan_grasps, save_grasps
 from anther.grasp import Params as GraspParams
-from anther.point_formats import Axis, Units
+from anther.pictures.plant import draw_plant
 from anther.skeleton import Params, Skeleton, skeletonize
-from anther.skeleton_files import write_skeleton
-from anther.skeleton_picture import draw_plant
 from anther.stem import Stem, find_stem
 
 

@@ -4,8 +4,6 @@ Stretch E = EA/2 eps^2 l (P18), bend and twist E = K/2 (strain - natural strain)
 Kelvin-Voigt damping adds K * viscous_time * strain rate to each stress; strain rate = gradient . velocity.
 """
 
-# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
-
 from __future__ import annotations
 
 from typing import Any, NamedTuple

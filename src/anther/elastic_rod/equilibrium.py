@@ -1,7 +1,5 @@
 """Static equilibrium under weight, its stability, and the natural shape that makes the scanned shape an equilibrium."""
 
-# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Rods turned into the flat arrays that the compiled kernels loop over."""
 
-# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
-
 from __future__ import annotations
 
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Small vibrations about the equilibrium: frequency response by complex tree solves, and natural frequencies."""
 
-# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
-
 from __future__ import annotations
 
 from dataclasses import dataclass

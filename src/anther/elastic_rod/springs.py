@@ -7,8 +7,6 @@ parallel transport), so that the Hessian is the symmetric one of an energy (as i
 A material frame is its first director m1; the second is m2 = t x m1.
 """
 
-# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
-
 from __future__ import annotations
 
 from typing import Any

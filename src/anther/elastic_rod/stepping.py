@@ -5,8 +5,6 @@ the same solve over half a step, then q_{n+1} = 2 q_mid - q_n and v_{n+1} = 2 v_
 without numerical damping (Hairer, Lubich, Wanner 2006, VI.1).
 """
 
-# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
-
 from __future__ import annotations
 
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 Works on real and on complex symmetric (not Hermitian) matrices: L D L^T without pivoting, four unknowns a block.
 """
 
-# ruff: noqa: PLR0917 - compiled kernels take their arrays by position
-
 from __future__ import annotations
 
 from typing import Any

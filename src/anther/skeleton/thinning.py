@@ -14,10 +14,10 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import KDTree
 from skimage.morphology import skeletonize as thin
 
-from anther.bridging import bridges
 from anther.geometry import Array
-from anther.raw_tree import RawTree, rooted
-from anther.voxel_solid import components
+from anther.skeleton.bridging import bridges
+from anther.skeleton.raw_tree import RawTree, rooted
+from anther.skeleton.voxel_solid import components
 
 _NEIGHBOURS = 12
 _LONGEST_LINK = 3.0

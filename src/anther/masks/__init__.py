@@ -23,8 +23,8 @@ from anther.checks import check_array, check_range
 from anther.errors import StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Box
-from anther.ground import ground_cells
-from anther.voting import (
+from anther.masks.ground import ground_cells
+from anther.masks.voting import (
     BESIDE_FLOWER,
     BROWN_CELL,
     EMPTY,

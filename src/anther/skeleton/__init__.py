@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 from small_gicp import voxelgrid_sampling
 
-from anther.bridging import bridges, without_specks
-from anther.centreline import centred, resample
 from anther.checks import check_array
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
-from anther.geodesic_levels import level_tree
 from anther.geometry import Array
 from anther.masks import FLOWER
-from anther.raw_tree import RawTree, rerooted, without_spurs
-from anther.rooting import find_root, stem_gain
-from anther.thinning import thinned_tree
-from anther.voxel_solid import VoxelSolid, components, neighbour_edges, point_spacing, solidify
+from anther.skeleton.bridging import bridges, without_specks
+from anther.skeleton.centreline import centred, resample
+from anther.skeleton.geodesic_levels import level_tree
+from anther.skeleton.raw_tree import RawTree, rerooted, without_spurs
+from anther.skeleton.rooting import find_root, stem_gain
+from anther.skeleton.thinning import thinned_tree
+from anther.skeleton.voxel_solid import VoxelSolid, components, neighbour_edges, point_spacing, solidify
 
 _KIND, _SCHEMA = "skeleton", 1
 _FEWEST_POINTS = 50

@@ -17,7 +17,7 @@ from anther.elastic_rod.response import response_map
 from anther.elastic_rod.rods import Array
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
-from anther.vibration_observables import Observables, observables, semi_major
+from anther.vibration.observables import Observables, observables, semi_major
 
 
 class Gains(NamedTuple):

@@ -105,7 +105,7 @@ def _vertices(path: Path) -> NDArray[Any]:
 def _header(lines: list[str]) -> tuple[int, np.dtype[Any], str]:
     """Return vertex count, row dtype and byte order ("" for ascii) of a header whose first element is the vertices."""
     words = [line.split() for line in lines]
-    order = _FORMATS[next(w[1] for w in words if w[:1] == ["format"])]
+    order = _FORMATS[next((w[1] for w in words if w[:1] == ["format"]), "none stated")]
     elements = [i for i, w in enumerate(words) if w[:1] == ["element"]]
     if not elements or words[elements[0]][1] != "vertex":
         raise ValueError("its first element is not 'vertex'")

@@ -140,7 +140,7 @@ def agreeing_points(
 
 
 @numba.njit(nogil=True, cache=True)
-def _add_agreement(points, depth, k, T, seen_through, balance):  # noqa: PLR0917
+def _add_agreement(points, depth, k, T, seen_through, balance):
     height, width = depth.shape
     for n in range(points.shape[0]):
         x, y, w = points[n, 0], points[n, 1], points[n, 2]

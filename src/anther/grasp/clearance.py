@@ -181,7 +181,7 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
 
 
 @njit(cache=True)
-def _meet(poses, centers, radius, kind, boxes, closing, touch, distance, touched, enclosed):  # noqa: PLR0917
+def _meet(poses, centers, radius, kind, boxes, closing, touch, distance, touched, enclosed):
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for g in range(len(boxes)):
         for a in range(3):

@@ -19,10 +19,10 @@ from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
-from anther.shake_plan import ResponseMap, RunnerUp, ShakePlan
-from anther.vibration_limits import ArmLimit, pollen_dose, sawyer_limit
-from anther.vibration_observables import semi_major
-from anther.vibration_search import Gains, gains, grip_rows, scenarios
+from anther.vibration.limits import ArmLimit, pollen_dose, sawyer_limit
+from anther.vibration.observables import semi_major
+from anther.vibration.search import Gains, gains, grip_rows, scenarios
+from anther.vibration.shake_plan import ResponseMap, RunnerUp, ShakePlan
 
 __all__ = ["Params", "ResponseMap", "RunnerUp", "ShakePlan", "plan_shake", "sawyer_limit"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from anther.geometry import Array
-from anther.raw_tree import RawTree, chains, path_gain, rerooted
+from anther.skeleton.raw_tree import RawTree, chains, path_gain, rerooted
 
 _ALPHA, _V_BIAS = 2.0, 1.0
 _LOW = 0.5

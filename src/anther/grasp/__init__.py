@@ -17,8 +17,8 @@ from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_json, write_json
 from anther.geometry import Array, pose7, transform, transform_from_pose7
-from anther.grasp_candidates import Candidates, candidates_along
-from anther.grasp_clearance import (
+from anther.grasp.candidates import Candidates, candidates_along
+from anther.grasp.clearance import (
     BRANCH,
     FLOWER_POINT,
     LEAF,

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from anther.capture import Capture
 from anther.masks import FLOWER, PLANT, Masks
+from anther.pictures.plant import draw_plant
 from anther.response import Response
-from anther.skeleton_picture import draw_plant
 from anther.vibration import ShakePlan
 
 if TYPE_CHECKING:

@@ -17,12 +17,10 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-import anther.registration
 from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_range, check_transform
-from anther.errors import StageFailure
-from anther.files import read_npz, write_npz
-from anther.fusion import (
+from anther.cloud import registration
+from anther.cloud.fusion import (
     ViewPoints,
     agreeing_points,
     attached_points,
@@ -30,9 +28,11 @@ from anther.fusion import (
     occupied_cells,
     supported_pixels,
 )
+from anther.cloud.ply import read_ply, write_ply
+from anther.errors import StageFailure
+from anther.files import read_npz, write_npz
 from anther.geometry import Array, Box, transform_points
 from anther.masks import BACKGROUND, Masks
-from anther.ply import read_ply, write_ply
 
 SCHEMA = 1
 
@@ -64,7 +64,7 @@ class Params:
     edge_window: int = 2
     edge_support: int = 5
     edge_depth: float = 0.003
-    registration: anther.registration.Params | None = field(default_factory=anther.registration.Params)
+    registration: registration.Params | None = field(default_factory=registration.Params)
     seen_through: float = 0.02
     gap: float = 0.012
     far_gap: float = 0.05
@@ -213,7 +213,7 @@ def _plant_pixels(capture: Capture, labels: NDArray[Any], view: int, params: Par
 def _registered(pixels: list[ViewPoints], given: Array, params: Params) -> tuple[Array, tuple[str, ...]]:
     if params.registration is None:
         return given, ()
-    result = anther.registration.register([p.points for p in pixels], given, params.registration)
+    result = registration.register([p.points for p in pixels], given, params.registration)
     return result.T_world_cam, result.notes
 
 

@@ -15,7 +15,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from anther.geometry import Array
-from anther.raw_tree import RawTree
+from anther.skeleton.raw_tree import RawTree
 
 
 def level_tree(points: Array, thickness: Array, edges: NDArray[Any], source: NDArray[Any], width: float) -> RawTree:

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial import KDTree
 
 from anther.geometry import Array
-from anther.raw_tree import RawTree, chains
+from anther.skeleton.raw_tree import RawTree, chains
 
 
 @dataclass(frozen=True, slots=True, eq=False)

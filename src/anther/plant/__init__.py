@@ -22,8 +22,8 @@ from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array
-from anther.plant_geometry import edge_radii, hang_flowers, leaf_mass
-from anther.plant_stability import least_youngs, stands, stout_radii
+from anther.plant.shape import edge_radii, hang_flowers, leaf_mass
+from anther.plant.stability import least_youngs, stands, stout_radii
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
