@@ -38,11 +38,11 @@ def draw_plant(
     views = [*_SIDES.items(), *([("at the grasp", _facing(grasp))] if grasp is not None else [])]
     sizes = [max(float(np.ptp(cloud.points[:, axes[0]])), 1e-6) for _, axes in _SIDES.items()]
     for (title, axes), plot in zip(views, np.atleast_1d(figure.subplots(1, len(views))), strict=True):
-        _draw_side(plot, axes, cloud, skeleton, stem)
+        draw_side(plot, axes, cloud, skeleton, stem)
         if flowers is not None and len(flowers.positions):
             plot.scatter(*flowers.positions[:, axes[:2]].T, s=45, c=FLOWER_COLOR, edgecolors="black", lw=0.6, zorder=6)
         if grasp is not None:
-            _draw_grasp(plot, axes, grasp, 0.12 * max(sizes))
+            draw_grasp(plot, axes, grasp, 0.12 * max(sizes))
         plot.set(title=title, aspect="equal")
         plot.tick_params(labelsize=7)
     if grasp is not None:
@@ -56,7 +56,7 @@ def _facing(grasp: Grasp) -> tuple[int, int, int]:
     return (0, 2, 1) if along_x else (1, 2, 0)
 
 
-def _draw_side(plot: Axes, axes: tuple[int, int, int], cloud: Cloud, skeleton: Skeleton, stem: Stem) -> None:
+def draw_side(plot: Axes, axes: tuple[int, int, int], cloud: Cloud, skeleton: Skeleton, stem: Stem) -> None:
     across, up, depth = axes
     some = np.random.default_rng(0).permutation(len(cloud.points))[:_MOST_POINTS]
     some = some[np.argsort(cloud.points[some, depth])]
@@ -70,7 +70,7 @@ def _draw_side(plot: Axes, axes: tuple[int, int, int], cloud: Cloud, skeleton: S
     plot.plot(*flat[0], "*", ms=11, color="black", zorder=6)
 
 
-def _draw_grasp(plot: Axes, axes: tuple[int, int, int], grasp: Grasp, length: float) -> None:
+def draw_grasp(plot: Axes, axes: tuple[int, int, int], grasp: Grasp, length: float) -> None:
     keep = list(axes[:2])
     start, end = (grasp.point - grasp.approach * length)[keep], grasp.point[keep]
     arrow = {"arrowstyle": "-|>", "color": GRASP_COLOR, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}

@@ -44,7 +44,7 @@ def views(capture: Capture | None, masks: Masks | None) -> Figure:
                 0.98 / -(-len(chosen) // 4),
             )
         )
-        axes.imshow(_overlay(capture, masks, int(view)))
+        axes.imshow(overlay(capture, masks, int(view)))
         axes.set_axis_off()
         axes.text(
             0.02,
@@ -58,8 +58,8 @@ def views(capture: Capture | None, masks: Masks | None) -> Figure:
     return figure
 
 
-def _overlay(capture: Capture, masks: Masks | None, view: int) -> NDArray[Any]:
-    """One view, smaller and upright, the plant's outline in green and flowers in magenta."""
+def overlay(capture: Capture, masks: Masks | None, view: int) -> NDArray[Any]:
+    """Return one view, smaller and upright, the plant's outline in green and flowers in magenta."""
     size = (capture.intrinsics.width // 3, capture.intrinsics.height // 3)
     picture = capture.rgb[view] if capture.rgb is not None else _depth_colours(capture.depth[view])
     picture = cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_AREA)
@@ -99,15 +99,16 @@ def response_map(shake: ShakePlan) -> Figure:
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     axes = figure.subplots()
     response = shake.response_map
-    mesh = axes.pcolormesh(
-        response.frequencies, 100 * response.arc_length, response.acceleration, shading="nearest", cmap="viridis"
-    )
+    allowed = np.where(response.amplitude > 0, response.acceleration, np.nan)
+    axes.set_facecolor("#d9dedb")
+    mesh = axes.pcolormesh(response.frequencies, 100 * response.arc_length, allowed, shading="nearest", cmap="viridis")
     axes.plot(shake.frequency, 100 * shake.grasp.arc_length, "o", mfc="none", mec="white", ms=11, mew=2)
     axes.set(xscale="log", xlabel="frequency [Hz]", ylabel="grip height along the stem [cm]")
     ticks = [f for f in (1, 2, 3, 5, 10, 20, 30) if response.frequencies[0] <= f <= response.frequencies[-1]]
     axes.set_xticks(ticks, [str(f) for f in ticks])
     axes.minorticks_off()
     figure.colorbar(mesh, ax=axes, label="mean flower acceleration\nat the largest allowed shake [m/s²]")
+    axes.set_title("grey: no shake that the arm can be trusted with", fontsize=9, loc="left")
     return figure
 
 
@@ -117,12 +118,18 @@ def motion(shake: ShakePlan | None, response: Response | None) -> Figure:
     assert response is not None
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
-    _draw_track(left, shake, response)
+    draw_track(left, shake, response)
+    draw_amplitudes(right, shake, response)
+    return figure
+
+
+def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
+    """Draw predicted amplitude with its interval and measured amplitude, flower by flower."""
     index = np.arange(len(shake.predicted_amplitude))
     low, high = 1000 * shake.predicted_amplitude_interval.T
     middle = 1000 * shake.predicted_amplitude
-    right.bar(index - 0.2, middle, 0.38, color=GREEN, label="predicted")
-    right.errorbar(
+    axes.bar(index - 0.2, middle, 0.38, color=GREEN, label="predicted")
+    axes.errorbar(
         index - 0.2,
         middle,
         [np.maximum(middle - low, 0), np.maximum(high - middle, 0)],
@@ -131,14 +138,13 @@ def motion(shake: ShakePlan | None, response: Response | None) -> Figure:
         capsize=3,
         lw=1,
     )
-    right.bar(index + 0.2, np.nan_to_num(1000 * response.amplitude), 0.38, color=ORANGE, label="measured")
-    right.set(xlabel="flower", ylabel="amplitude [mm]", xticks=index, xticklabels=[str(i + 1) for i in index])
-    right.legend(frameon=False)
-    return figure
+    axes.bar(index + 0.2, np.nan_to_num(1000 * response.amplitude), 0.38, color=ORANGE, label="measured")
+    axes.set(xlabel="flower", ylabel="amplitude [mm]", xticks=index, xticklabels=[str(i + 1) for i in index])
+    axes.legend(frameon=False)
 
 
-def _draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
-    """The displacement along its main direction of the flower that was seen in most frames."""
+def draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
+    """Draw the displacement along its main direction of the flower that was seen in most frames."""
     seen = np.isfinite(response.tracks).all(axis=2).sum(axis=0)
     if not len(seen) or seen.max() < 3:
         axes.text(0.5, 0.5, "no flower could be measured", ha="center", transform=axes.transAxes)

@@ -1,0 +1,43 @@
+"""Draw the README's picture from a finished run: what the camera saw, the plant with the grasp, the flowers' motion.
+
+python tools/draw_readme.py runs/demo docs/pictures/trial.png
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from anther.pictures import plant, report
+from anther.results import read_run
+
+
+def main(run: str, out: str) -> None:
+    """Read the run and write the picture."""
+    results = read_run(run)
+    if results.capture is None or results.cloud is None or results.skeleton is None or results.stem is None:
+        sys.exit(f"{run}: perception stopped too early to draw.")
+    if results.shake is None or results.response is None or results.flowers is None:
+        sys.exit(f"{run}: the plant was not shaken, so there is no motion to draw.")
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    photo, tree, motion = figure.subplots(1, 3, width_ratios=[1.75, 0.95, 1.15])
+    level = np.abs(results.capture.T_world_cam[:, 2, 2])
+    photo.imshow(report.overlay(results.capture, results.masks, int(level.argmin())))
+    photo.set_axis_off()
+    photo.set_title(f"one of {results.capture.views} views: plant (green), flowers (magenta)")
+    axes = (0, 2, 1)
+    plant.draw_side(tree, axes, results.cloud, results.skeleton, results.stem)
+    plant.draw_grasp(tree, axes, results.shake.grasp, 0.12)
+    tree.scatter(
+        *results.flowers.positions[:, [0, 2]].T, s=30, c=plant.FLOWER_COLOR, edgecolors="black", lw=0.5, zorder=6
+    )
+    tree.set(title="skeleton, main stem, flowers, grasp", aspect="equal", xlabel="x [m]", ylabel="z [m]")
+    report.draw_amplitudes(motion, results.shake, results.response)
+    motion.set_title(f"shaken {1000 * results.shake.amplitude:.2g} mm at {results.shake.frequency:.1f} Hz")
+    Path(out).parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(out, dpi=110)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
