@@ -27,7 +27,8 @@ class Swing:
 
     Attributes:
         amplitude: the ellipse's semi-major axis [m].
-        amplitude_std: its standard deviation, from the residual [m].
+        amplitude_std: its standard deviation, from the residual along that axis [m].
+        axis_std: (3,) standard deviation of the amplitude along x, y and z, from the residual along each [m].
         direction: (3,) unit vector along that axis.
         frequency: [Hz].
         residual: root mean square distance of the samples from the fit, per axis [m].
@@ -37,6 +38,7 @@ class Swing:
 
     amplitude: float
     amplitude_std: float
+    axis_std: Array
     direction: Array
     frequency: float
     residual: float
@@ -69,7 +71,9 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
     basis = _basis(t, span, frequency, slow)
     # normal equations: a decomposition of the basis would wake BLAS threads, which cost more than the work
     gram = np.einsum("ti,tj->ij", basis, basis)
-    if np.linalg.cond(gram) > 1000:
+    # how much larger the variance of a and b is than with evenly spread phases
+    loss = np.inf if np.linalg.cond(gram) > 1e10 else len(t) / 2 * np.diag(np.linalg.inv(gram))[:2].max()
+    if loss > 100:
         raise bad_input(
             "swing",
             given=f"{len(t)} samples over {np.ptp(t):.2f} s",
@@ -77,11 +81,19 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
             do="Choose a frame rate that is not twice the frequency divided by a whole number, or record longer.",
         )
     coefficients: Array = np.linalg.solve(gram, np.einsum("ti,tk->ik", basis, x)).astype(np.float64)
-    free = max(len(t) - basis.shape[1], 1)
-    residual = float(np.sqrt(np.sum((x - basis @ coefficients) ** 2) / (3 * free)))
-    spread = residual * np.sqrt(np.diag(np.linalg.inv(gram))[:2].max())
+    misses = np.sum((x - basis @ coefficients) ** 2, axis=0) / max(len(t) - basis.shape[1], 1)
+    axis_std = np.sqrt(misses * np.diag(np.linalg.inv(gram))[:2].max())
     _, size, axes = np.linalg.svd(coefficients[:2])
-    return Swing(float(size[0]), float(spread), axes[0], float(frequency), residual, coefficients, span)
+    return Swing(
+        amplitude=float(size[0]),
+        amplitude_std=float(np.linalg.norm(axes[0] * axis_std)),
+        axis_std=axis_std,
+        direction=axes[0],
+        frequency=float(frequency),
+        residual=float(np.sqrt(misses.mean())),
+        coefficients=coefficients,
+        span=span,
+    )
 
 
 def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1) -> float:

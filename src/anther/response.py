@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import Frame
@@ -20,8 +21,9 @@ from anther.flower_tracking import (
     back_projected,
     centre_of_petals,
     common_shift,
+    coverage,
     follow,
-    petal_depth,
+    petal_depths,
     petal_weight,
 )
 from anther.flowers import Flowers
@@ -43,11 +45,21 @@ class Params:
         depth_reach: depth further than this from a track's median, or from where the flower was at rest, is not its
             own [m].
         depth_share: of the frames in which depth must be sure; else only the sideways motion is measured.
-        overlap: flowers closer than this many flower radii in the image cannot be told apart.
-        correlation: below this a flower counts as lost in a frame.
+        hidden_gap: petals nearer or farther than a flower's by this belong to another, which hides it [m].
+        least_cover: petals must cover this share of a flower's disc, or else it counts as hidden.
+        overlap: flowers closer than this many flower radii in the image are measured together.
+        member_spread: standard deviation of the members' amplitudes in such a group, relative to the group's.
+        depthless: standard deviation of the whole amplitude relative to its sideways part, where depth is not sure.
+        depth_error: relative standard deviation of motion in depth: sensors mix a small thing's depth with what is
+            beside it.
+        correlation: a patch is recognised above this; below it the centre of its petals is taken.
         seen_share: of the frames in which a flower must be followed to be measured.
+        residual_pixels, relative_residual: a track whose sideways deviation from a swing is larger than both the former
+            [px] and the latter's share of the amplitude jumps from petal to petal and counts as not measured.
         least_error, relative_error: an amplitude whose standard deviation is larger than both the former [m] and the
             latter's share of it counts as not measured.
+        least_pixels: swings smaller than this in the image are not measured [px].
+        significance: nor are those smaller than this many standard deviations.
         outlier: samples this many robust standard deviations off the fit are left out.
     """
 
@@ -57,11 +69,20 @@ class Params:
     reach: float = 0.012
     depth_reach: float = 0.02
     depth_share: float = 0.8
+    hidden_gap: float = 0.04
+    least_cover: float = 0.12
     overlap: float = 1.5
+    member_spread: float = 0.4
+    depthless: float = 0.2
+    depth_error: float = 0.2
     correlation: float = 0.6
-    seen_share: float = 0.5
+    seen_share: float = 0.7
+    residual_pixels: float = 0.75
+    relative_residual: float = 0.2
     least_error: float = 0.0003
     relative_error: float = 0.1
+    least_pixels: float = 0.2
+    significance: float = 3.0
     outlier: float = 4.0
 
     def __post_init__(self) -> None:
@@ -151,21 +172,23 @@ def measure_response(
     check_range("frequency_hint", frequency_hint, 1e-3, 1e3, "Hz")
     T = check_transform("T_world_cam", T_world_cam)
     times = np.array([f.time for f in frames])
-    tracks = np.full((len(frames), len(flowers.positions), 3), np.nan)
-    notes: list[str] = []
-    if len(flowers.positions):
-        tracks, notes = _track(frames, intrinsics, transform_points(inverse(T), flowers.positions), params)
-        tracks = tracks @ T[:3, :3].T + T[:3, 3]
-    numbers = np.full((4, tracks.shape[1]), np.nan)
-    for i in range(tracks.shape[1]):
-        try:
-            numbers[:, i] = _motion(times, tracks[:, i], frequency_hint, params)
-        except InputError as error:
-            notes.append(f"Flower {i + 1} could not be measured: {error}")
+    rest = transform_points(inverse(T), flowers.positions)
+    groups, remarks = _track(frames, intrinsics, rest, params) if len(rest) else ([], [])
+    tracks, numbers = np.full((len(frames), len(rest), 3), np.nan), np.full((4, len(rest)), np.nan)
+    for group in groups:
+        offset = rest[group.flowers] - rest[group.flowers].mean(axis=0)
+        tracks[:, group.flowers] = (group.track[:, None] + offset) @ T[:3, :3].T + T[:3, 3]
+        measured = _motion(times, group, frequency_hint, params)
+        if isinstance(measured, str):
+            remarks.append((measured, group.flowers))
+        else:
+            numbers[:, group.flowers] = np.array(measured)[:, None]
+    together = [g.flowers for g in groups if len(g.flowers) > 1 and np.isfinite(numbers[0, g.flowers]).all()]
+    notes = [f"{_named(flowers)} overlap in the view and are measured together." for flowers in together]
     amplitude, spread, frequency, acceleration = numbers
-    faint = np.flatnonzero(amplitude < 3 * spread)
-    notes += [f"Flower {i + 1} moves less than the camera's noise can tell." for i in faint]
-    return Response(times, tracks, amplitude, spread, frequency, acceleration, np.isfinite(amplitude), tuple(notes))
+    visible = np.isfinite(amplitude)
+    notes += _merged(remarks)
+    return Response(times, tracks, amplitude, spread, frequency, acceleration, visible, tuple(notes))
 
 
 def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
@@ -179,47 +202,104 @@ def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
         )
 
 
-def _track(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params: Params) -> tuple[Array, list[str]]:
-    """Return camera-frame tracks (T, F, 3) of the flowers that are at `rest` (F, 3) when still, and notes."""
-    tracks = np.full((len(frames), len(rest), 3), np.nan)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Group:
+    """Flowers that are followed together, mostly one.
+
+    Attributes:
+        flowers: (N,) which.
+        track: (T, 3) of their middle, camera frame [m]; NaN where not seen.
+        pixel: what a pixel measures there [m].
+        deep: whether the track's depth was measured.
+    """
+
+    flowers: NDArray[Any]
+    track: Array
+    pixel: float
+    deep: bool
+
+
+_FAINT = "moved less than the camera can tell"
+
+_Remarks = list[tuple[str, NDArray[Any]]]
+"""What there is to say, and about which flowers."""
+
+
+def _track(
+    frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params: Params
+) -> tuple[list[_Group], _Remarks]:
+    """Follow the flowers that are at `rest` (F, 3), camera frame, when still."""
+    everyone = np.arange(len(rest))
     nearest, farthest = rest[:, 2].min() - params.depth_gate, rest[:, 2].max() + params.depth_gate
     if nearest <= 0:
-        return tracks, ["The side camera does not look at the flowers."]
-    notes: list[str] = []
-    weights = [petal_weight(frame, nearest, farthest) for frame in frames]
+        return [], [("not in front of the side camera", everyone)]
     pixels, per_metre = intrinsics.project(rest), intrinsics.fx / rest[:, 2]
+    weights = [petal_weight(frame, nearest, farthest) for frame in frames]
     # start where the flowers stand most like at rest: there neighbours are told apart most surely
     fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in weights]
     first = int(np.argmax([fit for fit, _ in fits]))
-    near = np.linalg.norm(pixels[:, None] - pixels, axis=2) + np.diag(np.full(len(pixels), np.inf))
-    for i, (pixel, scale) in enumerate(zip(pixels + fits[first][1], per_metre, strict=True)):
-        radius, reach = params.flower_radius * scale, int(np.ceil(params.reach * scale))
-        start = centre_of_petals(weights[first], pixel, radius)
-        if start is None or (near[i] < params.overlap * radius).any():
-            how = "is hidden from" if start is None else "overlaps another in the view of"
-            notes.append(f"Flower {i + 1} {how} the side camera.")
-            continue
+    pixels, radius = pixels + fits[first][1], params.flower_radius * per_metre
+    inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
+    centres = _centres(frames[first], weights[first], pixels, radius, depth=rest[:, 2], params=params)
+    shown = np.isfinite(centres[:, 0])
+    seen = np.flatnonzero(shown & inside)
+    remarks: _Remarks = [
+        ("outside the side camera's picture", np.flatnonzero(~inside)),
+        ("hidden from the side camera", np.flatnonzero(inside & ~shown)),
+    ]
+    groups: list[_Group] = []
+    for flowers in _overlapping(pixels, centres, params.overlap * radius, seen):
+        low, high = centres[flowers].min(axis=0), centres[flowers].max(axis=0)
+        half = np.ceil((high - low) / 2 + 1.4 * radius[flowers].max()).astype(int)
+        reach = int(np.ceil(params.reach * per_metre[flowers].mean()))
         onward, back = (
-            follow(way, start, radius=radius, reach=reach, least=params.correlation)
+            follow(way, (low + high) / 2, half, reach=reach, least=params.correlation)
             for way in (weights[first:], weights[first::-1])
         )
         path = np.concatenate([back[:0:-1], onward])
-        depth = _depth(frames, weights, path, radius=max(int(radius), 2), reach=params.depth_reach)
-        if np.isfinite(depth).any() and abs(np.nanmedian(depth) - rest[i, 2]) > params.depth_reach:
-            notes.append(f"Flower {i + 1} is hidden from the side camera by something like a flower.")
+        depth = _depth(frames, weights, path, half, reach=params.depth_reach)
+        deep = bool(np.isfinite(depth).mean() >= params.depth_share * np.isfinite(path[:, 0]).mean())
+        deep = deep and abs(np.nanmedian(depth) - rest[flowers, 2].mean()) < params.hidden_gap
+        if not deep:
+            remarks.append(("no sure depth, so that motion towards the camera is left out", flowers))
+            depth = np.full(len(frames), rest[flowers, 2].mean())
+        pixel = float(np.median(depth[np.isfinite(depth)])) / intrinsics.fx
+        groups.append(_Group(flowers, _lifted(intrinsics, path, depth), pixel, deep))
+    return groups, remarks
+
+
+def _centres(frame: Frame, weight: Image, pixels: Array, radius: Array, *, depth: Array, params: Params) -> Array:
+    """Return the centre (F, 2) of the petals at each expected pixel (F, 2); NaN where there are none at its depth."""
+    centres = np.full(pixels.shape, np.nan)
+    for i, (pixel, r) in enumerate(zip(pixels, radius, strict=True)):
+        centre = centre_of_petals(weight, pixel, r)
+        if centre is None or coverage(weight, centre, r) < params.least_cover:
             continue
-        if np.isfinite(depth).mean() < params.depth_share * np.isfinite(path[:, 0]).mean():
-            notes.append(f"Flower {i + 1} has no sure depth: its motion towards the camera is left out.")
-            depth = np.full(len(frames), rest[i, 2])
-        tracks[:, i] = _lifted(intrinsics, path, depth)
-    return tracks, notes
+        there = petal_depths(frame, weight, centre, np.full(2, max(int(r), 2)))
+        if len(there) < r**2 or np.abs(there - depth[i]).min() < params.hidden_gap:
+            centres[i] = centre
+    return centres
 
 
-def _depth(frames: Sequence[Frame], weights: Sequence[Image], path: Array, *, radius: int, reach: float) -> Array:
+def _overlapping(pixels: Array, centres: Array, apart: Array, seen: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return the groups of `seen` flowers linked by gaps of less than `apart` (F,), as expected or as found [px]."""
+    if not len(seen):
+        return []
+    gaps = [np.linalg.norm(x[seen, None] - x[seen], axis=2) for x in (pixels, centres)]
+    _, label = connected_components(np.minimum(*gaps) < apart[seen, None])
+    return [seen[label == k] for k in range(int(label.max()) + 1)]
+
+
+def _depth(
+    frames: Sequence[Frame], weights: Sequence[Image], path: Array, half: NDArray[Any], *, reach: float
+) -> Array:
     """Return the petals' depth (T,) [m] along a pixel path (T, 2); NaN where none is within `reach` of the median."""
-    depth = np.array([petal_depth(f, w, p, radius) for f, w, p in zip(frames, weights, path, strict=True)])
-    seen = np.isfinite(depth)
-    return np.where(seen & (np.abs(depth - np.median(depth[seen])) < reach), depth, np.nan) if seen.any() else depth
+    readings = [petal_depths(f, w, p, half) for f, w, p in zip(frames, weights, path, strict=True)]
+    if not sum(map(len, readings)):
+        return np.full(len(frames), np.nan)
+    middle = np.median(np.concatenate(readings))
+    own = [r[np.abs(r - middle) < reach] for r in readings]
+    return np.array([np.median(r) if len(r) >= 3 else np.nan for r in own])
 
 
 def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
@@ -232,34 +312,61 @@ def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
     return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
 
 
-def _motion(times: Array, track: Array, hint: float, params: Params) -> tuple[float, float, float, float]:
-    """Return amplitude, its deviation, frequency and peak acceleration of a track (T, 3); NaN if never seen.
+def _motion(times: Array, group: _Group, hint: float, params: Params) -> tuple[float, float, float, float] | str:
+    """Return amplitude, its deviation, frequency and peak acceleration of a group; or why it is not measured."""
+    lost = f"lost in more than {1 - params.seen_share:.0%} of the frames. Move the side camera"
+    least = max(params.seen_share * len(times), 8)
+    if np.isfinite(group.track[:, 0]).sum() < least:
+        return lost
+    try:
+        own = _without_outliers(times, group.track, hint, params.outlier)
+        clean, sure = _sure_axes(times, own, hint, params)
+        swing = fit_swing(times, clean, hint)
+    except InputError as error:
+        return f"could not be measured: {error}"
+    if np.isfinite(clean[:, 0]).sum() < least:
+        return lost
+    amplitude, spread = swing.amplitude, swing.amplitude_std
+    limit = max(params.significance * spread, params.least_pixels * group.pixel)
+    sideways = float(np.linalg.norm(np.nanstd(clean - swing.at(times), axis=0)[:2]))
+    jumps = sideways > max(params.residual_pixels * group.pixel, params.relative_residual * amplitude)
+    if jumps or spread > max(params.least_error, params.relative_error * amplitude):
+        return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
+    if amplitude < limit:
+        return f"{_FAINT} ({1000 * limit:.1f} mm)"
+    frequency = find_frequency(times, clean, hint)
+    towards = params.depth_error * abs(swing.direction[2]) if group.deep and sure else params.depthless
+    members = params.member_spread if len(group.flowers) > 1 else 0.0
+    spread = float(np.linalg.norm([spread, members * amplitude, towards * amplitude]))
+    return amplitude, spread, frequency, amplitude * (2 * np.pi * frequency) ** 2
 
-    Raises:
-        InputError: seen in too few frames, at times that cannot tell the phase, or not as a swing.
-    """
-    seen = int(np.isfinite(track).all(axis=1).sum())
-    if seen == 0:
-        return np.nan, np.nan, np.nan, np.nan
-    if seen < max(params.seen_share * len(times), 8):
-        raise bad_input(
-            "frames with the flower", given=seen, allowed=f">= half of {len(times)}", do="Move the side camera."
-        )
-    clean = _without_outliers(times, track, hint, params.outlier)
-    swing, frequency = fit_swing(times, clean, hint), find_frequency(times, clean, hint)
-    if swing.amplitude_std > max(params.least_error, params.relative_error * swing.amplitude):
-        raise bad_input(
-            "its track's deviation from the shake's swing",
-            given=f"{1000 * swing.residual:.1f} mm rms around {1000 * swing.amplitude:.1f} mm",
-            allowed=f"a deviation of the amplitude of {1000 * params.least_error:g} mm or {params.relative_error:.0%}",
-            do="Neighbouring flowers were probably confused: shake less, or move the side camera closer.",
-        )
-    return swing.amplitude, swing.amplitude_std, frequency, swing.amplitude * (2 * np.pi * frequency) ** 2
+
+def _sure_axes(times: Array, track: Array, hint: float, params: Params) -> tuple[Array, bool]:
+    """Return the track (T, 3) without its motion in depth where that is only noise, and whether depth was precise."""
+    swing = fit_swing(times, track, hint)
+    sizes, noise = np.linalg.norm(swing.coefficients[:2], axis=0), swing.axis_std[2]
+    sure = bool(noise <= max(params.least_error, params.relative_error * np.hypot(sizes[0], sizes[1])))
+    keep = sure and sizes[2] >= params.significance * noise
+    return (track if keep else np.where(np.isfinite(track), track * [1, 1, 0], np.nan)), sure
 
 
 def _without_outliers(times: Array, track: Array, frequency: float, most: float) -> Array:
-    """Return the track (T, 3) with NaN where it lies more than `most` robust deviations off its swing."""
-    swing = fit_swing(times, track, frequency)
-    distance = np.linalg.norm(track - swing.at(times), axis=1)
-    spread = 1.4826 * float(np.nanmedian(distance))
-    return np.where((distance <= most * max(spread, 1e-5))[:, None], track, np.nan)
+    """Return the track (T, 3) with NaN where it lies more than `most` robust deviations off its swing on any axis."""
+    miss = np.abs(track - fit_swing(times, track, frequency).at(times))
+    spread = 1.4826 * np.nanmedian(miss, axis=0)
+    return np.where((miss <= most * np.maximum(spread, 1e-5)).all(axis=1, keepdims=True), track, np.nan)
+
+
+def _named(flowers: NDArray[Any]) -> str:
+    return f"Flower{'s' if len(flowers) > 1 else ''} {', '.join(str(i + 1) for i in flowers)}"
+
+
+def _merged(remarks: _Remarks) -> list[str]:
+    """Return one note for each kind of remark; of the limits in the faint ones the largest is told."""
+    faint = max((text for text, _ in remarks if text.startswith(_FAINT)), default="")
+    kind_of = {text: faint if text.startswith(_FAINT) else text for text, flowers in remarks if len(flowers)}
+    notes: list[str] = []
+    for kind in dict.fromkeys(kind_of.values()):
+        who = np.concatenate([flowers for text, flowers in remarks if kind_of.get(text) == kind])
+        notes.append(f"{_named(np.sort(who))}: {kind}.")
+    return notes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -36,12 +38,13 @@ def build_scene(server: viser.ViserServer, results: RunResults) -> None:
 
 def write_html(path: Path, results: RunResults) -> None:
     """Write the scene of a run to one HTML file that opens without a server."""
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    try:
-        build_scene(server, results)
-        write_text(path, server.scene.as_html())
-    finally:
-        server.stop()
+    with redirect_stdout(io.StringIO()):  # viser announces its address even when nobody is to visit it
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            build_scene(server, results)
+            write_text(path, server.scene.as_html())
+        finally:
+            server.stop()
 
 
 def serve(results: RunResults, port: int) -> None:
@@ -62,7 +65,12 @@ def _add_cloud(scene: Any, results: RunResults) -> None:
         return
     colours = cloud.colors if cloud.colors is not None else np.tile([90, 150, 90], (len(cloud.points), 1))
     scene.add_point_cloud(
-        "/plant", cloud.points.astype(np.float32), colours.astype(np.uint8), point_size=POINT_SIZE, point_shape="circle"
+        "/plant",
+        cloud.points.astype(np.float32),
+        colours.astype(np.uint8),
+        point_size=POINT_SIZE,
+        point_shape="circle",
+        precision="float32",
     )
     if len(cloud.obstacles):
         grey = np.full((len(cloud.obstacles), 3), 120, np.uint8)
@@ -80,6 +88,7 @@ def _add_cameras(scene: Any, results: RunResults) -> None:
             fov=2 * np.arctan(k.height / (2 * k.fy)),
             aspect=k.width / k.height,
             scale=0.03,
+            thickness=0.001,
             position=position,
             wxyz=wxyz,
             color=(90, 110, 170),
@@ -95,11 +104,11 @@ def _add_skeleton(scene: Any, results: RunResults) -> None:
     if stem is not None:
         on_stem = (stem.organ[skeleton.edges] == STEM).all(axis=1)
     for name, chosen, colour, width in (
-        ("branches", ~on_stem, (230, 140, 40), 3),
-        ("main stem", on_stem, (210, 40, 40), 6),
+        ("branches", ~on_stem, (230, 140, 40), 0.0015),
+        ("main stem", on_stem, (210, 40, 40), 0.004),
     ):
         if chosen.any():
-            scene.add_line_segments(f"/skeleton/{name}", segments[chosen].astype(np.float32), colour, line_width=width)
+            scene.add_line_segments(f"/skeleton/{name}", segments[chosen].astype(np.float32), colour, thickness=width)
     if results.flowers is not None:
         for i, p in enumerate(results.flowers.positions):
             scene.add_icosphere(f"/flowers/{i + 1}", radius=0.008, color=(240, 60, 200), position=tuple(p), opacity=0.6)
@@ -123,7 +132,7 @@ def _add_motion(scene: Any, results: RunResults) -> None:
         track = track[np.isfinite(track).all(axis=1)]
         if len(track) > 1:
             path = np.stack([track[:-1], track[1:]], axis=1)
-            scene.add_line_segments(f"/flower motion/{i + 1}", path.astype(np.float32), (60, 60, 220), line_width=2)
+            scene.add_line_segments(f"/flower motion/{i + 1}", path.astype(np.float32), (60, 60, 220), thickness=0.001)
 
 
 def _placed(T: Array) -> tuple[Any, Any]:
