@@ -14,6 +14,7 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.execution import Params as ExecutionParams
 from anther.execution import choose_rate
+from anther.flower_tracking import petal_weight
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.oscillation import envelope_amplitude, find_frequency, fit_swing
@@ -86,6 +87,55 @@ def test_a_flower_that_is_not_there_is_nan_with_a_note() -> None:
     assert response.visible.tolist() == [True, True, True, False]
     assert np.isnan(response.amplitude[3])
     assert any("Flower 4" in note for note in response.notes)
+
+
+def test_flowers_that_overlap_in_the_view_are_measured_together() -> None:
+    pair = np.vstack([REST[0], REST[0] + [0.006, 0.004, 0.0], REST[2]])
+    rng = np.random.default_rng(0)
+    swing = 0.003 * np.sin(2 * np.pi * 5 * np.arange(45) / 60)
+    frames = [draw(pair + np.array([x, 0, 0]), i / 60, rng, (245, 215, 40)) for i, x in enumerate(swing)]
+    response = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(pair), 5.0)
+    assert response.amplitude == pytest.approx(np.full(3, 0.003), rel=0.15)
+    assert response.amplitude[0] == response.amplitude[1]
+    assert response.amplitude_std[0] > 0.3 * response.amplitude[0] > response.amplitude_std[2]
+    assert response.notes == ("Flowers 1, 2 overlap in the view and are measured together.",)
+    between = response.tracks[:, 1] - response.tracks[:, 0]
+    assert between == pytest.approx(np.broadcast_to(pair[1] - pair[0], between.shape), abs=1e-6)
+
+
+def test_a_swing_too_small_to_tell_is_nan_with_one_note() -> None:
+    response = measure_response(record(3e-5, 5.0), CAMERA, T_WORLD_CAM, flowers(), 5.0)
+    assert not response.visible.any()
+    assert len(response.notes) == 1
+    assert response.notes[0].startswith("Flowers 1, 2, 3: moved less than the camera can tell")
+
+
+def test_flowers_outside_the_picture_are_said_to_be_so() -> None:
+    positions = np.vstack([REST, [0.72, 0.0, 0.6]])
+    response = measure_response(record(0.002, 5.0), CAMERA, T_WORLD_CAM, flowers(positions), 5.0)
+    assert response.visible.tolist() == [True, True, True, False]
+    assert response.notes == ("Flower 4: outside the side camera's picture.",)
+
+
+@pytest.mark.parametrize("edge", [-0.004, -0.001, 0.002, 0.005])
+def test_a_flower_that_swings_behind_a_post_is_not_underrated(edge: float) -> None:
+    rng, swing = np.random.default_rng(0), 0.005 * np.sin(2 * np.pi * 5 * np.arange(45) / 60)
+    frames = [draw(REST[:1] + np.array([x, 0, 0]), i / 60, rng, (245, 215, 40)) for i, x in enumerate(swing)]
+    u = int(CAMERA.project(transform_points(inverse(T_WORLD_CAM), REST[:1] + np.array([edge, 0, 0])))[0, 0])
+    for frame in frames:
+        frame.rgb[:, u : u + 14], frame.depth[:, u : u + 14] = (70, 110, 50), 0.5
+    response = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(REST[:1]), 5.0)
+    assert response.visible[0] == (len(response.notes) == 0)
+    assert not response.visible[0] or response.amplitude[0] == pytest.approx(0.005, rel=0.25)
+
+
+def test_white_petals_are_told_from_the_bright_gaps_around_a_plant() -> None:
+    frame = draw(REST[:1], 0.0, np.random.default_rng(0), (215, 215, 205))
+    frame.depth[60:120, :100] = 0.0  # a gap beside the plant without a depth reading
+    weight = petal_weight(frame, 0.4, 0.7)
+    u, v = np.rint(CAMERA.project(transform_points(inverse(T_WORLD_CAM), REST[:1]))[0]).astype(int)
+    assert weight[v - 3, u] > 0.9
+    assert weight[60:120, :90].max() < 0.2
 
 
 def test_flowers_behind_the_camera_and_no_flowers_at_all() -> None:

@@ -155,7 +155,9 @@ def measure_response(
 
     Each flower is looked for where its position at rest projects, all flowers shifted together first because the held
     plant stands a little differently; then followed by template, lifted to 3-D by the petals' depth, and a sinusoid of
-    the shake's frequency is fitted (`oscillation.fit_swing`).
+    the shake's frequency is fitted (`oscillation.fit_swing`). Flowers that overlap in the image are followed as one:
+    each gets the group's amplitude, with a deviation that says how much members of a group differ. A swing below what
+    the camera can tell is NaN, never a guess; notes say why, one for each reason.
 
     Args:
         frames: of a camera that stands still, while the plant was shaken.
@@ -175,6 +177,7 @@ def measure_response(
     rest = transform_points(inverse(T), flowers.positions)
     groups, remarks = _track(frames, intrinsics, rest, params) if len(rest) else ([], [])
     tracks, numbers = np.full((len(frames), len(rest), 3), np.nan), np.full((4, len(rest)), np.nan)
+    together: list[NDArray[Any]] = []
     for group in groups:
         offset = rest[group.flowers] - rest[group.flowers].mean(axis=0)
         tracks[:, group.flowers] = (group.track[:, None] + offset) @ T[:3, :3].T + T[:3, 3]
@@ -183,12 +186,12 @@ def measure_response(
             remarks.append((measured, group.flowers))
         else:
             numbers[:, group.flowers] = np.array(measured)[:, None]
-    together = [g.flowers for g in groups if len(g.flowers) > 1 and np.isfinite(numbers[0, g.flowers]).all()]
-    notes = [f"{_named(flowers)} overlap in the view and are measured together." for flowers in together]
+            together += [group.flowers] if len(group.flowers) > 1 else []
+            remarks += [] if group.deep else [("no sure depth: motion towards the camera is left out", group.flowers)]
     amplitude, spread, frequency, acceleration = numbers
     visible = np.isfinite(amplitude)
-    notes += _merged(remarks)
-    return Response(times, tracks, amplitude, spread, frequency, acceleration, visible, tuple(notes))
+    notes = (*_overlaps(together), *_merged(remarks))
+    return Response(times, tracks, amplitude, spread, frequency, acceleration, visible, notes)
 
 
 def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
@@ -261,7 +264,6 @@ def _track(
         deep = bool(np.isfinite(depth).mean() >= params.depth_share * np.isfinite(path[:, 0]).mean())
         deep = deep and abs(np.nanmedian(depth) - rest[flowers, 2].mean()) < params.hidden_gap
         if not deep:
-            remarks.append(("no sure depth, so that motion towards the camera is left out", flowers))
             depth = np.full(len(frames), rest[flowers, 2].mean())
         pixel = float(np.median(depth[np.isfinite(depth)])) / intrinsics.fx
         groups.append(_Group(flowers, _lifted(intrinsics, path, depth), pixel, deep))
@@ -320,7 +322,7 @@ def _motion(times: Array, group: _Group, hint: float, params: Params) -> tuple[f
         return lost
     try:
         own = _without_outliers(times, group.track, hint, params.outlier)
-        clean, sure = _sure_axes(times, own, hint, params)
+        clean, unseen = _without_noisy_depth(times, own, hint, group.deep, params)
         swing = fit_swing(times, clean, hint)
     except InputError as error:
         return f"could not be measured: {error}"
@@ -335,19 +337,22 @@ def _motion(times: Array, group: _Group, hint: float, params: Params) -> tuple[f
     if amplitude < limit:
         return f"{_FAINT} ({1000 * limit:.1f} mm)"
     frequency = find_frequency(times, clean, hint)
-    towards = params.depth_error * abs(swing.direction[2]) if group.deep and sure else params.depthless
-    members = params.member_spread if len(group.flowers) > 1 else 0.0
-    spread = float(np.linalg.norm([spread, members * amplitude, towards * amplitude]))
+    members = params.member_spread * amplitude if len(group.flowers) > 1 else 0.0
+    towards = params.depth_error * abs(swing.direction[2]) * amplitude
+    spread = float(np.linalg.norm([spread, members, towards, np.hypot(amplitude, unseen) - amplitude]))
     return amplitude, spread, frequency, amplitude * (2 * np.pi * frequency) ** 2
 
 
-def _sure_axes(times: Array, track: Array, hint: float, params: Params) -> tuple[Array, bool]:
-    """Return the track (T, 3) without its motion in depth where that is only noise, and whether depth was precise."""
+def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool, params: Params) -> tuple[Array, float]:
+    """Return the track (T, 3), without motion in depth where that is only noise, and how large it may have been [m]."""
     swing = fit_swing(times, track, hint)
-    sizes, noise = np.linalg.norm(swing.coefficients[:2], axis=0), swing.axis_std[2]
-    sure = bool(noise <= max(params.least_error, params.relative_error * np.hypot(sizes[0], sizes[1])))
-    keep = sure and sizes[2] >= params.significance * noise
-    return (track if keep else np.where(np.isfinite(track), track * [1, 1, 0], np.nan)), sure
+    sizes, noise = np.linalg.norm(swing.coefficients[:2], axis=0), float(swing.axis_std[2])
+    sideways = float(np.hypot(sizes[0], sizes[1]))
+    sure = deep and noise <= max(params.least_error, params.relative_error * sideways)
+    if sure and sizes[2] >= params.significance * noise:
+        return track, 0.0
+    unseen = params.significance * noise if sure else sideways * np.sqrt((1 + params.depthless) ** 2 - 1)
+    return np.where(np.isfinite(track), track * [1, 1, 0], np.nan), float(unseen)
 
 
 def _without_outliers(times: Array, track: Array, frequency: float, most: float) -> Array:
@@ -359,6 +364,13 @@ def _without_outliers(times: Array, track: Array, frequency: float, most: float)
 
 def _named(flowers: NDArray[Any]) -> str:
     return f"Flower{'s' if len(flowers) > 1 else ''} {', '.join(str(i + 1) for i in flowers)}"
+
+
+def _overlaps(groups: list[NDArray[Any]]) -> list[str]:
+    """Return the one note about flowers measured together, if any."""
+    who = "; ".join(", ".join(str(i + 1) for i in group) for group in groups)
+    how = "together" if len(groups) == 1 else "together, each of these groups as one"
+    return [f"Flowers {who} overlap in the view and are measured {how}."] if groups else []
 
 
 def _merged(remarks: _Remarks) -> list[str]:
