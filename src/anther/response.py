@@ -335,7 +335,7 @@ def _motion(times: Array, group: _Group, hint: float, params: Params) -> tuple[f
     if jumps or spread > max(params.least_error, params.relative_error * amplitude):
         return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
     if amplitude < limit:
-        return f"{_FAINT} ({1000 * limit:.1f} mm)"
+        return f"{_FAINT} (about {1000 * limit:.1f} mm)"
     frequency = find_frequency(times, clean, hint)
     members = params.member_spread * amplitude if len(group.flowers) > 1 else 0.0
     towards = params.depth_error * abs(swing.direction[2]) * amplitude
