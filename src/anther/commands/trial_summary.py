@@ -141,5 +141,9 @@ def _motion(s: dict[str, Any], kind: str) -> str:
     )
     if amplitude is None or acceleration is None:
         return "not measurable"
-    seen = sum(value is not None for value in s[f"{kind}_flower_amplitude_m"])
-    return f"median {1000 * amplitude:.2f} mm, {acceleration:.1f} m/s² over {seen} flowers"
+    seen = np.isfinite(np.array(s[f"{kind}_flower_amplitude_m"], dtype=float))
+    text = f"median {1000 * amplitude:.2f} mm, {acceleration:.1f} m/s² over {seen.sum()} flowers"
+    if kind == "measured":
+        predicted = np.array(s["predicted_flower_amplitude_m"], dtype=float)
+        text += f", for which {1000 * np.median(predicted[seen]):.2f} mm was predicted"
+    return text

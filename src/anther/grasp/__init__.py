@@ -55,6 +55,7 @@ class Params:
         leaf_size: leaves are counted as pieces of this size [m].
         touch: a piece nearer than this to the way in counts as touched [m].
         wanted: how many grasps the arm must confirm, at most one per station.
+        slack: a grasp whose score is lower than the best's by more than this is not offered.
         asked: how often the arm is asked at most.
     """
 
@@ -72,6 +73,7 @@ class Params:
     leaf_size: float = 0.006
     touch: float = 0.002
     wanted: int = 5
+    slack: float = 3.0
     asked: int = 150
 
     def __post_init__(self) -> None:
@@ -221,7 +223,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     met = clearance(candidates.T_world_flange, around, boxes, closing, touch=params.touch)
     refusals = _refusals(candidates, met, params)
     costs = _costs(candidates, met, cloud, gripper.stroke, length)
-    costs["above a fork"] = 2.0 * (candidates.arc_length > stem.arc_length[stem.fork])
+    costs["above a fork"] = 10.0 * (candidates.arc_length > stem.arc_length[stem.fork])  # no longer the main stem
     if toward_base:
         costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
     refused = np.any(list(refusals.values()), axis=0)
@@ -280,7 +282,8 @@ def _first_reached(ranking: _Ranking, params: Params, reach: Reach | None) -> li
         found[station] = grasp
     if not found:
         raise _nothing(ranking, asked)
-    return list(found.values())
+    ranked = list(found.values())
+    return [grasp for grasp in ranked if grasp.score >= ranked[0].score - params.slack]
 
 
 def _nothing(ranking: _Ranking, asked: int) -> StageFailure:

@@ -170,7 +170,7 @@ def robot_of(
 ) -> Robot:
     """Return the devices of a cell: arm, gripper, wrist camera (1280 x 720) and side camera.
 
-    The side camera is the middle 480 x 360 pixels of a D455's 848 x 480: 0.62 x 0.47 m at 0.55 m, and quick to render.
+    The side camera is the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, and quick to render.
 
     Args:
         cell: the world.
@@ -182,5 +182,5 @@ def robot_of(
     scene = scene or Scene.of_plant(cell.plant)
     T_side = side_pose(cell) if T_world_side_camera is None else T_world_side_camera
     wrist = SimCamera(cell, scene, d455(), lambda: cell.flange_pose() @ sawyer.T_FLANGE_CAM, errors, seed=seed)
-    side = SimCamera(cell, scene, cut_out(d455(848, 480), 480, 360), lambda: T_side, errors, seed=seed + 1)
+    side = SimCamera(cell, scene, cut_out(d455(848, 480), 480, 480), lambda: T_side, errors, seed=seed + 1)
     return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side)
