@@ -28,9 +28,11 @@ sync: $(DEV)  ## only the environment
 bench: $(DEV)  ## speed
 	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
 
-docs: $(DEV)  ## redraw every figure and table the docs show
-	$(BIN)/python experiments/real_plants.py --json docs/results/real_plants.json
-	$(BIN)/python experiments/trials.py --json docs/results/trials.json
+docs: $(DEV)  ## measure again what docs/results.md shows (about 15 minutes)
+	$(BIN)/python tools/record.py experiments/real_plants.py
+	$(BIN)/python tools/record.py experiments/trials.py
+	$(BIN)/python tools/record.py benchmarks/rods.py
+	$(BIN)/python tools/draw_readme.py runs/trials/tomato-0-0 docs/pictures/trial.png
 
 lock: $(DEV)  ## show what is installed, to renew the lock files from
 	$(BIN)/python -m pip freeze --exclude-editable

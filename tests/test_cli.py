@@ -67,6 +67,7 @@ def test_unknown_option(capfd, name) -> None:
         (["--seed", -1], "0 <= seed"),
         (["--seed", "one"], "one"),
         (["--views", 1], "3 <= views"),
+        (["--distance", 600], "distance <= 3 m"),
         (["--viewpoint", "nan"], "viewpoint: got nan"),
         (["--restart-from", "skelton"], "'skelton'; allowed: capture"),
     ],
@@ -139,6 +140,15 @@ def test_view_refuses_a_folder_that_is_no_run(capfd, tmp_path) -> None:
 def test_module_runs_as_a_program() -> None:
     done = subprocess.run([sys.executable, "-m", "anther.cli", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("anther ")
+
+
+def test_a_plant_out_of_reach_is_said_so_and_kept(tmp_path, capfd) -> None:
+    out = tmp_path / "run"
+    words = ["trial", "--distance", 2.5, "--views", 4, "--out", out, "--history", tmp_path / "h.sqlite"]
+    assert "can be reached. Move the plant or arm." in refused(capfd, *words)
+    summary = json.loads((out / "trial.json").read_text())
+    assert (summary["success"], summary["failure"]) == (False, "unreachable")
+    assert (out / "10_report.html").exists()
 
 
 def test_a_trial_end_to_end(tmp_path, capsys) -> None:

@@ -1,4 +1,4 @@
-"""The command line: `anther COMMAND ...`. Exit code 0 on success, 1 for a trial that failed, 2 for bad input."""
+"""The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it could not begin."""
 
 from __future__ import annotations
 

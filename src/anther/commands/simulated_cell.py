@@ -14,9 +14,8 @@ from anther.arm.planner import Planner
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, capture_time, plan_views
 from anther.capture import Capture
-from anther.cloud import Cloud
 from anther.devices import SafetyLimits
-from anther.geometry import Box, look_at
+from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.sim import cell as world
 from anther.sim.capture import CameraErrors, capture_views, perturbed_hand_eye
@@ -28,20 +27,45 @@ from anther.sim.tomato import grow_tomato
 
 Species = Literal["tomato", "pepper"]
 
-WORKSPACE = Box(np.array([0.32, -0.40, -0.48]), np.array([1.12, 0.40, 0.52]))
-"""Where the cell's builder put the plant [m]: on the bench, about 0.72 m in front of the arm."""
-PLANT_REGION = Box(np.array([0.47, -0.25, -0.30]), np.array([0.97, 0.25, 0.45]))
-"""What the views look at [m]."""
-BENCH = Box(np.array([0.42, -0.55, -0.60]), np.array([1.22, 0.55, -0.48]))
-"""Where nothing may ever go [m]."""
-ARM_SPACE = Box(np.array([-0.6, -1.1, -0.47]), np.array([1.2, 1.1, 1.4]))
-"""Where the flange may be [m]."""
-T_WORLD_SIDE_CAMERA = look_at([0.74, -0.52, 0.17], [0.72, 0.0, 0.15])
-"""A second camera beside the bench, where flowers usually are; put there by hand and calibrated."""
-SIDE_CAMERA = Box(np.array([0.66, -0.60, 0.13]), np.array([0.82, -0.50, 0.21]))
-"""Its body and arm [m]."""
+USUAL_DISTANCE = 0.72
+"""Of the pot's axis in front of the arm [m]: where facts: sawyer 6 tabulates what the arm can shake."""
 
-SOLIDS = (BENCH, SIDE_CAMERA)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """What the cell's builder knows of it, all in the arm's base frame; nothing of the plant itself.
+
+    Attributes:
+        workspace: box the plant stands in.
+        region: what the views look at.
+        solids: bench, and the side camera's body and arm: where nothing may ever go.
+        arm_space: where the flange may be.
+        T_world_side_camera: a second camera beside the bench, where flowers usually are; put there by hand, calibrated.
+    """
+
+    workspace: Box
+    region: Box
+    solids: tuple[Box, ...]
+    arm_space: Box
+    T_world_side_camera: Array
+
+
+def layout(distance: float) -> Layout:
+    """Return the layout for a pot that stands `distance` [m] in front of the arm."""
+    axis = np.array([distance, 0.0, 0.0])
+
+    def box(lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Box:
+        return Box(axis + lower, axis + upper)
+
+    bench = box((-0.30, -0.55, -0.60), (0.50, 0.55, -0.48))
+    side_camera = box((-0.06, -0.60, 0.13), (0.10, -0.50, 0.21))
+    return Layout(
+        workspace=box((-0.40, -0.40, -0.48), (0.40, 0.40, 0.52)),
+        region=box((-0.25, -0.25, -0.30), (0.25, 0.25, 0.45)),
+        solids=(bench, side_camera),
+        arm_space=Box(np.array([-0.6, -1.1, -0.47]), np.array([1.2, 1.1, 1.4])),
+        T_world_side_camera=look_at(axis + np.array([0.02, -0.52, 0.17]), axis + np.array([0.0, 0.0, 0.15])),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,26 +90,33 @@ class SimulatedCell:
         return capture_time(self.views)
 
 
-def grow(species: Species, seed: int, viewpoint: float) -> SimPlant:
-    """Grow a plant; `viewpoint` [deg] turns it about the pot's axis."""
+def grow(species: Species, seed: int, viewpoint: float, distance: float) -> SimPlant:
+    """Grow a plant in a pot `distance` [m] in front of the arm; `viewpoint` [deg] turns it about the pot's axis."""
     match species:
         case "tomato":
-            return grow_tomato(seed, viewpoint=viewpoint)
+            return grow_tomato(seed, viewpoint=viewpoint, axis=(distance, 0.0))
         case "pepper":
-            return grow_pepper(seed, viewpoint=viewpoint)
+            return grow_pepper(seed, viewpoint=viewpoint, axis=(distance, 0.0))
 
 
-def build(species: Species, seed: int, viewpoint: float, views: int) -> SimulatedCell:
-    """Build a cell around one plant. All randomness comes from `seed`."""
-    plant = grow(species, seed, viewpoint)
-    planned = plan_views(PLANT_REGION, SOLIDS, ViewParams(count=views))
+def build(
+    species: Species, seed: int, viewpoint: float, views: int, *, distance: float = USUAL_DISTANCE
+) -> SimulatedCell:
+    """Build a cell around one plant. All randomness comes from `seed`.
+
+    Raises:
+        StageFailure: "unreachable" when the arm reaches fewer than three views of the plant.
+    """
+    place = layout(distance)
+    planned = plan_views(place.region, place.solids, ViewParams(count=views))
+    plant = grow(species, seed, viewpoint, distance)
     sight, camera, noise = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(3))
     scene = Scene.of_plant(plant)
     mujoco = world.Cell(plant, sawyer.READY)
     robot = robot_of(
         mujoco,
         errors=CameraErrors(),
-        T_world_side_camera=T_WORLD_SIDE_CAMERA,
+        T_world_side_camera=place.T_world_side_camera,
         seed=int(noise.integers(1 << 31)),
         scene=scene,
     )
@@ -96,23 +127,23 @@ def build(species: Species, seed: int, viewpoint: float, views: int) -> Simulate
         views=planned,
         robot_side=pipeline.Cell(
             take_views=_views_of(scene, planned, T_flange_cam_true, sight),
-            plan_around=_plan_around,
+            plan_around=lambda cloud: Planner(cloud.points, cloud.obstacles, place.solids),
             robot=robot,
-            workspace=WORKSPACE,
+            workspace=place.workspace,
             limits=SafetyLimits(
                 forward=sawyer.forward,
                 joint_lower=sawyer.LOWER,
                 joint_upper=sawyer.UPPER,
                 joint_speed=sawyer.VELOCITY,
-                workspace=ARM_SPACE,
-                keep_out=SOLIDS,
+                workspace=place.arm_space,
+                keep_out=place.solids,
             ),
         ),
     )
 
 
 def _views_of(
-    scene: Scene, views: Views, T_flange_cam_true: np.ndarray, rng: np.random.Generator
+    scene: Scene, views: Views, T_flange_cam_true: Array, rng: np.random.Generator
 ) -> Callable[[Advance], Capture]:
     def take(advance: Advance) -> Capture:
         capture, _truth = capture_views(
@@ -121,7 +152,3 @@ def _views_of(
         return capture
 
     return take
-
-
-def _plan_around(cloud: Cloud) -> Planner:
-    return Planner(cloud.points, cloud.obstacles, SOLIDS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,6 +26,8 @@ class Args:
     """Which plant; all noise comes from it too."""
     viewpoint: float = 0.0
     """Turn the plant about its pot's axis [degrees]."""
+    distance: float = 0.72
+    """Of the pot in front of the arm [m]."""
     views: int = 30
     """How many RGB-D views the arm takes."""
     out: Path | None = None
@@ -40,9 +43,8 @@ class Args:
 
 
 def run(args: Args) -> int:
-    """Run one trial; return 0 when the main stem was held and shaken without harm, else 1."""
+    """Run one trial; return 0 when the main stem was shaken without harm, 1 when not, 2 when it never came to that."""
     from anther.checks import check_range
-    from anther.commands import simulated_cell
     from anther.commands.run_folder import finish, open_run
     from anther.commands.trial_summary import print_summary, summarise
     from anther.errors import StageFailure
@@ -52,21 +54,31 @@ def run(args: Args) -> int:
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
     check_range("views", args.views, 3, 200)
+    check_range("distance", args.distance, 0.3, 3.0, "m")
     out = args.out or Path("runs") / f"{args.plant}-{args.seed}-{args.viewpoint:g}"
-    done, failure = None, None
+    cell = done = verdict = failure = None
     with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
-        cell = run.timed("cell", lambda _: simulated_cell.build(args.plant, args.seed, args.viewpoint, args.views))
         try:
+            cell = run.timed("cell", lambda _: _build(args))
             done = pollinate(cell.robot_side, _material(args.plant), run, args.params)
+            verdict = run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
-        verdict = None if done is None else run.timed("judge", lambda _: _judge(cell, done))
         summary = summarise(cell, done, verdict, failure)
         write_json(run.folder / "trial.json", summary)
         _remember(args, out, done, summary)
     results = finish(run)
     print_summary(results)
+    if failure is not None:
+        print(f"anther trial: {failure}", file=sys.stderr)
+        return 2
     return 0 if summary["success"] else 1
+
+
+def _build(args: Args) -> SimulatedCell:
+    from anther.commands.simulated_cell import build
+
+    return build(args.plant, args.seed, args.viewpoint, args.views, distance=args.distance)
 
 
 def _material(species: str) -> Material:

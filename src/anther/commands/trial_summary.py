@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def summarise(
-    cell: SimulatedCell, done: Done | None, verdict: Verdict | None, failure: StageFailure | None
+    cell: SimulatedCell | None, done: Done | None, verdict: Verdict | None, failure: StageFailure | None
 ) -> dict[str, Any]:
     """Return trial.json: flat, units in the names, null for what was not reached or cannot be measured."""
     return {
@@ -27,8 +27,8 @@ def summarise(
         **_planned(done),
         **_measured(done),
         **_true(verdict),
-        "simulated_capture_seconds": cell.capture_seconds,
-        "simulated_execution_seconds": cell.world.time,
+        "simulated_capture_seconds": None if cell is None else cell.capture_seconds,
+        "simulated_execution_seconds": None if cell is None else cell.world.time,
     }
 
 
