@@ -41,6 +41,21 @@ def one_trial(species: str, seed: int, viewpoint: float, out: Path) -> dict[str,
     return {**read_json(folder / "trial.json"), "seconds": read_json(folder / "timing.json")}
 
 
+def one_row(trial: dict[str, Any]) -> dict[str, float | None]:
+    """Return what the table keeps of one trial."""
+    amplitudes = {
+        f"{kind}_amplitude_mm": trial.get(f"{kind}_flower_amplitude_median_m")
+        for kind in ("predicted", "measured", "true")
+    }
+    return {
+        "success": float(trial["success"]),
+        "shake_mm": 1000 * trial.get("shake_amplitude_m", np.nan),
+        "shake_hz": trial.get("shake_frequency_hz"),
+        **{name: None if value is None else 1000 * value for name, value in amplitudes.items()},
+        "seconds": sum(trial["seconds"].values()),
+    }
+
+
 def ratio(trial: dict[str, Any], above: str, below: str) -> float:
     """Ratio of two medians in a trial; NaN where either is missing."""
     a, b = trial.get(above), trial.get(below)
@@ -102,6 +117,8 @@ def main() -> None:
         "measured_over_true_amplitude_median": float(np.nanmedian(seen_ratio)),
         "seconds_median": float(np.median([sum(t["seconds"].values()) for *_, t in rows])),
     }
+    for species, seed, t in rows:
+        metrics |= {f"{species}_{seed}_{name}": value for name, value in one_row(t).items()}
     print(json.dumps(metrics, indent=2))
     if args.json:
         write_json(args.json, metrics)

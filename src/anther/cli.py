@@ -1,4 +1,4 @@
-"""The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it could not begin."""
+"""The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it never began."""
 
 from __future__ import annotations
 

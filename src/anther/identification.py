@@ -71,7 +71,7 @@ def refine(
 ) -> Refinement:
     """Update what is believed of a plant's material from one measured response.
 
-    An ensemble is drawn from the present belief (`vibration_search.scenarios`: E, damping, EI/GJ, pedicels), each
+    An ensemble is drawn from the present belief (`vibration.search.scenarios`: E, damping, EI/GJ, pedicels), each
     member's flower amplitudes for this shake follow from linear theory times the nonlinear correction of the plan, and
     the members are weighted by a Student-t likelihood (4 degrees of freedom, so that a flower mistaken for another does
     not decide alone) of the measured amplitudes. Where too few members would count, the likelihood is raised to a power
