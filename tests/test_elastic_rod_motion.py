@@ -182,6 +182,25 @@ def test_response_map_is_many_frequency_responses():
     np.testing.assert_allclose(one[:, 8], np.tile(ways[1] / np.sqrt(8), (2, 1)), atol=1e-12)
 
 
+def test_a_grip_of_two_nodes_holds_the_direction_in_simulation_and_response_alike():
+    rods = cantilever(12, youngs=5e7, viscous_time=3e-3)
+    clamp, pads, frequency, amplitude = Clamp.root(rods), (5, 6), 9.0, 1e-5
+    axis = np.array([0.0, 1.0, 0.0])
+    expected = response_map(rods, clamp, [pads], axis[None], [frequency], observe=np.arange(len(rods.nodes)))[0, 0, 0]
+    np.testing.assert_allclose(expected[list(pads)], np.tile(axis, (2, 1)), atol=1e-9)
+    drive = Drive(pads[0], axis, amplitude, frequency, ramp=6 / frequency, also=pads[1:])
+    run = simulate(rods, clamp, drive, 14 / frequency, 1 / frequency / 400, tolerance=1e-11)
+    last = run.times >= 12 / frequency - 1e-9
+    phase = np.exp(-2j * np.pi * frequency * run.times[last][:-1])
+    moves = (run.positions[last][:-1] - run.positions[0]) / amplitude
+    found = 2j * np.tensordot(phase, moves, 1) / len(phase)
+    np.testing.assert_allclose(found, expected, atol=0.01 * np.abs(expected).max())
+    edge = run.positions[:, 6] - run.positions[:, 5]
+    assert np.abs(edge - edge[0]).max() < 1e-12
+    alone = frequency_response(rods, clamp, 5, axis, [frequency])[0]
+    assert not np.allclose(alone[-1], expected[-1], rtol=0.05), "one node alone lets the rod turn in the grip"
+
+
 def test_the_grip_force_of_a_slow_pull():
     rods = cantilever(40, viscous_time=5e-3)
     clamp = Clamp.root(rods)

@@ -24,7 +24,7 @@ from anther.identification import (
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import Params as ShakeParams
 from anther.vibration import ShakePlan, plan_shake
-from anther.vibration.search import gains
+from anther.vibration.search import gains, grip_rows, pad_nodes
 
 
 @pytest.mark.parametrize(("tip_mass", "youngs"), [(0, 21.6), (5e-3, 71), (10e-3, 120), (20e-3, 218)])
@@ -121,13 +121,9 @@ def plan(plant: PlantModel) -> ShakePlan:
 
 def amplitude_of(truth: PlantModel, plant: PlantModel, plan: ShakePlan) -> np.ndarray:
     """What another plant would do in that shake, with the plan's own nonlinear correction."""
-    node = np.array([plan_node(plant, plan)])
-    response = gains([plant, truth], node, plan.direction[None, None], np.array([plan.frequency])).flower[:, 0, 0, 0]
+    pads = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
+    response = gains([plant, truth], pads, plan.direction[None, None], np.array([plan.frequency])).flower[:, 0, 0, 0]
     return plan.predicted_amplitude * response[1] / response[0]
-
-
-def plan_node(plant: PlantModel, plan: ShakePlan) -> int:
-    return int(plant.stem_nodes[np.argmin(np.abs(plant.arc_length - plan.grasp.arc_length))])
 
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.6])

@@ -17,7 +17,7 @@ from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
 from anther.plant import Material, PlantModel
 from anther.vibration import ShakePlan
-from anther.vibration.search import gains, grip_rows, scenarios
+from anther.vibration.search import gains, grip_rows, pad_nodes, scenarios
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def refine(
 def _ensemble_amplitude(members: list[PlantModel], shake: ShakePlan) -> Array:
     """Return (M, F) flower amplitudes [m]; member 0 is the plant as believed, for which the plan is reproduced."""
     plant = members[0]
-    grip = plant.stem_nodes[grip_rows(plant, shake.grasp.point[None])]
+    grip = pad_nodes(plant, grip_rows(plant, shake.grasp.point[None]))
     response = gains(members, grip, shake.direction[None, None], np.array([shake.frequency]))
     linear = shake.amplitude * response.flower[:, 0, 0, 0]
     return linear * shake.predicted_amplitude / np.maximum(linear[0], 1e-12)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -41,8 +42,8 @@ class Clamp:
         low = np.flatnonzero(rods.nodes[:, 2] < height)
         return cls(np.concatenate([cls.root(rods).nodes, low]))
 
-    def free(self, rods: Rods, driven: int | None = None) -> NDArray[np.bool_]:
-        """Return (N, 4) which unknowns (x, y, z, spin) are free, with the driven node held as well.
+    def free(self, rods: Rods, driven: Sequence[int] = ()) -> NDArray[np.bool_]:
+        """Return (N, 4) which unknowns (x, y, z, spin) are free, with the driven nodes held as well.
 
         Raises:
             InputError: a node number outside 0..N-1, or everything clamped.
@@ -55,22 +56,22 @@ class Clamp:
         free[held, :3] = False
         free[0, 3] = False
         free[1:, 3] = ~held[rods.parent[1:]] | (~held[1:] & (rods.parent[1:] != 0))
-        if driven is not None:
-            _check_node("grip node", driven, n)
-            if held[driven]:
-                raise bad_input("grip node", given=driven, allowed="a node that is not clamped", do="Grip higher up.")
-            free[driven, :3] = False
+        for node in driven:
+            _check_node("grip node", node, n)
+            if held[node]:
+                raise bad_input("grip node", given=node, allowed="a node that is not clamped", do="Grip higher up.")
+            free[node, :3] = False
         if not free[:, :3].any():
             raise bad_input("clamp", given="every node", allowed="at least one free node", do="Clamp fewer nodes.")
         return free
 
 
 class Motion(Protocol):
-    """A prescribed motion of one node."""
+    """A prescribed motion of the grip."""
 
     @property
-    def node(self) -> int:
-        """The driven node."""
+    def nodes(self) -> tuple[int, ...]:
+        """The driven nodes, which all move alike."""
         ...
 
     def displacement(self, times: ArrayLike) -> Array:
@@ -80,7 +81,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """A sinusoidal shake of one node: amplitude * sin(2 pi frequency t) along a direction.
+    """A sinusoidal shake of the grip: amplitude * sin(2 pi frequency t) along a direction.
 
     Attributes:
         node: the grip node.
@@ -88,6 +89,8 @@ class Drive:
         amplitude: [m].
         frequency: [Hz].
         ramp: time [s] over which the amplitude grows smoothly from 0; 0 starts at once.
+        also: further nodes between the pads, which move alike. One node alone may turn in the grip; with a neighbour
+            the stem's direction is held too.
     """
 
     node: int
@@ -95,12 +98,18 @@ class Drive:
     amplitude: float
     frequency: float
     ramp: float = 0.0
+    also: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "direction", unit_direction(self.direction))
         check_range("shake amplitude", self.amplitude, 0, 10, "m")
         check_range("shake frequency", self.frequency, 0, 1e5, "Hz")
         check_range("shake ramp", self.ramp, 0, 1e4, "s")
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """The driven nodes."""
+        return (self.node, *self.also)
 
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
@@ -111,17 +120,19 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledDrive:
-    """Any motion of one node, given by samples and interpolated linearly (chirp, burst, recorded).
+    """Any motion of the grip, given by samples and interpolated linearly (chirp, burst, recorded).
 
     Attributes:
         node: the grip node.
         times: (S,) increasing [s]; outside, the first or last sample holds.
         displacements: (S, 3) from the start position [m].
+        also: further nodes between the pads, which move alike.
     """
 
     node: int
     times: Array
     displacements: Array
+    also: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         times = check_array("drive times", self.times, (None,))
@@ -130,6 +141,11 @@ class SampledDrive:
         object.__setattr__(self, "times", times)
         moves = check_array("drive displacements", self.displacements, (len(times), 3))
         object.__setattr__(self, "displacements", moves)
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """The driven nodes."""
+        return (self.node, *self.also)
 
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""

@@ -62,31 +62,36 @@ def response_map(
     Args:
         rods: the rods.
         clamp: what never moves.
-        grip_nodes: (G,) node numbers, none of them clamped.
+        grip_nodes: (G,) node numbers, none of them clamped; or (G, P), the nodes that move alike between the pads.
+            One node alone may turn in the grip; with a neighbour the stem's direction is held too.
         directions: (D, 3) shake directions.
         frequencies: (Q,) [Hz].
         observe: (O,) node numbers, for instance the flowers.
         gravity: (3,) [m/s^2].
 
-    Each frequency is factored once, without any grip. Prescribing the motion u of grip node g then takes the force
-    G_gg^-1 u, with G_gg the 3x3 receptance there, so x = G_xg G_gg^-1 u.
+    Each frequency is factored once, without any grip. Prescribing the motion u of the nodes g of a grip then takes the
+    forces G_gg^-1 u, with G_gg the (3P, 3P) receptance there, so x = G_xg G_gg^-1 u.
 
     Raises:
         InputError: node or frequency out of range.
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
-    grips, seen = _node_list("grip node", grip_nodes, rods), _node_list("observed node", observe, rods)
+    pads = np.asarray(grip_nodes).reshape(len(np.asarray(grip_nodes)), -1)
+    grips, seen = _node_list("grip node", pads.ravel(), rods), _node_list("observed node", observe, rods)
     hertz = check_array("frequencies", frequencies, (None,))
     for value in hertz:
         check_range("frequency", value, 0, 1e5, "Hz")
     units = np.stack([unit_direction(d) for d in np.atleast_2d(np.asarray(directions, dtype=np.float64))])
     system = _linearise(rods, clamp, gravity)
-    for grip in grips:
-        clamp.free(rods, int(grip))
-    at_grip, at_seen = _receptances(system, grips, 2 * np.pi * hertz, seen)
-    forces = np.linalg.solve(at_grip, units.T.astype(np.complex128))  # (Q, G, 3, D); receptances are symmetric
-    moves = np.swapaxes(forces, -1, -2) @ at_seen.reshape(*at_seen.shape[:3], -1)
-    return moves.reshape(len(hertz), len(grips), len(units), len(seen), 3)
+    clamp.free(rods, [int(grip) for grip in grips])
+    receptances = _receptances(system, grips, 2 * np.pi * hertz, np.concatenate([seen, grips]))
+    count, size = len(pads), 3 * pads.shape[1]
+    at_seen = receptances[:, :, :, : len(seen)].reshape(len(hertz), count, size, -1)
+    between = receptances[:, :, :, len(seen) :].reshape(len(hertz), count, size, count, size)
+    at_grip = between[:, np.arange(count), :, np.arange(count)].swapaxes(0, 1)  # (Q, G, 3P, 3P), symmetric
+    forces = np.linalg.solve(at_grip, np.tile(units.T, (pads.shape[1], 1)).astype(np.complex128))  # (Q, G, 3P, D)
+    moves = np.swapaxes(forces, -1, -2) @ at_seen
+    return moves.reshape(len(hertz), count, len(units), len(seen), 3)
 
 
 def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY) -> tuple[Array, Array]:
@@ -168,26 +173,21 @@ def _set_dynamic(system: _Linear, omega: float, dynamic: Blocks) -> None:
     dynamic.diagonal[:, range(4), range(4)] -= omega**2 * _masses(system.model)
 
 
-def _receptances(
-    system: _Linear, grips: NDArray[Any], omegas: Array, seen: NDArray[Any]
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return the motion of the grips (Q, G, 3, 3) and of what is seen (Q, G, 3, O, 3) per unit force on each grip."""
+def _receptances(system: _Linear, grips: NDArray[Any], omegas: Array, seen: NDArray[Any]) -> ComplexArray:
+    """Return the motion of what is seen (Q, G, 3, O, 3) per unit force on each grip node."""
     dynamic = new_blocks(len(system.free), np.complex128)
     wanted = _towards_root(system.model, np.concatenate([grips, seen]))
-    at_grip = np.zeros((len(omegas), len(grips), 3, 3), np.complex128)
     at_seen = np.zeros((len(omegas), len(grips), 3, len(seen), 3), np.complex128)
     for q, omega in enumerate(omegas):
         _set_dynamic(system, omega, dynamic)
         constrain(system.model, system.free, dynamic)
         factor(system.model, dynamic)
-        _solve_columns(system.model, dynamic, grips, seen, wanted, at_grip[q], at_seen[q])
-    return at_grip, at_seen
+        _solve_columns(system.model, dynamic, grips, seen, wanted, at_seen[q])
+    return at_seen
 
 
 @compiled
-def _solve_columns(
-    model: Model, dynamic: Blocks, grips: Any, seen: Any, wanted: Any, at_grip: Any, at_seen: Any
-) -> None:
+def _solve_columns(model: Model, dynamic: Blocks, grips: Any, seen: Any, wanted: Any, at_seen: Any) -> None:
     column = np.zeros_like(dynamic.gradient)
     for g in range(len(grips)):
         for i in range(3):
@@ -195,7 +195,6 @@ def _solve_columns(
             column[grips[g], i] = 1
             solve_at(model, dynamic, column, grips[g], wanted)
             for k in range(3):
-                at_grip[g, i, k] = column[grips[g], k]
                 for o in range(len(seen)):
                     at_seen[g, i, o, k] = column[seen[o], k]
 

@@ -31,7 +31,7 @@ class Trajectory:
         times: (T,) [s], from 0.
         positions: (T, N, 3) [m].
         energy: (T,) elastic + kinetic + gravitational energy [J].
-        grip_force: (T, 3) force the gripper exerts on the driven node [N]; for the midpoint rule its mean over the
+        grip_force: (T, 3) force the gripper exerts on the driven nodes [N]; for the midpoint rule its mean over the
             step that ends there. Zero without a drive and at the start.
         work: (T,) work done by the drive since the start [J].
         newton_iterations: Newton iterations spent.
@@ -100,7 +100,7 @@ def simulate(
     Args:
         rods: the rods, N nodes.
         clamp: what never moves.
-        drive: prescribed motion of one node, relative to where it starts; None lets it be free.
+        drive: prescribed motion of the grip, relative to where it starts; None lets it be free.
         duration: simulated time [s], rounded to whole steps.
         dt: step [s].
         gravity: (3,) [m/s^2].
@@ -121,7 +121,7 @@ def simulate(
     if integrator not in ("midpoint", "implicit_euler"):
         raise bad_input("integrator", given=integrator, allowed="midpoint or implicit_euler", do="Check the spelling.")
     model, frames = build_model(rods, gravity)
-    free = clamp.free(rods, None if drive is None else drive.node)
+    free = clamp.free(rods, () if drive is None else drive.nodes)
     if start == "equilibrium":
         state = static_state(model, frames, rods.nodes, clamp.free(rods))
     else:
@@ -159,7 +159,7 @@ class _Run:
         n = len(state.x)
         self.model, self.free, self.state, self.drive, self.settings = model, free, state, drive, settings
         self.scratch, self.turn, self.blocks = new_state(state.x, state.frames), np.zeros(n), new_blocks(n)
-        self.driven = -1 if drive is None else drive.node
+        self.driven = np.array(() if drive is None else drive.nodes, dtype=np.int64)
         self.home = state.x[self.driven].copy()
         self.work = np.zeros(1)
         self.iterations = self.splits = 0
@@ -206,19 +206,19 @@ class _Run:
     def _record(self, out: _Output, row: int) -> None:
         out.x[row], out.energy[row] = self.state.x, total_energy(self.model, self.state)
         out.work[row] = self.work[0]
-        if self.driven >= 0:
-            out.force[row] = self.blocks.gradient[self.driven, :3]
+        out.force[row] = self.blocks.gradient[self.driven, :3].sum(axis=0)
 
     def _targets(self, times: Array) -> Array:
         if self.drive is None:
             return np.zeros((len(times), 3))
-        return self.home + self.drive.displacement(times)
+        return self.drive.displacement(times)
 
     def _advance(self, targets: Array, dt: float, first: int, every: int, out: _Output) -> tuple[int, float]:
         done, spent, residual = advance(
             self.model,
             self.free,
             self.driven,
+            self.home,
             targets,
             self.state,
             self.scratch,

@@ -164,7 +164,8 @@ def total_energy(model: Model, state: State) -> float:
 def advance(
     model: Model,
     free: Any,
-    driven: int,
+    driven: Any,
+    home: Any,
     targets: Any,
     state: State,
     scratch: State,
@@ -182,7 +183,8 @@ def advance(
     first: int,
     every: int,
 ) -> Any:
-    """Take steps `first` .. S - 1; `targets` (S + 1, 3) is the position of the driven node at each step's end [m].
+    """Take steps `first` .. S - 1; `targets` (S + 1, 3) is the displacement of the `driven` nodes (m,) from `home`
+    (m, 3) at each step's end [m].
 
     Writes every `every`-th state (none if 0) to out_x, out_energy, out_force and out_work; work (1,) sums up the work
     of the drive [J]. On failure `state` stays at the last good step.
@@ -194,9 +196,9 @@ def advance(
     spent, residual = 0, 0.0
     for step in range(first, len(targets) - 1):
         scratch.x[:] = state.x
-        if driven >= 0:
-            share = 0.5 if midpoint else 1.0
-            scratch.x[driven] = (1 - share) * targets[step] + share * targets[step + 1]
+        share = 0.5 if midpoint else 1.0
+        for k, node in enumerate(driven):
+            scratch.x[node] = home[k] + (1 - share) * targets[step] + share * targets[step + 1]
         h = 0.5 * dt if midpoint else dt
         used, residual = implicit_step(model, free, state, scratch, turn, blocks, h, tolerance, most)
         if used < 0:
@@ -205,17 +207,18 @@ def advance(
         if midpoint:
             _extrapolate(model, free, state, scratch, turn, far)
         _copy(scratch, state)
-        if driven >= 0:
-            last = min(step + 2, len(targets) - 1)
+        last = min(step + 2, len(targets) - 1)
+        for node in driven:
             for i in range(3):
-                work[0] += blocks.gradient[driven, i] * (targets[step + 1, i] - targets[step, i])
+                work[0] += blocks.gradient[node, i] * (targets[step + 1, i] - targets[step, i])
                 if midpoint:
-                    state.v[driven, i] = (targets[last, i] - targets[step, i]) / ((last - step) * dt)
+                    state.v[node, i] = (targets[last, i] - targets[step, i]) / ((last - step) * dt)
         if every > 0 and (step + 1) % every == 0:
             row = (step + 1) // every - 1
             out_x[row] = state.x
             out_energy[row] = total_energy(model, state)
             out_work[row] = work[0]
-            if driven >= 0:
-                out_force[row] = blocks.gradient[driven, :3]
+            out_force[row] = 0.0
+            for node in driven:
+                out_force[row] += blocks.gradient[node, :3]
     return len(targets) - 1, spent, residual

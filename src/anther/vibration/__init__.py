@@ -21,7 +21,7 @@ from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.vibration.limits import ArmLimit, pollen_dose, sawyer_limit
 from anther.vibration.observables import semi_major
-from anther.vibration.search import Gains, gains, grip_rows, scenarios
+from anther.vibration.search import Gains, gains, grip_rows, pad_nodes, scenarios
 from anther.vibration.shake_plan import ResponseMap, RunnerUp, ShakePlan
 
 __all__ = ["Params", "ResponseMap", "RunnerUp", "ShakePlan", "plan_shake", "sawyer_limit"]
@@ -100,7 +100,7 @@ class Params:
 class _Grips(NamedTuple):
     """Where the stem may be held: the grasps' nodes first, then others for the map."""
 
-    nodes: NDArray[Any]  # (G,) rod nodes
+    nodes: NDArray[Any]  # (G, 2) rod nodes between the pads
     arc_length: Array  # (G,) [m]
     grasp: NDArray[Any]  # (G,) index of the grasp itself or, for the map, of the nearest one
     directions: Array  # (G, D, 3)
@@ -156,10 +156,10 @@ def _grips(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> _Grips
     usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
     others = usable[np.unique(np.linspace(0, len(usable) - 1, params.heights).round().astype(int))]
     rows = np.concatenate([held, others])
-    nodes, arc = plant.stem_nodes[rows], plant.arc_length[rows]
+    nodes, arc = pad_nodes(plant, rows), plant.arc_length[rows]
     nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
     near = np.concatenate([np.arange(len(held)), nearest])
-    return _Grips(nodes, arc, near, _directions(plant, nodes, params.directions))
+    return _Grips(nodes, arc, near, _directions(plant, nodes[:, 0], params.directions))
 
 
 def _directions(plant: PlantModel, nodes: NDArray[Any], count: int) -> Array:
@@ -236,7 +236,8 @@ def _plan(
             f"{_closest(search, best)} Allow a smaller least_amplitude, or another grasp.",
         )
     duration = float(np.clip(5 / frequency, params.duration, params.most_duration))
-    drive = Drive(int(grips.nodes[g]), grips.directions[g, d], amplitude, frequency)
+    held, also = (int(node) for node in grips.nodes[g])
+    drive = Drive(held, grips.directions[g, d], amplitude, frequency, also=(also,))
     gain = response.flower[:, q, g, d]
     motion, notes = _verified(plant, drive, amplitude * gain[0])
     span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)

@@ -84,12 +84,21 @@ def grip_rows(plant: PlantModel, points: Array) -> NDArray[Any]:
     return usable[np.linalg.norm(nodes[None] - np.asarray(points)[:, None], axis=2).argmin(axis=1)]
 
 
+def pad_nodes(plant: PlantModel, rows: NDArray[Any]) -> NDArray[Any]:
+    """Return (G, 2) the rod nodes between the pads at stem positions (G,): the node itself and the next one up.
+
+    Pads 16 mm wide hold the stem's direction as well as its place; two nodes that move alike do so in the model.
+    """
+    last = len(plant.stem_nodes) - 1
+    return plant.stem_nodes[np.stack([rows, np.where(rows < last, rows + 1, rows - 1)], axis=1)]
+
+
 def gains(versions: Sequence[PlantModel], grips: NDArray[Any], directions: Array, frequencies: Array) -> Gains:
     """Return the linear response of every scenario.
 
     Args:
         versions: M scenarios of one plant.
-        grips: (G,) rod nodes.
+        grips: (G, 2) rod nodes between the pads, see `pad_nodes`.
         directions: (G, D, 3) unit shake directions at each grip.
         frequencies: (Q,) [Hz].
     """
