@@ -176,6 +176,9 @@ def test_a_trial_end_to_end(tmp_path, capsys) -> None:
     assert not list(Path(out).rglob(".*")), "no temporary files are left"
     assert len(summary["grasp_pose7"]) == 7
     assert np.isclose(np.linalg.norm(summary["shake_direction"]), 1)
+    assert {"capture", "skeleton", "shake plan", "execution"} <= set(summary["seconds"])
+    assert summary["parameters"]["seed"] == 0
+    assert {"mujoco", "numpy"} <= set(summary["parameters"]["libraries"])
     assert "report" in capsys.readouterr().out
     assert main(["view", str(out), "--html", str(tmp_path / "scene.html")]) == 0
     assert (tmp_path / "scene.html").stat().st_size > 100_000

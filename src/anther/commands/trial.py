@@ -45,7 +45,7 @@ class Args:
 def run(args: Args) -> int:
     """Run one trial; return 0 when the main stem was shaken without harm, 1 when not, 2 when it never came to that."""
     from anther.checks import check_range
-    from anther.commands.run_folder import finish, open_run
+    from anther.commands.run_folder import finish, open_run, parameters
     from anther.commands.trial_summary import print_summary, summarise
     from anther.errors import StageFailure
     from anther.files import write_json
@@ -65,6 +65,7 @@ def run(args: Args) -> int:
         except StageFailure as stopped:
             failure = stopped
         summary = summarise(cell, done, verdict, failure)
+        summary |= {"seconds": dict(run.seconds), "parameters": parameters(args)}
         write_json(run.folder / "trial.json", summary)
         _remember(args, out, done, summary)
     results = finish(run)
