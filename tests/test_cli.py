@@ -70,6 +70,7 @@ def test_unknown_option(capfd, name) -> None:
         (["--distance", 600], "distance <= 3 m"),
         (["--viewpoint", "nan"], "viewpoint: got nan"),
         (["--restart-from", "skelton"], "'skelton'; allowed: capture"),
+        (["--restart-from", "response"], "restart from execution"),
     ],
 )
 def test_trial_refuses_bad_options(capfd, tmp_path, words, message) -> None:

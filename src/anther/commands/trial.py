@@ -47,7 +47,7 @@ def run(args: Args) -> int:
     from anther.checks import check_range
     from anther.commands.run_folder import finish, open_run, parameters
     from anther.commands.trial_summary import print_summary, summarise
-    from anther.errors import StageFailure
+    from anther.errors import StageFailure, bad_input
     from anther.files import write_json
     from anther.pipeline import pollinate
 
@@ -55,6 +55,13 @@ def run(args: Args) -> int:
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
     check_range("views", args.views, 3, 200)
     check_range("distance", args.distance, 0.3, 3.0, "m")
+    if args.restart_from in ("response", "report"):
+        raise bad_input(
+            "restart-from",
+            given=f"'{args.restart_from}'",
+            allowed="a stage up to 'execution'",
+            do="The simulated world and its video are not kept: restart from execution.",
+        )
     out = args.out or Path("runs") / f"{args.plant}-{args.seed}-{args.viewpoint:g}"
     cell = done = verdict = failure = None
     with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
