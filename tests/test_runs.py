@@ -46,6 +46,13 @@ def test_restart_reads_the_stages_before(tmp_path) -> None:
     assert set(seconds) == {"skeleton"}
 
 
+def test_what_is_tried_again_is_computed_again(tmp_path) -> None:
+    work(tmp_path, "old")
+    with Run(tmp_path, quiet=True, restart_from="skeleton") as run:
+        tries = [run.stage(name, Note.load, lambda _: Note("new")).text for name in ("masks", "skeleton", "masks")]
+    assert tries == ["old masks", "new", "new"]
+
+
 def test_unknown_stage_is_refused(tmp_path) -> None:
     with pytest.raises(InputError, match="got 'skelton'; allowed: capture, masks"):
         Run(tmp_path, restart_from="skelton")

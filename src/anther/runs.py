@@ -97,6 +97,7 @@ class Run:
         order = list(FILES)
         if self._restart_from is not None and order.index(name) < order.index(self._restart_from):
             return load(self.path(name))
+        self._restart_from = None  # once one stage is new, so is all that follows, also what is tried again
         result = self.timed(name, compute)
         save(result, self.path(name))
         return result
