@@ -34,6 +34,10 @@ from anther.skeleton import Skeleton
 from anther.stem import Stem
 
 SCHEMA = 1
+OFF_BY = 0.002
+"""How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
+ROOT_STRAIN = 0.01
+"""Bending strain a stem bears (facts: pollination 1d); pulled aside by d at height L, its root sees 3 r d / L^2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +77,7 @@ class Params:
     leaf_size: float = 0.006
     touch: float = 0.002
     wanted: int = 5
-    slack: float = 3.0
+    slack: float = 1.0
     asked: int = 150
 
     def __post_init__(self) -> None:
@@ -256,6 +260,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, stroke: float, length: f
         "a branch between the fingers": 2.0 * (met.enclosed[:, BRANCH] > 0),
         "leaves between the fingers": np.minimum(met.enclosed[:, LEAF] / 10, 1),
         "near a flower": np.exp(-flower_distance / 0.03),
+        "near the root": 2.0 * (3 * c.radius * OFF_BY / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
         "near an attachment": np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.002,
         "thick for the gripper": 2.5 * np.maximum(2 * c.radius / stroke - 0.6, 0),

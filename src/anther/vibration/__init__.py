@@ -45,6 +45,8 @@ class Params:
         caution: quantile over the scenarios at which the plant's limits must hold [-].
         seed: of the draws.
         arm_share: share of the arm's limit that is used [-].
+        plant_share: share of the plant's limits that is used [-]: the best models of shaken plants err by some tens of
+            per cent (facts: pollination 4), and passing a limit is worse than staying below it.
         least_amplitude, most_amplitude: of the grip [m]. A smaller shake is not planned: the arm places itself to
             0.1 mm (facts: sawyer 1), and soft pads swallow as much.
         most_speed: of the grip [m/s].
@@ -67,6 +69,7 @@ class Params:
     caution: float = 0.8
     seed: int = 0
     arm_share: float = 0.8
+    plant_share: float = 0.7
     least_amplitude: float = 0.3e-3
     most_amplitude: float = 0.03
     most_speed: float = 0.3
@@ -89,6 +92,7 @@ class Params:
         check_range("number of draws", self.draws, 0, 1000)
         check_range("caution", self.caution, 0, 1)
         check_range("arm_share", self.arm_share, 0.01, 1)
+        check_range("plant_share", self.plant_share, 0.01, 1)
         check_range("least_amplitude", self.least_amplitude, 1e-7, self.most_amplitude, "m")
         for name in ("half_dose", "most_speed", "stem_strain", "joint_strain", "leaf_load"):
             check_range(name, getattr(self, name), 1e-9, 1e6)
@@ -183,9 +187,9 @@ def _search(
 
     flower = response.flower.max(axis=-1) * omega**2
     plant_bounds = {
-        "stem bending strain [-]": (response.stem_strain, params.stem_strain),
-        "pedicel bending strain [-]": (response.joint_strain, params.joint_strain),
-        "leaf-base load [m/s2]": (response.leaf_load, params.leaf_load),
+        "stem bending strain [-]": (response.stem_strain, params.plant_share * params.stem_strain),
+        "pedicel bending strain [-]": (response.joint_strain, params.plant_share * params.joint_strain),
+        "leaf-base load [m/s2]": (response.leaf_load, params.plant_share * params.leaf_load),
         "flower acceleration [m/s2]": (flower, params.flower_acceleration),
     }
     bounds = {
