@@ -32,7 +32,7 @@ docs: $(DEV)  ## measure again what docs/results.md shows (about 15 minutes)
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/trials.py
 	$(BIN)/python tools/record.py benchmarks/rods.py
-	$(BIN)/python tools/draw_readme.py runs/trials/tomato-0-0 docs/pictures/trial.png
+	$(BIN)/python tools/draw_readme.py runs/trials/tomato-2-0 docs/pictures/trial.png
 
 lock: $(DEV)  ## show what is installed, to renew the lock files from
 	$(BIN)/python -m pip freeze --exclude-editable
