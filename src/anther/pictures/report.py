@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from anther.capture import Capture
 from anther.masks import FLOWER, PLANT, Masks
@@ -99,7 +100,7 @@ def response_map(shake: ShakePlan) -> Figure:
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     axes = figure.subplots()
     response = shake.response_map
-    allowed = np.where(response.amplitude > 0, response.acceleration, np.nan)
+    allowed = np.where(response.acceleration > 0, response.acceleration, np.nan)
     axes.set_facecolor("#d9dedb")
     mesh = axes.pcolormesh(response.frequencies, 100 * response.arc_length, allowed, shading="nearest", cmap="viridis")
     axes.plot(shake.frequency, 100 * shake.grasp.arc_length, "o", mfc="none", mec="white", ms=11, mew=2)
@@ -144,22 +145,24 @@ def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
 
 
 def draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
-    """Draw the displacement along its main direction of the flower that was seen in most frames."""
-    seen = np.isfinite(response.tracks).all(axis=2).sum(axis=0)
-    if not len(seen) or seen.max() < 3:
+    """Draw the surest flower's displacement along the axis seen most clearly, without the plant's slow sway."""
+    if not response.visible.any():
         axes.text(0.5, 0.5, "no flower could be measured", ha="center", transform=axes.transAxes)
         axes.set_axis_off()
         return
-    flower = int(seen.argmax())
+    flower = int(np.nanargmax(response.amplitude / response.amplitude_std))
     good = np.isfinite(response.tracks[:, flower]).all(axis=1)
-    track = response.tracks[good, flower] - response.tracks[good, flower].mean(axis=0)
-    main = np.linalg.svd(track, full_matrices=False)[2][0]
-    start = response.times[good][0]
-    axes.plot(response.times[good] - start, 1000 * track @ main, ".-", color=ORANGE, lw=1, ms=4)
+    period = max(round(1 / (shake.frequency * float(np.median(np.diff(response.times))))), 2)
+    track = response.tracks[good, flower]
+    track = track - uniform_filter1d(track, period, axis=0, mode="nearest")
+    times = response.times[good] - response.times[good][0]
+    swing = np.abs(np.exp(2j * np.pi * shake.frequency * times) @ track)
+    clearest = int(np.argmax(swing / np.maximum(track.std(axis=0), 1e-9)))
+    axes.plot(times, 1000 * track[:, clearest], ".-", color=ORANGE, lw=1, ms=4)
     for sign in (-1, 1):
         axes.axhline(sign * 1000 * shake.predicted_amplitude[flower], color=GREEN, ls="--", lw=1.2)
     axes.set(
         xlabel="time [s]",
-        ylabel="displacement [mm]",
-        title=f"flower {flower + 1}: measured (dots), predicted amplitude (dashed)",
+        ylabel=f"displacement along {'xyz'[clearest]} [mm]",
+        title=f"flower {flower + 1} without slow sway: measured (dots), predicted amplitude (dashed)",
     )
