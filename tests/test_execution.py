@@ -15,7 +15,7 @@ from small_planner import SmallPlanner, solve
 from anther.arm import sawyer
 from anther.devices import DeviceError, JointTrajectory, SafetyLimits
 from anther.errors import InputError, StageFailure
-from anther.execution import PHASES, Params, Trial, choose_rate, execute, pregrasp
+from anther.execution import PHASES, Params, Trial, choose_rate, execute
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.oscillation import alias
@@ -48,7 +48,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert seen == [(i, len(PHASES)) for i in range(len(PHASES))]
     assert gripper.commands == [Params().opening, pytest.approx(0.008 - Params().squeeze), Params().opening]
     away = sawyer.forward(arm.joints())[:3, 3]
-    assert away == pytest.approx(pregrasp(GRASP, Params())[:3, 3], abs=1e-4)
+    assert away == pytest.approx(GRASP.pregrasp(Params().stand_off)[:3, 3], abs=1e-4)
     assert len(trial.frames) == len(trial.frame_times) > 8
 
 

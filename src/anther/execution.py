@@ -16,7 +16,7 @@ from anther.checks import check_array, check_range
 from anther.devices import ArmRecord, Frame, Gripper, GripperState, JointTrajectory, Robot, SafetyLimits
 from anther.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.files import read_npz, write_npz
-from anther.geometry import Array, transform
+from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import alias
 from anther.safety import GuardedArm, check_shake
@@ -271,7 +271,7 @@ def _forward(work: _Work) -> None:
     with work.phase("open"):
         work.robot.gripper.move(params.opening)
     with work.phase("reach"):
-        outward = work.planner.line(grasp.joints, pregrasp(grasp, params), params.approach_speed)
+        outward = work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
         work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
     with work.phase("approach"):
         work.line_in = True
@@ -301,7 +301,7 @@ def _back(work: _Work) -> None:
     with work.phase("release"):
         work.grips.append(work.robot.gripper.move(work.params.opening))
     with work.phase("retreat"):
-        back = pregrasp(work.plan.grasp, work.params)
+        back = work.plan.grasp.pregrasp(work.params.stand_off)
         work.follow(work.planner.line(work.robot.arm.joints(), back, work.params.approach_speed))
 
 
@@ -340,11 +340,6 @@ def _close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
             "branch_or_leaf_grasped", f"the gripper holds something too thick: {found}; {expected}. Try the next grasp."
         )
     return state
-
-
-def pregrasp(grasp: Grasp, params: Params) -> Array:
-    """Return the flange pose (4, 4) a stand-off back along the approach axis."""
-    return transform(grasp.T_world_flange[:3, :3], grasp.T_world_flange[:3, 3] - params.stand_off * grasp.approach)
 
 
 def standstill(joints: Array, duration: float) -> JointTrajectory:
