@@ -1,0 +1,95 @@
+"""Frequency and damping ratio of a plucked stem from its decaying motion (P22). T time samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from anther.checks import check_array
+from anther.errors import bad_input
+from anther.geometry import Array
+
+
+@dataclass(frozen=True, slots=True)
+class FreeVibration:
+    """A decaying oscillation.
+
+    Attributes:
+        frequency: damped natural frequency [Hz].
+        damping_ratio: share of critical damping [-].
+        frequency_error, damping_error: standard errors.
+    """
+
+    frequency: float
+    damping_ratio: float
+    frequency_error: float
+    damping_error: float
+
+
+def fit_free_vibration(times: ArrayLike, displacement: ArrayLike) -> FreeVibration:
+    """Fit offset + exp(-z w t) (a cos w_d t + b sin w_d t), w_d = w sqrt(1 - z^2), to a plucked stem's motion.
+
+    Least squares from the strongest line of the spectrum; the standard errors are those of the fit if the residuals
+    are white.
+
+    Args:
+        times: (T,) increasing [s]; at least two periods.
+        displacement: (T,) along one axis [m].
+
+    Raises:
+        InputError: fewer than 16 samples, times not increasing, or no oscillation.
+    """
+    t = check_array("times", times, (None,))
+    x = check_array("displacement", displacement, (len(t),))
+    if len(t) < 16 or np.any(np.diff(t) <= 0):
+        raise bad_input("times", given=f"{len(t)} samples", allowed="16 or more, increasing", do="Record longer.")
+    scale = float(np.std(x))
+    if scale == 0:
+        raise bad_input("displacement", given="no motion", allowed="an oscillation", do="Pluck the stem.")
+    start = _strongest_line(t, x)
+
+    def residual(p: Array) -> Array:
+        basis = _decaying_basis(t, p)
+        return basis @ np.linalg.lstsq(basis, x / scale, rcond=None)[0] - x / scale
+
+    bounds = ([0.2 * start, -0.2], [5 * start, 0.95])
+    trials = [least_squares(residual, [start, z], bounds=bounds) for z in (0.01, 0.05, 0.2)]
+    fit = min(trials, key=lambda trial: trial.cost)
+    spread = _standard_errors(fit, t, x / scale)
+    frequency, ratio = fit.x
+    return FreeVibration(float(frequency), float(ratio), float(spread[0]), float(spread[1]))
+
+
+def _decaying_basis(t: Array, p: Array) -> Array:
+    """Return (T, 3): the two quadratures of a mode with p = (damped frequency [Hz], damping ratio), and 1."""
+    w_d, z = 2 * np.pi * p[0], p[1]
+    decay = np.exp(-z / np.sqrt(1 - z * z) * w_d * (t - t[0]))
+    return np.stack([decay * np.cos(w_d * t), decay * np.sin(w_d * t), np.ones_like(t)], axis=1)
+
+
+def _standard_errors(fit: Any, t: Array, x: Array) -> Array:
+    """Return the standard errors of frequency and damping ratio from the Jacobian of the full five-parameter model."""
+    basis = _decaying_basis(t, fit.x)
+    weights = np.linalg.lstsq(basis, x, rcond=None)[0]
+    slopes = []
+    for k, step in enumerate((1e-6 * fit.x[0], 1e-6)):
+        moved = fit.x.copy()
+        moved[k] += step
+        slopes.append((_decaying_basis(t, moved) - basis) @ weights / step)
+    J = np.column_stack([*slopes, basis])
+    variance = float(np.sum(fit.fun**2)) / max(len(t) - 5, 1)
+    return np.sqrt(np.diag(np.linalg.pinv(J.T @ J))[:2] * variance)
+
+
+def _strongest_line(t: Array, x: Array) -> float:
+    """Return the frequency [Hz] of the strongest line of the spectrum, refined by zero padding."""
+    even = np.linspace(t[0], t[-1], len(t))
+    y = np.interp(even, t, x)
+    y = (y - y.mean()) * np.hanning(2 * len(y))[len(y) :]  # full weight at the start, where the motion is
+    spectrum = np.abs(np.fft.rfft(y, 8 * len(y)))
+    lines = np.fft.rfftfreq(8 * len(y), even[1] - even[0])
+    return float(lines[1 + int(np.argmax(spectrum[1:]))])
