@@ -5,39 +5,25 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-import tyro
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.signal import detrend, hilbert
 
 from anther.checks import check_range
-from anther.elastic_rod import (
-    Clamp,
-    Drive,
-    Rods,
-    Trajectory,
-    least_stiffness,
-    natural_frequencies,
-    simulate,
-    stands,
-    with_gravity_equilibrium,
-)
-from anther.errors import StageFailure
+from anther.commands.rod_plant import PlantOptions, hanging, held_nodes, read_plant
+from anther.elastic_rod import Clamp, Drive, Rods, Trajectory, natural_frequencies, simulate
 from anther.files import replacing, write_json
-from anther.formats.skeletons import SkeletonFile, read_skeleton
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
-@dataclass(frozen=True)
-class Args:
+@dataclass(frozen=True, kw_only=True)
+class Args(PlantOptions):
     """Attributes: what to shake, how, and what it is made of. Node numbers are those of the file."""
 
-    skeleton: Annotated[Path, tyro.conf.Positional]
-    """Skeleton file: the authors' .txt (nodes count from 0), .swc (ids), or Anther's .npz (nodes count from 0)."""
     grip: int
     """Node that the gripper moves."""
     flower: int
@@ -45,29 +31,13 @@ class Args:
     amplitude: float = 0.004
     """Shake amplitude [m]."""
     frequency: float = 1.3
-    """Shake frequency [Hz]."""
+    """Shake frequency [Hz]. The damping ratio holds here (Kelvin-Voigt: it grows with frequency)."""
     axis: Literal["x", "y", "z"] = "x"
     """Shake direction, and the direction in which the flower is measured."""
     duration: float = 5.0
     """Simulated time [s]."""
     dt: float = 0.001
     """Time step [s]."""
-    radius: float | None = None
-    """Radius of every edge [m]. By default the radii in the file."""
-    youngs: float = 100e6
-    """Young's modulus [Pa]."""
-    density: float = 1100.0
-    """Density [kg/m^3]."""
-    bend_over_twist: float = 1.5
-    """EI / GJ [-]: 1.5 for a round bar of constant volume, about 12 for dicot petioles."""
-    damping_ratio: float = 0.05
-    """Share of critical damping of a mode at the shake frequency (Kelvin-Voigt: it grows with frequency)."""
-    air_drag: float = 0.0
-    """Drag per length [N s/m^2]."""
-    node_drag: float = 0.0
-    """Drag at every node [N s/m]; the authors' solver has 0.5."""
-    clamp_below: float | None = None
-    """Hold every node with z below this [m]. The root and its first edge are always held."""
     rest: Literal["hanging", "stress-free"] = "hanging"
     """The scanned shape hangs in equilibrium under gravity, or is stress-free and sags when gravity acts."""
     integrator: Literal["midpoint", "implicit_euler"] = "midpoint"
@@ -102,13 +72,13 @@ def run(args: Args) -> None:
     """
     check_range("amplitude", args.amplitude, 0, 1, "m")
     check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
-    check_range("damping_ratio", args.damping_ratio, 0, 10)
     check_range("duration", args.duration, 10 * args.dt, 3600, "s")
-    source = read_skeleton(args.skeleton)
-    rods, clamp = _rods(args, source)
-    _refuse_buckling(args, rods, clamp)
-    grip, flower = source.node(args.grip), source.node(args.flower)
-    drive = Drive(grip, np.array(AXES[args.axis]), args.amplitude, args.frequency)
+    plant = read_plant(args)
+    grip, flower = plant.node(args.grip), plant.node(args.flower)
+    plant = hanging(plant, args.skeleton) if args.rest == "hanging" else plant
+    rods, clamp = plant.damped(args.frequency), plant.clamp
+    also = held_nodes(plant, grip, args.pads)[1:]
+    drive = Drive(grip, np.array(AXES[args.axis]), args.amplitude, args.frequency, also=also)
     trajectory = simulate(rods, clamp, drive, args.duration, args.dt, integrator=args.integrator)
     motion = measure(rods, clamp, drive, trajectory, flower)
     if args.out is not None:
@@ -116,35 +86,6 @@ def run(args: Args) -> None:
         write_json(args.out / "shake.json", asdict(motion))
         draw(args.out / "shake.png", rods, drive, flower, trajectory)
     print(json.dumps(asdict(motion), indent=2) if args.json else _text(args, motion))
-
-
-def _rods(args: Args, source: SkeletonFile) -> tuple[Rods, Clamp]:
-    skeleton = source.skeleton(args.radius)
-    rods = Rods(
-        nodes=skeleton.nodes,
-        parent=skeleton.parent,
-        edge_radius=0.5 * (skeleton.radius + skeleton.radius[skeleton.parent]),
-        youngs=args.youngs,
-        density=args.density,
-        bend_over_twist=args.bend_over_twist,
-        viscous_time=args.damping_ratio / (np.pi * args.frequency),  # Rods.viscous_time
-        air_drag=args.air_drag,
-        node_drag=args.node_drag,
-    )
-    clamp = Clamp.root(rods) if args.clamp_below is None else Clamp.below(rods, args.clamp_below)
-    return (with_gravity_equilibrium(rods, clamp) if args.rest == "hanging" else rods), clamp
-
-
-def _refuse_buckling(args: Args, rods: Rods, clamp: Clamp) -> None:
-    if args.rest == "stress-free" or stands(rods, clamp):
-        return
-    factor = least_stiffness(rods, clamp)
-    enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * args.youngs:.3g} Pa"
-    raise StageFailure(
-        "no_convergence",
-        f"{args.skeleton}: with E = {args.youngs:g} Pa and these radii the plant buckles under its own weight; "
-        f"{enough}. Give --youngs, --radius or --density other values, or hold more of it with --clamp-below.",
-    )
 
 
 def measure(rods: Rods, clamp: Clamp, drive: Drive, trajectory: Trajectory, flower: int) -> Motion:

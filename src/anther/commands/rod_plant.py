@@ -1,0 +1,217 @@
+"""The plant that `shake` and `respond` move: their common options, and rods that stand still under gravity."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from anther.checks import check_range
+from anther.elastic_rod import Clamp, Rods, least_stiffness, stands, with_gravity_equilibrium
+from anther.errors import StageFailure, bad_input
+from anther.formats.skeletons import SkeletonFile, read_skeleton
+from anther.geometry import Array
+from anther.plant import PlantModel
+from anther.runs import FILES
+
+YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
+"""Of a bare skeleton: E of a tomato stem [Pa], the authors' density [kg/m^3], a round bar [-], and zeta [-]."""
+
+
+@dataclass(frozen=True)
+class PlantOptions:
+    """Attributes: the plant, what it is made of, and what holds it."""
+
+    skeleton: Annotated[Path, tyro.conf.Positional]
+    """Skeleton file: the authors' .txt (nodes count from 0), .swc (ids), or Anther's .npz (nodes count from 0); or a
+    run folder, whose plant model also has the leaves' mass, pedicels and flowers."""
+    _: KW_ONLY
+    radius: float | None = None
+    """Radius of every edge [m]. By default the radii in the file."""
+    least_radius: float = 0.0
+    """No edge is thinner than this [m]: a scan shows twigs and midribs thinner than they are."""
+    youngs: float | None = None
+    """Young's modulus [Pa]. By default 100e6, or that of the run; pedicels of a run keep their own."""
+    density: float | None = None
+    """Density [kg/m^3]. By default 1100, or that of the run."""
+    bend_over_twist: float | None = None
+    """EI / GJ [-]: 1.5 for a round bar of constant volume (the default, unless a run has its own), about 12 for dicot
+    petioles."""
+    damping_ratio: float | None = None
+    """Share of critical damping. By default 0.05, or that of the run."""
+    air_drag: float = 0.0
+    """Drag per length [N s/m^2]."""
+    node_drag: float = 0.0
+    """Drag at every node [N s/m]; the authors' solver has 0.5."""
+    clamp_below: float | None = None
+    """Hold every node with z below this [m]. The root and its first edge are always held."""
+    pads: float = 0.0
+    """Length of stem between the gripper's pads [m], which hold its direction too; 0 moves one node, about which the
+    stem may turn."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RodPlant:
+    """A plant as elastic rods without viscosity. N nodes, S stem nodes, F flowers.
+
+    Attributes:
+        rods: the rods.
+        clamp: what the soil holds.
+        numbers: (N,) what the user calls each node.
+        damping_ratio: share of critical damping [-].
+        stem_nodes: (S,) main stem, root first; None where it is still to be found.
+        flower_nodes: (F,) may be empty.
+    """
+
+    rods: Rods
+    clamp: Clamp
+    numbers: NDArray[Any]
+    damping_ratio: float
+    stem_nodes: NDArray[Any] | None
+    flower_nodes: NDArray[Any]
+
+    def node(self, number: int) -> int:
+        """Return the index of the node that the user calls `number`.
+
+        Raises:
+            InputError: there is none.
+        """
+        return SkeletonFile(self.rods.nodes, self.rods.parent, None, self.numbers).node(number)
+
+    def damped(self, frequency: float) -> Rods:
+        """Return the rods with the damping ratio for motion at `frequency` [Hz] (`Rods.viscous_time`)."""
+        return replace(self.rods, viscous_time=self.damping_ratio / (np.pi * frequency))
+
+    def distances(self) -> Array:
+        """Return (N,) distances from the root along the plant [m]."""
+        along = self.rods.lengths
+        for j in range(1, len(along)):
+            along[j] += along[self.rods.parent[j]]
+        return along
+
+
+def read_plant(options: PlantOptions) -> RodPlant:
+    """Return the plant of a skeleton file or a run folder, in its scanned shape, not yet in equilibrium.
+
+    Raises:
+        InputError: a bad file or option.
+    """
+    if options.damping_ratio is not None:
+        check_range("damping_ratio", options.damping_ratio, 0, 10)
+    check_range("least_radius", options.least_radius, 0, 1, "m")
+    check_range("pads", options.pads, 0, 1, "m")
+    plant = _of_run(options) if options.skeleton.is_dir() else _of_skeleton(options)
+    rods = replace(plant.rods, air_drag=options.air_drag, node_drag=options.node_drag)
+    clamp = Clamp.root(rods) if options.clamp_below is None else Clamp.below(rods, options.clamp_below)
+    return replace(plant, rods=rods, clamp=clamp)
+
+
+def _of_skeleton(options: PlantOptions) -> RodPlant:
+    source = read_skeleton(options.skeleton)
+    skeleton = source.skeleton(options.radius)
+    rods = Rods(
+        nodes=skeleton.nodes,
+        parent=skeleton.parent,
+        edge_radius=np.maximum(0.5 * (skeleton.radius + skeleton.radius[skeleton.parent]), options.least_radius),
+        youngs=_given(options.youngs, YOUNGS),
+        density=_given(options.density, DENSITY),
+        bend_over_twist=_given(options.bend_over_twist, BEND_OVER_TWIST),
+    )
+    zeta = _given(options.damping_ratio, DAMPING_RATIO)
+    return RodPlant(rods, Clamp.root(rods), source.numbers, zeta, None, np.zeros(0, np.int64))
+
+
+def _of_run(options: PlantOptions) -> RodPlant:
+    path = options.skeleton / FILES["plant model"]
+    if not path.exists():
+        raise bad_input(
+            str(options.skeleton),
+            given=f"a folder without {path.name}",
+            allowed="a run folder of `anther trial` that has a plant model, or a skeleton file",
+            do=f"A run that only saw the plant has a skeleton: name its {FILES['skeleton']}.",
+        )
+    model = PlantModel.load(path)
+    made, rods, stalk = model.material, model.rods, model.is_pedicel
+    radius = rods.edge_radius if options.radius is None else np.where(stalk, rods.edge_radius, options.radius)
+    youngs = rods.youngs if options.youngs is None else np.where(stalk, rods.youngs, options.youngs)
+    density = rods.density if options.density is None else options.density
+    rods = replace(
+        rods,
+        edge_radius=np.where(stalk, radius, np.maximum(radius, options.least_radius)),
+        youngs=youngs,
+        density=density,
+        bend_over_twist=_given(options.bend_over_twist, made.bend_over_twist),
+        natural=None,
+    )
+    zeta = _given(options.damping_ratio, made.damping_ratio)
+    return RodPlant(rods, model.clamp, np.arange(len(rods.nodes)), zeta, model.stem_nodes, model.flower_nodes)
+
+
+def _given(value: float | None, otherwise: float) -> float:
+    return otherwise if value is None else value
+
+
+def hanging(plant: RodPlant, name: object) -> RodPlant:
+    """Return the plant with the natural shape for which its scanned shape hangs still under gravity.
+
+    Raises:
+        StageFailure: it would buckle under its own weight; the message tells the stiffness that would hold it.
+    """
+    if not stands(plant.rods, plant.clamp):
+        factor = least_stiffness(plant.rods, plant.clamp)
+        youngs = np.asarray(plant.rods.youngs)[1]
+        enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
+        raise StageFailure(
+            "no_convergence",
+            f"{name}: with E = {youngs:g} Pa and these radii the plant buckles under its own weight; {enough}. "
+            "Give --youngs, --radius, --least-radius or --density other values, or hold more of it with --clamp-below.",
+        )
+    return replace(plant, rods=with_gravity_equilibrium(plant.rods, plant.clamp))
+
+
+def held_nodes(plant: RodPlant, grip: int, pads: float) -> tuple[int, ...]:
+    """Return the nodes that a grip moves alike: `grip` itself, then those within half the pads' length along the stem.
+
+    Upward it follows the child that carries most nodes. Pads shorter than the node spacing still hold one neighbour,
+    because two nodes are what holds a direction.
+
+    Args:
+        plant: the plant.
+        grip: the gripped node.
+        pads: their length [m]; 0 is the grip node alone.
+    """
+    if pads == 0:
+        return (grip,)
+    parent, lengths = plant.rods.parent, plant.rods.lengths
+    below, above = _towards_root(plant, grip), _towards_tip(parent, grip)
+    near = [
+        node
+        for way, edges in ((below, [grip, *below[:-1]]), (above, above))
+        for node, far in zip(way, np.cumsum(lengths[edges]), strict=True)
+        if far <= pads / 2 * (1 + 1e-9)
+    ]
+    return (grip, *(near or (above or below)[:1]))
+
+
+def _towards_root(plant: RodPlant, node: int) -> list[int]:
+    """Return the free nodes below a node, nearest first."""
+    way = []
+    while (node := int(plant.rods.parent[node])) >= 0 and node not in plant.clamp.nodes:
+        way.append(node)
+    return way
+
+
+def _towards_tip(parent: NDArray[Any], node: int) -> list[int]:
+    """Return the nodes above a node, nearest first, always by the child that carries most nodes."""
+    carried = np.ones(len(parent), dtype=np.int64)
+    for j in range(len(parent) - 1, 0, -1):
+        carried[parent[j]] += carried[j]
+    way = []
+    while len(children := np.flatnonzero(parent == node)):
+        node = int(children[np.argmax(carried[children])])
+        way.append(node)
+    return way
