@@ -12,6 +12,7 @@ COMMANDS = {
     "reconstruct": "RGB-D views of a plant -> cloud, skeleton, main stem, flowers, grasp",
     "skeletonize": "point cloud -> skeleton, main stem, grasp",
     "shake": "shake a skeleton with the elastic-rod model; print the flower's motion",
+    "respond": "map how flowers answer shakes of a skeleton or run, over grip height and frequency",
     "view": "open a run in the 3-D viewer, or write it to one HTML file",
     "convert-kinect": "Kinect turntable frames -> a capture folder",
 }
@@ -66,6 +67,8 @@ def _module(name: str) -> ModuleType:
             from anther.commands import skeletonize as command
         case "shake":
             from anther.commands import shake as command
+        case "respond":
+            from anther.commands import respond as command
         case "view":
             from anther.commands import view as command
         case _:

@@ -1,0 +1,288 @@
+"""Map how a plant's flowers answer small shakes, over grip height and frequency (linear response), as CSV and PNG."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from anther.arm import sawyer
+from anther.arm.shaking import amplitude_limit
+from anther.checks import check_range
+from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant
+from anther.elastic_rod import Clamp, natural_frequencies, response_map
+from anther.errors import bad_input
+from anther.files import replacing, write_json
+from anther.geometry import Array
+from anther.pictures.response_map import draw_response_map
+from anther.skeleton import Skeleton
+from anther.stem import find_stem
+from anther.vibration import Params as ShakeParams
+from anther.vibration.observables import semi_major
+
+DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+TURNS = np.pi * np.arange(12) / 12
+"""Horizontal directions that are tried for the best one [rad]."""
+MODES = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Args(PlantOptions):
+    """Attributes: which plant, where it is gripped, what is observed. Node numbers are those of the file."""
+
+    flower: tuple[int, ...] = ()
+    """Nodes whose motion counts. By default the flowers of a run, else every tip."""
+    grips: tuple[int, ...] = ()
+    """Nodes where the plant is gripped. By default the main stem's."""
+    heights: int = 40
+    """At most so many of the main stem's nodes, evenly picked."""
+    axis: Literal["best", "x", "y", "z"] = "best"
+    """Shake direction; by default, for each cell of the map, the best of 12 horizontal ones."""
+    lowest: float = 1.0
+    """Lowest frequency [Hz]."""
+    highest: float = 35.0
+    """Highest frequency [Hz]."""
+    frequencies: int = 80
+    """How many, evenly on a logarithmic scale."""
+    amplitude: float = 0.001
+    """Grip amplitude [m]. The answer is linear: accelerations are proportional to it."""
+    arm: bool = False
+    """Shake as far as a Sawyer can at each frequency instead: neutral arm, away from its base; 30 mm at most."""
+    out: Path | None = None
+    """Folder for response_map.csv, respond.json and response_map.png."""
+    json: bool = False
+    """Print the result as JSON."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Steady motion of F flowers when the plant is shaken at one of G grips with one of Q frequencies.
+
+    Attributes:
+        frequencies: (Q,) [Hz].
+        grips: (G,) nodes, by their distance from the root.
+        distance: (G,) that distance along the plant [m].
+        amplitude: (Q,) grip amplitude [m].
+        direction: (Q, G, 3) shake direction.
+        ratio: (Q, G, F) flower amplitude (semi-major axis of its path) over grip amplitude [-].
+        resonances: (G, K) lowest natural frequencies while the grip is held [Hz].
+    """
+
+    frequencies: Array
+    grips: NDArray[Any]
+    distance: Array
+    amplitude: Array
+    direction: Array
+    ratio: Array
+    resonances: Array
+
+    @property
+    def acceleration(self) -> Array:
+        """(Q, G, F) peak acceleration of each flower [m/s^2]."""
+        return self.ratio * (self.amplitude * (2 * np.pi * self.frequencies) ** 2)[:, None, None]
+
+    @property
+    def best(self) -> tuple[int, int]:
+        """(q, g) of the largest mean acceleration."""
+        mean = self.acceleration.mean(axis=-1)
+        q, g = np.unravel_index(int(np.argmax(mean)), mean.shape)
+        return int(q), int(g)
+
+
+def run(args: Args) -> None:
+    """Compute the map, print its best cell and the natural frequencies, and write the results to `out`.
+
+    Raises:
+        InputError: a bad file or option.
+        StageFailure: the plant cannot stand, or no main stem is found.
+    """
+    _check(args)
+    plant = hanging(read_plant(args), args.skeleton)
+    flowers, grips = _flowers(args, plant), _grips(args, plant)
+    response = respond(args, plant, grips, flowers)
+    result = summary(plant, response, flowers)
+    if args.out is not None:
+        write_json(args.out / "respond.json", result)
+        write_csv(args.out / "response_map.csv", plant, response)
+        with replacing(args.out / "response_map.png") as temporary:
+            draw_response_map(plant.rods, flowers, response, _title(args)).savefig(temporary, dpi=110)
+    if args.json:
+        print(json.dumps(result, indent=2))
+    else:
+        _print(args, result)
+
+
+def _check(args: Args) -> None:
+    check_range("amplitude", args.amplitude, 1e-9, 1, "m")
+    check_range("lowest", args.lowest, 1e-3, 1e4, "Hz")
+    check_range("highest", args.highest, args.lowest, 1e4, "Hz")
+    check_range("frequencies", args.frequencies, 1, 10_000)
+    check_range("heights", args.heights, 1, 10_000)
+
+
+def _flowers(args: Args, plant: RodPlant) -> NDArray[Any]:
+    """Return the nodes whose motion counts: those asked for, else the run's flowers, else every free tip."""
+    if args.flower:
+        return np.array([plant.node(number) for number in args.flower])
+    if len(plant.flower_nodes):
+        return plant.flower_nodes
+    tips = np.setdiff1d(np.arange(1, len(plant.rods.parent)), plant.rods.parent)
+    return np.setdiff1d(tips, plant.clamp.nodes)
+
+
+def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
+    """Return the grip nodes by their distance from the root: those asked for, else free nodes of the main stem."""
+    if args.grips:
+        nodes = np.unique([plant.node(number) for number in args.grips])
+    else:
+        rods, stem = plant.rods, plant.stem_nodes
+        if stem is None:
+            stem = find_stem(Skeleton(rods.nodes, rods.parent, np.asarray(rods.edge_radius))).node_ids
+        free = np.setdiff1d(stem, plant.clamp.nodes)
+        if not len(free):
+            raise bad_input("grips", given="none", allowed="a main stem that is not clamped", do="Name --grips.")
+        nodes = free[np.unique(np.linspace(0, len(free) - 1, args.heights).round().astype(int))]
+    return nodes[np.argsort(plant.distances()[nodes], kind="stable")]
+
+
+def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[Any]) -> Response:
+    """Return the response of the flowers at every grip and frequency; tissue is hysteretic: one damping ratio for all.
+
+    Args:
+        args: frequencies, direction, amplitude and pads.
+        plant: at rest in its scanned shape.
+        grips: (G,) grip nodes.
+        flowers: (F,) observed nodes.
+    """
+    hertz = np.geomspace(args.lowest, args.highest, args.frequencies)
+    held = [held_nodes(plant, int(grip), args.pads) for grip in grips]
+    moves = np.zeros((len(hertz), len(grips), 3, len(flowers), 3), np.complex128)
+    sizes = np.array([len(nodes) for nodes in held])
+    for q, frequency in enumerate(track(hertz, "frequencies", transient=True, disable=args.json)):
+        for size in np.unique(sizes):
+            same = np.flatnonzero(sizes == size)
+            pads = np.array([held[g] for g in same])
+            rods = plant.damped(float(frequency))
+            moves[q, same] = response_map(rods, plant.clamp, pads, np.eye(3), [frequency], observe=flowers)[0]
+    ways = [DIRECTIONS[args.axis]] if args.axis != "best" else [(np.cos(a), np.sin(a), 0.0) for a in TURNS]
+    ratio, direction = _best_direction(moves, np.array(ways))
+    amplitude = arm_amplitude(hertz) if args.arm else np.full(len(hertz), args.amplitude)
+    resonances = np.array([_resonances(plant, nodes) for nodes in held])
+    return Response(hertz, grips, plant.distances()[grips], amplitude, direction, ratio, resonances)
+
+
+def _best_direction(moves: Any, ways: Array) -> tuple[Array, Array]:
+    """Return the flowers' amplitude ratios (Q, G, F) in the direction of largest mean, and that direction (Q, G, 3)."""
+    ratio = np.full(moves.shape[:2] + moves.shape[3:4], -1.0)
+    direction = np.zeros((*moves.shape[:2], 3))
+    for way in ways:
+        there = semi_major(np.einsum("qgdfi,d->qgfi", moves, way))
+        better = there.mean(axis=-1) > ratio.mean(axis=-1)
+        ratio[better], direction[better] = there[better], way
+    return ratio, direction
+
+
+def _resonances(plant: RodPlant, held: tuple[int, ...]) -> Array:
+    """Return the lowest natural frequencies (K,) [Hz] while these nodes are held."""
+    clamp = Clamp(np.concatenate([plant.clamp.nodes, held]))
+    return natural_frequencies(plant.rods, clamp, MODES)[0]
+
+
+def arm_amplitude(frequencies: Array) -> Array:
+    """Return the amplitude (Q,) [m] a Sawyer manages: arm neutral, straight away from its base, at most 30 mm.
+
+    The joints' limits bound it (`anther.arm.shaking`); the cap is the largest shake the planner gives a plant.
+    """
+    limit = amplitude_limit(sawyer.NEUTRAL, (1.0, 0.0, 0.0), frequencies)
+    return np.minimum(limit, ShakeParams().most_amplitude)
+
+
+def summary(plant: RodPlant, response: Response, flowers: NDArray[Any]) -> dict[str, Any]:
+    """Return the best cell and the natural frequencies, units in the names."""
+    q, g = response.best
+    there = response.acceleration[q, g]
+    hertz, ratios = natural_modes(plant)
+    return {
+        "best_grip_node": int(plant.numbers[response.grips[g]]),
+        "best_grip_distance_m": float(response.distance[g]),
+        "best_frequency_hz": float(response.frequencies[q]),
+        "best_direction": response.direction[q, g].tolist(),
+        "grip_amplitude_m": float(response.amplitude[q]),
+        "flower_acceleration_mean_m_s2": float(there.mean()),
+        "flower_acceleration_least_m_s2": float(there.min()),
+        "flower_acceleration_most_m_s2": float(there.max()),
+        "flower_amplitude_ratio_mean": float(response.ratio[q, g].mean()),
+        "natural_frequencies_hz": hertz.tolist(),
+        "damping_ratios": ratios.tolist(),
+        "flower_nodes": plant.numbers[flowers].tolist(),
+        "grips": len(response.grips),
+        "nodes": len(plant.rods.nodes),
+    }
+
+
+def natural_modes(plant: RodPlant) -> tuple[Array, Array]:
+    """Return the lowest natural frequencies (K,) [Hz] of the plant that nobody holds, and their damping ratios."""
+    hertz = natural_frequencies(plant.rods, plant.clamp, MODES)[0]
+    return hertz, np.full(len(hertz), plant.damping_ratio)
+
+
+def write_csv(path: Path, plant: RodPlant, response: Response) -> None:
+    """Write one row per grip and frequency; docs/elastic_rod.md names the columns."""
+    acceleration, nodes = response.acceleration, plant.rods.nodes
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(COLUMNS)
+        for g, grip in enumerate(response.grips):
+            for q, frequency in enumerate(response.frequencies):
+                there, ratio = acceleration[q, g], response.ratio[q, g]
+                row = [response.distance[g], nodes[grip, 2], frequency, *response.direction[q, g]]
+                row += [response.amplitude[q], ratio.mean(), there.mean(), there.min(), there.max()]
+                table.writerow([plant.numbers[grip], *(f"{value:.6g}" for value in row)])
+
+
+COLUMNS = (
+    "grip_node",
+    "grip_distance_m",
+    "grip_z_m",
+    "frequency_hz",
+    "direction_x",
+    "direction_y",
+    "direction_z",
+    "grip_amplitude_m",
+    "amplitude_ratio_mean",
+    "acceleration_mean_m_s2",
+    "acceleration_least_m_s2",
+    "acceleration_most_m_s2",
+)
+"""Of response_map.csv; mean, least and most are over the flowers."""
+
+
+def _title(args: Args) -> str:
+    shake = "the Sawyer's largest grip amplitude" if args.arm else f"{1e3 * args.amplitude:g} mm grip amplitude"
+    way = "best horizontal direction" if args.axis == "best" else f"along {args.axis}"
+    return f"mean flower acceleration at {shake}, {way}"
+
+
+def _print(args: Args, result: dict[str, Any]) -> None:
+    way = ", ".join(f"{x:+.2f}" for x in result["best_direction"])
+    least, most = result["flower_acceleration_least_m_s2"], result["flower_acceleration_most_m_s2"]
+    table = Table(title=f"{args.skeleton}: {_title(args)}", show_header=False, title_justify="left", pad_edge=False)
+    height = 100 * result["best_grip_distance_m"]
+    table.add_row("best grip", f"node {result['best_grip_node']}, {height:.1f} cm above the root along the plant")
+    table.add_row("best shake", f"{1e3 * result['grip_amplitude_m']:.3g} mm at {result['best_frequency_hz']:.3g} Hz")
+    table.add_row("", f"along ({way})")
+    mean, count = result["flower_acceleration_mean_m_s2"], len(result["flower_nodes"])
+    table.add_row("flower acceleration", f"mean {mean:.3g} m/s², {least:.3g} to {most:.3g}, over {count} nodes")
+    modes = zip(result["natural_frequencies_hz"], result["damping_ratios"], strict=True)
+    table.add_row("natural frequencies", ", ".join(f"{hertz:.3g} Hz (ζ {ratio:.3f})" for hertz, ratio in modes))
+    if args.out is not None:
+        table.add_row("written", str(args.out))
+    Console().print(table)
