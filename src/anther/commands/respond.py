@@ -44,6 +44,9 @@ class Args(PlantOptions):
     """Nodes where the plant is gripped. By default the main stem's."""
     heights: int = 40
     """At most so many of the main stem's nodes, evenly picked."""
+    base_margin: float = 0.05
+    """Length of main stem above the root that is left out [m], at most a quarter of it: next to the soil a small shake
+    is a long lever, which no stem bears."""
     axis: Literal["best", "x", "y", "z"] = "best"
     """Shake direction; by default, for each cell of the map, the best of 12 horizontal ones."""
     lowest: float = 1.0
@@ -126,6 +129,7 @@ def _check(args: Args) -> None:
     check_range("highest", args.highest, args.lowest, 1e4, "Hz")
     check_range("frequencies", args.frequencies, 1, 10_000)
     check_range("heights", args.heights, 1, 10_000)
+    check_range("base_margin", args.base_margin, 0, 10, "m")
 
 
 def _flowers(args: Args, plant: RodPlant) -> NDArray[Any]:
@@ -140,17 +144,19 @@ def _flowers(args: Args, plant: RodPlant) -> NDArray[Any]:
 
 def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
     """Return the grip nodes by their distance from the root: those asked for, else free nodes of the main stem."""
+    distance = plant.distances()
     if args.grips:
         nodes = np.unique([plant.node(number) for number in args.grips])
     else:
         rods, stem = plant.rods, plant.stem_nodes
         if stem is None:
             stem = find_stem(Skeleton(rods.nodes, rods.parent, np.asarray(rods.edge_radius))).node_ids
-        free = np.setdiff1d(stem, plant.clamp.nodes)
+        low = min(args.base_margin, 0.25 * float(distance[stem].max()))
+        free = np.setdiff1d(stem[distance[stem] >= low], plant.clamp.nodes)
         if not len(free):
             raise bad_input("grips", given="none", allowed="a main stem that is not clamped", do="Name --grips.")
         nodes = free[np.unique(np.linspace(0, len(free) - 1, args.heights).round().astype(int))]
-    return nodes[np.argsort(plant.distances()[nodes], kind="stable")]
+    return nodes[np.argsort(distance[nodes], kind="stable")]
 
 
 def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[Any]) -> Response:
@@ -274,15 +280,16 @@ def _title(args: Args) -> str:
 def _print(args: Args, result: dict[str, Any]) -> None:
     way = ", ".join(f"{x:+.2f}" for x in result["best_direction"])
     least, most = result["flower_acceleration_least_m_s2"], result["flower_acceleration_most_m_s2"]
-    table = Table(title=f"{args.skeleton}: {_title(args)}", show_header=False, title_justify="left", pad_edge=False)
+    print(f"{args.skeleton}: {_title(args)}")
+    table = Table(show_header=False, pad_edge=False)
     height = 100 * result["best_grip_distance_m"]
-    table.add_row("best grip", f"node {result['best_grip_node']}, {height:.1f} cm above the root along the plant")
-    table.add_row("best shake", f"{1e3 * result['grip_amplitude_m']:.3g} mm at {result['best_frequency_hz']:.3g} Hz")
-    table.add_row("", f"along ({way})")
+    shake = f"{1e3 * result['grip_amplitude_m']:.3g} mm at {result['best_frequency_hz']:.3g} Hz along ({way})"
     mean, count = result["flower_acceleration_mean_m_s2"], len(result["flower_nodes"])
-    table.add_row("flower acceleration", f"mean {mean:.3g} m/s², {least:.3g} to {most:.3g}, over {count} nodes")
-    modes = zip(result["natural_frequencies_hz"], result["damping_ratios"], strict=True)
-    table.add_row("natural frequencies", ", ".join(f"{hertz:.3g} Hz (ζ {ratio:.3f})" for hertz, ratio in modes))
+    table.add_row("best grip", f"node {result['best_grip_node']}, {height:.1f} cm above the root along the plant")
+    table.add_row("best shake", shake)
+    table.add_row("acceleration", f"mean {mean:.3g} m/s² ({least:.3g} to {most:.3g}) over {count} nodes")
+    table.add_row("natural frequencies", ", ".join(f"{f:.3g}" for f in result["natural_frequencies_hz"]) + " Hz")
+    table.add_row("their damping ratios", ", ".join(f"{ratio:.3f}" for ratio in result["damping_ratios"]))
     if args.out is not None:
         table.add_row("written", str(args.out))
     Console().print(table)

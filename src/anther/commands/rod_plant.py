@@ -163,11 +163,12 @@ def hanging(plant: RodPlant, name: object) -> RodPlant:
     """
     if not stands(plant.rods, plant.clamp):
         factor = least_stiffness(plant.rods, plant.clamp)
-        youngs = np.asarray(plant.rods.youngs)[1]
+        youngs, grams = np.asarray(plant.rods.youngs)[1], 1e3 * plant.rods.node_mass.sum()
         enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
         raise StageFailure(
             "no_convergence",
-            f"{name}: with E = {youngs:g} Pa and these radii the plant buckles under its own weight; {enough}. "
+            f"{name}: with E = {youngs:g} Pa and these radii the plant buckles under its own weight "
+            f"({grams:.3g} g); {enough}. "
             "Give --youngs, --radius, --least-radius or --density other values, or hold more of it with --clamp-below.",
         )
     return replace(plant, rods=with_gravity_equilibrium(plant.rods, plant.clamp))
@@ -186,14 +187,9 @@ def held_nodes(plant: RodPlant, grip: int, pads: float) -> tuple[int, ...]:
     """
     if pads == 0:
         return (grip,)
-    parent, lengths = plant.rods.parent, plant.rods.lengths
-    below, above = _towards_root(plant, grip), _towards_tip(parent, grip)
-    near = [
-        node
-        for way, edges in ((below, [grip, *below[:-1]]), (above, above))
-        for node, far in zip(way, np.cumsum(lengths[edges]), strict=True)
-        if far <= pads / 2 * (1 + 1e-9)
-    ]
+    below, above = _towards_root(plant, grip), _towards_tip(plant, grip)
+    away = np.abs(plant.distances() - plant.distances()[grip])
+    near = [node for node in (*below, *above) if away[node] <= pads / 2 * (1 + 1e-9)]
     return (grip, *(near or (above or below)[:1]))
 
 
@@ -205,13 +201,14 @@ def _towards_root(plant: RodPlant, node: int) -> list[int]:
     return way
 
 
-def _towards_tip(parent: NDArray[Any], node: int) -> list[int]:
-    """Return the nodes above a node, nearest first, always by the child that carries most nodes."""
+def _towards_tip(plant: RodPlant, node: int) -> list[int]:
+    """Return the free nodes above a node, nearest first, always by the child that carries most nodes."""
+    parent = plant.rods.parent
     carried = np.ones(len(parent), dtype=np.int64)
     for j in range(len(parent) - 1, 0, -1):
         carried[parent[j]] += carried[j]
     way = []
-    while len(children := np.flatnonzero(parent == node)):
+    while len(children := np.setdiff1d(np.flatnonzero(parent == node), plant.clamp.nodes)):
         node = int(children[np.argmax(carried[children])])
         way.append(node)
     return way

@@ -17,7 +17,7 @@ from anther.pictures.plant import FLOWER_COLOR
 if TYPE_CHECKING:
     from anther.commands.respond import Response
 
-DECADES = 2.5
+DECADES = 3.0
 """What the colours span below the largest value; less is drawn as the darkest."""
 
 
@@ -36,20 +36,24 @@ def draw_response_map(rods: Rods, flowers: NDArray[Any], response: Response, tit
     figure = Figure(figsize=(12.5, 5.8), layout="constrained")
     FigureCanvasAgg(figure)
     varies = np.ptp(response.amplitude) > 0
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.9, 1), height_ratios=(0.22, 1) if varies else (1e-3, 1))
+    spread = np.ptp(rods.nodes, axis=0)
+    side = int(np.argmax(spread[:2]))
+    narrow = float(np.clip(1.1 * spread[side] / spread[2], 0.45, 1))
+    rows = (0.22, 1) if varies else (1e-3, 1)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.9, narrow), height_ratios=rows)
     mean = response.acceleration.mean(axis=-1)
     norm = LogNorm(mean.max() * 10**-DECADES, mean.max(), clip=True)
-    chart = figure.add_subplot(grid[1, 0])
-    mesh = _draw_map(chart, response, mean, norm)
-    if varies:
-        arm = figure.add_subplot(grid[0, 0], sharex=chart)
+    arm = figure.add_subplot(grid[0, 0]) if varies else None
+    if arm is not None:
         arm.loglog(response.frequencies, 1e3 * response.amplitude, color="black", lw=1.2)
         arm.set_ylabel("grip [mm]")
         arm.tick_params(labelbottom=False)
         arm.grid(alpha=0.3)
+    chart = figure.add_subplot(grid[1, 0], sharex=arm)
+    mesh = _draw_map(chart, response, mean, norm)
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     plant = figure.add_subplot(grid[:, 1])
-    _draw_plant(plant, rods, flowers, response, mesh.cmap(norm(mean.max(axis=0))))
+    _draw_plant(plant, side, rods, flowers, response, mesh.cmap(norm(mean.max(axis=0))))
     figure.colorbar(mesh, ax=plant, label="mean flower acceleration [m/s²]", extend="min")
     return figure
 
@@ -79,9 +83,7 @@ def _edges(centres: Any, back: Any = lambda x: x) -> Any:
     return back(np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]]))
 
 
-def _draw_plant(plot: Any, rods: Rods, flowers: NDArray[Any], response: Response, colours: Any) -> None:
-    spread = np.ptp(rods.nodes, axis=0)
-    side = 0 if spread[0] >= spread[1] else 1
+def _draw_plant(plot: Any, side: int, rods: Rods, flowers: NDArray[Any], response: Response, colours: Any) -> None:
     flat = rods.nodes[:, [side, 2]]
     radius = np.asarray(rods.edge_radius)[1:]
     lines: Any = np.stack([flat[rods.parent[1:]], flat[1:]], axis=1)
@@ -92,4 +94,4 @@ def _draw_plant(plot: Any, rods: Rods, flowers: NDArray[Any], response: Response
     plot.plot(*best, "x", color="deepskyblue", ms=11, mew=2.5, zorder=6, label="best grip")
     plot.plot(*flat[0], "*", ms=11, color="black", zorder=6)
     plot.set(xlabel=f"{'xy'[side]} [m]", ylabel="z [m]", aspect="equal")
-    plot.legend(loc="best", fontsize=8)
+    plot.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8, frameon=False, handletextpad=0.2)
