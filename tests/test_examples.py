@@ -1,0 +1,36 @@
+"""The numbered examples run from an empty folder and print what they promise."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+
+
+def output(example: Path, folder: Path) -> str:
+    done = subprocess.run([sys.executable, str(example)], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs_and_is_short(example: Path, tmp_path: Path):
+    assert output(example, tmp_path).strip()
+    assert len(example.read_text().splitlines()) <= 45
+    assert example.read_text().startswith('"""')
+
+
+def test_the_tuning_fork_agrees_with_its_formulas(tmp_path: Path):
+    said = output(EXAMPLES[2], tmp_path)
+    ours, theirs = (float(n) for n in re.findall(r"([\d.]+) Hz \((?:rods|formula)\)", said))
+    assert ours == pytest.approx(theirs, rel=3e-3)
+    rows = re.findall(r"^ *[\d.]+ +([\d.]+) at +(-?\d+) deg +([\d.]+) at +(-?\d+) deg$", said, flags=re.MULTILINE)
+    assert len(rows) == 8
+    for a, phase, b, other in rows:
+        assert float(a) == pytest.approx(float(b), rel=0.02)
+        assert abs(float(phase) - float(other)) <= 3
