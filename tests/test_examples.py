@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+SLOW = {"02_cloud_to_grasp"}
 
 
 def output(example: Path, folder: Path) -> str:
@@ -18,7 +19,10 @@ def output(example: Path, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "example",
+    [pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in SLOW else ()) for path in EXAMPLES],
+)
 def test_an_example_runs_and_is_short(example: Path, tmp_path: Path):
     assert output(example, tmp_path).strip()
     assert len(example.read_text().splitlines()) <= 45
