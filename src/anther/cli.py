@@ -13,6 +13,7 @@ COMMANDS = {
     "skeletonize": "point cloud -> skeleton, main stem, grasp",
     "shake": "shake a skeleton with the elastic-rod model; print the flower's motion",
     "respond": "map how flowers answer shakes of a skeleton or run, over grip height and frequency",
+    "identify": "bench measurements of a stem -> density, stiffness, damping, with uncertainty",
     "view": "open a run in the 3-D viewer, or write it to one HTML file",
     "convert-kinect": "Kinect turntable frames -> a capture folder",
 }
@@ -69,6 +70,8 @@ def _module(name: str) -> ModuleType:
             from anther.commands import shake as command
         case "respond":
             from anther.commands import respond as command
+        case "identify":
+            from anther.commands import identify as command
         case "view":
             from anther.commands import view as command
         case _:

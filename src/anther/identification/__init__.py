@@ -1,20 +1,58 @@
 """Identification: stiffness, density and damping from measurements, and a plant's material refined after a trial (P22).
 
-From the bench: `density_from_samples`, `fit_free_vibration`, `youngs_from_frequency`. From a shake: `refine`.
+From the bench: `identify` turns a `MaterialTest` (cut samples, plucks, a deflection test) into a material with its
+uncertainty; its steps are `density_from_samples`, `fit_free_vibration`, `youngs_from_first_mode`,
+`youngs_from_deflection`. `youngs_from_frequency` is the closed formula for a uniform stem. From a shake: `refine`.
 """
 
+from anther.identification.clamped_stem import ClampedStem, Orientation, first_frequency, tip_deflections
 from anther.identification.density import Density, density_from_samples
-from anther.identification.free_vibration import FreeVibration, fit_free_vibration
+from anther.identification.free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
+from anther.identification.material_test import (
+    Identification,
+    InstrumentErrors,
+    MaterialTest,
+    identify,
+    leaf_mass_effect,
+    read_material,
+    write_material,
+)
 from anther.identification.refinement import Params, Refinement, refine
-from anther.identification.stiffness import youngs_from_frequency
+from anther.identification.stiffness import (
+    straight_line_youngs,
+    youngs_from_deflection,
+    youngs_from_first_mode,
+    youngs_from_frequency,
+)
+from anther.identification.uncertainty import Estimate, combine, disagreement, propagate
 
 __all__ = [
+    "ClampedStem",
     "Density",
+    "Estimate",
     "FreeVibration",
+    "Identification",
+    "InstrumentErrors",
+    "MaterialTest",
+    "Orientation",
     "Params",
     "Refinement",
+    "combine",
     "density_from_samples",
+    "disagreement",
+    "first_frequency",
     "fit_free_vibration",
+    "fitted_motion",
+    "identify",
+    "leaf_mass_effect",
+    "mean_vibration",
+    "propagate",
+    "read_material",
     "refine",
+    "straight_line_youngs",
+    "tip_deflections",
+    "write_material",
+    "youngs_from_deflection",
+    "youngs_from_first_mode",
     "youngs_from_frequency",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,20 +22,28 @@ class FreeVibration:
     Attributes:
         frequency: damped natural frequency [Hz].
         damping_ratio: share of critical damping [-].
-        frequency_error, damping_error: standard errors.
+        frequency_error, damping_error: standard errors; infinite where the quantity was not measured.
+        explained: share of the variance that the fit accounts for [-].
     """
 
     frequency: float
     damping_ratio: float
     frequency_error: float
     damping_error: float
+    explained: float = 1.0
+
+    @property
+    def natural_frequency(self) -> float:
+        """Frequency without damping [Hz], f / sqrt(1 - zeta^2): the one that follows from stiffness and mass."""
+        return self.frequency / float(np.sqrt(1 - self.damping_ratio**2))
 
 
 def fit_free_vibration(times: ArrayLike, displacement: ArrayLike) -> FreeVibration:
     """Fit offset + exp(-z w t) (a cos w_d t + b sin w_d t), w_d = w sqrt(1 - z^2), to a plucked stem's motion.
 
-    Least squares from the strongest line of the spectrum; the standard errors are those of the fit if the residuals
-    are white.
+    Least squares from the strongest line of the spectrum. The standard errors are those of the fit with white
+    residuals; where the residuals are stronger around the mode's frequency than elsewhere (0.5 f to 1.5 f, in power),
+    the errors grow by the root of that ratio, because only noise near the frequency can pass for the mode.
 
     Args:
         times: (T,) increasing [s]; at least two periods.
@@ -61,7 +70,36 @@ def fit_free_vibration(times: ArrayLike, displacement: ArrayLike) -> FreeVibrati
     fit = min(trials, key=lambda trial: trial.cost)
     spread = _standard_errors(fit, t, x / scale)
     frequency, ratio = fit.x
-    return FreeVibration(float(frequency), float(ratio), float(spread[0]), float(spread[1]))
+    explained = 1 - float(np.mean(fit.fun**2))
+    return FreeVibration(float(frequency), float(ratio), float(spread[0]), float(spread[1]), explained)
+
+
+def fitted_motion(fit: FreeVibration, times: ArrayLike, displacement: ArrayLike) -> Array:
+    """Return (T,) the fitted motion [m] at the times of the measured one."""
+    t, x = np.asarray(times, dtype=np.float64), np.asarray(displacement, dtype=np.float64)
+    basis = _decaying_basis(t, np.array([fit.frequency, fit.damping_ratio]))
+    return basis @ np.linalg.lstsq(basis, x, rcond=None)[0]
+
+
+def mean_vibration(fits: Sequence[FreeVibration]) -> FreeVibration:
+    """Return the inverse-variance mean of several plucks of one stem.
+
+    Its errors are the larger of what the fits promise and what the scatter between the plucks shows (the fits' error
+    times the Birge ratio: Birge, Phys. Rev. 40, 207, 1932). `explained` is the least of the plucks.
+    """
+    if len(fits) == 1:
+        return fits[0]
+    frequency, frequency_error = _weighted_mean([(f.frequency, f.frequency_error) for f in fits])
+    ratio, damping_error = _weighted_mean([(f.damping_ratio, f.damping_error) for f in fits])
+    return FreeVibration(frequency, ratio, frequency_error, damping_error, min(f.explained for f in fits))
+
+
+def _weighted_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
+    value, error = np.array(values).T
+    weight = 1 / np.maximum(error, 1e-12) ** 2
+    mean = float(weight @ value / weight.sum())
+    birge = float(np.sqrt(weight @ (value - mean) ** 2 / max(len(value) - 1, 1)))
+    return mean, max(1.0, birge) / float(np.sqrt(weight.sum()))
 
 
 def _decaying_basis(t: Array, p: Array) -> Array:
@@ -82,7 +120,18 @@ def _standard_errors(fit: Any, t: Array, x: Array) -> Array:
         slopes.append((_decaying_basis(t, moved) - basis) @ weights / step)
     J = np.column_stack([*slopes, basis])
     variance = float(np.sum(fit.fun**2)) / max(len(t) - 5, 1)
+    variance *= max(1.0, _colour(t, fit.fun, float(fit.x[0])))
     return np.sqrt(np.diag(np.linalg.pinv(J.T @ J))[:2] * variance)
+
+
+def _colour(t: Array, residual: Array, frequency: float) -> float:
+    """Return the mean power of the residual between 0.5 f and 1.5 f over its mean power at all frequencies."""
+    even = np.linspace(t[0], t[-1], len(t))
+    power = np.abs(np.fft.rfft(np.interp(even, t, residual)))[1:] ** 2
+    lines = np.fft.rfftfreq(len(t), even[1] - even[0])[1:]
+    near = (lines > 0.5 * frequency) & (lines < 1.5 * frequency)
+    total = float(power.mean())
+    return float(power[near].mean()) / total if near.any() and total > 0 else 1.0
 
 
 def _strongest_line(t: Array, x: Array) -> float:

@@ -1,13 +1,27 @@
-"""Stiffness."""
+"""Young's modulus from the first natural frequency and from the deflection under a tip mass (P22)."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
+from numpy.typing import ArrayLike
+from scipy.optimize import brentq, least_squares
 
-from anther.checks import check_range
+from anther.checks import check_array, check_range
+from anther.errors import InputError, StageFailure, bad_input
+from anther.geometry import Array
+from anther.identification.clamped_stem import (
+    ClampedStem,
+    G,
+    Orientation,
+    first_frequency,
+    tip_compliance,
+    tip_deflections,
+)
+
+SEARCHED = 1e4
+"""Young's moduli are searched within this factor of the one without gravity, down or up [-]."""
 
 
 def youngs_from_frequency(
@@ -17,8 +31,8 @@ def youngs_from_frequency(
 
     Solves the Euler-Bernoulli frequency equation with a mass M at the tip,
     1 + cos b cosh b + (M / rho A L) b (cos b sinh b - sin b cosh b) = 0, and E = w^2 rho A L^4 / (b^4 I).
-    Gravity is left out. The authors' stem (0.292 m, 3 mm, 1.38 Hz, 1100 kg/m3; P22) gives 21.6 MPa bare and 71, 120,
-    218 MPa with leaves that weigh on the tip like 5, 10, 20 g (facts: pollination 0).
+    Gravity is left out: see `youngs_from_first_mode`. The authors' stem (0.292 m, 3 mm, 1.38 Hz, 1100 kg/m3; P22) gives
+    21.6 MPa bare and 71, 120, 218 MPa with leaves that weigh on the tip like 5, 10, 20 g (facts: pollination 0).
 
     Args:
         length: free length L [m].
@@ -42,3 +56,105 @@ def youngs_from_frequency(
     b: Any = brentq(equation, 1e-3, 1.9, xtol=1e-12)
     second_moment = np.pi * radius**4 / 4
     return float((2 * np.pi * frequency) ** 2 * line_mass * length**4 / (b**4 * second_moment))
+
+
+def youngs_from_first_mode(stem: ClampedStem, frequency: float, density: float, orientation: Orientation) -> float:
+    """Return Young's modulus [Pa] of a tapered stem with leaves from its undamped first natural frequency.
+
+    The rod engine gives the frequency for a modulus; the root is searched. Without gravity the frequency goes with the
+    root of E. Gravity makes an upright stem slower (E comes out higher than without it) and a hanging one faster.
+
+    Args:
+        stem: shape and leaves.
+        frequency: undamped, f / sqrt(1 - zeta^2) [Hz]; of vertical motion if the stem is horizontal.
+        density: [kg/m3].
+        orientation: how it was held.
+
+    Raises:
+        InputError: out of range, or gravity alone makes such a stem swing faster.
+    """
+    check_range("frequency", frequency, 1e-3, 1e4, "Hz")
+    check_range("density", density, 10, 5000, "kg/m3")
+    reference = 1e8
+    light = reference * (frequency / first_frequency(stem, reference, density, "weightless")) ** 2
+    if orientation == "weightless":
+        return light
+
+    def excess(youngs: float) -> float:
+        try:
+            return first_frequency(stem, youngs, density, orientation) ** 2 / frequency**2 - 1
+        except StageFailure:
+            return -1.0  # it buckles: too soft
+
+    low, high = _bracket(excess, light)
+    if low is None:
+        slowest = frequency * np.sqrt(1 + excess(high))
+        raise bad_input(
+            "frequency",
+            given=f"{frequency:g} Hz",
+            allowed=f"> {slowest:.3g} Hz, at which gravity alone swings this {orientation} stem",
+            do="Check how it was held, its length, and the trace.",
+        )
+    root: Any = brentq(excess, low, high, xtol=1e-7 * high)
+    return float(root)
+
+
+def _bracket(excess: Any, start: float) -> tuple[float | None, float]:
+    """Return moduli on either side of the root; the lower is None where there is no root above start / SEARCHED."""
+    low = high = start
+    if excess(start) < 0:
+        while excess(high) < 0 and high < SEARCHED * start:
+            low, high = high, 2 * high
+        return low, high
+    while excess(low) >= 0:
+        if low < start / SEARCHED:
+            return None, low
+        low, high = low / 2, low
+    return low, high
+
+
+def youngs_from_deflection(
+    stem: ClampedStem, tip_mass: ArrayLike, deflection: ArrayLike, density: float, *, reading_error: float = 5e-4
+) -> tuple[float, float]:
+    """Return Young's modulus [Pa] of a horizontal stem from how far masses pull its tip down, and its relative error.
+
+    Least squares over all masses, the deflections from the rod engine (large ones, the stem's own weight and taper
+    included), started from Euler-Bernoulli. The error is that of the fit, with `reading_error` or the scatter of the
+    residuals, whichever is larger; errors of radius, length and masses come on top (`propagate`).
+
+    Args:
+        stem: shape and leaves.
+        tip_mass: (n,) hung on the tip [kg], > 0.
+        deflection: (n,) how far the tip sinks from its position without them [m], > 0.
+        density: [kg/m3].
+        reading_error: standard error of one deflection [m].
+
+    Raises:
+        InputError: no readings, or values <= 0.
+    """
+    mass = check_array("tip mass", tip_mass, (None,))
+    sunk = check_array("deflection", deflection, (len(mass),))
+    if not len(mass) or min(mass.min(), sunk.min()) <= 0:
+        raise bad_input("deflection test", given=f"{len(mass)} readings", allowed="one or more, > 0", do="Check signs.")
+    if sunk.max() >= stem.length:
+        raise bad_input(
+            "deflection", given=f"{sunk.max():g} m", allowed=f"< {stem.length:g} m, the length", do="Units?"
+        )
+    stiff = G * tip_compliance(stem) * float(mass @ sunk / (sunk @ sunk))
+
+    def residual(log: Array) -> Array:
+        return (tip_deflections(stem, stiff * float(np.exp(log[0])), density, mass) - sunk) / sunk.max()
+
+    try:
+        fit = least_squares(residual, [0.0], bounds=([-9.0], [9.0]), x_scale=0.1, diff_step=1e-3, xtol=1e-7)
+    except StageFailure as failure:
+        raise InputError(f"deflection test: no stiffness explains these deflections ({failure})") from failure
+    scatter = float(np.sqrt(np.sum(fit.fun**2) / max(len(mass) - 1, 1))) * sunk.max()
+    slope = float(np.linalg.norm(fit.jac)) * sunk.max()
+    return stiff * float(np.exp(fit.x[0])), max(scatter, reading_error) / slope
+
+
+def straight_line_youngs(stem: ClampedStem, tip_mass: ArrayLike, deflection: ArrayLike) -> float:
+    """Return Young's modulus [Pa] by small-deflection Euler-Bernoulli with taper, for comparison."""
+    mass, sunk = np.asarray(tip_mass, dtype=np.float64), np.asarray(deflection, dtype=np.float64)
+    return G * tip_compliance(stem) * float(mass @ sunk / (sunk @ sunk))

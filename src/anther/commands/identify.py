@@ -1,0 +1,301 @@
+"""Measurements of one stem (cut samples, plucks, tip masses) -> density, stiffness and damping with their errors."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from anther.checks import check_range
+from anther.errors import InputError
+from anther.files import replacing, write_json
+from anther.geometry import Array
+from anther.identification import (
+    ClampedStem,
+    Estimate,
+    FreeVibration,
+    Identification,
+    InstrumentErrors,
+    MaterialTest,
+    Orientation,
+    fit_free_vibration,
+    identify,
+    leaf_mass_effect,
+    straight_line_youngs,
+    write_material,
+)
+from anther.identification.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES, TRACE, read_measurements
+from anther.pictures.material_test import LeafMassEffect, Pluck, draw_material_test
+
+ORIENTATIONS: tuple[Orientation, ...] = ("weightless", "upright", "horizontal", "hanging")
+LEAF_SHARES = (0.0, 0.5, 1.0, 1.5)
+"""Shares of the measured leaf mass for which E is shown [-]."""
+GIVEN_ERROR = 0.01
+"""Relative standard error of a frequency that is given without one [-]."""
+GIVEN_DENSITY_ERROR = 0.05
+"""Relative standard error of a density that is given without one [-], the spread of the prior."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: what was measured. Any part may be left out; docs/identification.md has the file formats."""
+
+    samples: Path | None = None
+    """Cut samples, CSV: mass_g, radius_mm (or diameter_mm), length_mm."""
+    density: float | None = None
+    """Density [kg/m3], where no samples were cut."""
+    density_error: float | None = None
+    """Its standard error [kg/m3]; by default 5 %."""
+    trace: tuple[Path, ...] = ()
+    """Free vibrations, CSV: time_s, displacement_mm. Several plucks of one stem are averaged."""
+    start: float | None = None
+    """Leave out what the traces hold before this time [s]: the release."""
+    frequency: float | None = None
+    """First natural frequency [Hz], where there is no trace."""
+    frequency_error: float | None = None
+    """Its standard error [Hz]; by default 1 %."""
+    profile: Path | None = None
+    """The stem's radius from the clamp to the tip, CSV: distance_mm, radius_mm (or diameter_mm)."""
+    length: float | None = None
+    """Free length [m]; by default the last distance of the profile."""
+    radius: float | None = None
+    """Radius of a uniform stem [m], where there is no profile."""
+    leaves: Path | None = None
+    """Leaves, flowers and fruits on the stem, CSV: distance_mm from the clamp, mass_g."""
+    leaf_mass: tuple[float, ...] = ()
+    """Show what E would be with these further masses at the tip [kg]."""
+    orientation: Literal["upright", "horizontal", "hanging"] | None = None
+    """How the plucked stem was held, horizontal: plucked vertically. Without it gravity is left out."""
+    deflection: Path | None = None
+    """Deflection test of the stem held horizontal, CSV: mass_g on the tip, deflection_mm below where it was without."""
+    errors: InstrumentErrors = field(default_factory=InstrumentErrors)
+    """Standard errors of calliper, ruler and balance."""
+    out: Path | None = None
+    """Folder for identify.json, material.json and identify.png."""
+    json: bool = False
+    """Print the result as JSON."""
+
+
+def run(args: Args) -> None:
+    """Read the files, identify, print and write the results.
+
+    Raises:
+        InputError: a bad file or option, or nothing to identify.
+    """
+    plucks = [_pluck(path, args.start) for path in args.trace]
+    test = _material_test(args, tuple(pluck.fit for pluck in plucks))
+    found = identify(test)
+    effect = _leaf_mass_effect(args, test, found)
+    result = _numbers(test, found, effect)
+    if args.out is not None:
+        write_json(args.out / "identify.json", result)
+        write_material(args.out / "material.json", found.material)
+        with replacing(args.out / "identify.png") as temporary:
+            draw_material_test(test, found, plucks, effect).savefig(temporary, dpi=120)
+    print(json.dumps(result, indent=2) if args.json else _text(args, test, found, effect))
+
+
+def _pluck(path: Path, start: float | None) -> Pluck:
+    table = read_measurements(path, TRACE)
+    keep = table["time"] >= (-np.inf if start is None else start)
+    times, displacement = table["time"][keep], table["displacement"][keep]
+    try:
+        return Pluck(path.name, times, displacement, fit_free_vibration(times, displacement))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTest:
+    if not (args.samples or args.density or plucks or args.frequency or args.deflection):
+        raise InputError(
+            "nothing to identify: give --samples or --density, then --trace or --frequency, or --deflection, with "
+            "--profile or --length and --radius. See docs/identification.md."
+        )
+    if plucks and args.frequency is not None:
+        raise InputError("--trace and --frequency: give one of them; the trace holds the frequency.")
+    if args.samples and args.density is not None:
+        raise InputError("--samples and --density: give one of them; the samples hold the density.")
+    if args.frequency is not None:
+        check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
+        error = args.frequency_error if args.frequency_error is not None else GIVEN_ERROR * args.frequency
+        check_range("frequency_error", error, 0, args.frequency / 2, "Hz")
+        plucks = (FreeVibration(args.frequency, 0.0, error, np.inf),)
+    samples = read_measurements(args.samples, SAMPLES) if args.samples else {}
+    tip = read_measurements(args.deflection, DEFLECTION) if args.deflection else {}
+    stem = _stem(args)
+    if stem is None and (tip or args.frequency is not None):
+        raise InputError("the stem's shape is missing: give --profile, or --length and --radius.")
+    return MaterialTest(
+        stem=stem,
+        orientation=args.orientation or "weightless",
+        sample_mass=samples.get("mass", np.zeros(0)),
+        sample_radius=samples.get("radius", np.zeros(0)),
+        sample_length=samples.get("length", np.zeros(0)),
+        density=_given_density(args),
+        plucks=plucks,
+        tip_mass=tip.get("mass", np.zeros(0)),
+        deflection=tip.get("deflection", np.zeros(0)),
+        errors=args.errors,
+    )
+
+
+def _given_density(args: Args) -> tuple[float, float] | None:
+    if args.density is None:
+        return None
+    check_range("density", args.density, 10, 5000, "kg/m3")
+    error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
+    check_range("density_error", error, 0, args.density / 2, "kg/m3")
+    return args.density, error
+
+
+def _stem(args: Args) -> ClampedStem | None:
+    """Return the stem, or None where its shape is not given at all."""
+    if args.profile is not None and args.radius is not None:
+        raise InputError("--profile and --radius: give one of them.")
+    profile: dict[str, Array] = {}
+    if args.profile is not None:
+        profile = read_measurements(args.profile, PROFILE)
+    elif args.radius is not None:
+        profile = {"distance": np.zeros(1), "radius": np.array([check_range("radius", args.radius, 1e-5, 0.5, "m")])}
+    length = args.length if args.length is not None else float(profile.get("distance", np.zeros(1))[-1])
+    if not profile or length <= 0:
+        if args.profile or args.length is not None or args.radius is not None or args.leaves:
+            raise InputError("the stem's shape is incomplete: give --profile, or --length and --radius [m].")
+        return None
+    check_range("length", length, 1e-3, 20, "m")
+    leaves = read_measurements(args.leaves, LEAVES) if args.leaves else {"distance": np.zeros(0), "mass": np.zeros(0)}
+    if len(leaves["distance"]) and leaves["distance"].max() > length * (1 + 1e-9):
+        farthest = leaves["distance"].max()
+        raise InputError(
+            f"{args.leaves}: a leaf {farthest * 1e3:g} mm from the clamp; allowed: up to {length * 1e3:g} mm, the length "
+            "of the stem. Check the distances, or give --length."
+        )
+    return ClampedStem(profile["distance"], profile["radius"], length, leaves["distance"], leaves["mass"])
+
+
+def _leaf_mass_effect(args: Args, test: MaterialTest, found: Identification) -> LeafMassEffect | None:
+    """Return E over leaf mass: with further masses at the tip where given, else with more or less of the leaves."""
+    if test.stem is None or found.vibration is None:
+        return None
+    for mass in args.leaf_mass:
+        check_range("leaf_mass", mass, 0, 100, "kg")
+    leaves = float(test.stem.leaf_mass.sum())
+    if args.leaf_mass:
+        masses = np.array(sorted({0.0, *args.leaf_mass}))
+        stems, where, present = [test.stem.with_tip_mass(float(m)) for m in masses], "further mass at the tip", 0.0
+    elif leaves > 0:
+        masses = leaves * np.array(LEAF_SHARES)
+        stems, where = [test.stem.changed(leaf_mass=share - 1) for share in LEAF_SHARES], "leaf mass, where it is"
+        present = leaves
+    else:
+        return None
+    frequency = found.vibration.natural_frequency
+    youngs = leaf_mass_effect(stems, frequency, found.density.value, ORIENTATIONS)
+    return LeafMassEffect(where, masses, present, ORIENTATIONS, youngs)
+
+
+def _numbers(test: MaterialTest, found: Identification, effect: LeafMassEffect | None) -> dict[str, Any]:
+    """Return the result as plain numbers in SI; NaN becomes None."""
+    result: dict[str, Any] = {
+        "density": _estimate(found.density),
+        "samples": None if found.samples is None else asdict(found.samples) | {"count": len(test.sample_mass)},
+        "vibration": None,
+        "orientation": test.orientation,
+        "youngs": None if found.youngs is None else _estimate(found.youngs),
+        "youngs_by_method": {estimate.name: _estimate(estimate) for estimate in found.estimates},
+        "youngs_bare_uniform": found.bare_uniform_youngs,
+        "youngs_small_deflection": _small_deflection_youngs(test),
+        "youngs_by_leaf_mass": None,
+        "material": asdict(found.material),
+        "warnings": list(found.warnings),
+    }
+    if found.vibration is not None:
+        natural = {"natural_frequency": found.vibration.natural_frequency, "plucks": len(test.plucks)}
+        result["vibration"] = asdict(found.vibration) | natural
+    if effect is not None:
+        columns = {name: effect.youngs[:, k].tolist() for k, name in enumerate(effect.orientations)}
+        result["youngs_by_leaf_mass"] = {"where": effect.where, "mass": effect.masses.tolist()} | columns
+    return _without_nan(result)
+
+
+def _estimate(estimate: Estimate) -> dict[str, Any]:
+    return {
+        "value": estimate.value,
+        "standard_error": estimate.standard_error,
+        "relative_error_by_source": dict(estimate.shares),
+    }
+
+
+def _small_deflection_youngs(test: MaterialTest) -> float | None:
+    if test.stem is None or not len(test.tip_mass):
+        return None
+    return straight_line_youngs(test.stem, test.tip_mass, test.deflection)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(inner) for inner in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _text(args: Args, test: MaterialTest, found: Identification, effect: LeafMassEffect | None) -> str:
+    lines = [_density_line(test, found), *_vibration_line(test, found)]
+    for estimate in found.estimates:
+        lines.append(f"E from {estimate.name:11} {_modulus(estimate)}")
+    if len(found.estimates) == 2 and found.youngs is not None:
+        lines.append(f"E together         {_modulus(found.youngs)}")
+    if found.bare_uniform_youngs is not None:
+        formula = f"{found.bare_uniform_youngs / 1e6:.3g} MPa"
+        lines.append(f"for comparison: a uniform bare stem without gravity, by formula: {formula}")
+    small = _small_deflection_youngs(test)
+    if small is not None:
+        lines.append(f"for comparison: the deflections by Euler-Bernoulli for small ones: {small / 1e6:.3g} MPa")
+    lines += _effect_lines(effect)
+    lines += [f"warning: {warning}" for warning in found.warnings]
+    if found.youngs is not None:
+        m = found.material
+        flags = f"--youngs {m.youngs:.4g} --density {m.density:.4g} --damping-ratio {m.damping_ratio:.3g}"
+        lines.append(f"to use it: anther shake SKELETON --grip N --flower M {flags}")
+    return "\n".join(lines if args.out is None else [*lines, f"written: {args.out}"])
+
+
+def _density_line(test: MaterialTest, found: Identification) -> str:
+    how = "given"
+    if found.samples is not None:
+        s, count = found.samples, len(test.sample_mass)
+        how = f"{count} samples, spread {s.sd:.3g}, standard error {s.standard_error:.2g} without the calliper's error"
+    return f"density            {found.density.value:.4g} ± {found.density.standard_error:.2g} kg/m³ ({how})"
+
+
+def _vibration_line(test: MaterialTest, found: Identification) -> list[str]:
+    v = found.vibration
+    if v is None:
+        return []
+    line = f"frequency          {v.frequency:.4g} ± {v.frequency_error:.2g} Hz"
+    if np.isfinite(v.damping_error):
+        count = f"{len(test.plucks)} pluck" + ("s" if len(test.plucks) > 1 else "")
+        line += f", damping ratio {v.damping_ratio:.3g} ± {v.damping_error:.1g} ({count})"
+    return [line]
+
+
+def _modulus(estimate: Estimate) -> str:
+    largest = sorted(estimate.shares.items(), key=lambda item: -abs(item[1]))
+    sources = ", ".join(f"{name} {abs(share):.1%}" for name, share in largest if abs(share) >= 0.001)
+    return f"{estimate.value / 1e6:.3g} ± {estimate.standard_error / 1e6:.2g} MPa ({sources})"
+
+
+def _effect_lines(effect: LeafMassEffect | None) -> list[str]:
+    if effect is None:
+        return []
+    names = [name.replace("weightless", "no gravity") for name in effect.orientations]
+    lines = [f"E [MPa] by {effect.where} [g] and by how the stem was held:"]
+    lines.append("  " + "".join(f"{word:>12}" for word in ["mass", *names]))
+    for mass, row in zip(effect.masses, effect.youngs, strict=True):
+        cells = [f"{mass * 1e3:.3g}", *("-" if np.isnan(e) else f"{e / 1e6:.3g}" for e in row)]
+        lines.append("  " + "".join(f"{cell:>12}" for cell in cells))
+    return lines
