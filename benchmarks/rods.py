@@ -1,83 +1,355 @@
-"""Speed of the rod engine: the 86-node branched network, shaken, and a response map of a 200-node plant.
+"""Speed of the rod engine beside its floor and its peers: one table, measured in one run.
 
-    python benchmarks/rods.py --json docs/results/rods.json
+    python benchmarks/rods.py --json docs/results/rods.json --dismech CHECKOUT --pyelastica PYTHON_THAT_HAS_IT
 
-Keys: us_per_newton_86_twist [us], s_per_sim_s_86_twist [s], response_map_s [s] (50 grips x 200 frequencies x 3
-directions, 5 observed nodes; --quick takes a tenth of the frequencies). Processor time, best of the repeats, after
-compilation.
+The reference case is the peers' 86-node 3-D network (51-node stem, five branches of 7 edges, E 200 MPa, r 3 mm,
+undamped, at rest and unstressed, gravity on at t = 0), node 20 shaken 2 mm at 30 Hz along x, dt 1 ms, force tolerance
+1e-9 N, default integrator. Times are processor times of one core after compilation, the best of the repeats, all set-up
+of `simulate` included; only the response map and the second start are wall times.
+
+Keys of the --json file: us_per_newton_86, s_per_sim_s_86 (no twist), us_per_newton_86_twist, s_per_sim_s_86_twist;
+scaling_slope and memory_slope (exponent of time per Newton iteration and of memory over nodes, 86 to 20 000),
+memory_bytes_per_node; response_map_s (200 nodes, 50 grips x 200 frequencies x 3 directions x 10 flowers),
+response_map_cpu_s; second_start_s (a new process, compiled code on disk, from its start to 10 steps done),
+second_start_import_share. Each time has also _median, _max and _floor. With peers: dismech_* and pyelastica_*; a
+*_ratio is the peer's time over ours, both of one round.
+
+The floor, counted: see FLOPS and BYTES below.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import multiprocessing
+import os
+import resource
+import subprocess
+import sys
+import tempfile
 import time
+import tracemalloc
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from networks import bush, reference_network, tall_plant, tips
+from peers import ONE_THREAD, Case, run_dismech, run_pyelastica
+from rich.console import Console
 from rich.progress import track
+from rich.table import Table
+from roofline import Roofline, measure_roofline
 
 from anther.elastic_rod import Clamp, Drive, Rods, response_map, simulate, with_gravity_equilibrium
+from anther.errors import AntherError
 from anther.files import write_json
 
-
-def network(stem: int, branches: int, edges: int, *, youngs: float, step: float = 0.01) -> Rods:
-    """A vertical stem of `stem` nodes; its `branches` of `edges` edges leave at 45 degrees, turned by 137.5 degrees."""
-    nodes = [np.array([0, 0, step * k]) for k in range(stem)]
-    parent = list(range(-1, stem - 1))
-    for b in range(branches):
-        turn = np.radians(137.5 * b)
-        outward = np.array([np.cos(turn), np.sin(turn), 1]) / np.sqrt(2)
-        at = 15 + b * (stem - 20) // max(branches, 1)
-        for k in range(1, edges + 1):
-            parent.append(at if k == 1 else len(nodes) - 1)
-            nodes.append(nodes[at] + step * k * outward)
-    return Rods(np.array(nodes), np.array(parent), edge_radius=3e-3, youngs=youngs, density=1000.0, viscous_time=1e-4)
+# Operations of one Newton iteration per node, a multiply-add as two, counted by running the kernels uncompiled on
+# numbers that count (86-node network; additions into zeroed blocks included; sqrt, sine, cosine, arctangent as one):
+# frames 262, springs 1640, inertia 40, factor 446, solve 142.
+FLOPS = {"twist": 2535.0, "plain": 2535.0}
+# Bytes per node, every array crossing once per sweep that needs it, 8 bytes a number: constants 20 read; positions,
+# velocities, frames 18 read and 11 written; the matrix (48 numbers) written by assembly, read and written by
+# factor, read twice (up and down) by solve: 5 x 48.
+BYTES = {"twist": 8.0 * (20 + 18 + 11 + 5 * 48), "plain": 8.0 * (20 + 18 + 11 + 5 * 48)}
 
 
-def best_of(repeats: int, work: Callable[[], Any], name: str) -> tuple[float, Any]:
-    """Shortest processor time [s] of several runs, and the last result."""
-    times, result = [], None
-    for _ in track(range(repeats), name):
-        start = time.process_time()
-        result = work()
-        times.append(time.process_time() - start)
-    return min(times), result
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: samples in `unit`, the floor and the limit of the issue, if there are any."""
+
+    key: str
+    case: str
+    unit: str
+    samples: tuple[float, ...]
+    floor: float | None = None
+    limit: float | None = None
+    more: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The row in the flat form of the --json file."""
+        out = {self.key: min(self.samples)} | self.more
+        if len(self.samples) > 1:
+            out |= {f"{self.key}_median": float(np.median(self.samples)), f"{self.key}_max": max(self.samples)}
+        return out if self.floor is None else out | {f"{self.key}_floor": self.floor}
+
+
+def cost(case: Case, integrator: Any = "midpoint", gravity: Any = (0, 0, -9.81)) -> tuple[float, int]:
+    """Processor seconds and Newton iterations of one simulation that keeps only its ends."""
+    drive = Drive(case.grip, np.array([1.0, 0, 0]), case.amplitude, case.hertz)
+    begin = time.process_time()
+    run = simulate(
+        case.rods, Clamp(np.array([0, 1])), drive, case.seconds, case.dt, gravity=gravity, integrator=integrator,
+        tolerance=case.tolerance, start="scanned", record_every=case.steps,
+    )  # fmt: skip
+    return time.process_time() - begin, run.newton_iterations
+
+
+def reference_rows(case: Case, kind: str, ceilings: Roofline, repeats: int) -> list[Row]:
+    """Time per Newton iteration and per simulated second of the reference network."""
+    cost(replace(case, steps=3))
+    runs = [cost(case) for _ in range(repeats)]
+    n, tail = len(case.rods.nodes), "_twist" if case.twist else ""
+    iterations = runs[0][1]
+    floor = ceilings.floor(FLOPS[kind] * n, BYTES[kind] * n)
+    words = "with twist" if case.twist else "no twist"
+    limits = (45.0, 0.25) if case.twist else (25.0, 0.12)
+    return [
+        Row(
+            f"us_per_newton_86{tail}",
+            f"86 nodes, {words}: Newton iteration",
+            "us",
+            tuple(1e6 * t / k for t, k in runs),
+            1e6 * floor,
+            limits[0],
+        ),
+        Row(
+            f"s_per_sim_s_86{tail}",
+            f"86 nodes, {words}: simulated second",
+            "s",
+            tuple(t / case.seconds for t, _ in runs),
+            floor * iterations / case.seconds,
+            limits[1],
+            {f"newton_per_step_86{tail}": iterations / case.steps},
+        ),
+    ]
+
+
+def scaling_rows(ceilings: Roofline, shoots: tuple[int, ...], repeats: int) -> list[Row]:
+    """How time per Newton iteration and memory grow with the nodes.
+
+    Bushes without gravity (see `networks.bush`), with twist, a viscous time of 0.1 ms, 2 mm at 30 Hz from rest,
+    tolerance 1e-7 N: forces of 20 000 nodes round to some 1e-8 N. The exponent of memory is that of the arrays which
+    numpy holds at most (without the smallest network, where 30 kB of other objects count); bytes per node are the line through the peaks of the resident set, which holds everything.
+    """
+    nodes, times, arrays, resident = [], [], [], []
+    made = (replace(bush(count), viscous_time=1e-4) for count in shoots)
+    cases = [Case(rods, tolerance=1e-7, twist=True, steps=max(10, 34_000 // len(rods.nodes))) for rods in made]
+    cost(cases[0], gravity=(0, 0, 0))
+    for case in track(cases, "memory over nodes"):
+        with multiprocessing.get_context("fork").Pool(1) as pool:
+            peaks = pool.apply(_peak_memory, (replace(case, steps=3),))
+        arrays.append(peaks[0])
+        resident.append(peaks[1])
+    for case in track(cases, "time over nodes"):
+        runs = [cost(case, gravity=(0, 0, 0)) for _ in range(repeats)]
+        nodes.append(len(case.rods.nodes))
+        times.append(min(seconds / iterations for seconds, iterations in runs))
+    span, tail, last = f"{nodes[0]} to {nodes[-1]} nodes", f"{nodes[1]} to {nodes[-1]} nodes", nodes[-1]
+    floor = 1e3 * ceilings.floor(FLOPS["twist"] * last, BYTES["twist"] * last)
+    words = f"{last} nodes, with twist: Newton iteration"
+    each = {f"us_per_newton_{n}_twist_per_node": 1e6 * t / n for n, t in zip(nodes, times, strict=True)}
+    per_node = float(np.polyfit(nodes, resident, 1)[0])
+    return [
+        Row(f"ms_per_newton_{last}_twist", words, "ms", (1e3 * times[-1],), floor, more=each),
+        Row("scaling_slope", f"time, {span}: exponent", "", (_exponent(nodes, times),), limit=1.1),
+        Row("memory_slope", f"memory, {span}: exponent", "", (_exponent(nodes, arrays),), limit=1.1),
+        Row(
+            "memory_bytes_per_node",
+            f"memory, {span}: per node",
+            "bytes",
+            (per_node,),
+        ),
+    ]
+
+
+def _exponent(sizes: Any, values: Any) -> float:
+    return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
+
+
+def _peak_memory(case: Case) -> tuple[float, float]:
+    """Bytes that numpy's arrays, and the resident set of this process, rise by at most while it simulates the case."""
+    unit = 1 if sys.platform == "darwin" else 1024
+    cost(replace(case, rods=bush(1)), gravity=(0, 0, 0))  # maps the libraries that it needs into memory
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    tracemalloc.start()
+    cost(case, gravity=(0, 0, 0))
+    arrays = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return arrays, unit * float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+
+
+def map_rows(ceilings: Roofline, frequencies: int, repeats: int) -> list[Row]:
+    """The response map of a 200-node plant; wall time, and processor time for information."""
+    bare = tall_plant()
+    clamp = Clamp.root(bare)
+    plant, flowers = with_gravity_equilibrium(bare, clamp), tips(bare)
+    hertz, grips = np.geomspace(1, 35, frequencies), np.arange(20, 120, 2)
+    response_map(plant, clamp, grips, np.eye(3), hertz[:2], observe=flowers)
+    walls, processor = [], []
+    for _ in track(range(repeats), "response map"):
+        begin, begin_cpu = time.perf_counter(), time.process_time()
+        response_map(plant, clamp, grips, np.eye(3), hertz, observe=flowers)
+        walls.append(time.perf_counter() - begin)
+        processor.append(time.process_time() - begin_cpu)
+    words = f"response map, 200 nodes, 50 grips x {frequencies} frequencies x 3 directions x {len(flowers)} flowers"
+    floor = ceilings.floor(map_flops(plant, grips, flowers) * frequencies, 0)
+    more = {"response_map_cpu_s": min(processor), "response_map_frequencies": frequencies}
+    return [Row("response_map_s", words, "s wall", tuple(walls), floor, 0.5, more)]
+
+
+def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
+    """Operations of the map per frequency, with the counts of FLOPS; a complex product is 6 operations, a sum 2.
+
+    The matrix is set up (48 numbers a node, a product with a real and a sum, 4 operations) and factored (246 products,
+    197 sums a node). Each of the three columns of a grip is eliminated on its way to the root, then substituted on all
+    ways from the root to what is wanted (38 products, 34 sums a row each time).
+    """
+    above = plant.parent
+    depth = np.zeros(len(above))
+    wanted = np.zeros(len(above), dtype=bool)
+    for j in range(1, len(above)):
+        depth[j] = depth[above[j]] + 1
+    for node in [*grips, *seen]:
+        while node >= 0:
+            wanted[node] = True
+            node = above[node]  # noqa: PLW2901
+    row = 38 * 6 + 34 * 2
+    return len(above) * (48 * 4 + 246 * 6 + 197 * 2) + 3 * row * float(depth[grips].sum() + len(grips) * wanted.sum())
+
+
+START = """
+import time; begin = time.time()
+import numpy as np; from networks import reference_network; from anther.elastic_rod import Clamp, Drive, simulate
+imported = time.time()
+simulate(reference_network(), Clamp([0, 1]), Drive(20, np.array([1.0, 0, 0]), 2e-3, 30.0), 0.01, 1e-3, start="scanned")
+print(begin, imported, time.time())
+"""
+LEAST_START = "import time, kernel; kernel.add_one(1.0); print(0, 0, time.time())"
+LEAST_KERNEL = "import numba\n@numba.njit(cache=True)\ndef add_one(a): return a + 1.0\n"
+
+
+def start_rows(repeats: int) -> list[Row]:
+    """Time from the start of a new process to ten steps done. Its floor is a process with one trivial numba kernel."""
+    totals, imports, least = [], [], []
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "kernel.py").write_text(LEAST_KERNEL)
+        _start(LEAST_START, folder)  # compiles
+        _start(START, str(Path(__file__).parent))  # compiles, where that is still to do
+        for _ in track(range(repeats), "second start"):
+            begin, _, _, end = _start(LEAST_START, folder)
+            least.append(end - begin)
+            begin, first, imported, end = _start(START, str(Path(__file__).parent))
+            totals.append(end - begin)
+            imports.append((imported - first) / (end - begin))
+    share = {"second_start_import_share": float(np.median(imports))}
+    words = f"second process, start to 10 steps ({share['second_start_import_share']:.0%} of it imports)"
+    return [Row("second_start_s", words, "s wall", tuple(totals), min(least), 1.5, share)]
+
+
+def _start(code: str, folder: str) -> tuple[float, ...]:
+    """Run the code in a new process; return the time of its start and the three times that it prints [s]."""
+    environment = os.environ | ONE_THREAD | {"PYTHONPATH": folder}
+    begin = time.time()
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return (begin, *(float(number) for number in done.stdout.split()))
+
+
+def peer_rows(name: str, words: str, run_peer: Callable[[Case], dict[str, Any]], case: Case, rounds: int) -> list[Row]:
+    """Peer and we in turn on one case, both with implicit Euler where the peer is implicit: paired ratios."""
+    ours, theirs, keep = [], [], f"{name}_"
+    cost(replace(case, steps=3), "implicit_euler")
+    for _ in track(range(rounds), words):
+        peer = run_peer(case)
+        if "failed" in peer:
+            return [Row(f"{keep}failed", f"{words}: fails ({peer['failed']})", "", (1.0,))]
+        theirs.append(peer)
+        ours.append(cost(case, "midpoint" if "dt" in peer else "implicit_euler"))
+    seconds = [p["seconds"] / case.seconds for p in theirs]
+    ratios = tuple(p["seconds"] / t for p, (t, _) in zip(theirs, ours, strict=True))
+    rows = [
+        Row(f"{keep}s_per_sim_s", f"{words}: simulated second", "s", tuple(seconds)),
+        Row(f"{keep}s_per_sim_s_ratio", f"{words}: peer over ours", "x", ratios),
+    ]
+    if "dt" in theirs[0]:
+        return [replace(rows[0], more={f"{keep}dt": theirs[0]["dt"]}), rows[1]]
+    each = tuple(1e3 * p["seconds"] / p["iterations"] for p in theirs)
+    pairs = zip(theirs, ours, strict=True)
+    per_newton = tuple(p["seconds"] / p["iterations"] / (t / k) for p, (t, k) in pairs)
+    rows.append(Row(f"{keep}ms_per_newton", f"{words}: Newton iteration", "ms", each))
+    rows.append(Row(f"{keep}newton_ratio", f"{words}: Newton iteration, peer over ours", "x", per_newton))
+    return rows
+
+
+def all_peer_rows(args: argparse.Namespace, network: Rods, rounds: int) -> list[Row]:
+    """The peers that were asked for: PyDiSMech on the network and on the bare stem, PyElastica on the stem.
+
+    PyDiSMech with twist does not converge on the branched network, not even at rest under gravity; on the stem it does.
+    PyElastica joins branches by springs and dashpots that the user invents, so it gets the stem alone, and its largest
+    stable time step. Explicit and second order, it is paired with our midpoint rule at 1 ms.
+    """
+    stem = Rods(network.nodes[:51], network.parent[:51], 3e-3, 2e8, 1000.0)
+    rows: list[Row] = []
+    if args.dismech:
+
+        def peer(case: Case) -> dict[str, Any]:
+            return run_dismech(args.dismech, case)
+
+        rows += peer_rows("dismech_86", "PyDiSMech, 86 nodes", peer, Case(_without_twist(network)), rounds)
+        rows += peer_rows("dismech_86_twist", "PyDiSMech, 86 nodes, twist", peer, Case(network, twist=True), rounds)
+        rows += peer_rows("dismech_stem_twist", "PyDiSMech, stem, twist", peer, Case(stem, twist=True), rounds)
+    if args.pyelastica:
+        rows += peer_rows(
+            "pyelastica_stem", "PyElastica, stem", lambda c: run_pyelastica(args.pyelastica, c), Case(stem), rounds
+        )
+    return rows
+
+
+def _without_twist(rods: Rods) -> Rods:
+    try:
+        return replace(rods, bend_over_twist=0.0)
+    except AntherError:  # the engine of before
+        return rods
+
+
+def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
+    """Run everything; scaling first, so that memory freed by the others cannot be used again unseen."""
+    ceilings = measure_roofline()
+    network, repeats = reference_network(), 3 if args.quick else 9
+    rows = scaling_rows(ceilings, (1, 15, 30, 59) if args.quick else (1, 4, 15, 59, 236), 3)
+    steps = 200 if args.quick else 1000
+    for case in (Case(_without_twist(network), steps=steps), Case(network, steps=steps, twist=True)):
+        rows += reference_rows(case, "twist" if case.twist else "plain", ceilings, repeats)
+    rows += map_rows(ceilings, 20 if args.quick else 200, repeats)
+    rows += start_rows(repeats)
+    return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
+
+
+def print_table(rows: list[Row], ceilings: Roofline) -> None:
+    """Print one line a row: best, median, worst, the limit and the floor."""
+    table = Table("case", "unit", "best", "median", "worst", "limit", "floor", "x floor")
+    for row in rows:
+        best, middle, worst = min(row.samples), float(np.median(row.samples)), max(row.samples)
+        times = "" if row.floor is None or not row.unit else f"{best / row.floor:.1f}"
+        limit, floor = ("" if value is None else f"{value:.3g}" for value in (row.limit, row.floor))
+        spread = ("", "") if len(row.samples) == 1 else (f"{middle:.3g}", f"{worst:.3g}")
+        table.add_row(row.case, row.unit, f"{best:.3g}", *spread, limit, floor, times)
+    console = Console(width=150)
+    console.print(table)
+    console.print(
+        f"One core in this run: {ceilings.vector / 1e9:.0f} Gflop/s with SIMD (the floor), {ceilings.scalar / 1e9:.0f} "
+        f"one number at a time; {ceilings.small / 1e9:.0f} GB/s in the second-level cache, {ceilings.large / 1e9:.0f} "
+        f"with 24 MB. Load of the machine: {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores.",
+        highlight=False,
+    )
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure, print, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--seed", type=int, default=0, help="unused: nothing is random here")
+    parser.add_argument("--json", type=Path, help="write the metrics here")
+    parser.add_argument("--quick", action="store_true", help="smaller cases, fewer repeats")
+    parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
+    parser.add_argument("--dismech", type=Path, help="a checkout of dismech-python, to be run as well")
+    parser.add_argument("--pyelastica", type=Path, help="a Python that has PyElastica, to be run as well")
     args = parser.parse_args()
-    rods = network(51, 5, 7, youngs=2e8)
-    clamp, seconds = Clamp.root(rods), 0.2 if args.quick else 1.0
-    rods = with_gravity_equilibrium(rods, clamp)
-    drive = Drive(20, np.array([1.0, 0, 0]), 5e-3, 10.0)
-    simulate(rods, clamp, drive, duration=0.01, dt=1e-3)
-    taken, run = best_of(3, lambda: simulate(rods, clamp, drive, duration=seconds, dt=1e-3), "shake")
-    plant = network(130, 10, 7, youngs=5e9)  # 1.3 m tall: stiff enough to stand
-    plant = with_gravity_equilibrium(plant, Clamp.root(plant))
-    frequencies = np.geomspace(1, 35, 20 if args.quick else 200)
-    grips, observed = np.arange(20, 120, 2), np.arange(len(plant.nodes) - 35, len(plant.nodes), 7)
-
-    def full_map() -> Any:
-        return response_map(plant, Clamp.root(plant), grips, np.eye(3), frequencies, observe=observed)
-
-    full_map()
-    mapped, _ = best_of(3, full_map, "response map")
-    metrics = {
-        "us_per_newton_86_twist": 1e6 * taken / int(np.sum(run.newton_iterations)),
-        "s_per_sim_s_86_twist": taken / seconds,
-        "response_map_s": mapped,
-        "response_map_frequencies": len(frequencies),
-    }
-    print(json.dumps(metrics, indent=2))
+    rows, ceilings = measure(args)
+    print_table(rows, ceilings)
     if args.json:
+        metrics = {key: value for row in rows for key, value in row.metrics.items()}
+        metrics |= {f"core_{name}": value for name, value in ceilings._asdict().items()}
         write_json(args.json, metrics)
 
 
