@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from scipy.signal import detrend, hilbert
 
 from anther.checks import check_range
 from anther.commands.rod_plant import PlantOptions, hanging, held_nodes, read_plant
 from anther.elastic_rod import Clamp, Drive, Rods, Trajectory, natural_frequencies, simulate
 from anther.files import replacing, write_json
+from anther.pictures.shake import draw_shake
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -84,7 +83,9 @@ def run(args: Args) -> None:
     if args.out is not None:
         trajectory.save(args.out / "trajectory.npz")
         write_json(args.out / "shake.json", asdict(motion))
-        draw(args.out / "shake.png", rods, drive, flower, trajectory)
+        with replacing(args.out / "shake.png") as temporary:
+            figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / args.frequency)
+            figure.savefig(temporary, dpi=110)
     print(json.dumps(asdict(motion), indent=2) if args.json else _text(args, motion))
 
 
@@ -129,47 +130,3 @@ def _text(args: Args, motion: Motion) -> str:
         f"{motion.newton_iterations} Newton iterations, {motion.split_steps} split steps",
     ]
     return "\n".join(lines if args.out is None else [*lines, f"written: {args.out}"])
-
-
-def draw(path: Path, rods: Rods, drive: Drive, flower: int, trajectory: Trajectory) -> None:
-    """Draw the plant at rest and at the flower's two extremes, and the motion over time and frequency."""
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.4))
-    _draw_plant(figure.add_subplot(grid[:, 0]), rods, drive, flower, trajectory)
-    moves = {"grip": trajectory.displacement(drive.node), "flower": trajectory.displacement(flower)}
-    time, spectrum = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
-    for (name, move), colour in zip(moves.items(), ("tab:blue", "tab:red"), strict=True):
-        along = move @ drive.direction * 1e3
-        time.plot(trajectory.times, along, color=colour, label=name, lw=1)
-        window = np.hanning(len(along))
-        height = 2 * np.abs(np.fft.rfft((along - along.mean()) * window)) / window.sum()
-        spectrum.semilogy(np.fft.rfftfreq(len(along), trajectory.times[1]), height, color=colour, label=name, lw=1)
-    time.set(xlabel="time [s]", ylabel="displacement along the shake [mm]")
-    spectrum.set(xlabel="frequency [Hz]", ylabel="amplitude [mm]", xlim=(0, max(10, 5 * drive.frequency)))
-    spectrum.set_ylim(bottom=1e-4 * max(1e-9, spectrum.dataLim.y1))
-    for axes in (time, spectrum):
-        axes.legend(loc="upper right")
-        axes.grid(alpha=0.3)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120)
-
-
-def _draw_plant(axes: Any, rods: Rods, drive: Drive, flower: int, trajectory: Trajectory) -> None:
-    side = int(np.argmax(np.abs(drive.direction[:2])))
-    along = trajectory.displacement(flower) @ drive.direction
-    start = trajectory.positions[0]
-    largest = np.abs(trajectory.positions - start).max()
-    gain = 1.0 if largest == 0 else max(1.0, float(f"{0.1 * np.ptp(start, axis=0).max() / largest:.1g}"))
-    for frame, style in ((int(np.argmin(along)), "tab:orange"), (int(np.argmax(along)), "tab:red"), (0, "tab:green")):
-        x = start + gain * (trajectory.positions[frame] - start)
-        edges = np.stack([x[rods.parent[1:]], x[1:]], axis=1)[:, :, [side, 2]]
-        gaps = np.insert(edges, 2, np.nan, axis=1).reshape(-1, 2)
-        axes.plot(*gaps.T, color=style, lw=2 if frame == 0 else 1)
-    for node, colour, name in ((drive.node, "tab:blue", "grip"), (flower, "magenta", "flower")):
-        axes.plot(*start[node, [side, 2]], "o", color=colour, label=name)
-    axes.set(
-        xlabel=f"{'xy'[side]} [m]", ylabel="z [m]", title=f"green: at rest; orange, red: extremes, drawn x{gain:g}"
-    )
-    axes.set_aspect("equal")
-    axes.legend(loc="best")

@@ -94,4 +94,5 @@ def _draw_plant(plot: Any, side: int, rods: Rods, flowers: NDArray[Any], respons
     plot.plot(*best, "x", color="deepskyblue", ms=11, mew=2.5, zorder=6, label="best grip")
     plot.plot(*flat[0], "*", ms=11, color="black", zorder=6)
     plot.set(xlabel=f"{'xy'[side]} [m]", ylabel="z [m]", aspect="equal")
+    plot.locator_params(axis="x", nbins=4)
     plot.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=8, frameon=False, handletextpad=0.2)
