@@ -122,7 +122,8 @@ def scaling_rows(ceilings: Roofline, shoots: tuple[int, ...], repeats: int) -> l
 
     Bushes without gravity (see `networks.bush`), with twist, a viscous time of 0.1 ms, 2 mm at 30 Hz from rest,
     tolerance 1e-7 N: forces of 20 000 nodes round to some 1e-8 N. The exponent of memory is that of the arrays which
-    numpy holds at most (without the smallest network, where 30 kB of other objects count); bytes per node are the line through the peaks of the resident set, which holds everything.
+    numpy holds at most (without the smallest network, where 30 kB of other objects count); bytes per node are the line
+    through the peaks of the resident set, which holds everything.
     """
     nodes, times, arrays, resident = [], [], [], []
     made = (replace(bush(count), viscous_time=1e-4) for count in shoots)
@@ -142,16 +143,12 @@ def scaling_rows(ceilings: Roofline, shoots: tuple[int, ...], repeats: int) -> l
     words = f"{last} nodes, with twist: Newton iteration"
     each = {f"us_per_newton_{n}_twist_per_node": 1e6 * t / n for n, t in zip(nodes, times, strict=True)}
     per_node = float(np.polyfit(nodes, resident, 1)[0])
+    exponents = _exponent(nodes, times), _exponent(nodes[1:], arrays[1:])
     return [
         Row(f"ms_per_newton_{last}_twist", words, "ms", (1e3 * times[-1],), floor, more=each),
-        Row("scaling_slope", f"time, {span}: exponent", "", (_exponent(nodes, times),), limit=1.1),
-        Row("memory_slope", f"memory, {span}: exponent", "", (_exponent(nodes, arrays),), limit=1.1),
-        Row(
-            "memory_bytes_per_node",
-            f"memory, {span}: per node",
-            "bytes",
-            (per_node,),
-        ),
+        Row("scaling_slope", f"time, {span}: exponent", "", (exponents[0],), limit=1.1),
+        Row("memory_slope", f"memory, {tail}: exponent", "", (exponents[1],), limit=1.1),
+        Row("memory_bytes_per_node", f"memory, {tail}: per node", "bytes", (per_node,)),
     ]
 
 
