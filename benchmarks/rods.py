@@ -29,17 +29,17 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from networks import bush, reference_network, tall_plant, tips
 from peers import ONE_THREAD, Case, run_dismech, run_pyelastica
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from roofline import Roofline, measure_roofline
+from speed_table import Row, print_table, write_page
 
 from anther.elastic_rod import Clamp, Drive, Rods, response_map, simulate, with_gravity_equilibrium
 from anther.errors import AntherError
@@ -55,36 +55,23 @@ FLOPS = {"twist": 2535.0, "plain": 2535.0}
 BYTES = {"twist": 8.0 * (20 + 18 + 11 + 5 * 48), "plain": 8.0 * (20 + 18 + 11 + 5 * 48)}
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of the table: samples in `unit`, the floor and the limit of the issue, if there are any."""
+class Run(NamedTuple):
+    """One simulation: processor seconds, Newton iterations, where the observed node ended [m]."""
 
-    key: str
-    case: str
-    unit: str
-    samples: tuple[float, ...]
-    floor: float | None = None
-    limit: float | None = None
-    more: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def metrics(self) -> dict[str, float]:
-        """The row in the flat form of the --json file."""
-        out = {self.key: min(self.samples)} | self.more
-        if len(self.samples) > 1:
-            out |= {f"{self.key}_median": float(np.median(self.samples)), f"{self.key}_max": max(self.samples)}
-        return out if self.floor is None else out | {f"{self.key}_floor": self.floor}
+    seconds: float
+    iterations: int
+    end: Any
 
 
-def cost(case: Case, integrator: Any = "midpoint", gravity: Any = (0, 0, -9.81)) -> tuple[float, int]:
-    """Processor seconds and Newton iterations of one simulation that keeps only its ends."""
+def cost(case: Case, integrator: Any = "midpoint", gravity: Any = (0, 0, -9.81)) -> Run:
+    """Simulate the case, keeping only its ends; the time holds all set-up."""
     drive = Drive(case.grip, np.array([1.0, 0, 0]), case.amplitude, case.hertz)
     begin = time.process_time()
     run = simulate(
         case.rods, Clamp(np.array([0, 1])), drive, case.seconds, case.dt, gravity=gravity, integrator=integrator,
         tolerance=case.tolerance, start="scanned", record_every=case.steps,
     )  # fmt: skip
-    return time.process_time() - begin, run.newton_iterations
+    return Run(time.process_time() - begin, run.newton_iterations, run.positions[-1, case.observe])
 
 
 def reference_rows(case: Case, kind: str, ceilings: Roofline, repeats: int) -> list[Row]:
@@ -92,7 +79,7 @@ def reference_rows(case: Case, kind: str, ceilings: Roofline, repeats: int) -> l
     cost(replace(case, steps=3))
     runs = [cost(case) for _ in range(repeats)]
     n, tail = len(case.rods.nodes), "_twist" if case.twist else ""
-    iterations = runs[0][1]
+    iterations = runs[0].iterations
     floor = ceilings.floor(FLOPS[kind] * n, BYTES[kind] * n)
     words = "with twist" if case.twist else "no twist"
     limits = (45.0, 0.25) if case.twist else (25.0, 0.12)
@@ -101,7 +88,7 @@ def reference_rows(case: Case, kind: str, ceilings: Roofline, repeats: int) -> l
             f"us_per_newton_86{tail}",
             f"86 nodes, {words}: Newton iteration",
             "us",
-            tuple(1e6 * t / k for t, k in runs),
+            tuple(1e6 * run.seconds / run.iterations for run in runs),
             1e6 * floor,
             limits[0],
         ),
@@ -109,7 +96,7 @@ def reference_rows(case: Case, kind: str, ceilings: Roofline, repeats: int) -> l
             f"s_per_sim_s_86{tail}",
             f"86 nodes, {words}: simulated second",
             "s",
-            tuple(t / case.seconds for t, _ in runs),
+            tuple(run.seconds / case.seconds for run in runs),
             floor * iterations / case.seconds,
             limits[1],
             {f"newton_per_step_86{tail}": iterations / case.steps},
@@ -137,7 +124,7 @@ def scaling_rows(ceilings: Roofline, shoots: tuple[int, ...], repeats: int) -> l
     for case in track(cases, "time over nodes"):
         runs = [cost(case, gravity=(0, 0, 0)) for _ in range(repeats)]
         nodes.append(len(case.rods.nodes))
-        times.append(min(seconds / iterations for seconds, iterations in runs))
+        times.append(min(run.seconds / run.iterations for run in runs))
     span, tail, last = f"{nodes[0]} to {nodes[-1]} nodes", f"{nodes[1]} to {nodes[-1]} nodes", nodes[-1]
     floor = 1e3 * ceilings.floor(FLOPS["twist"] * last, BYTES["twist"] * last)
     words = f"{last} nodes, with twist: Newton iteration"
@@ -207,37 +194,61 @@ def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
     return len(above) * (48 * 4 + 246 * 6 + 197 * 2) + 3 * row * float(depth[grips].sum() + len(grips) * wanted.sum())
 
 
+PAGE = """
+`python benchmarks/rods.py --page docs/rod_speed.md` writes this page; with `--dismech CHECKOUT` and
+`--pyelastica PYTHON` it runs the peers on the same cases in the same run.
+
+**Cases.** 86 nodes: a 51-node stem and five branches of 7 edges in 3-D (10 mm an edge, r 3 mm, E 200 MPa, undamped), at
+rest and unstressed, gravity on at t = 0, node 20 shaken 2 mm at 30 Hz, dt 1 ms, force tolerance 1e-9 N, implicit
+midpoint. Times are processor times of one core, all set-up of `simulate` included, compilation not; response map and
+second start are wall times. Larger networks are copies of it that grow out of each other's stems, without gravity and
+with a viscous time of 0.1 ms. The plant of the response map is 1.3 m tall, E 5 GPa; its flowers are the branch tips.
+
+**Floor.** The operations of an iteration over what one core can do with SIMD instructions, or its bytes over the
+bandwidth of the cache that holds them, whichever is more; both ceilings are measured in the same run. The counts, and
+how they were made, stand beside `FLOPS`, `BYTES` and `map_flops` in benchmarks/rods.py. A second start cannot beat a
+process that runs one trivial cached numba kernel.
+
+**Peers.** Each in a process of its own, in turn with ours, processor time without start-up and compilation. PyDiSMech:
+implicit Euler on both sides, same stopping rule. Without twist is its `two_d_sim`. With twist it does not converge on
+the branched network, not even at rest under gravity, so that it gets the bare stem (51 nodes) as well. PyElastica:
+position Verlet with the largest stable of a few time steps against our midpoint rule at 1 ms, on the bare stem: its
+joints between rods are springs and dashpots that a user invents, so a branched case would not be the same case.
+"""
 START = """
 import time; begin = time.time()
 import numpy as np; from networks import reference_network; from anther.elastic_rod import Clamp, Drive, simulate
 imported = time.time()
 simulate(reference_network(), Clamp([0, 1]), Drive(20, np.array([1.0, 0, 0]), 2e-3, 30.0), 0.01, 1e-3, start="scanned")
-print(begin, imported, time.time())
+print(begin, imported, time.time(), time.process_time())
 """
-LEAST_START = "import time, kernel; kernel.add_one(1.0); print(0, 0, time.time())"
+LEAST_START = "import time, kernel; kernel.add_one(1.0); print(0, 0, time.time(), time.process_time())"
 LEAST_KERNEL = "import numba\n@numba.njit(cache=True)\ndef add_one(a): return a + 1.0\n"
 
 
 def start_rows(repeats: int) -> list[Row]:
     """Time from the start of a new process to ten steps done. Its floor is a process with one trivial numba kernel."""
-    totals, imports, least = [], [], []
+    totals, processor, imports, least = [], [], [], []
+    here = str(Path(__file__).parent)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "kernel.py").write_text(LEAST_KERNEL)
         _start(LEAST_START, folder)  # compiles
-        _start(START, str(Path(__file__).parent))  # compiles, where that is still to do
+        _start(START, here)  # compiles, where that is still to do
         for _ in track(range(repeats), "second start"):
-            begin, _, _, end = _start(LEAST_START, folder)
+            begin, _, _, end, _ = _start(LEAST_START, folder)
             least.append(end - begin)
-            begin, first, imported, end = _start(START, str(Path(__file__).parent))
+            begin, first, imported, end, spent = _start(START, here)
             totals.append(end - begin)
+            processor.append(spent)
             imports.append((imported - first) / (end - begin))
-    share = {"second_start_import_share": float(np.median(imports))}
-    words = f"second process, start to 10 steps ({share['second_start_import_share']:.0%} of it imports)"
-    return [Row("second_start_s", words, "s wall", tuple(totals), min(least), 1.5, share)]
+    share = float(np.median(imports))
+    more = {"second_start_import_share": share, "second_start_cpu_s": min(processor)}
+    words = f"second process, start to 10 steps ({share:.0%} of it imports)"
+    return [Row("second_start_s", words, "s wall", tuple(totals), min(least), 1.5, more)]
 
 
 def _start(code: str, folder: str) -> tuple[float, ...]:
-    """Run the code in a new process; return the time of its start and the three times that it prints [s]."""
+    """Run the code in a new process; return the time of its start and the four times that it prints [s]."""
     environment = os.environ | ONE_THREAD | {"PYTHONPATH": folder}
     begin = time.time()
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
@@ -245,28 +256,29 @@ def _start(code: str, folder: str) -> tuple[float, ...]:
 
 
 def peer_rows(name: str, words: str, run_peer: Callable[[Case], dict[str, Any]], case: Case, rounds: int) -> list[Row]:
-    """Peer and we in turn on one case, both with implicit Euler where the peer is implicit: paired ratios."""
-    ours, theirs, keep = [], [], f"{name}_"
+    """Peer and we in turn on one case: paired ratios. An implicit peer meets our implicit Euler, else our midpoint."""
+    ours, theirs = [], []
     cost(replace(case, steps=3), "implicit_euler")
     for _ in track(range(rounds), words):
         peer = run_peer(case)
         if "failed" in peer:
-            return [Row(f"{keep}failed", f"{words}: fails ({peer['failed']})", "", (1.0,))]
+            return [Row(name, f"{words}: fails ({peer['failed']})", "", (), more={f"{name}_failed": 1.0})]
         theirs.append(peer)
         ours.append(cost(case, "midpoint" if "dt" in peer else "implicit_euler"))
-    seconds = [p["seconds"] / case.seconds for p in theirs]
-    ratios = tuple(p["seconds"] / t for p, (t, _) in zip(theirs, ours, strict=True))
+    apart = np.linalg.norm(ours[0].end - [theirs[0][axis] for axis in "xyz"])
+    more = {f"{name}_apart_mm": 1e3 * float(apart)} | ({f"{name}_dt": theirs[0]["dt"]} if "dt" in theirs[0] else {})
+    seconds = tuple(peer["seconds"] / case.seconds for peer in theirs)
+    ratios = tuple(peer["seconds"] / run.seconds for peer, run in zip(theirs, ours, strict=True))
     rows = [
-        Row(f"{keep}s_per_sim_s", f"{words}: simulated second", "s", tuple(seconds)),
-        Row(f"{keep}s_per_sim_s_ratio", f"{words}: peer over ours", "x", ratios),
+        Row(f"{name}_s_per_sim_s", f"{words}: simulated second", "s", seconds, more=more),
+        Row(f"{name}_s_per_sim_s_ratio", f"{words}: simulated second, peer over ours", "x", ratios),
     ]
-    if "dt" in theirs[0]:
-        return [replace(rows[0], more={f"{keep}dt": theirs[0]["dt"]}), rows[1]]
-    each = tuple(1e3 * p["seconds"] / p["iterations"] for p in theirs)
-    pairs = zip(theirs, ours, strict=True)
-    per_newton = tuple(p["seconds"] / p["iterations"] / (t / k) for p, (t, k) in pairs)
-    rows.append(Row(f"{keep}ms_per_newton", f"{words}: Newton iteration", "ms", each))
-    rows.append(Row(f"{keep}newton_ratio", f"{words}: Newton iteration, peer over ours", "x", per_newton))
+    if "iterations" not in theirs[0]:
+        return rows
+    each = tuple(peer["seconds"] / peer["iterations"] for peer in theirs)
+    ratios = tuple(peer * run.iterations / run.seconds for peer, run in zip(each, ours, strict=True))
+    rows.append(Row(f"{name}_ms_per_newton", f"{words}: Newton iteration", "ms", tuple(1e3 * t for t in each)))
+    rows.append(Row(f"{name}_newton_ratio", f"{words}: Newton iteration, peer over ours", "x", ratios))
     return rows
 
 
@@ -280,17 +292,13 @@ def all_peer_rows(args: argparse.Namespace, network: Rods, rounds: int) -> list[
     stem = Rods(network.nodes[:51], network.parent[:51], 3e-3, 2e8, 1000.0)
     rows: list[Row] = []
     if args.dismech:
-
-        def peer(case: Case) -> dict[str, Any]:
-            return run_dismech(args.dismech, case)
-
+        peer = partial(run_dismech, args.dismech)
         rows += peer_rows("dismech_86", "PyDiSMech, 86 nodes", peer, Case(_without_twist(network)), rounds)
         rows += peer_rows("dismech_86_twist", "PyDiSMech, 86 nodes, twist", peer, Case(network, twist=True), rounds)
         rows += peer_rows("dismech_stem_twist", "PyDiSMech, stem, twist", peer, Case(stem, twist=True), rounds)
     if args.pyelastica:
-        rows += peer_rows(
-            "pyelastica_stem", "PyElastica, stem", lambda c: run_pyelastica(args.pyelastica, c), Case(stem), rounds
-        )
+        peer = partial(run_pyelastica, args.pyelastica)
+        rows += peer_rows("pyelastica_stem", "PyElastica, stem", peer, Case(stem, twist=True), rounds)
     return rows
 
 
@@ -314,25 +322,6 @@ def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
     return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
 
 
-def print_table(rows: list[Row], ceilings: Roofline) -> None:
-    """Print one line a row: best, median, worst, the limit and the floor."""
-    table = Table("case", "unit", "best", "median", "worst", "limit", "floor", "x floor")
-    for row in rows:
-        best, middle, worst = min(row.samples), float(np.median(row.samples)), max(row.samples)
-        times = "" if row.floor is None or not row.unit else f"{best / row.floor:.1f}"
-        limit, floor = ("" if value is None else f"{value:.3g}" for value in (row.limit, row.floor))
-        spread = ("", "") if len(row.samples) == 1 else (f"{middle:.3g}", f"{worst:.3g}")
-        table.add_row(row.case, row.unit, f"{best:.3g}", *spread, limit, floor, times)
-    console = Console(width=150)
-    console.print(table)
-    console.print(
-        f"One core in this run: {ceilings.vector / 1e9:.0f} Gflop/s with SIMD (the floor), {ceilings.scalar / 1e9:.0f} "
-        f"one number at a time; {ceilings.small / 1e9:.0f} GB/s in the second-level cache, {ceilings.large / 1e9:.0f} "
-        f"with 24 MB. Load of the machine: {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores.",
-        highlight=False,
-    )
-
-
 def main() -> None:
     """Measure, print, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -341,9 +330,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
     parser.add_argument("--dismech", type=Path, help="a checkout of dismech-python, to be run as well")
     parser.add_argument("--pyelastica", type=Path, help="a Python that has PyElastica, to be run as well")
+    parser.add_argument("--page", type=Path, help="write the table as a docs page")
     args = parser.parse_args()
     rows, ceilings = measure(args)
     print_table(rows, ceilings)
+    if args.page:
+        write_page(args.page, "Speed of the rod engine", PAGE, rows, ceilings)
     if args.json:
         metrics = {key: value for row in rows for key, value in row.metrics.items()}
         metrics |= {f"core_{name}": value for name, value in ceilings._asdict().items()}

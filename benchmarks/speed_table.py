@@ -1,0 +1,81 @@
+"""The table of a benchmark: best, median, worst, limit, floor; on the console and as a docs page."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from roofline import Roofline
+
+from anther.files import write_text
+
+COLUMNS = ("case", "unit", "best", "median", "worst", "limit", "floor", "x floor")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: samples in `unit`, floor and limit, if there are any; `more` goes to --json.
+
+    Without samples the line only says what the case says: that something failed, for instance.
+    """
+
+    key: str
+    case: str
+    unit: str
+    samples: tuple[float, ...]
+    floor: float | None = None
+    limit: float | None = None
+    more: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The row in the flat form of the --json file."""
+        if not self.samples:
+            return self.more
+        out = {self.key: min(self.samples)} | self.more
+        if len(self.samples) > 1:
+            out |= {f"{self.key}_median": float(np.median(self.samples)), f"{self.key}_max": max(self.samples)}
+        return out if self.floor is None else out | {f"{self.key}_floor": self.floor}
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row as text, one for each of COLUMNS. A single sample leaves median and worst empty."""
+        if not self.samples:
+            return (self.case, *("",) * (len(COLUMNS) - 1))
+        best, spread = min(self.samples), ("", "")
+        if len(self.samples) > 1:
+            spread = (f"{np.median(self.samples):.3g}", f"{max(self.samples):.3g}")
+        limit = "" if self.limit is None else f"{self.limit:g}"
+        floor = ("", "") if self.floor is None else (f"{self.floor:.2g}", f"{best / self.floor:.1f}")
+        return (self.case, self.unit, f"{best:.3g}", *spread, limit, *floor)
+
+
+def describe(ceilings: Roofline) -> str:
+    """Return what one core could do in this run, in words."""
+    return (
+        f"One core in this run: {ceilings.vector / 1e9:.0f} Gflop/s with SIMD (this gives the floor), "
+        f"{ceilings.scalar / 1e9:.0f} one number at a time; {ceilings.small / 1e9:.0f} GB/s in the second-level cache, "
+        f"{ceilings.large / 1e9:.0f} with 24 MB. Load of the machine at the end: {os.getloadavg()[0]:.1f} on "
+        f"{os.cpu_count()} cores."
+    )
+
+
+def print_table(rows: list[Row], ceilings: Roofline) -> None:
+    """Print the table."""
+    table = Table(*COLUMNS)
+    for row in rows:
+        table.add_row(*row.cells)
+    console = Console(width=150)
+    console.print(table)
+    console.print(describe(ceilings), highlight=False)
+
+
+def write_page(path: Path, title: str, text: str, rows: list[Row], ceilings: Roofline) -> None:
+    """Write the table as a docs page, the text below it."""
+    lines = [COLUMNS, ("---",) * len(COLUMNS), *(row.cells for row in rows)]
+    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    write_text(path, f"# {title}\n\n{table}\n\n{describe(ceilings)}\n\n{text.strip()}\n")
