@@ -31,7 +31,7 @@ from anther.vibration.observables import semi_major
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 TURNS = np.pi * np.arange(12) / 12
 """Horizontal directions that are tried for the best one [rad]."""
-MODES = 4
+MODES, LISTED = 4, 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +172,7 @@ def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[A
     held = [held_nodes(plant, int(grip), args.pads) for grip in grips]
     moves = np.zeros((len(hertz), len(grips), 3, len(flowers), 3), np.complex128)
     sizes = np.array([len(nodes) for nodes in held])
-    for q, frequency in enumerate(track(hertz, "frequencies", transient=True, disable=args.json)):
+    for q, frequency in enumerate(track(hertz, "frequencies", console=Console(stderr=True), transient=True)):
         for size in np.unique(sizes):
             same = np.flatnonzero(sizes == size)
             pads = np.array([held[g] for g in same])
@@ -288,6 +288,8 @@ def _print(args: Args, result: dict[str, Any]) -> None:
     table.add_row("best grip", f"node {result['best_grip_node']}, {height:.1f} cm above the root along the plant")
     table.add_row("best shake", shake)
     table.add_row("acceleration", f"mean {mean:.3g} m/s² ({least:.3g} to {most:.3g}) over {count} nodes")
+    if count <= LISTED:
+        table.add_row("nodes observed", " ".join(str(node) for node in result["flower_nodes"]))
     table.add_row("natural frequencies", ", ".join(f"{f:.3g}" for f in result["natural_frequencies_hz"]) + " Hz")
     table.add_row("their damping ratios", ", ".join(f"{ratio:.3f}" for ratio in result["damping_ratios"]))
     if args.out is not None:

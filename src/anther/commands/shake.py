@@ -31,6 +31,8 @@ class Args(PlantOptions):
     """Shake amplitude [m]."""
     frequency: float = 1.3
     """Shake frequency [Hz]. The damping ratio holds here (Kelvin-Voigt: it grows with frequency)."""
+    ramp: float = 0.0
+    """Time over which the amplitude grows from 0 [s]; 0 starts at once, as the authors do."""
     axis: Literal["x", "y", "z"] = "x"
     """Shake direction, and the direction in which the flower is measured."""
     duration: float = 5.0
@@ -77,7 +79,7 @@ def run(args: Args) -> None:
     plant = hanging(plant, args.skeleton) if args.rest == "hanging" else plant
     rods, clamp = plant.damped(args.frequency), plant.clamp
     also = held_nodes(plant, grip, args.pads)[1:]
-    drive = Drive(grip, np.array(AXES[args.axis]), args.amplitude, args.frequency, also=also)
+    drive = Drive(grip, np.array(AXES[args.axis]), args.amplitude, args.frequency, args.ramp, also)
     trajectory = simulate(rods, clamp, drive, args.duration, args.dt, integrator=args.integrator)
     motion = measure(rods, clamp, drive, trajectory, flower)
     if args.out is not None:

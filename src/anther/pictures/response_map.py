@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from anther.elastic_rod import Rods
-from anther.pictures.plant import FLOWER_COLOR
 
 if TYPE_CHECKING:
     from anther.commands.respond import Response
 
+MAGENTA = "#c2389a"
 DECADES = 3.0
 """What the colours span below the largest value; less is drawn as the darkest."""
 
@@ -25,7 +25,7 @@ def draw_response_map(rods: Rods, flowers: NDArray[Any], response: Response, tit
     """Return a figure: the heat map with the resonances of the held plant, and the plant with its grips.
 
     White lines: the lowest natural frequencies while the grip is held. Cross: the best cell. In the plant a grip has
-    the colour of its best frequency; yellow: the flowers; star: root.
+    the colour of its best frequency; magenta: the flowers; star: root.
 
     Args:
         rods: the plant.
@@ -88,7 +88,7 @@ def _draw_plant(plot: Any, side: int, rods: Rods, flowers: NDArray[Any], respons
     radius = np.asarray(rods.edge_radius)[1:]
     lines: Any = np.stack([flat[rods.parent[1:]], flat[1:]], axis=1)
     plot.add_collection(LineCollection(lines, colors="#8aa58c", linewidths=0.8 + 3 * radius / radius.max()))
-    plot.scatter(*flat[flowers].T, s=22, c=FLOWER_COLOR, edgecolors="black", lw=0.4, zorder=4, label="observed")
+    plot.scatter(*flat[flowers].T, s=24, c=MAGENTA, marker="D", edgecolors="white", lw=0.4, zorder=4, label="observed")
     plot.scatter(*flat[response.grips].T, s=26, c=colours, edgecolors="black", lw=0.3, zorder=5, label="grips")
     best = flat[response.grips[response.best[1]]]
     plot.plot(*best, "x", color="deepskyblue", ms=11, mew=2.5, zorder=6, label="best grip")
