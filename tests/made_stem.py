@@ -58,9 +58,9 @@ def sine_trace(
     return t, clean + rng.normal(0, noise, len(t))
 
 
-def write_csv(path: Path, comment: str, **columns: np.ndarray) -> Path:
+def write_csv(path: Path, **columns: np.ndarray) -> Path:
     rows = [",".join(f"{value:.6g}" for value in row) for row in zip(*columns.values(), strict=True)]
-    path.write_text("\n".join([f"# {comment}", ",".join(columns), *rows]) + "\n", encoding="utf-8")
+    path.write_text("\n".join(["# made for a test", ",".join(columns), *rows]) + "\n", encoding="utf-8")
     return path
 
 
@@ -71,12 +71,11 @@ def write_files(folder: Path, truth: Truth, trace: tuple[np.ndarray, np.ndarray]
     mass = rng.normal(truth.density, 30, 12) * np.pi * radius**2 * length
     load = np.array([2e-3, 5e-3, 10e-3, 15e-3])
     sunk = tip_deflections(stem, truth.youngs, truth.density, load) + rng.normal(0, 3e-4, 4)
+    mm, g = 1e3, 1e3
     return {
-        "samples": write_csv(folder / "samples.csv", "cut", mass_g=1e3 * mass, radius_mm=1e3 * radius, length_mm=1e3 * length),
-        "profile": write_csv(folder / "profile.csv", "calliper", distance_mm=1e3 * stem.distance, radius_mm=1e3 * stem.radius),
-        "leaves": write_csv(
-            folder / "leaves.csv", "balance", distance_mm=1e3 * stem.leaf_distance, mass_g=1e3 * stem.leaf_mass
-        ),
-        "trace": write_csv(folder / "pluck.csv", "camera, 50 Hz", time_s=trace[0], displacement_mm=1e3 * trace[1]),
-        "deflection": write_csv(folder / "deflection.csv", "ruler", mass_g=1e3 * load, deflection_mm=1e3 * sunk),
-    }  # fmt: skip
+        "samples": write_csv(folder / "samples.csv", mass_g=g * mass, radius_mm=mm * radius, length_mm=mm * length),
+        "profile": write_csv(folder / "profile.csv", distance_mm=mm * stem.distance, radius_mm=mm * stem.radius),
+        "leaves": write_csv(folder / "leaves.csv", distance_mm=mm * stem.leaf_distance, mass_g=g * stem.leaf_mass),
+        "trace": write_csv(folder / "pluck.csv", time_s=trace[0], displacement_mm=mm * trace[1]),
+        "deflection": write_csv(folder / "deflection.csv", mass_g=g * load, deflection_mm=mm * sunk),
+    }

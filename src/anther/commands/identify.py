@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from anther.checks import check_range
-from anther.errors import InputError
+from anther.errors import InputError, bad_input
 from anther.files import replacing, write_json
 from anther.geometry import Array
 from anther.identification import (
@@ -168,10 +168,11 @@ def _stem(args: Args) -> ClampedStem | None:
     check_range("length", length, 1e-3, 20, "m")
     leaves = read_measurements(args.leaves, LEAVES) if args.leaves else {"distance": np.zeros(0), "mass": np.zeros(0)}
     if len(leaves["distance"]) and leaves["distance"].max() > length * (1 + 1e-9):
-        farthest = leaves["distance"].max()
-        raise InputError(
-            f"{args.leaves}: a leaf {farthest * 1e3:g} mm from the clamp; allowed: up to {length * 1e3:g} mm, the length "
-            "of the stem. Check the distances, or give --length."
+        raise bad_input(
+            f"{args.leaves}: distance",
+            given=f"{leaves['distance'].max() * 1e3:g} mm",
+            allowed=f"0 to {length * 1e3:g} mm, the length of the stem",
+            do="Check the distances, or give --length.",
         )
     return ClampedStem(profile["distance"], profile["radius"], length, leaves["distance"], leaves["mass"])
 

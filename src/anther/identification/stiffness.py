@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import brentq, root_scalar
 
 from anther.checks import check_array, check_range
 from anther.errors import InputError, StageFailure, bad_input
@@ -20,8 +20,8 @@ from anther.identification.clamped_stem import (
     tip_deflections,
 )
 
-SEARCHED = 1e4
-"""Young's moduli are searched within this factor of the one without gravity, down or up [-]."""
+STRETCHED = 0.02
+"""A stem that its own weight would stretch by more than this is too soft to be searched [-]."""
 
 
 def youngs_from_frequency(
@@ -86,31 +86,29 @@ def youngs_from_first_mode(stem: ClampedStem, frequency: float, density: float, 
         except StageFailure:
             return -1.0  # it buckles: too soft
 
-    low, high = _bracket(excess, light)
-    if low is None:
-        slowest = frequency * np.sqrt(1 + excess(high))
+    softest = G * _mass(stem, density) / (np.pi * float(stem.radius.min()) ** 2 * STRETCHED)
+    low = high = light
+    while excess(high) < 0:
+        low, high = high, 2 * high
+    while low > softest and excess(low) >= 0:
+        low, high = max(low / 2, softest), low
+    if excess(low) >= 0:
+        slowest = frequency * np.sqrt(1 + excess(low))
         raise bad_input(
             "frequency",
             given=f"{frequency:g} Hz",
-            allowed=f"> {slowest:.3g} Hz, at which gravity alone swings this {orientation} stem",
+            allowed=f"> {slowest:.3g} Hz, at which gravity alone swings this stem, {orientation}",
             do="Check how it was held, its length, and the trace.",
         )
     root: Any = brentq(excess, low, high, xtol=1e-7 * high)
     return float(root)
 
 
-def _bracket(excess: Any, start: float) -> tuple[float | None, float]:
-    """Return moduli on either side of the root; the lower is None where there is no root above start / SEARCHED."""
-    low = high = start
-    if excess(start) < 0:
-        while excess(high) < 0 and high < SEARCHED * start:
-            low, high = high, 2 * high
-        return low, high
-    while excess(low) >= 0:
-        if low < start / SEARCHED:
-            return None, low
-        low, high = low / 2, low
-    return low, high
+def _mass(stem: ClampedStem, density: float) -> float:
+    """Return the mass of stem and leaves [kg]."""
+    at = np.linspace(0, stem.length, 1001)
+    area = np.pi * np.interp(at, stem.distance, stem.radius) ** 2
+    return density * float(np.trapezoid(area, at)) + float(stem.leaf_mass.sum())
 
 
 def youngs_from_deflection(
@@ -142,16 +140,22 @@ def youngs_from_deflection(
         )
     stiff = G * tip_compliance(stem) * float(mass @ sunk / (sunk @ sunk))
 
-    def residual(log: Array) -> Array:
-        return (tip_deflections(stem, stiff * float(np.exp(log[0])), density, mass) - sunk) / sunk.max()
+    def model(log_ratio: float) -> Array:
+        return tip_deflections(stem, stiff * float(np.exp(log_ratio)), density, mass)
+
+    def step(log_ratio: float) -> float:
+        found = model(log_ratio)
+        return float(found @ (found - sunk) / (found @ found))  # Gauss-Newton, were deflection as 1 / E
 
     try:
-        fit = least_squares(residual, [0.0], bounds=([-9.0], [9.0]), x_scale=0.1, diff_step=1e-3, xtol=1e-7)
+        first = step(0.0)
+        solved = root_scalar(step, x0=0.0, x1=first if abs(first) > 1e-6 else 1e-3, method="secant", xtol=1e-7)
     except StageFailure as failure:
         raise InputError(f"deflection test: no stiffness explains these deflections ({failure})") from failure
-    scatter = float(np.sqrt(np.sum(fit.fun**2) / max(len(mass) - 1, 1))) * sunk.max()
-    slope = float(np.linalg.norm(fit.jac)) * sunk.max()
-    return stiff * float(np.exp(fit.x[0])), max(scatter, reading_error) / slope
+    best = model(solved.root)
+    scatter = float(np.sqrt(np.sum((best - sunk) ** 2) / max(len(mass) - 1, 1)))
+    slope = float(np.linalg.norm(model(solved.root + 1e-3) - best)) / 1e-3
+    return stiff * float(np.exp(solved.root)), max(scatter, reading_error) / slope
 
 
 def straight_line_youngs(stem: ClampedStem, tip_mass: ArrayLike, deflection: ArrayLike) -> float:
