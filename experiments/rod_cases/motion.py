@@ -1,0 +1,70 @@
+"""Time stepping: energy, order of the integrators, a violent shake."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from anther.elastic_rod import Clamp, Drive, natural_frequencies, simulate
+from anther.errors import StageFailure
+from rod_cases.beams import CLAMPED, NO_GRAVITY, X_AXIS, Beam, network
+from rod_cases.table import Array, Convergence, Findings, Row
+
+BEAM = Beam()
+
+
+def energy_cases(quick: bool) -> Findings:
+    """Return the row of the energy that an undamped, widely swinging cantilever keeps."""
+    rods = BEAM.rods(21)
+    period = 1 / natural_frequencies(rods, CLAMPED, 1, gravity=NO_GRAVITY)[0][0]
+    periods = 20 if quick else 100
+    run = simulate(rods, CLAMPED, None, periods * period, 1e-3, start="scanned")
+    at_rest = simulate(rods, CLAMPED, None, 2e-3, 1e-3).energy[0]
+    change = (run.energy - run.energy[0]) / (run.energy[0] - at_rest)
+    each = round(period / 1e-3)
+    early, late = (np.ptp(run.positions[part, -1, 2]) for part in (slice(0, 3 * each), slice(-3 * each, None)))
+    detail = f"tip swings {1e3 * early:.1f} mm in the first three periods, {1e3 * late:.1f} mm in the last three"
+    what = (
+        f"energy of an undamped cantilever released from the horizontal, {periods} periods of {period:.3f} s at dt 1 ms"
+    )
+    row = Row("energy_100_periods", what, float(np.abs(change).max()), 1e-3, "%", detail)
+    return Findings([row], energy={"cantilever, free swing": (run.times / period, change)})
+
+
+def order_cases(quick: bool) -> Findings:
+    """Return the rows of the order of both integrators."""
+    steps = np.array([4e-3, 2e-3, 1e-3, 5e-4])
+    best = end_state(steps[-1] / (4 if quick else 8), "midpoint")
+    curves, rows = [], []
+    for integrator, order, case in (("midpoint", 2, "order_midpoint"), ("implicit_euler", 1, "order_implicit_euler")):
+        errors = np.array([np.abs(end_state(dt, integrator) - best).max() for dt in steps])
+        curve = Convergence(integrator.replace("_", " "), steps, errors, order)
+        row = curve.row(case, f"{curve.name}: order in the time step (shaken cantilever)")
+        rows.append(row if order == 2 else Row(row.case, row.what, row.error, None, "", row.detail))
+        curves.append(curve)
+    return Findings(rows, in_time=curves)
+
+
+def end_state(dt: float, integrator: str) -> Array:
+    """Return the positions [m] after 0.4 s of a shake that grows smoothly to 5 mm at 5 Hz, lightly damped."""
+    rods = BEAM.rods(9, viscous_time=2e-3)
+    drive = Drive(5, np.array([0.0, 1.0, 1.0]), 5e-3, 5, ramp=0.4)
+    run = simulate(rods, CLAMPED, drive, 0.4, dt, integrator=integrator, tolerance=1e-10)  # pyright: ignore[reportArgumentType]
+    return run.positions[-1]
+
+
+def violent_cases(quick: bool) -> Findings:
+    """Return the row of 5 mm at 30 Hz on the undamped 3-D network, where the peer's Newton diverges."""
+    what = "5 mm at 30 Hz on the undamped 3-D network: energy gained against the work of the drive"
+    duration = 0.2 if quick else 1.0
+    try:
+        run = simulate(network(), Clamp(np.array([0, 1])), Drive(20, X_AXIS, 5e-3, 30), duration, 1e-3, start="scanned")
+    except StageFailure as failure:
+        return Findings([Row("violent_shake", what, np.nan, 0.02, "%", str(failure))])
+    gained = run.energy - run.energy[0]
+    error = float(np.abs(gained - run.work).max() / np.ptp(run.work))
+    detail = f"{duration:g} s, {run.split_steps} split steps, energy up to {np.ptp(gained):.2f} J"
+    share = (gained - run.work) / np.ptp(run.work)
+    return Findings(
+        [Row("violent_shake", what, error, 0.02, "%", detail)],
+        energy={"3-D network, 5 mm at 30 Hz": (run.times * 30, share)},
+    )

@@ -1,0 +1,161 @@
+"""Small vibrations: natural frequencies, the decay of free vibration, frequency response against simulation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.elastic_rod import Clamp, Drive, Rods, frequency_response, natural_frequencies, simulate
+from anther.identification import fit_free_vibration
+from rod_cases.beam_theory import cone_frequencies, uniform_roots
+from rod_cases.beams import CLAMPED, NO_GRAVITY, X_AXIS, Beam, network
+from rod_cases.table import Array, Convergence, Findings, Row
+
+NODES = 50
+BEAM = Beam()
+
+
+def frequency_cases(quick: bool) -> Findings:
+    """Return the rows of the first three natural frequencies, each held to its worst mode."""
+    del quick  # it takes a second
+    rows = []
+    for case, what, exact, material in _spectra():
+        ratios = first_modes(BEAM.rods(NODES, **material)) / exact
+        worst = float(np.abs(ratios - 1).max())
+        detail = "engine over theory " + ", ".join(f"{r:.5f}" for r in ratios)
+        rows.append(
+            Row(
+                f"frequencies_{case}",
+                f"first three natural frequencies, {what}, {NODES} nodes",
+                worst,
+                3e-3,
+                "%",
+                detail,
+            )
+        )
+    _, what, exact, material = _spectra()[1]
+    meshes = (13, 25, 50, 100)
+    errors = [np.abs(first_modes(BEAM.rods(n, **material)) / exact - 1).max() for n in meshes]
+    curve = Convergence(f"frequencies, {what}", np.array([BEAM.spacing(n) for n in meshes]), np.array(errors), 2)
+    rows.append(curve.row("frequencies_order", f"first three natural frequencies, {what}: order in the node distance"))
+    return Findings(rows, in_space=[curve])
+
+
+def _spectra() -> list[tuple[str, str, Array, dict[str, Any]]]:
+    """Case, words, exact frequencies [rad/s] and what makes the rods differ from a uniform beam."""
+    beam_mass = BEAM.line_mass * BEAM.length
+    spectra: list[tuple[str, str, Array, dict[str, Any]]] = [
+        ("uniform", "uniform cantilever (analytic)", uniform_roots(3) ** 2 * BEAM.rate, {}),
+        *(
+            (
+                f"cone_{round(100 * end)}",
+                f"cone, tip {end:g} of the base's radius (Bessel functions)",
+                cone_frequencies(end, 3) * BEAM.rate,
+                {"taper": lambda s, end=end: 1 - (1 - end) * s},
+            )
+            for end in (0.5, 0.2)
+        ),
+        *(
+            (
+                f"tip_mass_{round(100 * share)}",
+                f"uniform with a tip mass of {share:g} of its own (analytic)",
+                uniform_roots(3, share) ** 2 * BEAM.rate,
+                {"tip_mass": share * beam_mass},
+            )
+            for share in (0.5, 2.0)
+        ),
+    ]
+    return spectra
+
+
+def first_modes(rods: Rods) -> Array:
+    """Return the first three natural frequencies [rad/s]; each appears twice, for bending in y and in z."""
+    hertz = natural_frequencies(rods, CLAMPED, 6, gravity=NO_GRAVITY)[0]
+    return 2 * np.pi * np.asarray(hertz)[::2]
+
+
+def decay_cases(quick: bool) -> Findings:
+    """Return the rows of free decay: the damping ratio fitted to the tip against the one that was asked for."""
+    rows = []
+    for ratio in (0.01, 0.03, 0.1):
+        fitted = decay_of(ratio, periods=8 if quick else 15)
+        detail = f"fitted {fitted:.5f}"
+        what = f"free decay, Kelvin–Voigt damping of {100 * ratio:g} % in the first mode"
+        rows.append(Row(f"decay_{round(100 * ratio)}", what, abs(fitted / ratio - 1), 0.02, "%", detail))
+    fitted = decay_of(0.03, periods=8 if quick else 15, by_mass=True)
+    what = "free decay, mass damping of 3 % in the first mode"
+    rows.append(Row("decay_3_mass_damping", what, abs(fitted / 0.03 - 1), 0.02, "%", f"fitted {fitted:.5f}"))
+    return Findings(rows)
+
+
+def decay_of(ratio: float, *, periods: float, by_mass: bool = False) -> float:
+    """Return the damping ratio fitted to the free vibration of a released cantilever (midpoint, T/200 a step).
+
+    The first two periods are left out: until then the higher modes have died away.
+    """
+    rods = BEAM.rods(21)
+    first = first_modes(rods)[0]
+    period = 2 * np.pi / first
+    damping = {"mass_damping": 2 * ratio * first} if by_mass else {"viscous_time": 2 * ratio / first}
+    slight = (0, 0, -0.02 * 9.81)
+    run = simulate(
+        replace(rods, **damping), CLAMPED, None, (periods + 2) * period, period / 200, gravity=slight, start="scanned"
+    )
+    late = run.times >= 2 * period
+    return fit_free_vibration(run.times[late], run.positions[late, -1, 2]).damping_ratio
+
+
+def response_cases(quick: bool) -> Findings:
+    """Return the rows of the frequency response against a simulation of small amplitude, on the 3-D network."""
+    rods, clamp, grip = network(viscous_time=4e-3, mass_damping=2.0), Clamp(np.array([0, 1])), 20
+    amplitude_errors, phase_errors = {}, {}
+    for frequency in (10.0,) if quick else (2.0, 10.0, 30.0):
+        expected = frequency_response(rods, clamp, grip, (1, 0, 0), [frequency])[0]
+        ratio = steady_response(rods, clamp, grip, frequency)[_moving(expected)] / expected[_moving(expected)]
+        amplitude_errors[frequency] = float(np.abs(np.abs(ratio) - 1).max())
+        phase_errors[frequency] = float(np.abs(np.degrees(np.angle(ratio))).max())
+    what = "frequency response against simulation (0.01 mm at node 20, 3-D network), worst node and direction"
+    return Findings(
+        [
+            Row(
+                "response_amplitude",
+                f"{what}: amplitude",
+                max(amplitude_errors.values()),
+                0.01,
+                "%",
+                _each(amplitude_errors, 100, "%"),
+            ),
+            Row(
+                "response_phase", f"{what}: phase", max(phase_errors.values()), 2.0, "deg", _each(phase_errors, 1, "°")
+            ),
+        ]
+    )
+
+
+def _each(errors: dict[float, float], scale: float, unit: str) -> str:
+    return ", ".join(f"{scale * error:.2g} {unit} at {frequency:g} Hz" for frequency, error in errors.items())
+
+
+def _moving(response: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    """Nodes and directions with a tenth of the largest amplitude or more: elsewhere a phase means little."""
+    return np.abs(response) >= 0.1 * np.abs(response).max()
+
+
+def steady_response(rods: Rods, clamp: Clamp, grip: int, frequency: float) -> NDArray[np.complex128]:
+    """Return (N, 3): the complex amplitude per metre of grip amplitude, from the last periods of a simulation.
+
+    The drive grows over 2 s and holds for 6 s, in which the slowest mode decays to 4e-4.
+    """
+    amplitude, grow, hold = 1e-5, 2.0, 6.0
+    dt = 1 / frequency / 200
+    periods = max(2, round(0.2 * frequency))
+    duration = round((grow + hold) * frequency) / frequency
+    drive = Drive(grip, X_AXIS, amplitude, frequency, ramp=grow)
+    run = simulate(rods, clamp, drive, duration, dt)
+    last = slice(-200 * periods, None)
+    wave = np.exp(-2j * np.pi * frequency * run.times[last])
+    moves = (run.positions[last] - run.positions[0]) / amplitude
+    return 2j * np.tensordot(wave, moves, 1) / len(wave)

@@ -1,0 +1,94 @@
+"""The rod validation: its theory against published numbers, its model of the peer, and a quick part of its table."""
+
+# pyright: reportMissingImports=false
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+
+from rod_cases.beam_theory import cone_frequencies, elastica, small_sag, uniform_roots
+from rod_cases.motion import energy_cases, order_cases
+from rod_cases.peer_model import PeerModel, Shake
+from rod_cases.peer_references import reference, reference_cases
+from rod_cases.statics import static_cases
+from rod_cases.table import Convergence, Row, metrics
+from rod_cases.vibrations import frequency_cases
+
+
+@pytest.mark.parametrize(("load", "x", "drop"), [(1, 0.94357, 0.30172), (5, 0.61237, 0.71379), (10, 0.44500, 0.81061)])
+def test_elastica_agrees_with_the_published_table(load: float, x: float, drop: float) -> None:
+    # Mattiasson 1981, Int. J. Numer. Methods Eng. 17, 145: cantilever with a transverse end load
+    assert elastica(0, load) == pytest.approx((x, drop), abs=6e-6)
+
+
+def test_elastica_of_small_loads_is_euler_bernoulli() -> None:
+    assert elastica(1e-4, 2e-4)[1] == pytest.approx(small_sag(1e-4, 2e-4), rel=1e-6)
+
+
+def test_cone_frequencies_agree_with_the_published_table() -> None:
+    # Downs 1977, J. Appl. Mech. 44, 737, and the complete cone of Kirchhoff 1879
+    np.testing.assert_allclose(cone_frequencies(0.5, 3), [4.62515, 19.5476, 48.5789], rtol=2e-6)
+    np.testing.assert_allclose(cone_frequencies(1e-5, 2), [8.7192, 21.146], rtol=1e-4)
+
+
+def test_roots_of_beams_with_a_tip_mass() -> None:
+    np.testing.assert_allclose(uniform_roots(3), [1.8751041, 4.6940911, 7.8547574], rtol=1e-7)
+    # a heavy tip: the stiffness 3 EI / L^3 swings the tip and 33 / 140 of the beam (Rayleigh)
+    assert uniform_roots(1, 100.0)[0] == pytest.approx((3 / (100 + 33 / 140)) ** 0.25, rel=1e-5)
+
+
+def test_a_row_fails_above_its_limit_or_without_a_number() -> None:
+    rows = [Row("a", "", 0.2, 0.1), Row("b", "", float("nan"), 0.1), Row("c", "", 0.05, 0.1), Row("d", "", 9.0, None)]
+    assert [row.failed for row in rows] == [True, True, False, False]
+    found = metrics(rows)
+    assert found["rows_failed"] == 2
+    assert found["rows"] == 3
+    assert "d_limit" not in found
+
+
+def test_the_slope_of_a_convergence_is_its_order() -> None:
+    steps = np.array([0.1, 0.05, 0.025])
+    row = Convergence("made", steps, 3 * steps**1.5, 2).row("made_order", "")
+    assert row.error == pytest.approx(0.5)
+    assert row.failed
+
+
+@pytest.mark.parametrize("cases", [static_cases, frequency_cases, energy_cases, order_cases])
+def test_a_group_of_cases_computes_its_rows(cases) -> None:
+    rows = cases(True).rows
+    assert len({row.case for row in rows}) == len(rows)
+    assert all(np.isfinite(row.error) and row.error >= 0 for row in rows)
+    assert sum(row.failed for row in rows) < len(rows)
+
+
+def test_static_rows_are_met() -> None:
+    assert not [row.case for row in static_cases(True).rows if row.failed]
+
+
+def test_peer_rows_are_met(data: Path) -> None:
+    assert not [row.case for row in reference_cases(data / "rod_reference", True).rows if row.failed]
+
+
+def test_the_model_of_the_peer_is_the_peer(data: Path) -> None:
+    arrays, setup = reference(data / "rod_reference", "authors_tomato2_f1.3")
+    shake = Shake(setup["drive_node"], setup["amp"], setup["freq"])
+    path = PeerModel(arrays["nodes0"], arrays["edges"], setup).simulate(np.array([0]), shake, 0.2, setup["dt"])
+    np.testing.assert_allclose(path, arrays["traj"][: len(path)], atol=1e-8)
+
+
+def test_the_model_of_the_peer_has_the_gradient_of_its_energy(data: Path) -> None:
+    arrays, setup = reference(data / "rod_reference", "authors_tomato2_f1.3")
+    model = PeerModel(arrays["nodes0"], arrays["edges"], setup)
+    model.stretch = 0 * model.stretch  # bending alone
+    rng = np.random.default_rng(0)
+    x = model.rest + 1e-3 * rng.normal(size=model.rest.shape)
+    m1 = model.carried(model.m1, model.rest, x)
+    gradient = model._forces(x, m1)[0][: x.size].reshape(x.shape)
+    way = 1e-7 * rng.normal(size=x.shape)
+    ends = [model.bend_energy(x + s * way, model.carried(m1, x, x + s * way)) for s in (1, -1)]
+    assert (ends[0] - ends[1]) / 2 == pytest.approx(np.sum(gradient * way), rel=1e-5)
