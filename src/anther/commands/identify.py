@@ -123,23 +123,16 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
         error = args.frequency_error if args.frequency_error is not None else GIVEN_ERROR * args.frequency
         check_range("frequency_error", error, 0, args.frequency / 2, "Hz")
         plucks = (FreeVibration(args.frequency, 0.0, error, np.inf),)
+    stem = _stem(args)
+    if stem is None and (args.deflection or args.frequency is not None):
+        raise InputError("the stem's shape is missing: give --profile, or --length and --radius.")
     samples = read_measurements(args.samples, SAMPLES) if args.samples else {}
     tip = read_measurements(args.deflection, DEFLECTION) if args.deflection else {}
-    stem = _stem(args)
-    if stem is None and (tip or args.frequency is not None):
-        raise InputError("the stem's shape is missing: give --profile, or --length and --radius.")
-    return MaterialTest(
-        stem=stem,
-        orientation=args.orientation or "weightless",
-        sample_mass=samples.get("mass", np.zeros(0)),
-        sample_radius=samples.get("radius", np.zeros(0)),
-        sample_length=samples.get("length", np.zeros(0)),
-        density=_given_density(args),
-        plucks=plucks,
-        tip_mass=tip.get("mass", np.zeros(0)),
-        deflection=tip.get("deflection", np.zeros(0)),
-        errors=args.errors,
-    )
+    measured = {f"sample_{name}": values for name, values in samples.items()}
+    measured |= {"tip_mass": tip["mass"], "deflection": tip["deflection"]} if tip else {}
+    orientation: Orientation = args.orientation or "weightless"
+    density = _given_density(args)
+    return MaterialTest(stem, orientation, density=density, plucks=plucks, errors=args.errors, **measured)
 
 
 def _given_density(args: Args) -> tuple[float, float] | None:
@@ -192,7 +185,7 @@ def _leaf_mass_effect(args: Args, test: MaterialTest, found: Identification) -> 
         stems, where = [test.stem.changed(leaf_mass=share - 1) for share in LEAF_SHARES], "leaf mass, where it is"
         present = leaves
     else:
-        return None
+        masses, stems, where, present = np.zeros(1), [test.stem], "leaf mass", 0.0
     frequency = found.vibration.natural_frequency
     youngs = leaf_mass_effect(stems, frequency, found.density.value, ORIENTATIONS)
     return LeafMassEffect(where, masses, present, ORIENTATIONS, youngs)

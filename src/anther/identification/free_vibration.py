@@ -23,7 +23,8 @@ class FreeVibration:
         frequency: damped natural frequency [Hz].
         damping_ratio: share of critical damping [-].
         frequency_error, damping_error: standard errors; infinite where the quantity was not measured.
-        explained: share of the variance that the fit accounts for [-].
+        explained: share of the variance that the fit accounts for while it decays to a tenth, or for five periods if
+            that is longer [-].
     """
 
     frequency: float
@@ -70,7 +71,7 @@ def fit_free_vibration(times: ArrayLike, displacement: ArrayLike) -> FreeVibrati
     fit = min(trials, key=lambda trial: trial.cost)
     spread = _standard_errors(fit, t, x / scale)
     frequency, ratio = fit.x
-    explained = 1 - float(np.mean(fit.fun**2))
+    explained = _explained(t, x / scale, fit)
     return FreeVibration(float(frequency), float(ratio), float(spread[0]), float(spread[1]), explained)
 
 
@@ -122,6 +123,13 @@ def _standard_errors(fit: Any, t: Array, x: Array) -> Array:
     variance = float(np.sum(fit.fun**2)) / max(len(t) - 5, 1)
     variance *= max(1.0, _colour(t, fit.fun, float(fit.x[0])))
     return np.sqrt(np.diag(np.linalg.pinv(J.T @ J))[:2] * variance)
+
+
+def _explained(t: Array, x: Array, fit: Any) -> float:
+    frequency, ratio = fit.x
+    decay = max(ratio, 1e-9) / np.sqrt(1 - ratio**2) * 2 * np.pi * frequency
+    loud = t - t[0] <= max(np.log(10) / decay, 5 / frequency)
+    return 1 - float(np.sum(fit.fun[loud] ** 2) / max(np.sum((x[loud] - x[loud].mean()) ** 2), 1e-300))
 
 
 def _colour(t: Array, residual: Array, frequency: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,8 @@ from anther.identification.uncertainty import DISAGREEMENT, Estimate, combine, d
 from anther.plant import TOMATO, Material
 
 SCHEMA = 1
-LEAST_EXPLAINED = 0.9
-"""A fit that explains less of a trace's variance is warned about [-]."""
+LEAST_EXPLAINED = 0.7
+"""A fit that explains less of a trace's variance while it decays is warned about [-]."""
 LARGE_DROOP = 0.2
 """A horizontal stem that hangs lower than this share of its length is warned about [-]."""
 
@@ -68,14 +68,14 @@ class MaterialTest:
     """
 
     stem: ClampedStem | None
-    orientation: Orientation
-    sample_mass: Array
-    sample_radius: Array
-    sample_length: Array
-    density: tuple[float, float] | None
-    plucks: tuple[FreeVibration, ...]
-    tip_mass: Array
-    deflection: Array
+    orientation: Orientation = "weightless"
+    sample_mass: Array = field(default_factory=lambda: np.zeros(0))
+    sample_radius: Array = field(default_factory=lambda: np.zeros(0))
+    sample_length: Array = field(default_factory=lambda: np.zeros(0))
+    density: tuple[float, float] | None = None
+    plucks: tuple[FreeVibration, ...] = ()
+    tip_mass: Array = field(default_factory=lambda: np.zeros(0))
+    deflection: Array = field(default_factory=lambda: np.zeros(0))
     errors: InstrumentErrors = InstrumentErrors()
 
     def density_at(self, shift: Mapping[str, float]) -> float:
@@ -123,7 +123,7 @@ def identify(test: MaterialTest, prior: Material = TOMATO) -> Identification:
 
     Errors are propagated linearly in the logarithm (`propagate`); one calliper error is shared by samples and stem, and
     by both estimates of E, so that the comparison of the two is fair. Estimates that differ by more than two standard
-    errors of their difference are warned about and the result's error is widened.
+    errors of their difference are warned about; the result then lies halfway, its error widened.
 
     Raises:
         InputError: nothing that gives a density, or a stem and readings that cannot belong together.
@@ -228,8 +228,8 @@ def _warnings(
         each = ", ".join(f"{e.value / 1e6:.3g} MPa from {e.name}" for e in estimates)
         said.append(
             f"the estimates of E disagree: {each}, {apart:.1f} standard errors apart. Leaves left out, the wrong "
-            "orientation, a clamp that gives, or too few radii are the usual causes; the result's error now holds half "
-            "the distance."
+            "orientation, a clamp that gives, or too few radii are the usual causes. The result lies halfway, half the "
+            "distance being one more error."
         )
     if vibration is not None and vibration.explained < LEAST_EXPLAINED:
         said.append(
@@ -239,10 +239,10 @@ def _warnings(
     if vibration is not None and vibration.damping_ratio < 1e-4 and np.isfinite(vibration.damping_error):
         said.append(f"damping ratio {vibration.damping_ratio:.2g}: no decay was seen; the prior's damping is kept.")
     if test.stem is not None and vibration is not None and test.orientation == "weightless":
-        held: tuple[Orientation, ...] = ("upright", "horizontal", "hanging")
-        each = leaf_mass_effect([test.stem], vibration.natural_frequency, density.value, held)[0] / 1e6
-        values = ", ".join(f"{name} {value:.3g}" for name, value in zip(held, each, strict=True))
-        said.append(f"gravity is left out. Say how the stem was held (--orientation): E would be {values} MPa.")
+        said.append(
+            "gravity is left out, as beam formulas do; it slows an upright stem and hastens a hanging one. Say how the "
+            "stem was held (--orientation)."
+        )
     horizontal = test.orientation == "horizontal" or len(test.tip_mass) > 0
     if test.stem is not None and estimates and horizontal:
         sag = droop(test.stem, estimates[-1].value, density.value)

@@ -72,15 +72,16 @@ def disagreement(a: Estimate, b: Estimate) -> float:
 def combine(a: Estimate, b: Estimate) -> Estimate:
     """Return the geometric mean of two estimates that has the least variance.
 
-    The weights allow for shared errors and stay within 0 and 1. Where the two disagree, half their distance is added as
-    an error of its own: one of them has an error that nobody stated.
+    The weights allow for shared errors and stay within 0 and 1. Where the two disagree, one of them has an error that
+    nobody stated: the weights are then equal, and half the distance is added as an error of its own.
     """
     sources = a.shares.keys() | b.shares.keys()
     shared = sum(a.shares.get(s, 0.0) * b.shares.get(s, 0.0) for s in sources)
     spread = a.relative_error**2 + b.relative_error**2 - 2 * shared
-    weight = 0.5 if spread < 1e-24 else float(np.clip((b.relative_error**2 - shared) / spread, 0, 1))
+    apart = disagreement(a, b) > DISAGREEMENT
+    weight = 0.5 if apart or spread < 1e-24 else float(np.clip((b.relative_error**2 - shared) / spread, 0, 1))
     shares = {s: weight * a.shares.get(s, 0.0) + (1 - weight) * b.shares.get(s, 0.0) for s in sorted(sources)}
-    if disagreement(a, b) > DISAGREEMENT:
+    if apart:
         shares["disagreement"] = 0.5 * float(abs(np.log(a.value / b.value)))
     value = float(np.exp(weight * np.log(a.value) + (1 - weight) * np.log(b.value)))
     return Estimate(f"{a.name} and {b.name}", value, shares)

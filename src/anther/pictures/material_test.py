@@ -71,7 +71,7 @@ def draw_material_test(
         panels.append(partial(_draw_youngs, found))
     if len(test.tip_mass):
         panels.append(partial(_draw_deflection, test, found))
-    if effect is not None:
+    if effect is not None and len(effect.masses) > 1:
         panels.append(partial(_draw_leaf_mass, found, effect))
     rows = int(bool(plucks)) + int(bool(panels))
     figure = Figure(figsize=(max(7.0, 3.6 * len(panels)), 3.2 * max(rows, 1)), layout="constrained")
