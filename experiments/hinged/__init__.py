@@ -1,0 +1,1 @@
+"""Parts of hinged_plant.py: the plants and the MuJoCo model."""
