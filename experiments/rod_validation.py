@@ -76,6 +76,8 @@ def main() -> None:
 
 def _print(console: Console, rows: list[Row]) -> None:
     table = Table("case", "error", "limit", "", "detail")
+    for column in table.columns[:4]:
+        column.no_wrap = True
     for row in rows:
         verdict = "" if row.limit is None else "FAILED" if row.failed else "met"
         table.add_row(row.case, row.printed(row.error), row.printed(row.limit), verdict, row.detail)

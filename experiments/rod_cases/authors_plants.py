@@ -77,6 +77,7 @@ class AuthorsPlant:
             either defect 2 or sibling springs, and in our engine.
         weak_springs: share of the peer's springs with less than 0.9 of their stiffness in some plane.
         rigid: the flower's amplitude [m] if the plant turned rigidly about its root; NaN where it is not pinned.
+        dragged: amplitudes [m] of a thin plant (`DRAGGED`), and of the same with the authors' damping of every node.
         thin: uniform radii of 3-6 mm.
     """
 
@@ -86,6 +87,7 @@ class AuthorsPlant:
     rotation_energy: tuple[float, float]
     weak_springs: float
     rigid: float
+    dragged: tuple[float, float]
     thin: list[Thin]
 
     def metrics(self) -> dict[str, float]:
@@ -107,6 +109,9 @@ CONNECTED = "… directors follow connectivity (defect 2 off)"
 TURNING = "… edges may turn about themselves (defect 1 off)"
 BOTH = "… both off, and no springs between siblings"
 OURS = "our engine, the same settings"
+CLAMPED_ROOT = "… root clamped, not pinned"
+DRAGGED = (3e-3, 1e9)
+"""Radius [m] and Young's modulus [Pa] at which the authors' per-node damping is tried on a thin plant."""
 _KEYS = {"peer": STORED, "peer_defect_2_off": CONNECTED, "peer_defect_1_off": TURNING, "ours": OURS}
 
 
@@ -168,6 +173,7 @@ def _study(data: Path, name: str, quick: bool, console: Console) -> AuthorsPlant
         ),
         float(np.mean(peers[AGAIN].stiffness_lost() < 0.9)),
         float(setup["amp"] * heights[0] / heights[1]) if len(plant.pin.nodes) == 1 else float("nan"),
+        _dragged(plant),
         thin,
     )
 
@@ -216,8 +222,8 @@ def _our_stages(plant: _Plant, setup: dict[str, Any], quick: bool) -> Iterator[S
     rods, dt, fine = plant.rods, setup["dt"], 4e-3 if quick else 1e-3
     yield _stage(OURS, plant, rods, plant.pin, dt, "implicit_euler")
     unable = replace(rods, bend_over_twist=1e-3)
-    yield _stage("our engine, the same, rods that cannot twist", plant, unable, plant.pin, dt, "implicit_euler")
-    yield _stage("… root clamped, not pinned", plant, rods, plant.clamp, dt, "implicit_euler")
+    yield _stage("our engine, rods that cannot twist (not kept below)", plant, unable, plant.pin, dt, "implicit_euler")
+    yield _stage(CLAMPED_ROOT, plant, rods, plant.clamp, dt, "implicit_euler")
     hanging = with_gravity_equilibrium(rods, plant.clamp)
     yield _stage("… rest shape in equilibrium under gravity", plant, hanging, plant.clamp, dt, "implicit_euler")
     yield _stage(f"… midpoint rule, dt {1e3 * fine:g} ms", plant, hanging, plant.clamp, fine, "midpoint")
@@ -232,6 +238,16 @@ def _stage(name: str, plant: _Plant, rods: Rods, clamp: Clamp, dt: float, integr
         return Stage(name, plant.shaken(rods, clamp, dt, integrator))
     except AntherError as error:
         return Stage(name, float("nan"), str(error).split(".")[0])
+
+
+def _dragged(plant: _Plant) -> tuple[float, float]:
+    radius, youngs = DRAGGED
+    damping = DAMPING_RATIO / (np.pi * plant.frequency)
+    bare = replace(plant.rods, edge_radius=radius, node_drag=0.0, viscous_time=damping)
+    rods = _hanging(bare, youngs, plant.clamp)
+    drag = plant.rods.node_drag
+    sound, dragged = (plant.shaken(r, plant.clamp, 2e-3, "midpoint") for r in (rods, replace(rods, node_drag=drag)))
+    return sound, dragged
 
 
 def _thin(plant: _Plant, radius: float, moduli: tuple[float, ...]) -> Thin:

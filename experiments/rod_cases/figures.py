@@ -100,6 +100,6 @@ def _draw_moduli(axes: Axes, plant: AuthorsPlant) -> None:
     axes.axhline(1e3 * plant.stages[0].amplitude, color="tab:red", ls="--", label="peer, r = 30 mm")
     top = 2.0e3 * max(stage.amplitude for stage in plant.stages if np.isfinite(stage.amplitude))
     axes.set(xlabel="Young's modulus [MPa]", ylabel="flower amplitude [mm]", ylim=(0, top))
-    axes.set_title(f"{plant.name}: real thickness (lines: linear, dots: simulated)")
+    axes.set_title(f"{plant.name}: real thickness (line: linear, dot: simulated)", fontsize=10)
     axes.grid(True, which="both", alpha=0.2)
     axes.legend(fontsize=8)
