@@ -133,6 +133,8 @@ def test_density_alone_and_damping_without_a_shape(capsys, files) -> None:
         ),
         (("--density", 1000, "--samples", "x.csv"), "give one of them"),
         (("--samples", "nowhere.csv"), "nowhere.csv: no such file"),
+        (("--density", 1000, "--orientation", "upright"), "--orientation has no effect without --trace"),
+        ((*AUTHORS, "--start", 1), "--start has no effect without --trace"),
     ],
 )
 def test_bad_options_are_refused(capsys, words, message: str) -> None:

@@ -129,6 +129,8 @@ def test_impossible_deflections_are_refused() -> None:
     for mass, sunk in (([], []), ([0.01], [-0.01]), ([0.01], [0.4]), ([0.01, 0.02], [0.01])):
         with pytest.raises(InputError):
             youngs_from_deflection(stem, mass, sunk, 1080)
+    with pytest.raises(InputError, match="own weight"):
+        youngs_from_deflection(ClampedStem.uniform(0.2, 0.03), [0.015], [0.045], 1080)
 
 
 # -- free vibrations --------------------------------------------------------------------------------------------------

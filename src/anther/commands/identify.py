@@ -114,10 +114,7 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
             "nothing to identify: give --samples or --density, then --trace or --frequency, or --deflection, with "
             "--profile or --length and --radius. See docs/identification.md."
         )
-    if plucks and args.frequency is not None:
-        raise InputError("--trace and --frequency: give one of them; the trace holds the frequency.")
-    if args.samples and args.density is not None:
-        raise InputError("--samples and --density: give one of them; the samples hold the density.")
+    _refuse_contradictions(args)
     if args.frequency is not None:
         check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
         error = args.frequency_error if args.frequency_error is not None else GIVEN_ERROR * args.frequency
@@ -135,6 +132,24 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
     return MaterialTest(stem, orientation, density=density, plucks=plucks, errors=args.errors, **measured)
 
 
+def _refuse_contradictions(args: Args) -> None:
+    """Refuse options that exclude each other, and those that would have no effect."""
+    for one, other in (("trace", "frequency"), ("samples", "density"), ("profile", "radius")):
+        if getattr(args, one) and getattr(args, other) is not None:
+            raise InputError(f"--{one} and --{other}: give one of them; they say the same.")
+    vibration = bool(args.trace) or args.frequency is not None
+    useless = (
+        ("density-error", args.density_error is not None, args.density is not None, "--density"),
+        ("frequency-error", args.frequency_error is not None, args.frequency is not None, "--frequency"),
+        ("start", args.start is not None, bool(args.trace), "--trace"),
+        ("orientation", args.orientation is not None, vibration, "--trace or --frequency"),
+        ("leaf-mass", bool(args.leaf_mass), vibration, "--trace or --frequency"),
+    )
+    for name, given, effective, needed in useless:
+        if given and not effective:
+            raise InputError(f"--{name} has no effect without {needed}. Add it, or leave --{name} out.")
+
+
 def _given_density(args: Args) -> tuple[float, float] | None:
     if args.density is None:
         return None
@@ -146,8 +161,6 @@ def _given_density(args: Args) -> tuple[float, float] | None:
 
 def _stem(args: Args) -> ClampedStem | None:
     """Return the stem, or None where its shape is not given at all."""
-    if args.profile is not None and args.radius is not None:
-        raise InputError("--profile and --radius: give one of them.")
     profile: dict[str, Array] = {}
     if args.profile is not None:
         profile = read_measurements(args.profile, PROFILE)

@@ -75,11 +75,13 @@ def fit_free_vibration(times: ArrayLike, displacement: ArrayLike) -> FreeVibrati
     return FreeVibration(float(frequency), float(ratio), float(spread[0]), float(spread[1]), explained)
 
 
-def fitted_motion(fit: FreeVibration, times: ArrayLike, displacement: ArrayLike) -> Array:
-    """Return (T,) the fitted motion [m] at the times of the measured one."""
+def fitted_motion(fit: FreeVibration, times: ArrayLike, displacement: ArrayLike, at: ArrayLike | None = None) -> Array:
+    """Return the fitted motion [m] at the times of the measured one (T,) [s], or at other times (n,) of that record."""
     t, x = np.asarray(times, dtype=np.float64), np.asarray(displacement, dtype=np.float64)
-    basis = _decaying_basis(t, np.array([fit.frequency, fit.damping_ratio]))
-    return basis @ np.linalg.lstsq(basis, x, rcond=None)[0]
+    p = np.array([fit.frequency, fit.damping_ratio])
+    weights = np.linalg.lstsq(_decaying_basis(t, p), x, rcond=None)[0]
+    wanted = t if at is None else np.asarray(at, dtype=np.float64)
+    return _decaying_basis(wanted, p, t[0]) @ weights
 
 
 def mean_vibration(fits: Sequence[FreeVibration]) -> FreeVibration:
@@ -103,10 +105,10 @@ def _weighted_mean(values: list[tuple[float, float]]) -> tuple[float, float]:
     return mean, max(1.0, birge) / float(np.sqrt(weight.sum()))
 
 
-def _decaying_basis(t: Array, p: Array) -> Array:
+def _decaying_basis(t: Array, p: Array, start: float | None = None) -> Array:
     """Return (T, 3): the two quadratures of a mode with p = (damped frequency [Hz], damping ratio), and 1."""
     w_d, z = 2 * np.pi * p[0], p[1]
-    decay = np.exp(-z / np.sqrt(1 - z * z) * w_d * (t - t[0]))
+    decay = np.exp(-z / np.sqrt(1 - z * z) * w_d * (t - (t[0] if start is None else start)))
     return np.stack([decay * np.cos(w_d * t), decay * np.sin(w_d * t), np.ones_like(t)], axis=1)
 
 

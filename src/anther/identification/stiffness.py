@@ -20,6 +20,8 @@ from anther.identification.clamped_stem import (
     tip_deflections,
 )
 
+FARTHEST = 4.0
+"""How far ln E is searched on either side of its small-deflection value [-]."""
 STRETCHED = 0.02
 """A stem that its own weight would stretch by more than this is too soft to be searched [-]."""
 
@@ -116,9 +118,10 @@ def youngs_from_deflection(
 ) -> tuple[float, float]:
     """Return Young's modulus [Pa] of a horizontal stem from how far masses pull its tip down, and its relative error.
 
-    Least squares over all masses, the deflections from the rod engine (large ones, the stem's own weight and taper
-    included), started from Euler-Bernoulli. The error is that of the fit, with `reading_error` or the scatter of the
-    residuals, whichever is larger; errors of radius, length and masses come on top (`propagate`).
+    The deflections d of the model come from the rod engine (large ones, the stem's own weight and taper included). E
+    solves sum d (d - measured) = 0, the normal equation of least squares where d goes as 1 / E, by the secant method
+    from Euler-Bernoulli's E. The error is that of the fit, with `reading_error` or the scatter of the residuals,
+    whichever is larger; errors of radius, length and masses come on top (`propagate`).
 
     Args:
         stem: shape and leaves.
@@ -128,7 +131,7 @@ def youngs_from_deflection(
         reading_error: standard error of one deflection [m].
 
     Raises:
-        InputError: no readings, or values <= 0.
+        InputError: no readings, values <= 0, or deflections that no stiffness explains.
     """
     mass = check_array("tip mass", tip_mass, (None,))
     sunk = check_array("deflection", deflection, (len(mass),))
@@ -141,21 +144,34 @@ def youngs_from_deflection(
     stiff = G * tip_compliance(stem) * float(mass @ sunk / (sunk @ sunk))
 
     def model(log_ratio: float) -> Array:
+        if abs(log_ratio) > FARTHEST:
+            raise _inexplicable(sunk)
         return tip_deflections(stem, stiff * float(np.exp(log_ratio)), density, mass)
 
     def step(log_ratio: float) -> float:
         found = model(log_ratio)
-        return float(found @ (found - sunk) / (found @ found))  # Gauss-Newton, were deflection as 1 / E
+        return float(found @ (found - sunk) / (found @ found))
 
     try:
         first = step(0.0)
         solved = root_scalar(step, x0=0.0, x1=first if abs(first) > 1e-6 else 1e-3, method="secant", xtol=1e-7)
     except StageFailure as failure:
-        raise InputError(f"deflection test: no stiffness explains these deflections ({failure})") from failure
+        raise _inexplicable(sunk) from failure
+    if not solved.converged:
+        raise _inexplicable(sunk)
     best = model(solved.root)
     scatter = float(np.sqrt(np.sum((best - sunk) ** 2) / max(len(mass) - 1, 1)))
-    slope = float(np.linalg.norm(model(solved.root + 1e-3) - best)) / 1e-3
+    slope = float(abs((model(solved.root + 1e-3) - best) @ best) / np.linalg.norm(best)) / 1e-3
     return stiff * float(np.exp(solved.root)), max(scatter, reading_error) / slope
+
+
+def _inexplicable(deflection: Array) -> InputError:
+    return bad_input(
+        "deflection test",
+        given=f"{deflection.max() * 1e3:g} mm at most",
+        allowed="what some stiffness explains that also carries the stem's own weight",
+        do="Check masses, radius, length and their units.",
+    )
 
 
 def straight_line_youngs(stem: ClampedStem, tip_mass: ArrayLike, deflection: ArrayLike) -> float:

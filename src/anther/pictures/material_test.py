@@ -89,14 +89,15 @@ def _draw_plucks(plucks: Sequence[Pluck], axes: Any) -> None:
     """Draw every pluck below the one before, in its own offset, with its fit."""
     height = 2.2 * max(float(np.ptp(p.displacement)) for p in plucks) * 500
     for row, pluck in enumerate(plucks):
-        fitted = fitted_motion(pluck.fit, pluck.times, pluck.displacement)
+        fine = np.linspace(pluck.times[0], pluck.times[-1], 4000)
+        fitted = fitted_motion(pluck.fit, pluck.times, pluck.displacement, fine)
         base = -row * height - 1e3 * float(fitted.mean())
         seconds = pluck.times - pluck.times[0]
         axes.plot(seconds, 1e3 * pluck.displacement + base, ".", color="#9aa39d", ms=3)
-        axes.plot(seconds, 1e3 * fitted + base, color=MAGENTA, lw=1.2)
+        axes.plot(fine - fine[0], 1e3 * fitted + base, color=MAGENTA, lw=1.2)
         f = pluck.fit
         frequency = f"{f.frequency:.3f} ± {f.frequency_error:.1g} Hz"
-        text = f"{pluck.name}: {frequency}, damping ratio {f.damping_ratio:.3f} ± {f.damping_error:.1g}"
+        text = f"{pluck.name}: {frequency}, damping ratio {f.damping_ratio:.4f} ± {f.damping_error:.1g}"
         axes.text(seconds[-1], base + 1e3 * float(fitted.mean()) + 0.3 * height, text, ha="right", fontsize=8)
     axes.set(xlabel="time [s]", ylabel="displacement [mm]", title="Free vibration (grey) and fit")
 
@@ -106,7 +107,9 @@ def _draw_density(test: MaterialTest, found: Identification, axes: Any) -> None:
     axes.plot(np.arange(1, len(each) + 1), each, "o", color=GREEN, label="sample")
     value, error = found.density.value, found.density.standard_error
     axes.axhline(value, color=INK, lw=1, label="mean")
-    axes.axhspan(value - error, value + error, color=INK, alpha=0.12, lw=0, label="± standard error")
+    axes.axhspan(
+        value - error, value + error, color=INK, alpha=0.12, lw=0, label="± standard error,\ncalliper included"
+    )
     axes.set(xlabel="sample", ylabel="density [kg/m³]", title=f"Density {value:.0f} ± {error:.0f} kg/m³")
     axes.set_xticks(np.arange(1, len(each) + 1, max(1, len(each) // 6)))
     axes.legend(fontsize=7, loc="best")
