@@ -99,7 +99,7 @@ def _finding(plant: AuthorsPlant) -> str:
     stored, left = plant.rotation_energy
     sentences = [
         f"- **{plant.name}.** Letting the edges turn about themselves, and nothing else, takes the peer's "
-        f"{peer:.2f} mm to {one:.2f} mm; our engine gives {ours:.2f} mm. So it is the defect of rotation (1) that hides "
+        f"{peer:.2f} mm to {one:.2f} mm; our engine gives {ours:.2f} mm. So the defect of rotation (1) hides "
         f"{100 * (1 - peer / one):.0f} % of the motion.",
         f"A rigid rotation by 0.0139 rad stores {stored:.1f} J in the peer, {left:.1f} J with directors along the "
         "connectivity and no sibling springs, and nothing in ours (row `rotation`).",
