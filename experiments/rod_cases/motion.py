@@ -54,18 +54,20 @@ def end_state(dt: float, integrator: str) -> Array:
 
 
 def violent_cases(quick: bool) -> Findings:
-    """Return the row of 5 mm at 30 Hz on the undamped 3-D network, where the peer's Newton diverges."""
-    what = "5 mm at 30 Hz on the undamped 3-D network: energy gained against the work of the drive"
-    duration = 0.2 if quick else 1.0
+    """Return the row of 5 mm at 30 Hz on the undamped 3-D network, where the peer's Newton diverges.
+
+    The balance starts after the first step, in which the grip jumps from rest to its full speed, as in the peers' runs.
+    """
+    what = (
+        "5 mm at 30 Hz on the undamped 3-D network, dt 1 ms: energy gained minus the work of the drive, over that work"
+    )
+    clamp, drive, duration = Clamp(np.array([0, 1])), Drive(20, X_AXIS, 5e-3, 30), 0.2 if quick else 1.0
     try:
-        run = simulate(network(), Clamp(np.array([0, 1])), Drive(20, X_AXIS, 5e-3, 30), duration, 1e-3, start="scanned")
+        run = simulate(network(), clamp, drive, duration, 1e-3, start="scanned")
     except StageFailure as failure:
         return Findings([Row("violent_shake", what, np.nan, 0.02, "%", str(failure))])
-    gained = run.energy - run.energy[0]
-    error = float(np.abs(gained - run.work).max() / np.ptp(run.work))
-    detail = f"{duration:g} s, {run.split_steps} split steps, energy up to {np.ptp(gained):.2f} J"
-    share = (gained - run.work) / np.ptp(run.work)
-    return Findings(
-        [Row("violent_shake", what, error, 0.02, "%", detail)],
-        energy={"3-D network, 5 mm at 30 Hz": (run.times * 30, share)},
-    )
+    gained, work = run.energy - run.energy[1], run.work - run.work[1]
+    share = (gained - work) / np.ptp(work)
+    detail = f"{duration:g} s, {run.split_steps} split steps, energy up to {gained.max():.3f} J"
+    row = Row("violent_shake", what, float(np.abs(share[1:]).max()), 0.02, "%", detail)
+    return Findings([row], energy={"3-D network, 5 mm at 30 Hz": (run.times[1:] * 30, share[1:])})
