@@ -12,13 +12,24 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 from hinged.pieces import linearise, pieces_of, shake
-from hinged.plants import BEND_OVER_TWIST, DENSITY, PLANTS, YOUNGS, cut, five_branches, straight, y_shape
-from hinged_plant import SOIL, STEP, phasors, rods_of
+from hinged.plants import (
+    BEND_OVER_TWIST,
+    DENSITY,
+    MASS_DAMPING,
+    PLANTS,
+    VISCOUS_TIME,
+    YOUNGS,
+    cut,
+    five_branches,
+    straight,
+    y_shape,
+)
+from hinged_plant import SOIL, phasors, rods_of
 
 from anther.elastic_rod import frequency_response
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
-LENGTH, RADIUS = 0.5, 3e-3
+LENGTH, RADIUS, STEP = 0.5, 3e-3, 2e-4
 
 
 def modes(segments: int) -> np.ndarray:
@@ -82,17 +93,26 @@ def test_shaking_in_time_gives_the_small_vibration_response():
     shaken = shake(model, tree, amplitude * rise * np.sin(2 * np.pi * frequency * times))
     found = phasors(shaken.times, shaken.positions, frequency)
     assert abs(found[0, 0]) == pytest.approx(amplitude, rel=2e-3)
-    expected = linearise(model, tree).response(plant.axis, [frequency])[0]
-    np.testing.assert_allclose(found[1:] / found[0, 0], expected, atol=2e-3 * np.abs(expected).max())
+    expected = linearise(model, tree).response(plant.axis, [frequency], STEP)[0]
+    np.testing.assert_allclose(found[1:] / found[0, 0], expected, atol=2e-4 * np.abs(expected).max())
+
+
+def test_the_error_of_the_time_step_is_of_first_order():
+    plant, tree = y_shape(), cut(y_shape(), 10)
+    linear = linearise(pieces_of(plant, tree, STEP), tree)
+    exact, *stepped = (linear.response(plant.axis, [30.0], dt) for dt in (0.0, 4e-4, 2e-4))
+    errors = [np.abs(s - exact).max() for s in stepped]
+    assert errors[0] / errors[1] == pytest.approx(2, rel=0.1)
 
 
 def test_the_damping_is_the_one_asked_for():
-    tree = cut(straight(), 10)
+    tree = cut(straight(), 20)
     linear = linearise(pieces_of(straight(), tree, STEP), tree)
-    stiffer = replace(linear, damping=0 * linear.damping)
-    near = linear.frequencies(held=True)[0]
-    damped, free = (abs(s.response(straight().axis, [near])[0, 0, 0]) for s in (linear, stiffer))
-    assert damped < 0.05 * free
+    second = linear.frequencies(held=True)[2]
+    bare = replace(linear, damping=0 * linear.damping)
+    damped, free = (abs(s.response(straight().axis, [second])[0, 0, 0]) for s in (linear, bare))
+    ratios = MASS_DAMPING / (4 * np.pi * second), np.pi * second * VISCOUS_TIME
+    assert damped / free == pytest.approx(ratios[0] / sum(ratios), rel=0.1)
 
 
 @pytest.mark.parametrize(("make", "limit"), [(straight, 0.03), (y_shape, 0.07)])
