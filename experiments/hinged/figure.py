@@ -51,9 +51,9 @@ def _draw_plant(axes: Any, plant: Plant) -> None:
     axes.quiver(*(grip - way), *(2 * way), color="tab:red", lw=1.5, arrow_length_ratio=0.2)
     axes.scatter(*tree.nodes[tree.tips].T, color="k", s=12)
     axes.set(xlim=(-0.16, 0.16), ylim=(-0.16, 0.16), zlim=(0, 0.5), xticks=[], yticks=[], zticks=[0, 0.25, 0.5])
-    axes.set_box_aspect((0.32, 0.32, 0.5), zoom=1.15)
+    axes.set_box_aspect((0.32, 0.32, 0.5), zoom=1.02)
     axes.view_init(elev=12, azim=-70)
-    axes.set_title(plant.name.replace("_", " "), y=1.0)
+    axes.set_title(plant.name.replace("_", " "), y=1.03)
 
 
 def _draw_convergence(axes: Any, errors: dict[str, dict[int, NDArray[Any]]], hertz: tuple[float, ...]) -> None:
