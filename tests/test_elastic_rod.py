@@ -20,8 +20,9 @@ from anther.elastic_rod import (
     with_gravity_equilibrium,
 )
 from anther.elastic_rod.assembly import assemble, elastic_energy, move_frames, new_blocks
+from anther.elastic_rod.lanes import new_lanes
+from anther.elastic_rod.linear import dense
 from anther.elastic_rod.model import Frames, build_model
-from anther.elastic_rod.response import sparse_matrix
 from anther.elastic_rod.tree_solver import constrain, factor, solve
 from anther.errors import InputError, StageFailure
 
@@ -35,8 +36,8 @@ def disturbed(rods: Rods, seed: int = 0, size: float = 2e-3):
 
 
 def moved(model, x_old, frames, x, turn) -> Frames:
-    new = Frames(np.zeros_like(frames.m1), np.zeros_like(frames.twist))
-    move_frames(model, x_old, frames.m1, frames.twist, x, turn, new.m1, new.twist)
+    new = Frames(np.zeros_like(frames.m1), frames.twist.copy())
+    move_frames(model, x_old, frames.m1, x, turn, new.m1, new_lanes())
     return new
 
 
@@ -44,12 +45,12 @@ def energy_after(model, x, frames, step) -> float:
     step = step.reshape(-1, 4)
     there = x + step[:, :3]
     new = moved(model, x, frames, there, step[:, 3])
-    return elastic_energy(model, there, new.m1, new.twist)
+    return elastic_energy(model, there, new)
 
 
 def assembled(model, x, frames):
     blocks = new_blocks(len(x))
-    assemble(model, x, frames, np.zeros((len(x), 4)), 0.0, blocks)
+    assemble(model, x, x, frames, np.zeros((len(x), 4)), 0.0, blocks)
     return blocks
 
 
@@ -67,7 +68,7 @@ def test_gradient_is_the_slope_of_the_energy(seed):
 
 def test_hessian_is_the_curvature_of_the_energy():
     model, x, frames = disturbed(random_tree(3, n=7))
-    hessian = sparse_matrix(model, assembled(model, x, frames)).toarray()
+    hessian = dense(model, assembled(model, x, frames))
     rng = np.random.default_rng(5)
     scale = np.tile([1e-5, 1e-5, 1e-5, 1e-3], len(x))
     centre = energy_after(model, x, frames, np.zeros(4 * len(x)))
@@ -87,7 +88,7 @@ def test_tree_elimination_solves_the_assembled_system(seed, n):
     free = Clamp.root(rods).free(rods)
     blocks = assembled(model, rods.nodes, frames)
     constrain(model, free, blocks)
-    matrix = sparse_matrix(model, blocks).toarray()
+    matrix = dense(model, blocks)
     wanted = np.random.default_rng(seed).normal(size=4 * n)
     right = (matrix @ wanted).reshape(n, 4)
     assert factor(model, blocks) == 0
@@ -110,11 +111,84 @@ def test_a_rigid_rotation_stores_no_energy(seed):
         edges /= np.linalg.norm(edges, axis=1, keepdims=True)
         turn = np.zeros(len(x))
         along = edges @ axis  # spin that parallel transport leaves out
-        turn[1:] = 2 * np.arctan2(along * np.sin(0.1), np.cos(0.1))
+        turn[1:] = 2 * along * np.tan(0.1)  # turn = 2 tan(angle / 2)
         now = moved(model, x, now, turned, turn)
         x = turned
-    bent = elastic_energy(*disturbed(rods)[:2], *disturbed(rods)[2])
-    assert elastic_energy(model, x, now.m1, now.twist) < 1e-12 * bent
+    assert elastic_energy(model, x, now) < 1e-12 * elastic_energy(*disturbed(rods))
+
+
+def test_rods_that_cannot_twist_are_the_limit_of_stiff_ones():
+    ends = []
+    for ratio in (1.0, 0.1, 0.01, 0.0):
+        rods = random_tree(6, 14, bend_over_twist=ratio, lumped_mass=2e-3, youngs=1e8)
+        ends.append(equilibrium(rods, Clamp.root(rods)))
+    gaps = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
+    assert gaps[0] > 1e-5
+    np.testing.assert_allclose(np.divide(gaps[:-1], gaps[1:]), 10, rtol=0.1)
+
+
+def test_a_soft_joint_is_a_hinge_with_a_spring():
+    soft, force = 2.0, 1e-3
+    tip = np.zeros(41)
+    tip[-1] = force / 9.81
+    bare = cantilever(40, density=1e-3, lumped_mass=tip, youngs=2e9)
+    at_joint = np.zeros(41)
+    at_joint[20] = soft
+    jointed = replace(bare, joint_compliance=at_joint)
+    drops = [equilibrium(rods, Clamp.root(rods))[-1, 2] for rods in (bare, jointed)]
+    lever = bare.nodes[-1, 0] - bare.nodes[19, 0]
+    assert drops[0] - drops[1] == pytest.approx(force * lever * soft * lever, rel=2e-3)
+
+
+def test_forks_and_kinks_converge_with_the_second_order():
+    tips = []
+    for refinement in (1, 2, 4, 32):
+        rods = refined_fork(refinement)
+        tips.append(equilibrium(rods, Clamp.root(rods))[-1])
+    errors = [np.linalg.norm(tip - tips[-1]) for tip in tips[:-1]]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.3)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.3)
+
+
+def refined_fork(refinement: int) -> Rods:
+    """A stem that forks at a right angle into two arms, each of which has a kink; the first edge is always alike."""
+    corners, joins = np.array([[0, 0, 0], [0, 0, 1], [0, 0, 9], [4, 0, 9], [4, 3, 9], [-4, 0, 9], [-4, 0, 5]]), {}
+    nodes, parent = [corners[0], corners[1]], [-1, 0]
+    joins = {1: 1}
+    for a, b in ((1, 2), (2, 3), (3, 4), (2, 5), (5, 6)):
+        at = joins[a]
+        for share in np.arange(1, 2 * refinement + 1) / (2 * refinement):
+            nodes.append(corners[a] + share * (corners[b] - corners[a]))
+            parent.append(at)
+            at = len(nodes) - 1
+        joins[b] = at
+    mass = np.zeros(len(nodes))
+    mass[[joins[4], joins[6]]] = 2e-4
+    return Rods(0.02 * np.array(nodes), np.array(parent), 2e-3, 3e8, 1e-3, lumped_mass=mass)
+
+
+def test_no_mode_is_missed_and_inertia_of_lumps_counts():
+    rods = cantilever(100)
+    modes = natural_frequencies(rods, Clamp.root(rods), 7, gravity=NO_GRAVITY)
+    np.testing.assert_allclose(modes.frequencies[:6:2], modes.frequencies[1:6:2], rtol=1e-9)
+    everything = natural_frequencies(cantilever(4), Clamp.root(cantilever(4)), 5, gravity=NO_GRAVITY)
+    assert np.all(np.diff(everything.frequencies) >= 0)
+    mass, inertia, length, EI = 0.05, 2e-5, 0.295, 2e9 * np.pi * 3e-3**4 / 4
+    tip = np.zeros(31)
+    tip[-1] = 1
+    heavy = cantilever(30, youngs=2e9, density=1e-3, lumped_mass=mass * tip, lumped_inertia=inertia * tip)
+    found = natural_frequencies(heavy, Clamp.root(heavy), 4, gravity=NO_GRAVITY).frequencies
+    stiff = EI / length**3 * np.array([[12, -6 * length], [-6 * length, 4 * length**2]])
+    squares = np.sort(np.linalg.eigvals(np.linalg.solve(np.diag([mass, inertia]), stiff)).real)
+    assert found[0] == pytest.approx(np.sqrt(squares[0]) / 2 / np.pi, rel=2e-3)
+    assert found[2] == pytest.approx(np.sqrt(squares[1]) / 2 / np.pi, rel=0.03)
+
+
+def test_damping_ratios_are_told():
+    rods = cantilever(30, viscous_time=2e-3, mass_damping=1.5)
+    modes = natural_frequencies(rods, Clamp.root(rods), 4, gravity=NO_GRAVITY)
+    omega = 2 * np.pi * modes.frequencies
+    np.testing.assert_allclose(modes.damping_ratios, 2e-3 * omega / 2 + 1.5 / (2 * omega), rtol=2e-3)
 
 
 def test_static_cantilever_is_euler_bernoulli():

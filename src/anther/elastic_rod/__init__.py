@@ -5,16 +5,21 @@
 """
 
 from anther.elastic_rod.equilibrium import equilibrium, with_gravity_equilibrium
+from anther.elastic_rod.modes import Modes, natural_frequencies
 from anther.elastic_rod.motion import Clamp, Drive, Motion, SampledDrive
-from anther.elastic_rod.response import frequency_response, natural_frequencies, response_map
+from anther.elastic_rod.response import frequency_response, response_map
 from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
 from anther.elastic_rod.simulation import Trajectory, simulate
 from anther.elastic_rod.stability import least_stiffness, stands
+from anther.elastic_rod.waveforms import Burst, Chirp
 
 __all__ = [
     "GRAVITY",
+    "Burst",
+    "Chirp",
     "Clamp",
     "Drive",
+    "Modes",
     "Motion",
     "NaturalShape",
     "Rods",

@@ -1,8 +1,4 @@
-"""Energy, gradient and tree-structured Hessian of all springs, in one walk over the edges.
-
-Stretch E = EA/2 eps^2 l (P18), bend and twist E = K/2 (strain - natural strain)^2 (P19, Bergou et al. 2010).
-Kelvin-Voigt damping adds K * viscous_time * strain rate to each stress; strain rate = gradient . velocity.
-"""
+"""Energy, gradient and tree-structured Hessian of all springs, in walks over the edges."""
 
 from __future__ import annotations
 
@@ -11,199 +7,255 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.elastic_rod import springs
+from anther.elastic_rod import lanes, springs
+from anther.elastic_rod.lanes import LANES, get, get3, new_lanes, put, put3
 from anther.elastic_rod.model import Frames, Model, spring_edges
 from anther.elastic_rod.rods import Array
-from anther.elastic_rod.vectors import compiled, dot, load, norm, scale, spin, store, subtract, transport
+from anther.elastic_rod.vectors import compiled, load, merged, norm, store, subtract, twist_angle
 
 
 class Blocks(NamedTuple):
-    """The tree-structured symmetric matrix and a right-hand side; of `diagonal` only the lower triangles are used."""
+    """The tree-structured symmetric matrix and a right-hand side; of `diagonal` only the upper triangles are used."""
 
     diagonal: NDArray[Any]  # (N, 4, 4) block (j, j)
     near: NDArray[Any]  # (N, 4, 4) block (j, near[j])
-    far: NDArray[Any]  # (N, 4, 3) block (j, far[j]); no spring reaches the spin of the far edge
+    far: NDArray[Any]  # (N, 4, 4) block (j, far[j]); its last column is 0: no spring reaches the spin of the far edge
     gradient: NDArray[Any]  # (N, 4)
-    local: Array  # (8, 8) scratch
-    slopes: Array  # (3, 8) scratch
+    lanes: Array  # scratch
 
 
 def new_blocks(n: int, dtype: Any = np.float64) -> Blocks:
     """Return zeroed storage for N nodes."""
-    return Blocks(
-        np.zeros((n, 4, 4), dtype),
-        np.zeros((n, 4, 4), dtype),
-        np.zeros((n, 4, 3), dtype),
-        np.zeros((n, 4), dtype),
-        np.zeros((8, 8)),
-        np.zeros((3, 8)),
-    )
+    blocks = [np.zeros((n, 4, 4), dtype) for _ in range(3)]
+    return Blocks(*blocks, np.zeros((n, 4), dtype), new_lanes())
 
 
 @compiled
-def move_frames(model: Model, x_old: Any, m1_old: Any, twist_old: Any, x: Any, turn: Any, m1: Any, twist: Any) -> None:
-    """Carry the frames (m1_old, twist_old) from positions x_old to x, turn edge j by turn[j], into m1 and twist."""
-    for j in range(1, len(x)):
-        p = model.parent[j]
-        old, new = subtract(load(x_old, j), load(x_old, p)), subtract(load(x, j), load(x, p))
-        t_old, t_new = scale(1 / norm(old), old), scale(1 / norm(new), new)
-        store(m1, j, spin(transport(load(m1_old, j), t_old, t_new), t_new, turn[j]))
-    for j in range(1, len(x)):
-        if model.far[j] >= 0:
-            e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
-            m1e = load(m1, model.near[j])
-            twist[j] = springs.strains(e, f, m1e, load(m1, j), twist_old[j])[2]
+def move_frames(model: Model, x_old: Any, m1_old: Any, x: Any, turn: Any, m1: Any, buffer: Any) -> None:
+    """Carry the directors m1_old from positions x_old to x, turn edge j by turn[j] (Cayley, `spin`), into m1."""
+    parent = model.parent
+    for first in range(1, len(x), LANES):
+        count = min(LANES, len(x) - first)
+        for i in range(count):
+            j = first + i
+            p = parent[j]
+            put3(buffer, lanes.OLD_EDGE, i, subtract(load(x_old, j), load(x_old, p)))
+            put3(buffer, lanes.NEW_EDGE, i, subtract(load(x, j), load(x, p)))
+            put3(buffer, lanes.OLD_DIRECTOR, i, load(m1_old, j))
+            put(buffer, lanes.TURN, i, turn[j])
+        springs.frame_lanes(buffer)
+        for i in range(count):
+            store(m1, first + i, get3(buffer, lanes.NEW_DIRECTOR, i))
 
 
 @compiled
-def elastic_energy(model: Model, x: Any, m1: Any, twist: Any) -> float:
+def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
     """Return the stored elastic energy [J]."""
-    total = 0.0
+    total, m1 = 0.0, frames.m1
     for j in range(1, len(x)):
         f = subtract(load(x, j), load(x, model.parent[j]))
         strain = norm(f) / model.length[j] - 1
         total += 0.5 * model.stretch[j] * model.length[j] * strain * strain
         if model.far[j] >= 0:
             e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
-            k1, k2, tau = springs.strains(e, f, load(m1, model.near[j]), load(m1, j), twist[j])
+            b = springs.bent(e, f)
+            m1e, m1f = load(m1, model.near[j]), load(m1, j)
+            k1, k2 = springs.curvatures(b, m1e, m1f)
+            sine, cosine = springs.twist_parts(b, m1e, m1f)
             k1, k2 = k1 - model.curvature[j, 0], k2 - model.curvature[j, 1]
-            tau -= model.natural_twist[j]
-            total += 0.5 * model.bend[j] * (k1 * k1 + k2 * k2) + 0.5 * model.twist[j] * tau * tau
+            tau = twist_angle(sine, cosine, frames.twist[j]) - model.natural_twist[j]
+            total += 0.5 * model.bend[j, 0] * k1 * k1 + model.bend[j, 1] * k1 * k2 + 0.5 * model.bend[j, 2] * k2 * k2
+            total += 0.5 * model.twist[j] * tau * tau
     return total
 
 
 @compiled
-def assemble(model: Model, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks) -> None:
+def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks) -> None:
     """Fill blocks with the elastic and viscous gradient (minus the force) and Hessian.
 
     Args:
         model: constants.
+        x_start: (N, 3) positions [m] at the start of a midpoint step; x itself otherwise. See `springs.stretched`.
         x: (N, 3) positions [m].
-        frames: material frames at x.
+        frames: directors at x; each twist becomes that at x, on the branch nearest to the one given.
         velocity: (N, 4) node velocity [m/s] and edge spin rate [rad/s].
         rate: d velocity / d position of the time step [1/s]; 0 for statics.
         blocks: filled anew.
     """
-    parent, near, far, swapped = model.parent, model.near, model.far, model.swapped  # unpacked once: it is faster
-    EA, K, T, viscous = model.stretch, model.bend, model.twist, model.viscous
+    order, parent, near, far = model.order, model.parent, model.near, model.far  # unpacked once: it is faster
+    swapped, bend, torsion, viscous, stretch = model.swapped, model.bend, model.twist, model.viscous, model.stretch
     length, curvature, natural_twist = model.length, model.curvature, model.natural_twist
     m1, twist = frames.m1, frames.twist
-    D, U, V, g, H, G = blocks.diagonal, blocks.near, blocks.far, blocks.gradient, blocks.local, blocks.slopes
-    D[:], U[:], V[:], g[:] = 0, 0, 0, 0
-    for j in range(1, len(x)):
-        p, a, b = parent[j], near[j], far[j]
-        f = subtract(load(x, j), load(x, p))
-        speed = dot(f, subtract(load(velocity, j), load(velocity, p))) / norm(f)
-        _add_stretch(D, U, V, g, j, p, p == a, f, EA[j], length[j], speed, viscous[j], rate)
-        if b < 0:
-            continue
-        e, f = spring_edges(x, parent, near, far, swapped, j)
-        k1, k2, tau = springs.gradients(e, f, load(m1, a), load(m1, j), twist[j], G)
-        s1, s2, s3 = k1 - curvature[j, 0], k2 - curvature[j, 1], tau - natural_twist[j]
-        if viscous[j] > 0:
-            r1, r2, r3 = strain_rates(velocity, parent[j], a, b, swapped[j], G, j)
-            s1, s2, s3 = s1 + viscous[j] * r1, s2 + viscous[j] * r2, s3 + viscous[j] * r3
-        stress, stiffer = (K[j] * s1, K[j] * s2, T[j] * s3), 1 + viscous[j] * rate
-        springs.stiffness(G, (K[j] * stiffer, K[j] * stiffer, T[j] * stiffer), H)
-        springs.add_geometric(e, f, load(m1, a), load(m1, j), stress, H)
-        for i in range(8):
-            G[0, i] = stress[0] * G[0, i] + stress[1] * G[1, i] + stress[2] * G[2, i]
-            for k in range(i):
-                H[k, i] = H[i, k]
-        _scatter(D, U, V, g, G, H, j, a, b, near[a] == b, swapped[j])
-
-
-@compiled
-def _add_stretch(
-    D: Any,
-    U: Any,
-    V: Any,
-    g: Any,
-    j: int,
-    p: int,
-    p_is_near: bool,
-    f: Any,
-    EA: float,
-    natural: float,
-    speed: float,
-    viscous: float,
-    rate: float,
-) -> None:
-    length = norm(f)
-    t = scale(1 / length, f)
-    tension = EA * (length / natural - 1 + viscous * speed / natural)
-    along = EA * (1 + viscous * rate) / natural
-    across = tension / length
-    for i in range(3):
-        g[j, i] += tension * t[i]
-        g[p, i] -= tension * t[i]
-        for k in range(3):
-            value = (along - across) * t[i] * t[k] + (across if i == k else 0.0)
-            D[j, i, k] += value
-            D[p, i, k] += value
-            if p_is_near:
-                U[j, i, k] -= value
+    D, U, V, g, b = blocks.diagonal, blocks.near, blocks.far, blocks.gradient, blocks.lanes
+    n = len(x)
+    _clear(D, g, 0)
+    for first in range(1, n, LANES):
+        count = min(LANES, n - first)
+        for i in range(count):
+            j = order[n - 1 - first - i]  # from the root outward, so that a block is written before it is added to
+            m, a, o = parent[j], near[j], far[j]
+            if o < 0:  # the hub has no spring: joined to itself, with stiffness 0
+                _gather(x, m1, velocity, b, j, m, m, j, j, 1.0, i)
+            elif swapped[j]:  # from the hub back to the root: the hub edge reversed
+                _gather(x, m1, velocity, b, j, m, a, m, a, -1.0, i)
             else:
-                V[j, i, k] -= value
-
-
-@compiled
-def strain_rates(velocity: Any, p: int, a: int, b: int, swapped: bool, G: Any, j: int) -> Any:
-    """Return the rates of the strains of spring j, given their local gradients G and the velocities (N, 4)."""
-    sign = -1.0 if swapped else 1.0
-    r1 = r2 = r3 = 0.0
-    for i in range(3):
-        ve = sign * (velocity[a, i] - velocity[b, i])
-        vf = velocity[j, i] - velocity[p, i]
-        r1 += G[0, i] * ve + G[0, 3 + i] * vf
-        r2 += G[1, i] * ve + G[1, 3 + i] * vf
-        r3 += G[2, i] * ve + G[2, 3 + i] * vf
-    we, wf = sign * velocity[a, 3], velocity[j, 3]
-    return (
-        r1 + G[0, 6] * we + G[0, 7] * wf,
-        r2 + G[1, 6] * we + G[1, 7] * wf,
-        r3 + G[2, 6] * we + G[2, 7] * wf,
-    )
-
-
-@compiled
-def _scatter(
-    D: Any, U: Any, V: Any, g: Any, G: Any, H: Any, j: int, a: int, b: int, b_is_near: bool, swapped: bool
-) -> None:
-    """Add a local gradient G[0] and Hessian H in (e, f, spin e, spin f) to the blocks of j, a = near and b = far.
-
-    e = sign (x_a - x_b), spin e = sign spin_a, f = x_j - x_a, or x_j - x_b where swapped.
-    """
-    sign = -1.0 if swapped else 1.0
-    fa, fb = (0.0, 1.0) if swapped else (1.0, 0.0)
-    for i in range(3):
-        g[j, i] += G[0, 3 + i]
-        g[a, i] += sign * G[0, i] - fa * G[0, 3 + i]
-        g[b, i] += -sign * G[0, i] - fb * G[0, 3 + i]
-        for k in range(3):
-            ee, ef, fe, ff = H[i, k], H[i, 3 + k], H[3 + i, k], H[3 + i, 3 + k]
-            D[j, i, k] += ff
-            D[a, i, k] += ee + fa * (ff - sign * (ef + fe))
-            D[b, i, k] += ee + fb * (ff + sign * (ef + fe))
-            U[j, i, k] += sign * fe - fa * ff
-            V[j, i, k] += -sign * fe - fb * ff
-            crossed = -ee - sign * fb * ef + sign * fa * fe  # fa fb = 0
-            if b_is_near:
-                U[a, i, k] += crossed
+                _gather(x, m1, velocity, b, j, m, o, m, a, 1.0, i)
+            _put_start(b, i, subtract(load(x_start, j), load(x_start, m)), stretch[j], length[j], viscous[j])
+            _put_material(
+                b, i, load(bend, j), torsion[j], viscous[j], curvature[j, 0], curvature[j, 1], natural_twist[j]
+            )
+        springs.twist_lanes(b)
+        for i in range(count):
+            j = order[n - 1 - first - i]
+            twist[j] = twist_angle(get(b, lanes.SINE, i), get(b, lanes.COSINE, i), twist[j])
+            put(b, lanes.TWIST, i, twist[j])
+        springs.spring_lanes(b, rate)
+        for i in range(count):
+            j = order[n - 1 - first - i]
+            m, a, o = parent[j], near[j], far[j]
+            _set_own(D, g, b, j, i)
+            _add_symmetric(D, m, b, lanes.MM, i)
+            _add_vector(g, m, b, lanes.FORCE_M, i)
+            if o >= 0 and swapped[j]:  # node o is the hub, node m the root; the hub's edge runs the other way
+                _set_joint(U, V, b, j, lanes.JO, lanes.JM, lanes.TURN_J_O, lanes.TURN_J_M, -1.0, i)
+                _add_outer(D, g, b, a, i)
+                _add_turn(D, g, b, a, lanes.TURN_M_O, -1.0, i)
+                _add_transposed(U, a, b, lanes.MO, i)
+                _add_row(U, a, -1.0, b, lanes.TURN_M_M, i)
+                continue
+            _set_joint(U, V, b, j, lanes.JM, lanes.JO, lanes.TURN_J_M, lanes.TURN_J_O, 1.0, i)
+            if o < 0:
+                continue
+            _add_outer(D, g, b, o, i)
+            _add_turn(D, g, b, a, lanes.TURN_M_M, 1.0, i)
+            if near[a] == o:
+                _add_matrix(U, a, b, lanes.MO, i)
+                _add_row(U, a, 1.0, b, lanes.TURN_M_O, i)
             else:
-                V[a, i, k] += crossed
-        U[j, i, 3] += sign * H[3 + i, 6]
-        U[j, 3, i] += sign * H[7, i] - fa * H[7, 3 + i]
-        V[j, 3, i] += -sign * H[7, i] - fb * H[7, 3 + i]
-        D[j, 3, i] += H[7, 3 + i]
-        D[a, 3, i] += H[6, i] - sign * fa * H[6, 3 + i]
-        turn = -H[6, i] - sign * fb * H[6, 3 + i]
-        if b_is_near:
-            U[a, 3, i] += turn
-        else:
-            V[a, 3, i] += turn
-    g[a, 3] += sign * G[0, 6]
-    g[j, 3] += G[0, 7]
-    U[j, 3, 3] += sign * H[7, 6]
-    D[j, 3, 3] += H[7, 7]
-    D[a, 3, 3] += H[6, 6]
+                _add_matrix(V, a, b, lanes.MO, i)
+                _add_row(V, a, 1.0, b, lanes.TURN_M_O, i)
+
+
+@merged
+def _clear(D: Any, g: Any, j: Any) -> None:
+    for i in range(4):
+        g[j, i] = 0
+        for k in range(4):
+            D[j, i, k] = 0
+
+
+@merged
+def _gather(
+    x: Any, m1: Any, velocity: Any, b: Any, j: Any, m: Any, start: Any, end: Any, edge: Any, sign: float, i: int
+) -> None:
+    """Write edge m (from node start to end, director and spin of the given edge) and edge j (m to j) into lane i."""
+    put3(b, lanes.EDGE_M, i, subtract(load(x, end), load(x, start)))
+    put3(b, lanes.EDGE_J, i, subtract(load(x, j), load(x, m)))
+    put3(b, lanes.DIRECTOR_M, i, load(m1, edge))
+    put3(b, lanes.DIRECTOR_J, i, load(m1, j))
+    put3(b, lanes.SPEED_M, i, subtract(load(velocity, end), load(velocity, start)))
+    put3(b, lanes.SPEED_J, i, subtract(load(velocity, j), load(velocity, m)))
+    put(b, lanes.SPIN_M, i, sign * velocity[edge, 3])
+    put(b, lanes.SPIN_J, i, velocity[j, 3])
+
+
+@merged
+def _put_start(b: Any, i: int, start: Any, stretch: float, length: float, viscous: float) -> None:
+    put3(b, lanes.START_J, i, start)
+    put3(b, lanes.STRETCH, i, (stretch, length, viscous))
+
+
+@merged
+def _put_material(
+    b: Any, i: int, bend: Any, torsion: float, viscous: float, first: float, second: float, twist: float
+) -> None:
+    put3(b, lanes.BEND_11, i, bend)
+    put3(b, lanes.TORSION, i, (torsion, viscous, first))
+    put(b, lanes.CURVATURE_2, i, second)
+    put(b, lanes.NATURAL_TWIST, i, twist)
+
+
+@merged
+def _set_own(D: Any, g: Any, b: Any, j: Any, i: int) -> None:
+    """Begin row j with what its own spring gives."""
+    f, turn = get3(b, lanes.FORCE_J, i), get3(b, lanes.TURN_J_J, i)
+    g[j, 0], g[j, 1], g[j, 2], g[j, 3] = f[0], f[1], f[2], get(b, lanes.MOMENT_J, i)
+    D[j, 0, 0], D[j, 0, 1], D[j, 1, 1] = get3(b, lanes.JJ, i)
+    D[j, 0, 2], D[j, 1, 2], D[j, 2, 2] = get3(b, lanes.JJ + 3, i)
+    D[j, 0, 3], D[j, 1, 3], D[j, 2, 3] = turn
+    D[j, 3, 3] = get(b, lanes.TURN_JJ, i)
+
+
+@merged
+def _set_joint(
+    U: Any, V: Any, b: Any, j: Any, near: int, far: int, turn_near: int, turn_far: int, sign: float, i: int
+) -> None:
+    """Write the couplings of row j with its near row, spin included, and its far row."""
+    column = get3(b, lanes.TURN_M_J, i)
+    U[j, 0, 0], U[j, 0, 1], U[j, 0, 2] = get3(b, near, i)
+    U[j, 1, 0], U[j, 1, 1], U[j, 1, 2] = get3(b, near + 3, i)
+    U[j, 2, 0], U[j, 2, 1], U[j, 2, 2] = get3(b, near + 6, i)
+    U[j, 3, 0], U[j, 3, 1], U[j, 3, 2] = get3(b, turn_near, i)
+    U[j, 0, 3], U[j, 1, 3], U[j, 2, 3] = sign * column[0], sign * column[1], sign * column[2]
+    U[j, 3, 3] = sign * get(b, lanes.TURN_MJ, i)
+    V[j, 0, 0], V[j, 0, 1], V[j, 0, 2] = get3(b, far, i)
+    V[j, 1, 0], V[j, 1, 1], V[j, 1, 2] = get3(b, far + 3, i)
+    V[j, 2, 0], V[j, 2, 1], V[j, 2, 2] = get3(b, far + 6, i)
+    V[j, 3, 0], V[j, 3, 1], V[j, 3, 2] = get3(b, turn_far, i)
+
+
+@merged
+def _add_outer(D: Any, g: Any, b: Any, o: Any, i: int) -> None:
+    """Add what the spring does to node o."""
+    _add_vector(g, o, b, lanes.FORCE_O, i)
+    _add_symmetric(D, o, b, lanes.OO, i)
+
+
+@merged
+def _add_turn(D: Any, g: Any, b: Any, a: Any, row: int, sign: float, i: int) -> None:
+    """Add what the spring does to the spin of edge a, whose own node couples by `row`."""
+    column = get3(b, row, i)
+    g[a, 3] += sign * get(b, lanes.MOMENT_M, i)
+    D[a, 0, 3] += sign * column[0]
+    D[a, 1, 3] += sign * column[1]
+    D[a, 2, 3] += sign * column[2]
+    D[a, 3, 3] += get(b, lanes.TURN_MM, i)
+
+
+@merged
+def _add_vector(g: Any, j: Any, b: Any, row: int, i: int) -> None:
+    v = get3(b, row, i)
+    g[j, 0] += v[0]
+    g[j, 1] += v[1]
+    g[j, 2] += v[2]
+
+
+@merged
+def _add_symmetric(D: Any, j: Any, b: Any, row: int, i: int) -> None:
+    D[j, 0, 0] += get(b, row, i)
+    D[j, 0, 1] += get(b, row + 1, i)
+    D[j, 1, 1] += get(b, row + 2, i)
+    D[j, 0, 2] += get(b, row + 3, i)
+    D[j, 1, 2] += get(b, row + 4, i)
+    D[j, 2, 2] += get(b, row + 5, i)
+
+
+@merged
+def _add_matrix(A: Any, j: Any, b: Any, row: int, i: int) -> None:
+    for r in range(3):
+        for c in range(3):
+            A[j, r, c] += get(b, row + 3 * r + c, i)
+
+
+@merged
+def _add_transposed(A: Any, j: Any, b: Any, row: int, i: int) -> None:
+    for r in range(3):
+        for c in range(3):
+            A[j, c, r] += get(b, row + 3 * r + c, i)
+
+
+@merged
+def _add_row(A: Any, j: Any, sign: float, b: Any, row: int, i: int) -> None:
+    """Add the coupling of spin j to the positions of another node."""
+    for c in range(3):
+        A[j, 3, c] += sign * get(b, row + c, i)

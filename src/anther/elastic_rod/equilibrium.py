@@ -15,14 +15,13 @@ from anther.elastic_rod.assembly import (
     elastic_energy,
     move_frames,
     new_blocks,
-    strain_rates,
 )
-from anther.elastic_rod.model import Frames, Model, build_model, spring_edges
+from anther.elastic_rod.model import Frames, Model, build_model
 from anther.elastic_rod.motion import Clamp
+from anther.elastic_rod.newton import POSITION_FLOOR, State, new_state
 from anther.elastic_rod.rods import GRAVITY, Array, NaturalShape, Rods
-from anther.elastic_rod.stepping import POSITION_FLOOR, State, new_state
 from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled, dot, load, scale, subtract
+from anther.elastic_rod.vectors import compiled, dot, load, merged, scale, subtract
 from anther.errors import StageFailure
 
 NEWTON_LIMIT = 500
@@ -44,7 +43,7 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
     model, frames = build_model(bare, gravity)
     free = clamp.free(rods)
     blocks, still, sag = new_blocks(len(rods.nodes)), np.zeros((len(rods.nodes), 4)), np.zeros((len(rods.nodes), 4))
-    assemble(model, rods.nodes, frames, still, 0.0, blocks)
+    assemble(model, rods.nodes, rods.nodes, frames, still, 0.0, blocks)
     constrain(model, free, blocks)
     factor(model, blocks)
     tension, moments = np.zeros(len(sag)), np.zeros((len(sag), 3))
@@ -63,44 +62,56 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
 
 
 def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> NaturalShape:
-    stiffness = np.where(model.far[:, None] >= 0, np.stack([model.bend, model.bend, model.twist], axis=1), 1.0)
-    strain = moments / stiffness
-    stretch = np.divide(tension, model.stretch)
+    joined = model.far >= 0
+    b11, b12, b22 = np.where(joined[:, None], model.bend, [1.0, 0.0, 1.0]).T
+    first, second = moments[:, 0], moments[:, 1]
+    bent = np.stack([b22 * first - b12 * second, b11 * second - b12 * first], axis=1) / (b11 * b22 - b12**2)[:, None]
+    stretch = np.divide(tension, model.stretch, out=np.zeros_like(tension), where=model.stretch > 0)
     if np.any(stretch <= -0.5):
         raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
-    return NaturalShape(rods.lengths / (1 + stretch), model.curvature - strain[:, :2], -strain[:, 2])
+    twist = -np.divide(moments[:, 2], model.twist, out=np.zeros_like(tension), where=joined)
+    return NaturalShape(rods.lengths / (1 + stretch), model.curvature - bent, twist)
 
 
 @compiled
 def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, moments: Any) -> Any:
     """Add the tension and moments [N, N m] of a small move (N, 4) to the given ones; return the force of the move."""
-    force, G = np.zeros_like(move), np.zeros((3, 8))
+    force = np.zeros_like(move)
     for j in range(1, len(x)):
         p = model.parent[j]
-        t = scale(1 / model.length[j], subtract(load(x, j), load(x, p)))
-        change = model.stretch[j] / model.length[j] * dot(t, subtract(load(move, j), load(move, p)))
+        f, by_f = subtract(load(x, j), load(x, p)), subtract(load(move, j), load(move, p))
+        t = scale(1 / model.length[j], f)
+        change = model.stretch[j] / model.length[j] * dot(t, by_f)
         tension[j] += change
-        for i in range(3):
-            force[j, i] += change * t[i]
-            force[p, i] -= change * t[i]
+        _pull(force, j, p, change, t)
         if model.far[j] < 0:
             continue
-        a, b = model.near[j], model.far[j]
-        e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
-        springs.gradients(e, f, load(frames.m1, a), load(frames.m1, j), frames.twist[j], G)
-        strain = strain_rates(move, p, a, b, model.swapped[j], G, j)
-        sign = -1.0 if model.swapped[j] else 1.0
+        a, o, sign = model.near[j], model.far[j], 1.0
+        if model.swapped[j]:
+            o, sign = a, -1.0
+        e, by_e = subtract(load(x, p), load(x, o)), subtract(load(move, p), load(move, o))
+        slopes = springs.gradients(springs.bent(e, f), load(frames.m1, a), load(frames.m1, j))
+        k1 = springs.rate_of(slopes[0], by_e, by_f, sign * move[a, 3], move[j, 3])
+        k2 = springs.rate_of(slopes[1], by_e, by_f, sign * move[a, 3], move[j, 3])
+        tau = springs.rate_of(slopes[2], by_e, by_f, sign * move[a, 3], move[j, 3])
+        b11, b12, b22 = load(model.bend, j)
+        stress = (b11 * k1 + b12 * k2, b12 * k1 + b22 * k2, model.twist[j] * tau)
         for k in range(3):
-            moment = (model.bend[j] if k < 2 else model.twist[j]) * strain[k]
+            moment = stress[k]
             moments[j, k] += moment
-            for i in range(3):
-                force[a, i] += sign * moment * G[k, i]
-                force[b, i] -= sign * moment * G[k, i]
-                force[j, i] += moment * G[k, 3 + i]
-                force[p, i] -= moment * G[k, 3 + i]
-            force[a, 3] += sign * moment * G[k, 6]
-            force[j, 3] += moment * G[k, 7]
+            _pull(force, p, o, moment, slopes[k].e)
+            _pull(force, j, p, moment, slopes[k].f)
+            force[a, 3] += sign * moment * slopes[k].spin_e
+            force[j, 3] += moment * slopes[k].spin_f
     return force
+
+
+@merged
+def _pull(force: Any, j: int, p: int, size: float, along: Any) -> None:
+    """Add size * along to row j and take it from row p."""
+    for i in range(3):
+        force[j, i] += size * along[i]
+        force[p, i] -= size * along[i]
 
 
 def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Array:
@@ -139,13 +150,13 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
 
 def unstable_directions(model: Model, free: Any, state: State, blocks: Blocks) -> int:
     """Return how many directions have no positive stiffness: 0 where the equilibrium is stable."""
-    assemble(model, state.x, state.frames, np.zeros_like(state.v), 0.0, blocks)
+    assemble(model, state.x, state.x, state.frames, np.zeros_like(state.v), 0.0, blocks)
     constrain(model, free, blocks)
     return int(factor(model, blocks))
 
 
 def _potential(model: Model, x: Array, frames: Frames) -> float:
-    return elastic_energy(model, x, frames.m1, frames.twist) - float(np.sum(model.weight * x))
+    return elastic_energy(model, x, frames) - float(np.sum(model.weight * x))
 
 
 def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[float, float]:
@@ -156,7 +167,7 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
     shift, floor = 0.0, 1e-12 * model.stretch.max() + 1e-12
     residual = correction = np.inf
     for _ in range(NEWTON_LIMIT):
-        assemble(model, state.x, state.frames, state.v, 0.0, blocks)
+        assemble(model, state.x, state.x, state.frames, state.v, 0.0, blocks)
         blocks.gradient[:, :3] -= model.weight
         blocks.diagonal[:, range(4), range(4)] += shift * np.array([1, 1, 1, 1e-4])
         constrain(model, free, blocks)
@@ -171,19 +182,19 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
         correction = float(np.abs(step[:, :3]).max())
         if correction < POSITION_FLOOR or residual <= floor:
             return residual, correction
-        _line_search(model, state, step, float(np.sum(step * blocks.gradient)), correction)
+        _line_search(model, state, blocks, step, correction)
         shift = shift / 8 if shift > 1e-9 else 0.0
     return residual, correction
 
 
-def _line_search(model: Model, state: State, step: Array, slope: float, size: float) -> None:
+def _line_search(model: Model, state: State, blocks: Blocks, step: Array, size: float) -> None:
     """Move the state against `step`, halving it until the potential energy falls."""
-    start = _potential(model, state.x, state.frames)
-    x, m1, twist = state.x.copy(), state.frames.m1.copy(), state.frames.twist.copy()
+    start, slope = _potential(model, state.x, state.frames), float(np.sum(step * blocks.gradient))
+    x, m1 = state.x.copy(), state.frames.m1.copy()
     share = min(1.0, 5 * model.length.max() / size)
     for _ in range(40):
         state.x[:] = x - share * step[:, :3]
-        move_frames(model, x, m1, twist, state.x, -share * step[:, 3], state.frames.m1, state.frames.twist)
+        move_frames(model, x, m1, state.x, -share * step[:, 3], state.frames.m1, blocks.lanes)
         if _potential(model, state.x, state.frames) <= start - 1e-4 * share * slope + 1e-14 * abs(start):
             return
         share *= 0.5

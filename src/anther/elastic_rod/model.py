@@ -13,6 +13,9 @@ from anther.elastic_rod.rods import Array, NaturalShape, Rods
 from anther.elastic_rod.vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
 from anther.errors import bad_input
 
+NO_TWIST = 1e-4
+"""EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
+
 
 class Model(NamedTuple):
     """Constants of a tree of rods. Block j holds the four unknowns x_j (3) and the spin of edge j about its tangent.
@@ -28,12 +31,13 @@ class Model(NamedTuple):
     near: NDArray[Any]  # (N,) -1 at the root
     far: NDArray[Any]  # (N,) -1 where edge j has no spring to a parent edge
     swapped: NDArray[Any]  # (N,) whether the spring of edge j uses the reversed hub edge
-    mass: Array  # (N,) [kg]
+    mass: Array  # (N,) on the velocity of node j [kg]
     spin_inertia: Array  # (N,) [kg m^2]
+    rotary: Array  # (N,) mass on the velocity of node j relative to its parent [kg]
     drag: Array  # (N,) [N s/m]
     weight: Array  # (N, 3) [N]
     stretch: Array  # (N,) EA [N]
-    bend: Array  # (N,) EI / Voronoi length [N m]
+    bend: Array  # (N, 3) entries 11, 12, 22 of the stiffness against the two curvatures [N m]
     twist: Array  # (N,) GJ / Voronoi length [N m]
     viscous: Array  # (N,) [s]
     length: Array  # (N,) natural length [m]
@@ -51,8 +55,12 @@ class Frames(NamedTuple):
 def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
     """Return the constants of `rods` under `gravity` (3,) [m/s^2], and the frames of the scanned shape.
 
-    A spring between edges e and f has the compliance of half of each: K = 2 / (l_e/EI_e + l_f/EI_f), which is EI over
-    the Voronoi length (P19) where both are equal. Node masses are half of each incident edge.
+    A spring between edges e and f has the compliance of half of each, and of the joint: 1/K = l_e/2EI_e + l_f/2EI_f +
+    joint_compliance, which is EI over the Voronoi length (P19) where both are equal. Masses are those of linear finite
+    elements (m/3 of an edge at each end, m/6 between them), written as m/2 at each end and -m/6 on their relative
+    velocity: with them the bending frequencies converge with the fourth order. A lump's moment of inertia resists the
+    turning of its edge; its part along the edge is kept, so that the mass matrix is constant, and does nothing where
+    edges hardly change their length.
 
     Raises:
         InputError: an edge folds back onto its parent edge.
@@ -63,27 +71,43 @@ def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
     area = np.pi * np.square(rods.edge_radius)
     modulus = area * np.asarray(rods.youngs)
     EI = modulus * np.square(rods.edge_radius) / 4
-    mass = rods.node_mass
-    half_disc = 0.5 * np.asarray(rods.density) * area * np.square(rods.edge_radius) * rods.lengths
+    GJ = EI / np.maximum(rods.bend_over_twist, NO_TWIST)
+    paper = rods.discretisation == "paper"
+    edge_mass = np.asarray(rods.density) * area * rods.lengths
+    lump = np.asarray(rods.lumped_inertia)
+    rotary = np.divide(lump, rods.lengths**2, out=np.zeros(len(lump)), where=rods.lengths > 0)
     model = Model(
         parent=rods.parent,
         order=order,
         near=near,
         far=far,
         swapped=swapped,
-        mass=mass,
-        spin_inertia=half_disc,
+        mass=rods.node_mass,
+        spin_inertia=0.5 * edge_mass * np.square(rods.edge_radius) + lump,
+        rotary=rotary if paper else rotary - edge_mass / 6,
         drag=rods.node_total_drag,
-        weight=mass[:, None] * check_array("gravity", gravity, (3,)),
+        weight=rods.node_mass[:, None] * check_array("gravity", gravity, (3,)),
         stretch=modulus,
-        bend=_in_series(EI, rods.lengths, near, far),
-        twist=_in_series(EI / np.asarray(rods.bend_over_twist), rods.lengths, near, far),
+        bend=_bend_stiffness(_in_series(EI, rods, near, far), 0 * curvature if paper else curvature),
+        twist=_in_series(GJ, rods, near, far),
         viscous=np.asarray(rods.viscous_time),
         length=natural.length,
         curvature=natural.curvature,
         natural_twist=natural.twist,
     )
     return Model(*(np.array(a) for a in model)), frames
+
+
+def _bend_stiffness(stiffness: Array, curvature: Array) -> Array:
+    """Return the entries 11, 12, 22 of K (I - (1 - cos^4(phi/2)) k k^T) of every spring.
+
+    The strain 2 tan(phi/2) grows faster than the angle phi: about a kink of angle phi, d(strain)^2 = d(phi)^2 /
+    cos^4(phi/2), so that a polyline with kinks would be too stiff in their planes (1.37 times at 45 degrees).
+    """
+    softer = 1 - (1 + np.sum(curvature**2, axis=1) / 4) ** -2
+    k = curvature / np.maximum(np.linalg.norm(curvature, axis=1, keepdims=True), 1e-300)
+    entries = np.stack([1 - softer * k[:, 0] ** 2, -softer * k[:, 0] * k[:, 1], 1 - softer * k[:, 1] ** 2], axis=1)
+    return stiffness[:, None] * entries
 
 
 def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -104,11 +128,20 @@ def _stiffest(rods: Rods, children: NDArray[Any]) -> int:
     return int(children[np.argmax(youngs[children] * radius[children] ** 4)])
 
 
-def _in_series(stiffness: Array, lengths: Array, near: NDArray[Any], far: NDArray[Any]) -> Array:
-    out = np.zeros(len(near))
+def _in_series(stiffness: Array, rods: Rods, near: NDArray[Any], far: NDArray[Any]) -> Array:
+    """Return the stiffness of every spring: compliances of its share of both edges, and of its joint, in series.
+
+    A share is half an edge. But an edge that ends in a fork turns the fork's springs together, which none of them can
+    do alone: its own spring takes all of its compliance, theirs none.
+    """
+    fork = np.bincount(rods.parent[1:], minlength=len(near)) > 1
+    fork &= (far >= 0) & (rods.discretisation == "consistent")
+    compliance = rods.lengths / np.where(far < 0, np.maximum(stiffness, 1e-300), stiffness)
     f = np.flatnonzero(far >= 0)
     e = near[f]
-    out[f] = 2 / (lengths[e] / stiffness[e] + lengths[f] / stiffness[f])
+    out = np.zeros(len(near))
+    soft = np.asarray(rods.joint_compliance)[f]
+    out[f] = 1 / (np.where(fork[e], 0, 0.5) * compliance[e] + np.where(fork[f], 1, 0.5) * compliance[f] + soft)
     return out
 
 
@@ -148,8 +181,8 @@ def _carry_frames(
         m1e = load(m1, near[j])
         m1f = spin(transport(m1e, te, tf), tf, 0.0)
         store(m1, j, m1f)
-        kappa = springs.strains(e, f, m1e, m1f, 0.0)
-        curvature[j, 0], curvature[j, 1] = kappa[0], kappa[1]
+        kappa = springs.curvatures(springs.bent(e, f), m1e, m1f)
+        curvature[j, 0], curvature[j, 1] = kappa
 
 
 @compiled

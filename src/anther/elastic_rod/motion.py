@@ -61,6 +61,7 @@ class Clamp:
             if held[node]:
                 raise bad_input("grip node", given=node, allowed="a node that is not clamped", do="Grip higher up.")
             free[node, :3] = False
+        free[gripped_edges(rods.parent, driven), 3] = False
         if not free[:, :3].any():
             raise bad_input("clamp", given="every node", allowed="at least one free node", do="Clamp fewer nodes.")
         return free
@@ -71,11 +72,15 @@ class Motion(Protocol):
 
     @property
     def nodes(self) -> tuple[int, ...]:
-        """The driven nodes, which all move alike."""
+        """The driven nodes, the grip node first; they move as one body, and edges between them cannot twist in it."""
         ...
 
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] from the start position at (T,) times [s]."""
+        ...
+
+    def rotation(self, times: ArrayLike) -> Array:
+        """Return (T, 3) rotation vectors [rad] of the grip about its first node, from the start, at (T,) times [s]."""
         ...
 
 
@@ -117,6 +122,10 @@ class Drive:
         rise = np.ones_like(t) if self.ramp == 0 else 0.5 - 0.5 * np.cos(np.pi * np.clip(t / self.ramp, 0, 1))
         return (rise * self.amplitude * np.sin(2 * np.pi * self.frequency * t))[..., None] * self.direction
 
+    def rotation(self, times: ArrayLike) -> Array:
+        """Return (T, 3) zeros: the grip keeps its orientation."""
+        return np.zeros((*np.shape(times), 3))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledDrive:
@@ -126,13 +135,15 @@ class SampledDrive:
         node: the grip node.
         times: (S,) increasing [s]; outside, the first or last sample holds.
         displacements: (S, 3) from the start position [m].
-        also: further nodes between the pads, which move alike.
+        also: further nodes between the pads, which move with the first as one body.
+        rotations: (S, 3) rotation vectors [rad] about the grip node, from the start orientation; None means none.
     """
 
     node: int
     times: Array
     displacements: Array
     also: tuple[int, ...] = ()
+    rotations: Array | None = None
 
     def __post_init__(self) -> None:
         times = check_array("drive times", self.times, (None,))
@@ -141,6 +152,8 @@ class SampledDrive:
         object.__setattr__(self, "times", times)
         moves = check_array("drive displacements", self.displacements, (len(times), 3))
         object.__setattr__(self, "displacements", moves)
+        turns = np.zeros_like(moves) if self.rotations is None else self.rotations
+        object.__setattr__(self, "rotations", check_array("drive rotations", turns, (len(times), 3)))
 
     @property
     def nodes(self) -> tuple[int, ...]:
@@ -149,8 +162,21 @@ class SampledDrive:
 
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
+        return self._interpolated(times, self.displacements)
+
+    def rotation(self, times: ArrayLike) -> Array:
+        """Return (T, 3) rotation vectors [rad] at (T,) times [s]."""
+        assert self.rotations is not None
+        return self._interpolated(times, self.rotations)
+
+    def _interpolated(self, times: ArrayLike, samples: Array) -> Array:
         t = np.asarray(times, dtype=np.float64)
-        return np.stack([np.interp(t, self.times, column) for column in self.displacements.T], axis=-1)
+        return np.stack([np.interp(t, self.times, column) for column in samples.T], axis=-1)
+
+
+def gripped_edges(parent: NDArray[Any], nodes: Sequence[int]) -> NDArray[Any]:
+    """Return the edges that have both ends among the nodes, in the order of the nodes."""
+    return np.array([n for n in nodes if n > 0 and parent[n] in nodes], dtype=np.int64)
 
 
 def unit_direction(direction: ArrayLike) -> Array:

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from anther.checks import check_array, check_range
 from anther.elastic_rod.assembly import new_blocks
 from anther.elastic_rod.equilibrium import static_state
 from anther.elastic_rod.model import Model, build_model
-from anther.elastic_rod.motion import Clamp, Motion
+from anther.elastic_rod.motion import Clamp, Motion, gripped_edges
+from anther.elastic_rod.newton import State, Work, new_state
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.stepping import State, advance, new_state, total_energy
+from anther.elastic_rod.stepping import Grip, Output, Settings, advance, record, total_energy
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
+
+SCHEMA = 2
+
+PREDICTORS = ("inertia", "guess displacement", "none")
 
 HALVINGS = 8
 """A step that Newton cannot solve is split in two, and its parts again, this many times."""
@@ -33,6 +39,8 @@ class Trajectory:
         energy: (T,) elastic + kinetic + gravitational energy [J].
         grip_force: (T, 3) force the gripper exerts on the driven nodes [N]; for the midpoint rule its mean over the
             step that ends there. Zero without a drive and at the start.
+        grip_moment: (T, 3) moment it exerts about the grip node [N m], in the same sense; zero for a single node,
+            which may turn in the grip.
         work: (T,) work done by the drive since the start [J].
         newton_iterations: Newton iterations spent.
         split_steps: steps that had to be split to converge.
@@ -42,6 +50,7 @@ class Trajectory:
     positions: Array
     energy: Array
     grip_force: Array
+    grip_moment: Array
     work: Array
     newton_iterations: int
     split_steps: int
@@ -52,6 +61,7 @@ class Trajectory:
         object.__setattr__(self, "positions", check_array("trajectory positions", self.positions, (t, None, 3)))
         object.__setattr__(self, "energy", check_array("trajectory energy", self.energy, (t,)))
         object.__setattr__(self, "grip_force", check_array("grip force", self.grip_force, (t, 3)))
+        object.__setattr__(self, "grip_moment", check_array("grip moment", self.grip_moment, (t, 3)))
         object.__setattr__(self, "work", check_array("work", self.work, (t,)))
 
     def displacement(self, node: int) -> Array:
@@ -59,16 +69,17 @@ class Trajectory:
         return self.positions[:, node] - self.positions[0, node]
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz (kind 'rod trajectory', schema 1)."""
+        """Write an .npz (kind 'rod trajectory', schema 2)."""
         counts = np.array([self.newton_iterations, self.split_steps])
         write_npz(
             path,
             "rod trajectory",
-            1,
+            SCHEMA,
             times=self.times,
             positions=self.positions,
             energy=self.energy,
             grip_force=self.grip_force,
+            grip_moment=self.grip_moment,
             work=self.work,
             counts=counts,
         )
@@ -76,7 +87,7 @@ class Trajectory:
     @classmethod
     def load(cls, path: Path | str) -> Trajectory:
         """Read what `save` wrote."""
-        stored = read_npz(path, "rod trajectory", 1)
+        stored = read_npz(path, "rod trajectory", SCHEMA)
         counts = stored.pop("counts")
         return cls(**stored, newton_iterations=int(counts[0]), split_steps=int(counts[1]))
 
@@ -94,6 +105,7 @@ def simulate(
     tolerance: float = 1e-8,
     record_every: int = 1,
     newton_limit: int = 30,
+    predictor: Literal["inertia", "guess displacement", "none"] = "inertia",
 ) -> Trajectory:
     """Step the rods through time.
 
@@ -111,6 +123,9 @@ def simulate(
             fallen to rounding noise (1e-12 m).
         record_every: keep every k-th step.
         newton_limit: Newton iterations per step before it is split.
+        predictor: where Newton starts: each node goes on with its velocity; the four nodes on either side of the grip
+            go along with it, less the farther away (the paper's guess displacement, P21); or nothing moves. The
+            result does not depend on it beyond the tolerance.
 
     Raises:
         InputError: arguments out of range.
@@ -120,14 +135,32 @@ def simulate(
     steps = _check_steps(duration, dt, record_every)
     if integrator not in ("midpoint", "implicit_euler"):
         raise bad_input("integrator", given=integrator, allowed="midpoint or implicit_euler", do="Check the spelling.")
+    if predictor not in PREDICTORS:
+        raise bad_input("predictor", given=predictor, allowed=", ".join(PREDICTORS), do="Check the spelling.")
     model, frames = build_model(rods, gravity)
     free = clamp.free(rods, () if drive is None else drive.nodes)
     if start == "equilibrium":
         state = static_state(model, frames, rods.nodes, clamp.free(rods))
     else:
         state = new_state(rods.nodes, frames)
-    run = _Run(model, free, state, drive, _Settings(integrator == "midpoint", tolerance, newton_limit))
-    return run.trajectory(steps, dt, record_every)
+    settings = Settings(dt, integrator == "midpoint", float(predictor == "inertia"), tolerance, newton_limit)
+    run = _Run(model, free, state, drive, settings)
+    if predictor == "guess displacement":
+        run.guess = _guess_shares(rods.parent, run.nodes)
+    return run.trajectory(steps, record_every)
+
+
+def _guess_shares(parent: Any, grip: Any) -> Array:
+    """Return (N,) the share of the grip's displacement that Newton first gives each node: 0.8 .. 0.2, then 0."""
+    shares = np.zeros(len(parent))
+    shares[grip] = 1
+    for share in (0.8, 0.6, 0.4, 0.2):
+        reached = shares > 0
+        beside = np.zeros_like(reached)
+        beside[1:] = reached[parent[1:]]
+        np.logical_or.at(beside, parent[1:], reached[1:])
+        shares[beside & ~reached] = share
+    return shares
 
 
 def _check_steps(duration: float, dt: float, record_every: int) -> int:
@@ -138,49 +171,38 @@ def _check_steps(duration: float, dt: float, record_every: int) -> int:
     return steps // record_every * record_every
 
 
-@dataclass(frozen=True, slots=True)
-class _Settings:
-    midpoint: bool
-    tolerance: float
-    newton_limit: int
-
-
-class _Output(NamedTuple):
-    x: Array
-    energy: Array
-    force: Array
-    work: Array
-
-
 class _Run:
     """One simulation: the constants, the moving state, and the splitting of steps that do not converge."""
 
-    def __init__(self, model: Model, free: Any, state: State, drive: Motion | None, settings: _Settings) -> None:
-        n = len(state.x)
+    def __init__(self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings) -> None:
+        n, frames = len(state.x), state.frames
         self.model, self.free, self.state, self.drive, self.settings = model, free, state, drive, settings
-        self.scratch, self.turn, self.blocks = new_state(state.x, state.frames), np.zeros(n), new_blocks(n)
-        self.driven = np.array(() if drive is None else drive.nodes, dtype=np.int64)
-        self.home = state.x[self.driven].copy()
-        self.work = np.zeros(1)
+        self.nodes = np.array(() if drive is None else drive.nodes, dtype=np.int64)
+        self.edges = gripped_edges(model.parent, tuple(self.nodes.tolist()))
+        self.home, self.director = state.x[self.nodes].copy(), frames.m1[self.edges].copy()
+        self.guess = np.zeros(n)
+        mid, end = new_state(state.x, frames), new_state(state.x, frames)
+        self.work = Work(mid, end, np.zeros(n), np.zeros((n, 4)), new_blocks(n), np.zeros(1))
         self.iterations = self.splits = 0
 
-    def trajectory(self, steps: int, dt: float, every: int) -> Trajectory:
-        rows = steps // every
-        out = _Output(np.zeros((rows, len(self.state.x), 3)), np.zeros(rows), np.zeros((rows, 3)), np.zeros(rows))
+    def trajectory(self, steps: int, every: int) -> Trajectory:
+        rows, n, dt = steps // every, len(self.state.x), self.settings.dt
+        out = _output(rows, n)
         first_x, first_energy = self.state.x.copy(), total_energy(self.model, self.state)
-        targets = self._targets(np.arange(steps + 1, dtype=np.float64) * dt)
-        done, residual = self._advance(targets, dt, 0, every, out)
+        grip = self._grip(np.arange(steps + 1, dtype=np.float64) * dt)
+        done, residual = self._advance(grip, self.settings, 0, steps, every, out)
         while done < steps:
             self._split(done * dt, dt, residual, HALVINGS)
             done += 1
             if done % every == 0:
-                self._record(out, done // every - 1)
-            done, residual = self._advance(targets, dt, done, every, out)
+                record(self.model, grip, self.state, self.work, out, done // every - 1)
+            done, residual = self._advance(grip, self.settings, done, steps, every, out)
         trajectory = Trajectory(
             times=np.arange(rows + 1, dtype=np.float64) * every * dt,
             positions=np.concatenate([first_x[None], out.x]),
             energy=np.concatenate([[first_energy], out.energy]),
             grip_force=np.concatenate([np.zeros((1, 3)), out.force]),
+            grip_moment=np.concatenate([np.zeros((1, 3)), out.moment]),
             work=np.concatenate([[0.0], out.work]),
             newton_iterations=self.iterations,
             split_steps=self.splits,
@@ -197,47 +219,34 @@ class _Run:
                 f"rods: Newton's method failed at t = {t0:.6g} s with a residual of {residual:.3g} N, also with the "
                 f"step split down to {dt:.2g} s. Use a smaller time step, a smaller amplitude, or stiffer rods.",
             )
+        half = self.settings._replace(dt=dt / 2)
         for start in (t0, t0 + dt / 2):
-            targets = self._targets(np.array([start, start + dt / 2]))
-            done, residual = self._advance(targets, dt / 2, 0, 0, _NOTHING)
+            grip = self._grip(np.array([start, start + dt / 2]))
+            done, residual = self._advance(grip, half, 0, 1, 0, _output(0, 0))
             if done == 0:
                 self._split(start, dt / 2, residual, halvings - 1)
 
-    def _record(self, out: _Output, row: int) -> None:
-        out.x[row], out.energy[row] = self.state.x, total_energy(self.model, self.state)
-        out.work[row] = self.work[0]
-        out.force[row] = self.blocks.gradient[self.driven, :3].sum(axis=0)
-
-    def _targets(self, times: Array) -> Array:
+    def _grip(self, times: Array) -> Grip:
         if self.drive is None:
-            return np.zeros((len(times), 3))
-        return self.drive.displacement(times)
+            nothing = np.zeros((len(times), 0, 3))
+            return Grip(self.nodes, self.edges, nothing, nothing, self.guess)
+        turn = Rotation.from_rotvec(self.drive.rotation(times)).as_matrix()
+        levers = np.einsum("tij,pj->tpi", turn, self.home - self.home[0])
+        x = self.home[0] + self.drive.displacement(times)[:, None] + levers
+        return Grip(self.nodes, self.edges, x, np.einsum("tij,qj->tqi", turn, self.director), self.guess)
 
-    def _advance(self, targets: Array, dt: float, first: int, every: int, out: _Output) -> tuple[int, float]:
+    def _advance(
+        self, grip: Grip, settings: Settings, first: int, steps: int, every: int, out: Output
+    ) -> tuple[int, float]:
         done, spent, residual = advance(
-            self.model,
-            self.free,
-            self.driven,
-            self.home,
-            targets,
-            self.state,
-            self.scratch,
-            self.turn,
-            self.blocks,
-            dt,
-            self.settings.midpoint,
-            self.settings.tolerance,
-            self.settings.newton_limit,
-            *out,
-            self.work,
-            first,
-            every,
+            self.model, self.free, grip, self.state, self.work, settings, out, first, steps, every
         )
         self.iterations += spent
         return done, residual
 
 
-_NOTHING = _Output(np.zeros((0, 0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0))
+def _output(rows: int, n: int) -> Output:
+    return Output(np.zeros((rows, n, 3)), np.zeros(rows), np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros(rows))
 
 
 def _refuse_free_energy(run: Trajectory, model: Model) -> None:

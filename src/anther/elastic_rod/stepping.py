@@ -1,224 +1,225 @@
-"""Compiled time stepping: one implicit solve by Newton's method, and the two integrators made of it.
+"""Compiled time stepping: the two integrators made of the implicit solve, the grip, and what is recorded.
 
-Implicit Euler solves M (v - v_n) / h + grad E(q) + C v = M g with v = (q - q_n) / h. The implicit midpoint rule is
-the same solve over half a step, then q_{n+1} = 2 q_mid - q_n and v_{n+1} = 2 v_mid - v_n: second order, symplectic,
-without numerical damping (Hairer, Lubich, Wanner 2006, VI.1).
+Implicit Euler is the solve itself. The implicit midpoint rule is the same solve over half a step, then
+q_{n+1} = 2 q_mid - q_n and v_{n+1} = 2 v_mid - v_n: second order, symplectic, without numerical damping (Hairer,
+Lubich, Wanner 2006, VI.1).
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from anther.elastic_rod.assembly import Blocks, assemble, elastic_energy, move_frames
-from anther.elastic_rod.model import Frames, Model
+from anther.elastic_rod.assembly import elastic_energy, move_frames
+from anther.elastic_rod.model import Model
+from anther.elastic_rod.newton import State, Work, implicit_step
 from anther.elastic_rod.rods import Array
-from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled, dot, load, merged, subtract
+from anther.elastic_rod.vectors import compiled, cross, dot, load, merged, norm, scale, subtract, transport
 
-POSITION_FLOOR = 1e-12
-"""A Newton correction below this [m] is rounding noise: the step has converged."""
-
-LARGEST_TURN = 0.5
-"""Largest change of an edge, as a share of its length, in one Newton correction and in one solve (0.5: 29 degrees).
-
-Beyond it Newton can converge to a solution in which an edge has flipped over. The step is split instead.
-"""
+CREATED = 5e-4
+"""Share of kinetic and stretch energy that the stretch of the edges may create in a midpoint step (`_created`)."""
 
 
-class State(NamedTuple):
-    """Positions (N, 3) [m], velocities and edge spin rates (N, 4) [m/s, rad/s], and material frames."""
+class Grip(NamedTuple):
+    """What the gripper prescribes at the ends of S steps: P nodes, and Q edges that have both ends among them."""
 
-    x: Array
-    v: Array
-    frames: Frames
-
-
-def new_state(x: Array, frames: Frames) -> State:
-    """Return a state at rest with its own copies of the arrays."""
-    return State(x.copy(), np.zeros((len(x), 4)), Frames(frames.m1.copy(), frames.twist.copy()))
+    nodes: Any  # (P,) int, the grip node first
+    edges: Any  # (Q,) int
+    x: Array  # (S + 1, P, 3) [m]
+    director: Array  # (S + 1, Q, 3) first director
+    guess: Array  # (N,) share of the grip's next move with which Newton starts at each free node (P21)
 
 
-@compiled
-def _copy(source: State, target: State) -> None:
-    target.x[:] = source.x
-    target.v[:] = source.v
-    target.frames.m1[:] = source.frames.m1
-    target.frames.twist[:] = source.frames.twist
+class Output(NamedTuple):
+    """Recorded rows."""
+
+    x: Array  # (R, N, 3) [m]
+    energy: Array  # (R,) [J]
+    force: Array  # (R, 3) [N]
+    moment: Array  # (R, 3) [N m]
+    work: Array  # (R,) [J]
 
 
-@compiled
-def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: float) -> None:
-    """Add inertia, drag and weight to the residual (blocks.gradient) and to the diagonal blocks."""
-    for j in range(len(new.x)):
-        mass, drag = model.mass[j], model.drag[j]
-        for i in range(3):
-            momentum = mass * rate * (new.v[j, i] - old.v[j, i])
-            blocks.gradient[j, i] += momentum + drag * new.v[j, i] - model.weight[j, i]
-            blocks.diagonal[j, i, i] += rate * (mass * rate + drag)
-        inertia = model.spin_inertia[j]
-        blocks.gradient[j, 3] += inertia * rate * (new.v[j, 3] - old.v[j, 3])
-        blocks.diagonal[j, 3, 3] += rate * rate * inertia
+class Settings(NamedTuple):
+    """How to step."""
 
-
-@compiled
-def _largest_turn(parent: Any, x: Any, step: Any) -> float:
-    """Return the largest change of an edge, as a share of its length, if the nodes x moved by `step`."""
-    worst = 0.0
-    for j in range(1, len(x)):
-        p = parent[j]
-        change, edge = subtract(load(step, j), load(step, p)), subtract(load(x, j), load(x, p))
-        worst = max(worst, dot(change, change) / dot(edge, edge))
-    return np.sqrt(worst)
-
-
-@compiled
-def _accepted(model: Model, old: State, new: State, iterations: int, most: int) -> int:
-    """Return the iterations, or -most where an edge changed so much that Newton may have found another solution."""
-    return iterations if _largest_turn(model.parent, old.x, new.x - old.x) < LARGEST_TURN else -most
+    dt: float  # [s]
+    midpoint: bool
+    inertia: float  # 1: Newton starts from x + v dt; 0: from x
+    tolerance: float  # accepted norm of the residual [N]
+    most: int  # Newton iterations
 
 
 @merged
-def implicit_step(
-    model: Model,
-    free: Any,
-    old: State,
-    new: State,
-    turn: Any,
-    blocks: Blocks,
-    h: float,
-    tolerance: float,
-    most: int,
-) -> Any:
-    """Solve one implicit Euler step of length h [s] from `old`; held nodes of `new.x` must be in place already.
-
-    Args:
-        turn: (N,) scratch: spin of each edge over the step [rad].
-        tolerance: accepted norm of the residual force [N].
-        most: Newton iterations allowed.
-
-    Returns:
-        Iterations used (negative: not converged) and the last residual [N].
-    """
-    n, rate = len(old.x), 1 / h
-    for j in range(n):
-        turn[j] = h * old.v[j, 3] if free[j, 3] else 0.0
+def _copy(source: State, target: State) -> None:
+    for j in range(len(source.x)):
         for i in range(3):
-            if free[j, i]:
-                new.x[j, i] = old.x[j, i] + h * old.v[j, i]
-    residual = np.inf
-    for iteration in range(1, most + 1):
-        move_frames(model, old.x, old.frames.m1, old.frames.twist, new.x, turn, new.frames.m1, new.frames.twist)
-        for j in range(n):
-            new.v[j, 3] = rate * turn[j]
-            for i in range(3):
-                new.v[j, i] = rate * (new.x[j, i] - old.x[j, i])
-        assemble(model, new.x, new.frames, new.v, rate, blocks)
-        _add_inertia(model, blocks, old, new, rate)
-        held_force = blocks.gradient.copy()
-        constrain(model, free, blocks)
-        residual = np.sqrt(np.sum(blocks.gradient[:, :3] ** 2))
-        if residual <= tolerance:
-            blocks.gradient[:] = held_force
-            return _accepted(model, old, new, iteration, most), residual
-        if not np.isfinite(residual):
-            break
-        factor(model, blocks)
-        solve(model, blocks, blocks.gradient)
-        share = min(1.0, LARGEST_TURN / (1e-300 + _largest_turn(model.parent, new.x, blocks.gradient)))
-        for j in range(n):
-            turn[j] -= share * blocks.gradient[j, 3]
-            for i in range(3):
-                new.x[j, i] -= share * blocks.gradient[j, i]
-        if np.max(np.abs(blocks.gradient[:, :3])) < POSITION_FLOOR and residual < 1e3 * tolerance:
-            blocks.gradient[:] = held_force
-            return _accepted(model, old, new, iteration, most), residual
-    return -most, residual
+            target.x[j, i] = source.x[j, i]
+            target.frames.m1[j, i] = source.frames.m1[j, i]
+        for i in range(4):
+            target.v[j, i] = source.v[j, i]
+        target.frames.twist[j] = source.frames.twist[j]
+
+
+@merged
+def _guess(free: Any, grip: Grip, old: State, work: Work, step: int, h: float, share: float, inertia: float) -> None:
+    """Write Newton's first guess and what the gripper prescribes after a share of the step into work.mid and turn."""
+    x, turn = work.mid.x, work.turn
+    for j in range(len(x)):
+        turn[j] = inertia * h * old.v[j, 3] if free[j, 3] else 0.0
+        for i in range(3):
+            moved = grip.guess[j] * share * (grip.x[step + 1, 0, i] - grip.x[step, 0, i]) if len(grip.nodes) else 0.0
+            x[j, i] = old.x[j, i] + (inertia * h * old.v[j, i] + moved if free[j, i] else 0.0)
+    for k in range(len(grip.nodes)):
+        for i in range(3):
+            x[grip.nodes[k], i] = (1 - share) * grip.x[step, k, i] + share * grip.x[step + 1, k, i]
+
+
+@merged
+def _turn_gripped_edges(model: Model, grip: Grip, old: State, work: Work, step: int, share: float) -> None:
+    """Prescribe the spin that takes the first director of each gripped edge to where the gripper holds it."""
+    for q in range(len(grip.edges)):
+        j = grip.edges[q]
+        p = model.parent[j]
+        start = subtract(load(old.x, j), load(old.x, p))
+        end = subtract(load(work.mid.x, j), load(work.mid.x, p))
+        t = scale(1 / norm(end), end)
+        m1 = transport(load(old.frames.m1, j), scale(1 / norm(start), start), t)
+        wanted = load(grip.director[step + 1], q)
+        angle = share * math.atan2(dot(cross(m1, wanted), t), dot(m1, wanted))
+        work.turn[j] = 2 * math.tan(0.5 * angle)
 
 
 @compiled
-def _extrapolate(model: Model, free: Any, old: State, new: State, turn: Any, far: State) -> None:
-    """Turn the midpoint state `new` into the state at the end of the step."""
+def _extrapolate(model: Model, free: Any, old: State, work: Work) -> None:
+    """Turn the midpoint state into the state at the end of the step."""
+    mid, end = work.mid, work.end
     for j in range(len(old.x)):
         for i in range(3):
-            far.x[j, i] = 2 * new.x[j, i] - old.x[j, i]
-            far.v[j, i] = 2 * new.v[j, i] - old.v[j, i] if free[j, i] else new.v[j, i]
-        far.v[j, 3] = 2 * new.v[j, 3] - old.v[j, 3]
-    move_frames(model, new.x, new.frames.m1, new.frames.twist, far.x, turn, far.frames.m1, far.frames.twist)
-    _copy(far, new)
+            end.x[j, i] = 2 * mid.x[j, i] - old.x[j, i]
+        for i in range(4):
+            end.v[j, i] = 2 * mid.v[j, i] - old.v[j, i] if free[j, i] else mid.v[j, i]
+        end.frames.twist[j] = mid.frames.twist[j]
+    move_frames(model, mid.x, mid.frames.m1, end.x, work.turn, end.frames.m1, work.blocks.lanes)
+    _copy(end, mid)
 
 
 @compiled
 def total_energy(model: Model, state: State) -> float:
     """Return elastic + kinetic - weight . x [J]."""
-    energy = elastic_energy(model, state.x, state.frames.m1, state.frames.twist)
+    energy = elastic_energy(model, state.x, state.frames)
     for j in range(len(state.x)):
-        energy += 0.5 * model.spin_inertia[j] * state.v[j, 3] ** 2
+        p = max(model.parent[j], 0)
+        energy += 0.5 * model.spin_inertia[j] * state.v[j, 3] * state.v[j, 3]
         for i in range(3):
-            energy += 0.5 * model.mass[j] * state.v[j, i] ** 2 - model.weight[j, i] * state.x[j, i]
+            v, change = state.v[j, i], state.v[j, i] - state.v[p, i]
+            energy += 0.5 * model.mass[j] * v * v - model.weight[j, i] * state.x[j, i]
+            energy += 0.5 * model.rotary[j] * change * change
     return energy
+
+
+@compiled
+def _created(model: Model, old: State, work: Work) -> float:
+    """Return the energy that stretching created in a midpoint step, over the kinetic and stretch energy.
+
+    The midpoint force does not do the work by which the stretch energy changes. The difference is nothing in a calm
+    step, and grows without end where stretching waves are too fast for the step.
+    """
+    x, x_old, v, parent = work.mid.x, old.x, work.mid.v, model.parent
+    stretch, natural, mass = model.stretch, model.length, model.mass
+    created, total = 0.0, 1e-300
+    for j in range(1, len(x)):
+        p = parent[j]
+        start = subtract(load(x_old, j), load(x_old, p))
+        middle = subtract(load(x, j), load(x, p))
+        r0, r = norm(start) / natural[j], norm(middle) / natural[j]
+        r1 = norm(subtract(scale(2.0, middle), start)) / natural[j]
+        EAl = stretch[j] * natural[j]
+        work_done = 0.5 * EAl * (r - 1) / r * (r1 * r1 - r0 * r0)
+        created += 0.5 * EAl * ((r1 - 1) * (r1 - 1) - (r0 - 1) * (r0 - 1)) - work_done
+        speed = load(v, j)
+        total += 0.5 * EAl * ((r0 - 1) * (r0 - 1) + (r1 - 1) * (r1 - 1)) + 0.5 * mass[j] * dot(speed, speed)
+    return abs(created) / total
+
+
+@merged
+def _account(grip: Grip, state: State, work: Work, step: int, settings: Settings) -> None:
+    """Add the work of the grip over the step; give its nodes the speed of the drive, which the midpoint leaves out."""
+    g, last = work.blocks.gradient, min(step + 2, len(grip.x) - 1)
+    for k in range(len(grip.nodes)):
+        node = grip.nodes[k]
+        for i in range(3):
+            work.done[0] += g[node, i] * (grip.x[step + 1, k, i] - grip.x[step, k, i])
+            if settings.midpoint:
+                state.v[node, i] = (grip.x[last, k, i] - grip.x[step, k, i]) / ((last - step) * settings.dt)
+    for q in range(len(grip.edges)):
+        share = 2.0 if settings.midpoint else 1.0
+        work.done[0] += g[grip.edges[q], 3] * share * work.turn[grip.edges[q]]
+
+
+@compiled
+def record(model: Model, grip: Grip, state: State, work: Work, out: Output, row: int) -> None:
+    """Write the state, its energy and what the gripper exerts to one row; moments are about the grip node."""
+    for j in range(len(state.x)):
+        for i in range(3):
+            out.x[row, j, i] = state.x[j, i]
+    out.energy[row] = total_energy(model, state)
+    out.work[row] = work.done[0]
+    g = work.blocks.gradient
+    for i in range(3):
+        out.force[row, i] = 0.0
+        out.moment[row, i] = 0.0
+    for k in range(len(grip.nodes)):
+        node = grip.nodes[k]
+        force = load(g, node)
+        lever = cross(subtract(load(state.x, node), load(state.x, grip.nodes[0])), force)
+        for i in range(3):
+            out.force[row, i] += force[i]
+            out.moment[row, i] += lever[i]
+    for q in range(len(grip.edges)):
+        j = grip.edges[q]
+        edge = subtract(load(state.x, j), load(state.x, model.parent[j]))
+        for i in range(3):
+            out.moment[row, i] += g[j, 3] * edge[i] / norm(edge)
 
 
 @compiled
 def advance(
     model: Model,
     free: Any,
-    driven: Any,
-    home: Any,
-    targets: Any,
+    grip: Grip,
     state: State,
-    scratch: State,
-    turn: Any,
-    blocks: Blocks,
-    dt: float,
-    midpoint: bool,
-    tolerance: float,
-    most: int,
-    out_x: Any,
-    out_energy: Any,
-    out_force: Any,
-    out_work: Any,
-    work: Any,
+    work: Work,
+    settings: Settings,
+    out: Output,
     first: int,
+    steps: int,
     every: int,
 ) -> Any:
-    """Take steps `first` .. S - 1; `targets` (S + 1, 3) is the displacement of the `driven` nodes (m,) from `home`
-    (m, 3) at each step's end [m].
+    """Take the steps first .. steps - 1 and record every `every`-th state (none if 0).
 
-    Writes every `every`-th state (none if 0) to out_x, out_energy, out_force and out_work; work (1,) sums up the work
-    of the drive [J]. On failure `state` stays at the last good step.
+    On failure `state` stays at the last good step.
 
     Returns:
         The step it got to, Newton iterations spent, and the residual [N] of the step that failed.
     """
-    far = State(state.x.copy(), state.v.copy(), Frames(state.frames.m1.copy(), state.frames.twist.copy()))
     spent, residual = 0, 0.0
-    for step in range(first, len(targets) - 1):
-        scratch.x[:] = state.x
-        share = 0.5 if midpoint else 1.0
-        for k, node in enumerate(driven):
-            scratch.x[node] = home[k] + (1 - share) * targets[step] + share * targets[step + 1]
-        h = 0.5 * dt if midpoint else dt
-        used, residual = implicit_step(model, free, state, scratch, turn, blocks, h, tolerance, most)
+    share = 0.5 if settings.midpoint else 1.0
+    h = share * settings.dt
+    for step in range(first, steps):
+        _guess(free, grip, state, work, step, h, share, settings.inertia)
+        _turn_gripped_edges(model, grip, state, work, step, share)
+        used, residual = implicit_step(model, free, state, work, h, False, settings.tolerance, settings.most)
+        spent += abs(used)
+        if settings.midpoint and (used < 0 or _created(model, state, work) > CREATED):
+            used, residual = implicit_step(model, free, state, work, h, True, settings.tolerance, settings.most)
+            spent += abs(used)
         if used < 0:
-            return step, spent - used, residual
-        spent += used
-        if midpoint:
-            _extrapolate(model, free, state, scratch, turn, far)
-        _copy(scratch, state)
-        last = min(step + 2, len(targets) - 1)
-        for node in driven:
-            for i in range(3):
-                work[0] += blocks.gradient[node, i] * (targets[step + 1, i] - targets[step, i])
-                if midpoint:
-                    state.v[node, i] = (targets[last, i] - targets[step, i]) / ((last - step) * dt)
+            return step, spent, residual
+        if settings.midpoint:
+            _extrapolate(model, free, state, work)
+        _copy(work.mid, state)
+        _account(grip, state, work, step, settings)
         if every > 0 and (step + 1) % every == 0:
-            row = (step + 1) // every - 1
-            out_x[row] = state.x
-            out_energy[row] = total_energy(model, state)
-            out_work[row] = work[0]
-            out_force[row] = 0.0
-            for node in driven:
-                out_force[row] += blocks.gradient[node, :3]
-    return len(targets) - 1, spent, residual
+            record(model, grip, state, work, out, (step + 1) // every - 1)
+    return steps, spent, residual

@@ -1,6 +1,7 @@
 """Direct solution of tree-structured symmetric systems by elimination from the tips to the root, in O(N).
 
-Works on real and on complex symmetric (not Hermitian) matrices: L D L^T without pivoting, four unknowns a block.
+Works on real and on complex symmetric (not Hermitian) matrices: L D L^T without pivoting, four unknowns a block. The
+rows of a block are handled whole, as four numbers side by side.
 """
 
 from __future__ import annotations
@@ -9,7 +10,31 @@ from typing import Any
 
 from anther.elastic_rod.assembly import Blocks
 from anther.elastic_rod.model import Model
-from anther.elastic_rod.vectors import compiled
+from anther.elastic_rod.vectors import compiled, merged
+
+Row = Any
+"""Four numbers."""
+
+
+@merged
+def _row(A: Any, j: Any, i: int) -> Row:
+    return (A[j, i, 0], A[j, i, 1], A[j, i, 2], A[j, i, 3])
+
+
+@merged
+def _put_row(A: Any, j: Any, i: int, row: Row) -> None:
+    A[j, i, 0], A[j, i, 1], A[j, i, 2], A[j, i, 3] = row
+
+
+@merged
+def _less(a: Row, s: Any, b: Row) -> Row:
+    """Return a - s b."""
+    return (a[0] - s * b[0], a[1] - s * b[1], a[2] - s * b[2], a[3] - s * b[3])
+
+
+@merged
+def _dot(a: Row, b: Row) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + (a[2] * b[2] + a[3] * b[3])
 
 
 @compiled
@@ -20,79 +45,89 @@ def constrain(model: Model, free: Any, blocks: Blocks) -> None:
         a, b = near[j], far[j]
         for i in range(4):
             if not free[j, i]:
-                D[j, i, :] = 0
-                D[j, :, i] = 0
+                for k in range(4):
+                    D[j, i, k] = 0
+                    D[j, k, i] = 0
+                    U[j, i, k] = 0
+                    V[j, i, k] = 0
                 D[j, i, i] = 1
-                U[j, i, :] = 0
-                V[j, i, :] = 0
                 g[j, i] = 0
             if a >= 0 and not free[a, i]:
-                U[j, :, i] = 0
-            if i < 3 and b >= 0 and not free[b, i]:
-                V[j, :, i] = 0
+                for k in range(4):
+                    U[j, k, i] = 0
+            if b >= 0 and not free[b, i]:
+                for k in range(4):
+                    V[j, k, i] = 0
 
 
 @compiled
 def factor(model: Model, blocks: Blocks) -> int:
     """Factor in place. Return the number of pivots that are not positive: 0 means positive definite (if real)."""
     order, near, far, D, U, V = model.order, model.near, model.far, blocks.diagonal, blocks.near, blocks.far
-    wrong = 0
+    good = 0
     for j in order:
-        wrong += _factor_block(D, j)
+        good += _factor_block(D, U, V, j)
         a, b = near[j], far[j]
-        if a < 0:
-            continue
-        _forward(D, U, j, 4)
-        _update(D, j, U, 4, U, 4, D, a)
+        if a >= 0:
+            _update(D, j, U, U, D, a)
         if b >= 0:
-            _forward(D, V, j, 3)
-            _update(D, j, V, 3, V, 3, D, b)
+            _update(D, j, V, V, D, b)
             if near[a] == b:
-                _update(D, j, U, 4, V, 3, U, a)
+                _update(D, j, U, V, U, a)
             else:
-                _update(D, j, U, 4, V, 3, V, a)
-    return wrong
+                _update(D, j, U, V, V, a)
+    return 4 * len(order) - good
 
 
-@compiled
-def _factor_block(D: Any, j: int) -> int:
-    """Overwrite the lower triangle with unit L and the inverse pivots on the diagonal; return the pivots <= 0."""
-    wrong = 0
-    for i in range(4):
-        for k in range(i):
-            value = D[j, i, k]
-            for m in range(k):
-                value -= D[j, i, m] * D[j, k, m]
-            D[j, i, k] = value  # still times the pivot
-        pivot = D[j, i, i]
-        for k in range(i):
-            scaled = D[j, i, k] * D[j, k, k]
-            pivot -= scaled * D[j, i, k]
-            D[j, i, k] = scaled
-        if not pivot.real > 0:
-            wrong += 1
-        D[j, i, i] = 1 / pivot
-    return wrong
+@merged
+def _factor_block(D: Any, U: Any, V: Any, j: Any) -> int:
+    """Turn the rows of block j into inverse pivots, unit factors above them, and L^-1 times U and V.
+
+    Returns the number of positive pivots.
+    """
+    d0, d1, d2, d3 = _row(D, j, 0), _row(D, j, 1), _row(D, j, 2), _row(D, j, 3)
+    u0, u1, u2, u3 = _row(U, j, 0), _row(U, j, 1), _row(U, j, 2), _row(U, j, 3)
+    v0, v1, v2, v3 = _row(V, j, 0), _row(V, j, 1), _row(V, j, 2), _row(V, j, 3)
+    p0 = 1 / d0[0]
+    a, b, c = d0[1] * p0, d0[2] * p0, d0[3] * p0
+    d1, u1, v1 = _less(d1, a, d0), _less(u1, a, u0), _less(v1, a, v0)
+    d2, u2, v2 = _less(d2, b, d0), _less(u2, b, u0), _less(v2, b, v0)
+    d3, u3, v3 = _less(d3, c, d0), _less(u3, c, u0), _less(v3, c, v0)
+    _put_row(D, j, 0, (p0, a, b, c))
+    p1 = 1 / d1[1]
+    b, c = d1[2] * p1, d1[3] * p1
+    d2, u2, v2 = _less(d2, b, d1), _less(u2, b, u1), _less(v2, b, v1)
+    d3, u3, v3 = _less(d3, c, d1), _less(u3, c, u1), _less(v3, c, v1)
+    D[j, 1, 1], D[j, 1, 2], D[j, 1, 3] = p1, b, c
+    p2 = 1 / d2[2]
+    c = d2[3] * p2
+    d3, u3, v3 = _less(d3, c, d2), _less(u3, c, u2), _less(v3, c, v2)
+    D[j, 2, 2], D[j, 2, 3] = p2, c
+    p3 = 1 / d3[3]
+    D[j, 3, 3] = p3
+    _put_row(U, j, 1, u1)
+    _put_row(U, j, 2, u2)
+    _put_row(U, j, 3, u3)
+    _put_row(V, j, 1, v1)
+    _put_row(V, j, 2, v2)
+    _put_row(V, j, 3, v3)
+    return int(p0.real > 0) + int(p1.real > 0) + int(p2.real > 0) + int(p3.real > 0)
 
 
-@compiled
-def _forward(D: Any, B: Any, j: int, columns: int) -> None:
-    for i in range(1, 4):
-        for k in range(i):
-            value = D[j, i, k]
-            for c in range(columns):
-                B[j, i, c] -= value * B[j, k, c]
+@merged
+def _less_product(a: Row, left: Row, rows: Any) -> Row:
+    """Return a - left rows."""
+    return _less(_less(_less(_less(a, left[0], rows[0]), left[1], rows[1]), left[2], rows[2]), left[3], rows[3])
 
 
-@compiled
-def _update(D: Any, j: int, A: Any, rows: int, B: Any, columns: int, target: Any, at: Any) -> None:
+@merged
+def _update(D: Any, j: Any, A: Any, B: Any, target: Any, at: Any) -> None:
     """Subtract A_j^T pivots^-1 B_j from block `at` of the target."""
-    for k in range(4):
-        inverse = D[j, k, k]
-        for i in range(rows):
-            value = A[j, k, i] * inverse
-            for c in range(columns):
-                target[at, i, c] -= value * B[j, k, c]
+    rows = _row(B, j, 0), _row(B, j, 1), _row(B, j, 2), _row(B, j, 3)
+    p0, p1, p2, p3 = D[j, 0, 0], D[j, 1, 1], D[j, 2, 2], D[j, 3, 3]
+    for i in range(4):
+        left = (A[j, 0, i] * p0, A[j, 1, i] * p1, A[j, 2, i] * p2, A[j, 3, i] * p3)
+        _put_row(target, at, i, _less_product(_row(target, at, i), left, rows))
 
 
 @compiled
@@ -100,9 +135,20 @@ def solve(model: Model, blocks: Blocks, r: Any) -> None:
     """Overwrite r (N, 4) with the solution of the factored system."""
     order, near, far, D, U, V = model.order, model.near, model.far, blocks.diagonal, blocks.near, blocks.far
     for j in order:
-        _eliminate(D, U, V, r, j, near[j], far[j])
+        scaled = _eliminate(D, r, j)
+        a, b = near[j], far[j]
+        if a >= 0:
+            _lessen(r, a, scaled, U, j)
+        if b >= 0:
+            _lessen(r, b, scaled, V, j)
     for k in range(len(order) - 1, -1, -1):
-        _substitute(D, U, V, r, order[k], near[order[k]], far[order[k]])
+        j = order[k]
+        x, a, b = _four(r, j), near[j], far[j]
+        if a >= 0:
+            x = _known(x, U, j, _four(r, a))
+        if b >= 0:
+            x = _known(x, V, j, _four(r, b))
+        _substitute(D, r, j, x)
 
 
 @compiled
@@ -115,38 +161,61 @@ def solve_at(model: Model, blocks: Blocks, r: Any, loaded: int, wanted: Any) -> 
     near, far, D, U, V = model.near, model.far, blocks.diagonal, blocks.near, blocks.far
     j = loaded
     while j >= 0:  # a load reaches only the rows between it and the root
-        _eliminate(D, U, V, r, j, near[j], far[j])
-        j = near[j]
+        scaled = _eliminate(D, r, j)
+        a, b = near[j], far[j]
+        if a >= 0:
+            _lessen(r, a, scaled, U, j)
+        if b >= 0:
+            _lessen(r, b, scaled, V, j)
+        j = a
     for j in wanted:
-        _substitute(D, U, V, r, j, near[j], far[j])
-
-
-@compiled
-def _eliminate(D: Any, U: Any, V: Any, r: Any, j: Any, a: Any, b: Any) -> None:
-    for i in range(1, 4):
-        for k in range(i):
-            r[j, i] -= D[j, i, k] * r[j, k]
-    for k in range(4):
-        scaled = r[j, k] * D[j, k, k]
+        x, a, b = _four(r, j), near[j], far[j]
         if a >= 0:
-            for i in range(4):
-                r[a, i] -= U[j, k, i] * scaled
+            x = _known(x, U, j, _four(r, a))
         if b >= 0:
-            for i in range(3):
-                r[b, i] -= V[j, k, i] * scaled
+            x = _known(x, V, j, _four(r, b))
+        _substitute(D, r, j, x)
 
 
-@compiled
-def _substitute(D: Any, U: Any, V: Any, r: Any, j: Any, a: Any, b: Any) -> None:
-    for k in range(4):
-        value = r[j, k]
-        if a >= 0:
-            for i in range(4):
-                value -= U[j, k, i] * r[a, i]
-        if b >= 0:
-            for i in range(3):
-                value -= V[j, k, i] * r[b, i]
-        r[j, k] = value * D[j, k, k]
-    for i in range(2, -1, -1):
-        for k in range(i + 1, 4):
-            r[j, i] -= D[j, k, i] * r[j, k]
+@merged
+def _four(r: Any, j: Any) -> Row:
+    return (r[j, 0], r[j, 1], r[j, 2], r[j, 3])
+
+
+@merged
+def _eliminate(D: Any, r: Any, j: Any) -> Row:
+    """Apply L^-1 to row j; return it times the inverse pivots."""
+    r0, r1, r2, r3 = _four(r, j)
+    r1 = r1 - D[j, 0, 1] * r0
+    r2 = r2 - D[j, 0, 2] * r0 - D[j, 1, 2] * r1
+    r3 = r3 - D[j, 0, 3] * r0 - D[j, 1, 3] * r1 - D[j, 2, 3] * r2
+    r[j, 1], r[j, 2], r[j, 3] = r1, r2, r3
+    return (r0 * D[j, 0, 0], r1 * D[j, 1, 1], r2 * D[j, 2, 2], r3 * D[j, 3, 3])
+
+
+@merged
+def _lessen(r: Any, at: Any, scaled: Row, B: Any, j: Any) -> None:
+    """Subtract scaled^T B_j from row `at`."""
+    rows = _row(B, j, 0), _row(B, j, 1), _row(B, j, 2), _row(B, j, 3)
+    r[at, 0], r[at, 1], r[at, 2], r[at, 3] = _less_product(_four(r, at), scaled, rows)
+
+
+@merged
+def _known(r: Row, B: Any, j: Any, x: Row) -> Row:
+    """Return r - B_j x."""
+    return (
+        r[0] - _dot(_row(B, j, 0), x),
+        r[1] - _dot(_row(B, j, 1), x),
+        r[2] - _dot(_row(B, j, 2), x),
+        r[3] - _dot(_row(B, j, 3), x),
+    )
+
+
+@merged
+def _substitute(D: Any, r: Any, j: Any, x: Row) -> None:
+    """Apply the pivots and L^-T and write row j."""
+    x3 = x[3] * D[j, 3, 3]
+    x2 = x[2] * D[j, 2, 2] - D[j, 2, 3] * x3
+    x1 = x[1] * D[j, 1, 1] - D[j, 1, 2] * x2 - D[j, 1, 3] * x3
+    r[j, 0] = x[0] * D[j, 0, 0] - D[j, 0, 1] * x1 - D[j, 0, 2] * x2 - D[j, 0, 3] * x3
+    r[j, 1], r[j, 2], r[j, 3] = x1, x2, x3

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numba
-import numpy as np
 
 
 def _drop_stale_kernels() -> None:
@@ -18,78 +17,78 @@ def _drop_stale_kernels() -> None:
     """
     folder = Path(__file__).parent
     newest = max(file.stat().st_mtime for file in folder.glob("*.py"))
-    for index in (folder / "__pycache__").glob("*.nbi"):
+    for kernel in (folder / "__pycache__").glob("*.nb[ci]"):
         with suppress(OSError):
-            if index.stat().st_mtime < newest:
-                index.unlink()
+            if kernel.stat().st_mtime < newest:
+                kernel.unlink()
 
 
 _drop_stale_kernels()
 
-OPTIONS = {"cache": True, "error_model": "numpy", "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
+OPTIONS = {"cache": True, "error_model": "numpy", "nogil": True, "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
 compiled = numba.njit(**OPTIONS)
-"""How every kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
-merged = numba.njit(inline="always", **OPTIONS)
-"""For a large kernel with one caller: compiled as a part of it, not twice."""
+"""How a kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
+merged = numba.njit(forceinline=True, **OPTIONS)
+"""For a part of a kernel: it becomes one with its caller, so that the compiler can vectorise the caller's loop."""
 
 Vector = tuple[Any, Any, Any]
 
 
-@compiled
-def load(array: Any, row: int) -> Vector:
+@merged
+def load(array: Any, row: Any) -> Vector:
     """Return one row of an (N, 3) array."""
     return (array[row, 0], array[row, 1], array[row, 2])
 
 
-@compiled
-def store(array: Any, row: int, v: Vector) -> None:
+@merged
+def store(array: Any, row: Any, v: Vector) -> None:
     """Write `v` into one row of an (N, 3) array."""
     array[row, 0], array[row, 1], array[row, 2] = v
 
 
-@compiled
+@merged
 def add(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@compiled
+@merged
 def subtract(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@compiled
+@merged
 def scale(s: float, a: Vector) -> Vector:
     """Return s a."""
     return (s * a[0], s * a[1], s * a[2])
 
 
-@compiled
+@merged
 def combine(s: float, a: Vector, t: float, b: Vector) -> Vector:
     """Return s a + t b."""
     return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
 
 
-@compiled
+@merged
 def dot(a: Vector, b: Vector) -> float:
     """Return a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@merged
 def cross(a: Vector, b: Vector) -> Vector:
     """Return a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@compiled
+@merged
 def norm(a: Vector) -> float:
     """Return |a|."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@compiled
+@merged
 def transport(v: Vector, start: Vector, end: Vector) -> Vector:
     """Return `v` carried by the smallest rotation that takes the unit tangent `start` to the unit tangent `end`."""
     axis = cross(start, end)
@@ -98,17 +97,18 @@ def transport(v: Vector, start: Vector, end: Vector) -> Vector:
     return combine(1.0, carried, dot(axis, v) / (1.0 + cosine), axis)
 
 
-@compiled
-def spin(director: Vector, tangent: Vector, angle: float) -> Vector:
-    """Return a director turned by `angle` [rad] about the unit tangent, made orthonormal to it again."""
-    turned = combine(math.cos(angle), director, math.sin(angle), cross(tangent, director))
+@merged
+def spin(director: Vector, tangent: Vector, turn: float) -> Vector:
+    """Return a director turned by 2 atan(turn / 2) about the unit tangent (Cayley map), orthonormal to it again."""
+    square = 0.25 * turn * turn
+    cosine, sine = (1 - square) / (1 + square), turn / (1 + square)
+    turned = combine(cosine, director, sine, cross(tangent, director))
     flat = combine(1.0, turned, -dot(turned, tangent), tangent)
     return scale(1.0 / norm(flat), flat)
 
 
-@compiled
-def twist_angle(m1e: Vector, m1f: Vector, te: Vector, tf: Vector, previous: float) -> float:
-    """Return the twist [rad] from edge e to edge f, on the branch nearest to `previous`."""
-    carried = transport(m1e, te, tf)
-    angle = math.atan2(dot(cross(carried, m1f), tf), dot(carried, m1f))
-    return angle + 2 * np.pi * round((previous - angle) / (2 * np.pi))
+@merged
+def twist_angle(sine: float, cosine: float, previous: float) -> float:
+    """Return the twist [rad] with this sine and cosine, on the branch nearest to `previous`."""
+    angle = math.atan2(sine, cosine)
+    return angle + 2 * math.pi * math.floor((previous - angle) / (2 * math.pi) + 0.5)

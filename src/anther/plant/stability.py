@@ -11,8 +11,8 @@ from anther.elastic_rod.assembly import new_blocks
 from anther.elastic_rod.equilibrium import unstable_directions, with_gravity_equilibrium
 from anther.elastic_rod.model import build_model
 from anther.elastic_rod.motion import Clamp
+from anther.elastic_rod.newton import new_state
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.stepping import new_state
 from anther.errors import StageFailure
 
 SOFTEST, STIFFEST = 1e4, 1e12
