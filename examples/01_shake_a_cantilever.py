@@ -21,7 +21,7 @@ stem = Rods(
     viscous_time=2e-3,  # [s]: damping ratio pi f viscous_time
 )
 clamp = Clamp.root(stem)  # the soil holds the first edge
-hertz, _ = natural_frequencies(stem, clamp, 6)
+hertz = natural_frequencies(stem, clamp, 6).frequencies
 print("natural frequencies [Hz]:", np.round(hertz[::2], 2), "each twice: the stem is round")
 
 grip, tip, frequency, amplitude = 15, 40, 5.0, 2e-3
