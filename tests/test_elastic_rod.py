@@ -173,16 +173,16 @@ def test_no_mode_is_missed_and_inertia_of_lumps_counts():
     np.testing.assert_allclose(modes.frequencies[:6:2], modes.frequencies[1:6:2], rtol=1e-9)
     everything = natural_frequencies(cantilever(4), Clamp.root(cantilever(4)), 5, gravity=NO_GRAVITY)
     assert np.all(np.diff(everything.frequencies) >= 0)
-    mass, inertia, length, EI = 0.05, 2e-5, 0.295, 2e9 * np.pi * 3e-3**4 / 4
-    tip = np.zeros(31)
+    mass, inertia, length, EI = 0.05, 2e-5, 0.3 - 0.3 / 180, 2e9 * np.pi * 3e-3**4 / 4
+    tip = np.zeros(91)
     tip[-1] = 1
-    heavy = cantilever(30, youngs=2e9, density=1e-3, lumped_mass=mass * tip, lumped_inertia=inertia * tip)
+    heavy = cantilever(90, youngs=2e9, density=1e-3, lumped_mass=mass * tip, lumped_inertia=inertia * tip)
     found = natural_frequencies(heavy, Clamp.root(heavy), 5, gravity=NO_GRAVITY).frequencies
     stiff = EI / length**3 * np.array([[12, -6 * length], [-6 * length, 4 * length**2]])
     squares = np.sort(np.linalg.eigvals(np.linalg.solve(np.diag([mass, inertia]), stiff)).real)
     assert found[0] == pytest.approx(np.sqrt(squares[0]) / 2 / np.pi, rel=2e-3)
     assert found[2] == pytest.approx(np.sqrt(EI / 1.5 / inertia / length) / 2 / np.pi, rel=0.02)  # twist
-    assert found[3] == pytest.approx(np.sqrt(squares[1]) / 2 / np.pi, rel=0.03)
+    assert found[3] == pytest.approx(np.sqrt(squares[1]) / 2 / np.pi, rel=0.015)
 
 
 def test_damping_ratios_are_told():
