@@ -156,7 +156,7 @@ def _study(data: Path, name: str, quick: bool, console: Console) -> AuthorsPlant
     stages = [Stage(STORED, envelope(arrays["traj"][:, setup["flower_node"], 0]))]
     for title, model in track(peers.items(), f"{name}: the peer's conventions", console=console):
         stages.append(_peer_stage(title, model, arrays, setup, duration))
-    stages += list(track(_our_stages(plant, setup, quick), f"{name}: our engine", total=6, console=console))
+    stages += list(track(_our_stages(plant, setup, quick), f"{name}: our engine", total=7, console=console))
     thin = [
         _thin(plant, radius, (500e6,) if quick else MODULI)
         for radius in track(RADII, f"{name}: thin rods", console=console)
@@ -203,7 +203,8 @@ def _peer_stage(title: str, model: PeerModel, arrays: dict[str, Any], setup: dic
 def _plant(data: Path, name: str, arrays: dict[str, Any], setup: dict[str, Any], duration: float) -> _Plant:
     skeleton = read_skeleton(data / "skeletons" / f"{name}.txt")
     drag = setup["damping_per_node_Ns_per_m"]
-    rods = Rods(skeleton.nodes, skeleton.parent, setup["r"], setup["E"], setup["rho"], node_drag=drag)
+    nodes, parent = skeleton.nodes, skeleton.parent
+    rods = Rods(nodes, parent, setup["r"], setup["E"], setup["rho"], node_drag=drag, discretisation="paper")
     fixed = np.array([skeleton.node(int(n)) for n in arrays["fixed_nodes"] if n != setup["drive_node"]])
     return _Plant(
         rods,
@@ -221,9 +222,11 @@ def _our_stages(plant: _Plant, setup: dict[str, Any], quick: bool) -> Iterator[S
     """Yield the stages of our engine, from the authors' settings to sound ones, r = 30 mm throughout."""
     rods, dt, fine = plant.rods, setup["dt"], 4e-3 if quick else 1e-3
     yield _stage(OURS, plant, rods, plant.pin, dt, "implicit_euler")
-    unable = replace(rods, bend_over_twist=1e-3)
+    unable = replace(rods, bend_over_twist=0.0)
     yield _stage("our engine, rods that cannot twist (not kept below)", plant, unable, plant.pin, dt, "implicit_euler")
     yield _stage(CLAMPED_ROOT, plant, rods, plant.clamp, dt, "implicit_euler")
+    rods = replace(rods, discretisation="consistent")
+    yield _stage("… second order at forks and kinks", plant, rods, plant.clamp, dt, "implicit_euler")
     hanging = with_gravity_equilibrium(rods, plant.clamp)
     yield _stage("… rest shape in equilibrium under gravity", plant, hanging, plant.clamp, dt, "implicit_euler")
     yield _stage(f"… midpoint rule, dt {1e3 * fine:g} ms", plant, hanging, plant.clamp, fine, "midpoint")
@@ -243,7 +246,7 @@ def _stage(name: str, plant: _Plant, rods: Rods, clamp: Clamp, dt: float, integr
 def _dragged(plant: _Plant) -> tuple[float, float]:
     radius, youngs = DRAGGED
     damping = DAMPING_RATIO / (np.pi * plant.frequency)
-    bare = replace(plant.rods, edge_radius=radius, node_drag=0.0, viscous_time=damping)
+    bare = replace(plant.rods, edge_radius=radius, node_drag=0.0, viscous_time=damping, discretisation="consistent")
     rods = _hanging(bare, youngs, plant.clamp)
     drag = plant.rods.node_drag
     sound, dragged = (plant.shaken(r, plant.clamp, 2e-3, "midpoint") for r in (rods, replace(rods, node_drag=drag)))
@@ -253,7 +256,7 @@ def _dragged(plant: _Plant) -> tuple[float, float]:
 def _thin(plant: _Plant, radius: float, moduli: tuple[float, ...]) -> Thin:
     """Return what the plant does at a sound thickness: clamped, in equilibrium, damped."""
     damping = DAMPING_RATIO / (np.pi * plant.frequency)
-    thin = replace(plant.rods, edge_radius=radius, node_drag=0.0, viscous_time=damping)
+    thin = replace(plant.rods, edge_radius=radius, node_drag=0.0, viscous_time=damping, discretisation="consistent")
     least = (least_stiffness(thin, plant.clamp) or np.nan) * float(np.asarray(plant.rods.youngs)[1])
     grid = np.geomspace(1.03 * least, 3e9, 25)
     linear = [_linear_amplitude(plant, _hanging(thin, youngs, plant.clamp)) for youngs in grid]
@@ -261,7 +264,7 @@ def _thin(plant: _Plant, radius: float, moduli: tuple[float, ...]) -> Thin:
     for youngs in moduli:
         if youngs > least:
             rods = _hanging(thin, youngs, plant.clamp)
-            first = float(natural_frequencies(rods, plant.clamp, 1)[0][0])
+            first = float(natural_frequencies(rods, plant.clamp, 1).frequencies[0])
             simulated.append((youngs, first, plant.shaken(rods, plant.clamp, 2e-3, "midpoint")))
     return Thin(radius, least, simulated, grid, np.array(linear))
 

@@ -15,7 +15,7 @@ BEAM = Beam()
 def energy_cases(quick: bool) -> Findings:
     """Return the row of the energy that an undamped, widely swinging cantilever keeps."""
     rods = BEAM.rods(21)
-    period = 1 / natural_frequencies(rods, CLAMPED, 1, gravity=NO_GRAVITY)[0][0]
+    period = 1 / natural_frequencies(rods, CLAMPED, 1, gravity=NO_GRAVITY).frequencies[0]
     periods = 20 if quick else 100
     run = simulate(rods, CLAMPED, None, periods * period, 1e-3, start="scanned")
     at_rest = simulate(rods, CLAMPED, None, 2e-3, 1e-3).energy[0]
