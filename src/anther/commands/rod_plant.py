@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -40,7 +40,7 @@ class PlantOptions:
     """Density [kg/m^3]. By default 1100, or that of the run."""
     bend_over_twist: float | None = None
     """EI / GJ [-]: 1.5 for a round bar of constant volume (the default, unless a run has its own), about 12 for dicot
-    petioles."""
+    petioles; 0: no twist, as in the paper."""
     damping_ratio: float | None = None
     """Share of critical damping. By default 0.05, or that of the run."""
     air_drag: float = 0.0
@@ -52,6 +52,8 @@ class PlantOptions:
     pads: float = 0.0
     """Length of stem between the gripper's pads [m], which hold its direction too; 0 moves one node, about which the
     stem may turn."""
+    discretisation: Literal["consistent", "paper"] = "consistent"
+    """Second order in the edge length, also at forks and kinks; or the paper's formula to the letter."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +107,8 @@ def read_plant(options: PlantOptions) -> RodPlant:
     check_range("least_radius", options.least_radius, 0, 1, "m")
     check_range("pads", options.pads, 0, 1, "m")
     plant = _of_run(options) if options.skeleton.is_dir() else _of_skeleton(options)
-    rods = replace(plant.rods, air_drag=options.air_drag, node_drag=options.node_drag)
+    drag: dict[str, Any] = {"air_drag": options.air_drag, "node_drag": options.node_drag}
+    rods = replace(plant.rods, discretisation=options.discretisation, **drag)
     clamp = Clamp.root(rods) if options.clamp_below is None else Clamp.below(rods, options.clamp_below)
     return replace(plant, rods=rods, clamp=clamp)
 

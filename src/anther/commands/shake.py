@@ -12,10 +12,11 @@ from scipy.signal import detrend, hilbert
 
 from anther.checks import check_range
 from anther.commands.rod_plant import PlantOptions, hanging, held_nodes, read_plant
-from anther.elastic_rod import Clamp, Drive, Rods, Trajectory, natural_frequencies, simulate
+from anther.elastic_rod import Burst, Chirp, Clamp, Drive, Rods, Trajectory, natural_frequencies, simulate
 from anther.files import replacing, write_json
 from anther.pictures.shake import draw_shake
 
+Shake = Drive | Chirp | Burst
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -31,8 +32,16 @@ class Args(PlantOptions):
     """Shake amplitude [m]."""
     frequency: float = 1.3
     """Shake frequency [Hz]. The damping ratio holds here (Kelvin-Voigt: it grows with frequency)."""
+    waveform: Literal["sine", "chirp", "burst"] = "sine"
+    """A sine; a sweep from `frequency` to `end_frequency` over the whole duration; or bursts that swell and fade."""
+    end_frequency: float = 30.0
+    """Of a chirp [Hz]."""
+    cycles: int = 10
+    """Of each burst."""
+    pause: float = 0.5
+    """Between bursts [s]."""
     ramp: float = 0.0
-    """Time over which the amplitude grows from 0 [s]; 0 starts at once, as the authors do."""
+    """Time over which the amplitude of a sine or chirp grows from 0 [s]; 0 starts at once, as the authors do."""
     axis: Literal["x", "y", "z"] = "x"
     """Shake direction, and the direction in which the flower is measured."""
     duration: float = 5.0
@@ -54,9 +63,11 @@ class Motion:
     """How the flower answers the shake."""
 
     flower_amplitude_m: float
+    flower_peak_m: float
     flower_frequency_hz: float
     grip_amplitude_m: float
     grip_force_peak_n: float
+    grip_moment_peak_nm: float
     amplitude_ratio: float | None
     first_frequency_hz: float
     energy_start_j: float
@@ -79,7 +90,7 @@ def run(args: Args) -> None:
     plant = hanging(plant, args.skeleton) if args.rest == "hanging" else plant
     rods, clamp = plant.damped(args.frequency), plant.clamp
     also = held_nodes(plant, grip, args.pads)[1:]
-    drive = Drive(grip, np.array(AXES[args.axis]), args.amplitude, args.frequency, args.ramp, also)
+    drive = _drive(args, grip, also)
     trajectory = simulate(rods, clamp, drive, args.duration, args.dt, integrator=args.integrator)
     motion = measure(rods, clamp, drive, trajectory, flower)
     if args.out is not None:
@@ -91,7 +102,18 @@ def run(args: Args) -> None:
     print(json.dumps(asdict(motion), indent=2) if args.json else _text(args, motion))
 
 
-def measure(rods: Rods, clamp: Clamp, drive: Drive, trajectory: Trajectory, flower: int) -> Motion:
+def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:
+    axis, amplitude, frequency = np.array(AXES[args.axis]), args.amplitude, args.frequency
+    match args.waveform:
+        case "chirp":
+            return Chirp(grip, axis, amplitude, frequency, args.end_frequency, args.duration, args.ramp, also)
+        case "burst":
+            return Burst(grip, axis, amplitude, frequency, args.cycles, args.pause, also)
+        case _:
+            return Drive(grip, axis, amplitude, frequency, args.ramp, also)
+
+
+def measure(rods: Rods, clamp: Clamp, drive: Shake, trajectory: Trajectory, flower: int) -> Motion:
     """Return how the flower moves along the drive's direction.
 
     The amplitude is the median of the Hilbert envelope of the detrended displacement and the frequency its FFT peak,
@@ -102,11 +124,13 @@ def measure(rods: Rods, clamp: Clamp, drive: Drive, trajectory: Trajectory, flow
     grip = vibration(trajectory.displacement(drive.node) @ drive.direction, float(trajectory.times[1]))[0]
     return Motion(
         flower_amplitude_m=amplitude,
+        flower_peak_m=float(np.abs(along).max()),
         flower_frequency_hz=frequency,
         grip_amplitude_m=grip,
         grip_force_peak_n=float(np.linalg.norm(trajectory.grip_force, axis=1).max()),
+        grip_moment_peak_nm=float(np.linalg.norm(trajectory.grip_moment, axis=1).max()),
         amplitude_ratio=amplitude / drive.amplitude if drive.amplitude else None,
-        first_frequency_hz=float(natural_frequencies(rods, clamp, 1)[0][0]),
+        first_frequency_hz=float(natural_frequencies(rods, clamp, 1).frequencies[0]),
         energy_start_j=float(trajectory.energy[0]),
         newton_iterations=trajectory.newton_iterations,
         split_steps=trajectory.split_steps,
@@ -126,8 +150,9 @@ def _text(args: Args, motion: Motion) -> str:
     ratio = "" if motion.amplitude_ratio is None else f", {motion.amplitude_ratio:.3f} of the shake"
     lines = [
         f"flower node {args.flower}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"
-        f"{ratio}), {motion.flower_frequency_hz:.3f} Hz",
-        f"grip node {args.grip}: {motion.grip_amplitude_m * 1e3:.3f} mm, peak force {motion.grip_force_peak_n:.3g} N",
+        f"{ratio}), {motion.flower_frequency_hz:.3f} Hz, at most {motion.flower_peak_m * 1e3:.3f} mm from rest",
+        f"grip node {args.grip}: {motion.grip_amplitude_m * 1e3:.3f} mm, peak force {motion.grip_force_peak_n:.3g} N"
+        + (f" and moment {motion.grip_moment_peak_nm:.3g} N m" if args.pads else ""),
         f"first natural frequency, not gripped: {motion.first_frequency_hz:.3f} Hz",
         f"{motion.newton_iterations} Newton iterations, {motion.split_steps} split steps",
     ]

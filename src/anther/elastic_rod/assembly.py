@@ -26,8 +26,8 @@ class Blocks(NamedTuple):
 
 def new_blocks(n: int, dtype: Any = np.float64) -> Blocks:
     """Return zeroed storage for N nodes."""
-    blocks = [np.zeros((n, 4, 4), dtype) for _ in range(3)]
-    return Blocks(*blocks, np.zeros((n, 4), dtype), new_lanes())
+    diagonal, near, far = np.zeros((3, n, 4, 4), dtype)
+    return Blocks(diagonal, near, far, np.zeros((n, 4), dtype), new_lanes())
 
 
 @compiled

@@ -26,9 +26,9 @@ def _drop_stale_kernels() -> None:
 _drop_stale_kernels()
 
 OPTIONS = {"cache": True, "error_model": "numpy", "nogil": True, "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
-compiled = numba.njit(**OPTIONS)
+compiled: Any = numba.njit(**OPTIONS)
 """How a kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
-merged = numba.njit(forceinline=True, **OPTIONS)
+merged: Any = numba.njit(forceinline=True, **OPTIONS)
 """For a part of a kernel: it becomes one with its caller, so that the compiler can vectorise the caller's loop."""
 
 Vector = tuple[Any, Any, Any]
