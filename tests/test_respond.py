@@ -51,9 +51,8 @@ def test_the_map_is_the_frequency_response(file: Path, tmp_path: Path, capsys: p
     assert [row["grip_node"] for row in rows] == [5] * 5 + [9] * 5
     source = rod_plant.hanging(rod_plant.read_plant(args), file)
     for row in rows:
-        rods = source.damped(row["frequency_hz"])
-        grip, flower = source.node(int(row["grip_node"])), source.node(16)
-        moved = frequency_response(rods, source.clamp, grip, (1, 0, 0), [row["frequency_hz"]])[0, flower]
+        grip, flower, hertz = source.node(int(row["grip_node"])), source.node(16), [row["frequency_hz"]]
+        moved = frequency_response(source.rods, source.clamp, grip, (1, 0, 0), hertz, loss_factor=0.1)[0, flower]
         turns = np.exp(1j * np.linspace(0, np.pi, 721))
         reach = np.linalg.norm((turns[:, None] * moved).real, axis=1).max()
         assert row["amplitude_ratio_mean"] == pytest.approx(reach, rel=1e-4)
@@ -136,6 +135,8 @@ def test_the_papers_tomato(data: Path, capsys: pytest.CaptureFixture[str]):
     found = json.loads(capsys.readouterr().out)
     assert 0.05 <= found["best_grip_distance_m"] <= 0.53
     assert 0.2 < found["natural_frequencies_hz"][0] < 2
+    assert min(found["damping_ratios"]) == pytest.approx(0.05, rel=0.05)
+    assert found["damping_ratios"][0] > 0.1, "weight lowers the stiffness of the sway, not its damping"
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,48 @@ def test_shake_prints_and_writes(file: Path, tmp_path: Path, capsys: pytest.Capt
     assert "flower node 14" in capsys.readouterr().out
 
 
+def shaken(file: Path, capsys: pytest.CaptureFixture[str], **change) -> dict[str, float]:
+    shake.run(shake.Args(file, grip=5, flower=14, duration=1.5, dt=0.002, json=True, **change))
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_chirp_sweeps_through_what_a_sine_asks_one_by_one(file: Path, tmp_path: Path, capsys):
+    both = {"frequency": 2.0, "end_frequency": 14.0, "amplitude": 1e-3, "out": tmp_path}
+    shaken(file, capsys, waveform="chirp", **both)
+    run = Trajectory.load(tmp_path / "trajectory.npz")
+    grip = run.displacement(4)[:, 0]
+    crossings = np.flatnonzero(np.diff(np.sign(grip[1:])) != 0)
+    assert len(crossings) == pytest.approx(2 * (2 + 14) / 2 * 1.5, abs=2)
+    assert run.times[crossings[0]] == pytest.approx((np.sqrt(12) - 2) / 8, abs=0.004), "half a period at 2 + 8 t Hz"
+    assert np.diff(run.times[crossings[-3:]]).mean() == pytest.approx(1 / 28, rel=0.05), "half a period at 14 Hz"
+    assert np.abs(grip).max() == pytest.approx(1e-3, rel=0.02)
+
+
+def test_bursts_leave_the_grip_at_rest_between_them(file: Path, tmp_path: Path, capsys):
+    shaken(file, capsys, waveform="burst", frequency=10.0, cycles=4, pause=0.3, out=tmp_path)
+    run = Trajectory.load(tmp_path / "trajectory.npz")
+    grip = np.abs(run.displacement(4)[:, 0])
+    phase = run.times % 0.7
+    assert grip[(phase > 0.41) & (phase < 0.69)].max() < 1e-9
+    assert grip[phase < 0.4].max() > 3e-3
+
+
+def test_pads_hold_the_direction_and_take_a_moment(file: Path, capsys):
+    free = shaken(file, capsys, frequency=4.0)
+    held = shaken(file, capsys, frequency=4.0, pads=0.03)
+    assert free["grip_moment_peak_nm"] == 0
+    assert held["grip_moment_peak_nm"] > 1e-4
+    assert held["flower_amplitude_m"] != pytest.approx(free["flower_amplitude_m"], rel=0.05)
+
+
+def test_twist_can_be_left_out(file: Path, capsys):
+    """The branch leaves the stem sideways, so that its weight twists the stem where that is soft."""
+    off = shaken(file, capsys, frequency=8.0, axis="y", bend_over_twist=0.0)
+    on = shaken(file, capsys, frequency=8.0, axis="y", bend_over_twist=12.0)
+    assert off["first_frequency_hz"] >= on["first_frequency_hz"]
+    assert off["flower_amplitude_m"] != pytest.approx(on["flower_amplitude_m"], rel=0.02)
+
+
 def test_the_papers_tomato_buckles_with_the_papers_numbers(data: Path):
     args = shake.Args(data / "skeletons" / "tomato2.txt", grip=27, flower=73, radius=3e-3, youngs=21.6e6)
     with pytest.raises(StageFailure, match="would stand from E"):
@@ -74,6 +116,10 @@ def test_the_papers_tomato_shakes_when_it_can_stand(data: Path, capsys: pytest.C
         ({"density": 0.0}, "density"),
         ({"frequency": 0.0}, "frequency"),
         ({"dt": 0.0}, "time step"),
+        ({"waveform": "chirp", "end_frequency": 0.0}, "end_frequency"),
+        ({"waveform": "burst", "cycles": 0}, "cycles"),
+        ({"ramp": -1.0}, "ramp"),
+        ({"bend_over_twist": -1.0}, "bend_over_twist"),
         ({"damping_ratio": -0.1}, "damping_ratio"),
     ],
 )

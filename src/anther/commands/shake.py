@@ -31,7 +31,8 @@ class Args(PlantOptions):
     amplitude: float = 0.004
     """Shake amplitude [m]."""
     frequency: float = 1.3
-    """Shake frequency [Hz]. The damping ratio holds here (Kelvin-Voigt: it grows with frequency)."""
+    """Shake frequency [Hz]. The damping ratio holds here (Kelvin-Voigt: it grows with frequency); for a chirp, at the
+    geometric mean of both its frequencies."""
     waveform: Literal["sine", "chirp", "burst"] = "sine"
     """A sine; a sweep from `frequency` to `end_frequency` over the whole duration; or bursts that swell and fade."""
     end_frequency: float = 30.0
@@ -84,11 +85,13 @@ def run(args: Args) -> None:
     """
     check_range("amplitude", args.amplitude, 0, 1, "m")
     check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
+    check_range("end_frequency", args.end_frequency, 1e-3, 1e4, "Hz")
     check_range("duration", args.duration, 10 * args.dt, 3600, "s")
     plant = read_plant(args)
     grip, flower = plant.node(args.grip), plant.node(args.flower)
     plant = hanging(plant, args.skeleton) if args.rest == "hanging" else plant
-    rods, clamp = plant.damped(args.frequency), plant.clamp
+    last = args.end_frequency if args.waveform == "chirp" else args.frequency
+    rods, clamp = plant.damped(float(np.sqrt(args.frequency * last))), plant.clamp
     also = held_nodes(plant, grip, args.pads)[1:]
     drive = _drive(args, grip, also)
     trajectory = simulate(rods, clamp, drive, args.duration, args.dt, integrator=args.integrator)
@@ -97,7 +100,7 @@ def run(args: Args) -> None:
         trajectory.save(args.out / "trajectory.npz")
         write_json(args.out / "shake.json", asdict(motion))
         with replacing(args.out / "shake.png") as temporary:
-            figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / args.frequency)
+            figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
             figure.savefig(temporary, dpi=110)
     print(json.dumps(asdict(motion), indent=2) if args.json else _text(args, motion))
 

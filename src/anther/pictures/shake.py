@@ -45,7 +45,7 @@ def draw_shake(rods: Rods, grip: int, flower: int, direction: Array, trajectory:
         hertz = np.fft.rfftfreq(8 * len(along), trajectory.times[1])
         spectrum.semilogy(hertz, height, color=colour, label=name, lw=1)
     time.set(xlabel="time [s]", ylabel="displacement along the shake [mm]")
-    spectrum.set(xlabel="frequency [Hz]", ylabel="amplitude [mm]", xlim=(0, max(10, 5 / period)))
+    spectrum.set(xlabel="frequency [Hz]", ylabel="amplitude [mm]", xlim=(0, max(10, 2.5 / period)))
     spectrum.set_ylim(bottom=1e-4 * max(1e-9, spectrum.dataLim.y1))
     for axes in (time, spectrum):
         axes.grid(alpha=0.3)
