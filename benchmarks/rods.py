@@ -14,15 +14,13 @@ response_map_cpu_s; second_start_s (a new process, compiled code on disk, from i
 second_start_import_share. Each time has also _median, _max and _floor. With peers: dismech_* and pyelastica_*; a
 *_ratio is the peer's time over ours, both of one round.
 
-The floor, counted: see FLOPS and BYTES below.
+The floor and how it is counted: see BYTES below.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -42,17 +40,25 @@ from roofline import Roofline, measure_roofline
 from speed_table import Row, print_table, write_page
 
 from anther.elastic_rod import Clamp, Drive, Rods, response_map, simulate, with_gravity_equilibrium
-from anther.errors import AntherError
-from anther.files import write_json
+from anther.files import read_json, write_json
 
-# Operations of one Newton iteration per node, a multiply-add as two, counted by running the kernels uncompiled on
-# numbers that count (86-node network; additions into zeroed blocks included; sqrt, sine, cosine, arctangent as one):
-# frames 262, springs 1640, inertia 40, factor 446, solve 142.
-FLOPS = {"twist": 2535.0, "plain": 2535.0}
-# Bytes per node, every array crossing once per sweep that needs it, 8 bytes a number: constants 20 read; positions,
-# velocities, frames 18 read and 11 written; the matrix (48 numbers) written by assembly, read and written by
-# factor, read twice (up and down) by solve: 5 x 48.
-BYTES = {"twist": 8.0 * (20 + 18 + 11 + 5 * 48), "plain": 8.0 * (20 + 18 + 11 + 5 * 48)}
+# The floor of a Newton iteration is stated from two counts per node.
+# Operations: count_operations.py runs the kernels on numbers that count, when this benchmark starts. On the 86-node
+# network it finds 2810 (a multiply-add is two): forces and matrix 2041, factoring 578, solving 158, the rest 33. Rods
+# without twist run the same kernels with a very stiff twist.
+# Bytes: every array crosses once in each sweep that needs it, 8 bytes a number. Constants 21 read; positions,
+# velocities, directors 22 read and 12 written; matrix and residual (52 numbers) written by the assembly, read and
+# written by the factoring, read up and down by the solve: 5 x 52.
+BYTES = 8.0 * (21 + 22 + 12 + 5 * 52)
+
+
+def operations_per_node() -> float:
+    """Floating-point operations of one Newton iteration over the nodes."""
+    with tempfile.TemporaryDirectory() as folder:
+        counts = Path(folder) / "counts.json"
+        script = Path(__file__).with_name("count_operations.py")
+        subprocess.run([sys.executable, script, "--json", counts], check=True, capture_output=True)
+        return float(read_json(counts)["operations_per_node_total"])
 
 
 class Run(NamedTuple):
@@ -74,63 +80,57 @@ def cost(case: Case, integrator: Any = "midpoint", gravity: Any = (0, 0, -9.81))
     return Run(time.process_time() - begin, run.newton_iterations, run.positions[-1, case.observe])
 
 
-def reference_rows(case: Case, kind: str, ceilings: Roofline, repeats: int) -> list[Row]:
+def reference_rows(case: Case, operations: float, ceilings: Roofline, repeats: int) -> list[Row]:
     """Time per Newton iteration and per simulated second of the reference network."""
-    cost(replace(case, steps=3))
-    runs = [cost(case) for _ in range(repeats)]
-    n, tail = len(case.rods.nodes), "_twist" if case.twist else ""
-    iterations = runs[0].iterations
-    floor = ceilings.floor(FLOPS[kind] * n, BYTES[kind] * n)
-    words = "with twist" if case.twist else "no twist"
+    runs = _repeat(case, "midpoint", repeats)
+    n, tail, words = len(case.rods.nodes), *(("_twist", "with twist") if case.twist else ("", "no twist"))
+    floor, per_step = ceilings.floor(operations * n, BYTES * n), runs[0].iterations / case.steps
+    each = tuple(1e6 * run.seconds / run.iterations for run in runs)
     limits = (45.0, 0.25) if case.twist else (25.0, 0.12)
-    return [
-        Row(
-            f"us_per_newton_86{tail}",
-            f"86 nodes, {words}: Newton iteration",
-            "us",
-            tuple(1e6 * run.seconds / run.iterations for run in runs),
-            1e6 * floor,
-            limits[0],
-        ),
-        Row(
-            f"s_per_sim_s_86{tail}",
-            f"86 nodes, {words}: simulated second",
-            "s",
-            tuple(run.seconds / case.seconds for run in runs),
-            floor * iterations / case.seconds,
-            limits[1],
-            {f"newton_per_step_86{tail}": iterations / case.steps},
-        ),
+    key, second = f"s_per_sim_s_86{tail}", f"86 nodes, {words}: simulated second"
+    least, more = floor * per_step / case.dt, {f"newton_per_step_86{tail}": per_step}
+    rows = [
+        Row(f"us_per_newton_86{tail}", f"86 nodes, {words}: Newton iteration", "us", each, 1e6 * floor, limits[0]),
+        Row(key, f"{second} ({per_step:.1f} iterations a step)", "s", _seconds(case, runs), least, limits[1], more),
     ]
+    euler = _repeat(case, "implicit_euler", repeats)
+    rows.append(Row(f"{key}_euler", f"{second}, implicit Euler", "s", _seconds(case, euler)))
+    damped = _repeat(replace(case, rods=replace(case.rods, viscous_time=1e-4)), "midpoint", repeats)
+    return [*rows, Row(f"{key}_damped", f"{second}, viscous time 0.1 ms", "s", _seconds(case, damped))]
 
 
-def scaling_rows(ceilings: Roofline, shoots: tuple[int, ...], repeats: int) -> list[Row]:
+def _repeat(case: Case, integrator: str, repeats: int) -> list[Run]:
+    cost(replace(case, steps=3), integrator)
+    return [cost(case, integrator) for _ in range(repeats)]
+
+
+def _seconds(case: Case, runs: list[Run]) -> tuple[float, ...]:
+    """Processor seconds per simulated second."""
+    return tuple(run.seconds / case.seconds for run in runs)
+
+
+def scaling_rows(ceilings: Roofline, operations: float, shoots: tuple[int, ...], repeats: int) -> list[Row]:
     """How time per Newton iteration and memory grow with the nodes.
 
     Bushes without gravity (see `networks.bush`), with twist, a viscous time of 0.1 ms, 2 mm at 30 Hz from rest,
-    tolerance 1e-7 N: forces of 20 000 nodes round to some 1e-8 N. The exponent of memory is that of the arrays which
-    numpy holds at most (without the smallest network, where 30 kB of other objects count); bytes per node are the line
-    through the peaks of the resident set, which holds everything.
+    tolerance 1e-7 N: forces of 20 000 nodes round to some 1e-8 N. Memory is the largest sum of numpy's arrays, and
+    Python objects, at any time (the kernels allocate nothing), without the smallest network, where objects count.
     """
-    nodes, times, arrays, resident = [], [], [], []
+    nodes, times, memory = [], [], []
     made = (replace(bush(count), viscous_time=1e-4) for count in shoots)
     cases = [Case(rods, tolerance=1e-7, twist=True, steps=max(10, 34_000 // len(rods.nodes))) for rods in made]
     cost(cases[0], gravity=(0, 0, 0))
-    for case in track(cases, "memory over nodes"):
-        with multiprocessing.get_context("fork").Pool(1) as pool:
-            peaks = pool.apply(_peak_memory, (replace(case, steps=3),))
-        arrays.append(peaks[0])
-        resident.append(peaks[1])
-    for case in track(cases, "time over nodes"):
+    for case in track(cases, "nodes"):
         runs = [cost(case, gravity=(0, 0, 0)) for _ in range(repeats)]
         nodes.append(len(case.rods.nodes))
         times.append(min(run.seconds / run.iterations for run in runs))
+        memory.append(peak_memory(replace(case, steps=3)))
     span, tail, last = f"{nodes[0]} to {nodes[-1]} nodes", f"{nodes[1]} to {nodes[-1]} nodes", nodes[-1]
-    floor = 1e3 * ceilings.floor(FLOPS["twist"] * last, BYTES["twist"] * last)
+    floor = 1e3 * ceilings.floor(operations * last, BYTES * last)
     words = f"{last} nodes, with twist: Newton iteration"
     each = {f"us_per_newton_{n}_twist_per_node": 1e6 * t / n for n, t in zip(nodes, times, strict=True)}
-    per_node = float(np.polyfit(nodes, resident, 1)[0])
-    exponents = _exponent(nodes, times), _exponent(nodes[1:], arrays[1:])
+    per_node = float(np.polyfit(nodes[1:], memory[1:], 1)[0])
+    exponents = _exponent(nodes, times), _exponent(nodes[1:], memory[1:])
     return [
         Row(f"ms_per_newton_{last}_twist", words, "ms", (1e3 * times[-1],), floor, more=each),
         Row("scaling_slope", f"time, {span}: exponent", "", (exponents[0],), limit=1.1),
@@ -143,16 +143,13 @@ def _exponent(sizes: Any, values: Any) -> float:
     return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
-def _peak_memory(case: Case) -> tuple[float, float]:
-    """Bytes that numpy's arrays, and the resident set of this process, rise by at most while it simulates the case."""
-    unit = 1 if sys.platform == "darwin" else 1024
-    cost(replace(case, rods=bush(1)), gravity=(0, 0, 0))  # maps the libraries that it needs into memory
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def peak_memory(case: Case) -> float:
+    """Bytes of the arrays and objects that the simulation holds at most."""
     tracemalloc.start()
     cost(case, gravity=(0, 0, 0))
-    arrays = tracemalloc.get_traced_memory()[1]
+    peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    return arrays, unit * float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    return peak
 
 
 def map_rows(ceilings: Roofline, frequencies: int, repeats: int) -> list[Row]:
@@ -175,11 +172,11 @@ def map_rows(ceilings: Roofline, frequencies: int, repeats: int) -> list[Row]:
 
 
 def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
-    """Operations of the map per frequency, with the counts of FLOPS; a complex product is 6 operations, a sum 2.
+    """Operations of the map per frequency, a complex product as 6 operations, a sum as 2.
 
-    The matrix is set up (48 numbers a node, a product with a real and a sum, 4 operations) and factored (246 products,
-    197 sums a node). Each of the three columns of a grip is eliminated on its way to the root, then substituted on all
-    ways from the root to what is wanted (38 products, 34 sums a row each time).
+    The matrix is set up (48 numbers a node, K + i w C - w^2 M, 4 operations) and factored (313 products, 260 sums a
+    node). Each of the three columns of a grip is eliminated on its way to the root, then substituted on all ways from
+    the root to what is wanted (42 products, 38 sums a row each time). Counts of products and sums: count_operations.py.
     """
     above = plant.parent
     depth = np.zeros(len(above))
@@ -190,8 +187,8 @@ def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
         while node >= 0:
             wanted[node] = True
             node = above[node]  # noqa: PLW2901
-    row = 38 * 6 + 34 * 2
-    return len(above) * (48 * 4 + 246 * 6 + 197 * 2) + 3 * row * float(depth[grips].sum() + len(grips) * wanted.sum())
+    row = 42 * 6 + 38 * 2
+    return len(above) * (48 * 4 + 313 * 6 + 260 * 2) + 3 * row * float(depth[grips].sum() + len(grips) * wanted.sum())
 
 
 PAGE = """
@@ -205,15 +202,16 @@ second start are wall times. Larger networks are copies of it that grow out of e
 with a viscous time of 0.1 ms. The plant of the response map is 1.3 m tall, E 5 GPa; its flowers are the branch tips.
 
 **Floor.** The operations of an iteration over what one core can do with SIMD instructions, or its bytes over the
-bandwidth of the cache that holds them, whichever is more; both ceilings are measured in the same run. The counts, and
-how they were made, stand beside `FLOPS`, `BYTES` and `map_flops` in benchmarks/rods.py. A second start cannot beat a
-process that runs one trivial cached numba kernel.
+bandwidth of the cache that holds them, whichever is more; both ceilings are measured in the same run. How they are
+counted stands beside `BYTES` and in `map_flops` in benchmarks/rods.py, and `python benchmarks/count_operations.py`
+counts. A second start cannot beat a process that runs one trivial cached numba kernel.
 
 **Peers.** Each in a process of its own, in turn with ours, processor time without start-up and compilation. PyDiSMech:
-implicit Euler on both sides, same stopping rule. Without twist is its `two_d_sim`. With twist it does not converge on
-the branched network, not even at rest under gravity, so that it gets the bare stem (51 nodes) as well. PyElastica:
-position Verlet with the largest stable of a few time steps against our midpoint rule at 1 ms, on the bare stem: its
-joints between rods are springs and dashpots that a user invents, so a branched case would not be the same case.
+implicit Euler, the paper's discretisation and the same stopping rule on both sides. Without twist is its `two_d_sim`.
+With twist it does not converge on the branched network, not even at rest under gravity, so that it gets the bare stem
+(51 nodes) as well. PyElastica: position Verlet with the largest stable of a few time steps against our midpoint rule
+at 1 ms, on the bare stem: its joints between rods are springs and dashpots that a user invents, so a branched case
+would not be the same case.
 """
 START = """
 import time; begin = time.time()
@@ -287,13 +285,17 @@ def all_peer_rows(args: argparse.Namespace, network: Rods, rounds: int) -> list[
 
     PyDiSMech with twist does not converge on the branched network, not even at rest under gravity; on the stem it does.
     PyElastica joins branches by springs and dashpots that the user invents, so it gets the stem alone, and its largest
-    stable time step. Explicit and second order, it is paired with our midpoint rule at 1 ms.
+    stable time step. Explicit and second order, it is paired with our midpoint rule at 1 ms. Against PyDiSMech our rods
+    have its discretisation.
     """
-    stem = Rods(network.nodes[:51], network.parent[:51], 3e-3, 2e8, 1000.0)
+    network = replace(network, discretisation="paper")
+    stem = Rods(network.nodes[:51], network.parent[:51], 3e-3, 2e8, 1000.0, discretisation="paper")
     rows: list[Row] = []
     if args.dismech:
         peer = partial(run_dismech, args.dismech)
-        rows += peer_rows("dismech_86", "PyDiSMech, 86 nodes", peer, Case(_without_twist(network)), rounds)
+        rows += peer_rows(
+            "dismech_86", "PyDiSMech, 86 nodes", peer, Case(replace(network, bend_over_twist=0.0)), rounds
+        )
         rows += peer_rows("dismech_86_twist", "PyDiSMech, 86 nodes, twist", peer, Case(network, twist=True), rounds)
         rows += peer_rows("dismech_stem_twist", "PyDiSMech, stem, twist", peer, Case(stem, twist=True), rounds)
     if args.pyelastica:
@@ -302,21 +304,14 @@ def all_peer_rows(args: argparse.Namespace, network: Rods, rounds: int) -> list[
     return rows
 
 
-def _without_twist(rods: Rods) -> Rods:
-    try:
-        return replace(rods, bend_over_twist=0.0)
-    except AntherError:  # the engine of before
-        return rods
-
-
 def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
-    """Run everything; scaling first, so that memory freed by the others cannot be used again unseen."""
-    ceilings = measure_roofline()
-    network, repeats = reference_network(), 3 if args.quick else 9
-    rows = scaling_rows(ceilings, (1, 15, 30, 59) if args.quick else (1, 4, 15, 59, 236), 3)
-    steps = 200 if args.quick else 1000
-    for case in (Case(_without_twist(network), steps=steps), Case(network, steps=steps, twist=True)):
-        rows += reference_rows(case, "twist" if case.twist else "plain", ceilings, repeats)
+    """Run everything."""
+    ceilings, operations = measure_roofline(), operations_per_node()
+    network, repeats, steps = reference_network(), 3 if args.quick else 9, 200 if args.quick else 1000
+    rows = scaling_rows(ceilings, operations, (1, 15, 30, 59) if args.quick else (1, 4, 15, 59, 236), 3)
+    for rods in (replace(network, bend_over_twist=0.0), network):
+        case = Case(rods, steps=steps, twist=bool(rods is network))
+        rows += reference_rows(case, operations, ceilings, repeats)
     rows += map_rows(ceilings, 20 if args.quick else 200, repeats)
     rows += start_rows(repeats)
     return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
