@@ -5,14 +5,15 @@
 The reference case is the peers' 86-node 3-D network (51-node stem, five branches of 7 edges, E 200 MPa, r 3 mm,
 undamped, at rest and unstressed, gravity on at t = 0), node 20 shaken 2 mm at 30 Hz along x, dt 1 ms, force tolerance
 1e-9 N, default integrator. Times are processor times of one core after compilation, the best of the repeats, all set-up
-of `simulate` included; only the response map and the second start are wall times.
+of `simulate` included; only the response map, many scenarios and the second start are wall times.
 
 Keys of the --json file: us_per_newton_86, s_per_sim_s_86 (no twist), us_per_newton_86_twist, s_per_sim_s_86_twist;
 scaling_slope and memory_slope (exponent of time per Newton iteration and of memory over nodes, 86 to 20 000),
 memory_bytes_per_node; response_map_s (200 nodes, 50 grips x 200 frequencies x 3 directions x 10 flowers),
-response_map_cpu_s; second_start_s (a new process, compiled code on disk, from its start to 10 steps done),
-second_start_import_share. Each time has also _median, _max and _floor. With peers: dismech_* and pyelastica_*; a
-*_ratio is the peer's time over ours, both of one round.
+response_map_cpu_s; many_ms_per_scenario, many_scenarios_per_s, many_newton_per_s, many_speedup (`simulate_many`, wall);
+second_start_s (a new process, compiled code on disk, from its start to 10 steps done) and second_start_import_share.
+Each time has also _median, _max and _floor. With peers: dismech_* and pyelastica_*; a *_ratio is the peer's time over
+ours, both of one round.
 
 The floor and how it is counted: see BYTES below.
 """
@@ -39,7 +40,17 @@ from rich.progress import track
 from roofline import Roofline, measure_roofline
 from speed_table import Row, print_table, write_page
 
-from anther.elastic_rod import Clamp, Drive, Rods, response_map, simulate, with_gravity_equilibrium
+from anther.elastic_rod import (
+    Clamp,
+    Drive,
+    Rods,
+    Scenario,
+    Trajectory,
+    response_map,
+    simulate,
+    simulate_many,
+    with_gravity_equilibrium,
+)
 from anther.files import read_json, write_json
 
 # The floor of a Newton iteration is stated from two counts per node.
@@ -191,6 +202,30 @@ def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
     return len(above) * (48 * 4 + 313 * 6 + 260 * 2) + 3 * row * float(depth[grips].sum() + len(grips) * wanted.sum())
 
 
+def many_rows(quick: bool, repeats: int) -> list[Row]:
+    """Many short shakes of the 86-node network, viscous time 0.1 ms, 0.1 s each: all cores against one."""
+    rods = replace(reference_network(), viscous_time=1e-4)
+    shakes = [Drive(grip, np.array([1.0, 0, 0]), 1e-3, hertz) for grip in (10, 18, 25, 40) for hertz in range(3, 33, 3)]
+    clamp = Clamp(np.array([0, 1]))
+    scenarios = [Scenario(rods, clamp, shake, 0.1, 1e-3, start="scanned", record_every=100) for shake in shakes]
+    scenarios = scenarios[::4] if quick else 4 * scenarios
+    count, cores, all_cores, alone, iterations = len(scenarios), os.cpu_count() or 1, [], [], 0
+    for _ in track(range(repeats), "many scenarios"):
+        for workers, times in ((cores, all_cores), (1, alone)):
+            begin = time.perf_counter()
+            runs = simulate_many(scenarios, workers=workers)
+            times.append(time.perf_counter() - begin)
+        iterations = sum(run.newton_iterations for run in runs if isinstance(run, Trajectory))
+    more = {
+        "many_scenarios_per_s": count / min(all_cores),
+        "many_newton_per_s": iterations / min(all_cores),
+        "many_speedup": min(alone) / min(all_cores),
+        "cores": cores,
+    }
+    words = f"{count} scenarios of 0.1 s, 86 nodes, {cores} cores ({more['many_speedup']:.2f} x one core): each"
+    return [Row("many_ms_per_scenario", words, "ms wall", tuple(1e3 * t / count for t in all_cores), more=more)]
+
+
 PAGE = """
 `python benchmarks/rods.py --page docs/rod_speed.md` writes this page; with `--dismech CHECKOUT` and
 `--pyelastica PYTHON` it runs the peers on the same cases in the same run.
@@ -313,7 +348,7 @@ def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
         case = Case(rods, steps=steps, twist=bool(rods is network))
         rows += reference_rows(case, operations, ceilings, repeats)
     rows += map_rows(ceilings, 20 if args.quick else 200, repeats)
-    rows += start_rows(repeats)
+    rows += start_rows(repeats) + many_rows(args.quick, repeats)
     return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
 
 
