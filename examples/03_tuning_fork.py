@@ -25,15 +25,17 @@ nothing, fork, tip = (0, 0, 0), (STEM, STEM - 1), STEM + ARM
 
 speed = RADIUS / 2 * np.sqrt(YOUNGS / DENSITY)  # sqrt(EI / mass per length) of a round rod [m^2/s]
 first = 1.87510407**2 * speed / (2 * np.pi * LENGTH**2)
-hertz = natural_frequencies(plant, Clamp(np.arange(STEM + 1)), 4, gravity=nothing)[0]
-print(f"first natural frequency: {hertz[0]:.4f} Hz (rods), {first:.4f} Hz (formula): 2 arms x 2 directions")
+modes = natural_frequencies(plant, Clamp(np.arange(STEM + 1)), 4, gravity=nothing)  # the fork held: 2 arms x 2 planes
+print(f"first natural frequencies: {modes.frequencies.round(3)} Hz (rods), {first:.3f} Hz (formula)")
 
 fine = np.linspace(0.7, 1.3, 1201) * first
 swing = abs(response_map(plant, Clamp.root(plant), [fork], [(0, 1, 0)], fine, observe=[tip], gravity=nothing)[..., 1])
 above = fine[swing.ravel() > swing.max() / np.sqrt(2)]
-print(f"damping ratio: {np.ptp(above) / (2 * hertz[0]):.4f} (half-power bandwidth), {np.pi * first * VISCOUS_TIME:.4f}")
-
-print("\n  Hz   tip / grip: rods   formula")
+width = np.ptp(above) / (2 * first)  # half-power bandwidth / 2 f
+damping = (
+    f"{modes.damping_ratios[0]:.4f} (modes), {width:.4f} (bandwidth), {np.pi * first * VISCOUS_TIME:.4f} (formula)"
+)
+print(f"damping ratio: {damping}\n\n  Hz   tip / grip: rods   formula")
 some = np.array([1, 2, 4, first, 5, 10, 20, 27])
 rods = response_map(plant, Clamp.root(plant), [fork], [(0, 1, 0)], some, observe=[tip], gravity=nothing)[:, 0, 0, 0, 1]
 omega = 2 * np.pi * some
