@@ -32,10 +32,9 @@ fine = np.linspace(0.7, 1.3, 1201) * first
 swing = abs(response_map(plant, Clamp.root(plant), [fork], [(0, 1, 0)], fine, observe=[tip], gravity=nothing)[..., 1])
 above = fine[swing.ravel() > swing.max() / np.sqrt(2)]
 width = np.ptp(above) / (2 * first)  # half-power bandwidth / 2 f
-damping = (
-    f"{modes.damping_ratios[0]:.4f} (modes), {width:.4f} (bandwidth), {np.pi * first * VISCOUS_TIME:.4f} (formula)"
-)
-print(f"damping ratio: {damping}\n\n  Hz   tip / grip: rods   formula")
+ratio = np.pi * first * VISCOUS_TIME
+print(f"damping ratio: {modes.damping_ratios[0]:.4f} (modes), {width:.4f} (bandwidth), {ratio:.4f} (formula)")
+print("\n   Hz    tip / grip: rods         formula")
 some = np.array([1, 2, 4, first, 5, 10, 20, 27])
 rods = response_map(plant, Clamp.root(plant), [fork], [(0, 1, 0)], some, observe=[tip], gravity=nothing)[:, 0, 0, 0, 1]
 omega = 2 * np.pi * some

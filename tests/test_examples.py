@@ -42,3 +42,12 @@ def test_the_tuning_fork_agrees_with_its_formulas(tmp_path: Path):
     for a, phase, b, other in rows:
         assert float(a) == pytest.approx(float(b), rel=0.02)
         assert abs(float(phase) - float(other)) <= 3
+
+
+def test_small_shakes_follow_linear_theory_and_large_ones_do_not(tmp_path: Path):
+    said = output(EXAMPLES[3], tmp_path)
+    rows = [[float(n) for n in line.split()] for line in said.splitlines()[2:]]
+    assert [row[0] for row in rows] == [1.5, 2.5, 3.0, 4.0]
+    for _, linear, smallest, *_, largest in rows:
+        assert smallest == pytest.approx(linear, rel=0.02)
+        assert largest != pytest.approx(linear, rel=0.02)
