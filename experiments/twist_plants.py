@@ -118,7 +118,7 @@ class _Builder:
         if reach < 1e-3 or arm @ along < -0.9 * reach:
             self.mass[node] += mass
         else:
-            self._add(plant.lump_centre[k], node, (plant.radius_end[k], 100 * plant.youngs[k], 1.0), mass)
+            self._add(plant.lump_centre[k], node, (plant.radius_end[k], 10 * plant.youngs[k], 1.0), mass)
 
     def rods(self) -> Rods:
         radius, youngs, density = np.array(self.material).T
