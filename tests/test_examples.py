@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -13,8 +15,10 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 SLOW = {"02_cloud_to_grasp"}
 
 
-def output(example: Path, folder: Path) -> str:
-    done = subprocess.run([sys.executable, str(example)], cwd=folder, capture_output=True, text=True, check=False)
+@functools.cache
+def output(example: Path) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run([sys.executable, str(example)], cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -23,14 +27,14 @@ def output(example: Path, folder: Path) -> str:
     "example",
     [pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in SLOW else ()) for path in EXAMPLES],
 )
-def test_an_example_runs_and_is_short(example: Path, tmp_path: Path):
-    assert output(example, tmp_path).strip()
+def test_an_example_runs_and_is_short(example: Path):
+    assert output(example).strip()
     assert len(example.read_text().splitlines()) <= 45
     assert example.read_text().startswith('"""')
 
 
-def test_the_tuning_fork_agrees_with_its_formulas(tmp_path: Path):
-    said = output(EXAMPLES[2], tmp_path)
+def test_the_tuning_fork_agrees_with_its_formulas():
+    said = output(EXAMPLES[2])
     found = re.search(r"frequencies: \[(.*)\] Hz \(rods\), ([\d.]+) Hz", said)
     assert found is not None
     assert [float(f) for f in found[1].split()] == pytest.approx([float(found[2])] * 4, rel=3e-3)
@@ -44,9 +48,8 @@ def test_the_tuning_fork_agrees_with_its_formulas(tmp_path: Path):
         assert abs(float(phase) - float(other)) <= 3
 
 
-def test_small_shakes_follow_linear_theory_and_large_ones_do_not(tmp_path: Path):
-    said = output(EXAMPLES[3], tmp_path)
-    rows = [[float(n) for n in line.split()] for line in said.splitlines()[2:]]
+def test_small_shakes_follow_linear_theory_and_large_ones_do_not():
+    rows = [[float(n) for n in line.split()] for line in output(EXAMPLES[3]).splitlines()[-4:]]
     assert [row[0] for row in rows] == [1.5, 2.5, 3.0, 4.0]
     for _, linear, smallest, *_, largest in rows:
         assert smallest == pytest.approx(linear, rel=0.02)
