@@ -35,8 +35,9 @@ def _draw_curves(axes: Axes, curves: Sequence[Convergence]) -> None:
     first = min(curves, key=lambda curve: curve.errors[0])
     guide = 0.3 * first.errors[0] * (first.steps / first.steps[0]) ** 2
     axes.loglog(first.steps, guide, "k:", label="slope 2")
+    axes.set_ylim(min(curve.errors.min() for curve in curves) / 2 ** len(curves), None)
     axes.grid(True, which="both", alpha=0.2)
-    axes.legend(fontsize=7, loc="lower right" if len(curves) > 2 else "upper left")
+    axes.legend(fontsize=7, loc="lower right")
 
 
 def draw_energy(found: Sequence[Findings], path: Path) -> None:

@@ -64,7 +64,7 @@ def objectivity_cases(quick: bool) -> Findings:
 
 
 def random_tree(seed: int, n: int = 12) -> Rods:
-    """Return a random tree of n nodes, edges up to 40 mm, varying radius and stiffness; odd seeds: P19 to the letter."""
+    """Return a random tree of n nodes, edges up to 40 mm, radius and stiffness vary; odd seeds: P19 to the letter."""
     rng = np.random.default_rng(seed)
     parent = np.array([-1, *(int(rng.integers(max(0, j - 3), j)) for j in range(1, n))])
     nodes = np.zeros((n, 3))
