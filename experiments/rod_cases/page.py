@@ -101,8 +101,8 @@ def _finding(plant: AuthorsPlant) -> str:
     sentences = [
         f"- **{plant.name}.** Letting the edges turn about themselves, and nothing else, takes the peer's "
         f"{peer:.2f} mm to {one:.2f} mm; our engine gives {ours:.2f} mm. So the defect of rotation (1) hides "
-        f"{100 * (1 - peer / one):.0f} % of the motion. It is the defect, not the missing twist: rods that cannot twist, "
-        f"but may rotate, give {1e3 * plant.stage(UNTWISTED).amplitude:.2f} mm.",
+        f"{100 * (1 - peer / one):.0f} % of the motion. It is the defect, not the missing twist: rods that cannot "
+        f"twist, but may rotate, give {1e3 * plant.stage(UNTWISTED).amplitude:.2f} mm.",
         f"A rigid rotation by 0.0139 rad stores {stored:.1f} J in the peer, {left:.1f} J with directors along the "
         "connectivity and no sibling springs, and nothing in ours (row `rotation`).",
         f"Directors that follow edge numbers (2) leave less than 0.9 of their stiffness to "
