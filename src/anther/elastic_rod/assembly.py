@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.elastic_rod import lanes, springs
-from anther.elastic_rod.lanes import LANES, get, get3, new_lanes, put, put3
+from anther.elastic_rod.lanes import LANES, get, get3, new_lanes, put, put3, put6
 from anther.elastic_rod.model import Frames, Model, spring_edges
 from anther.elastic_rod.rods import Array
-from anther.elastic_rod.vectors import compiled, load, merged, norm, store, subtract, twist_angle
+from anther.elastic_rod.vectors import compiled, load, merged, norm, six, store, subtract, twist_angle
 
 
 class Blocks(NamedTuple):
@@ -64,8 +64,8 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
             sine, cosine = springs.twist_parts(b, m1e, m1f)
             k1, k2 = k1 - model.curvature[j, 0], k2 - model.curvature[j, 1]
             tau = twist_angle(sine, cosine, frames.twist[j]) - model.natural_twist[j]
-            total += 0.5 * model.bend[j, 0] * k1 * k1 + model.bend[j, 1] * k1 * k2 + 0.5 * model.bend[j, 2] * k2 * k2
-            total += 0.5 * model.twist[j] * tau * tau
+            s1, s2, s3 = springs.moments(six(model.joint, j), (k1, k2, tau))
+            total += 0.5 * (s1 * k1 + s2 * k2 + s3 * tau)
     return total
 
 
@@ -83,8 +83,8 @@ def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, 
         blocks: filled anew.
     """
     order, parent, near, far = model.order, model.parent, model.near, model.far  # unpacked once: it is faster
-    swapped, bend, torsion, viscous, stretch = model.swapped, model.bend, model.twist, model.viscous, model.stretch
-    length, curvature, natural_twist = model.length, model.curvature, model.natural_twist
+    swapped, joint, viscous, stretch, length = model.swapped, model.joint, model.viscous, model.stretch, model.length
+    curvature, natural_twist = model.curvature, model.natural_twist
     m1, twist = frames.m1, frames.twist
     D, U, V, g, b = blocks.diagonal, blocks.near, blocks.far, blocks.gradient, blocks.lanes
     n = len(x)
@@ -100,10 +100,10 @@ def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, 
                 _gather(x, m1, velocity, b, j, m, a, m, a, -1.0, i)
             else:
                 _gather(x, m1, velocity, b, j, m, o, m, a, 1.0, i)
-            _put_start(b, i, subtract(load(x_start, j), load(x_start, m)), stretch[j], length[j], viscous[j])
-            _put_material(
-                b, i, load(bend, j), torsion[j], viscous[j], curvature[j, 0], curvature[j, 1], natural_twist[j]
-            )
+            put6(b, lanes.JOINT, i, six(joint, j))
+            put3(b, lanes.START_J, i, subtract(load(x_start, j), load(x_start, m)))
+            put3(b, lanes.VISCOUS, i, (viscous[j], curvature[j, 0], curvature[j, 1]))
+            put3(b, lanes.NATURAL_TWIST, i, (natural_twist[j], stretch[j], length[j]))
         springs.twist_lanes(b)
         for i in range(count):
             j = order[n - 1 - first - i]
@@ -157,22 +157,6 @@ def _gather(
     put3(b, lanes.SPEED_J, i, subtract(load(velocity, j), load(velocity, m)))
     put(b, lanes.SPIN_M, i, sign * velocity[edge, 3])
     put(b, lanes.SPIN_J, i, velocity[j, 3])
-
-
-@merged
-def _put_start(b: Any, i: int, start: Any, stretch: float, length: float, viscous: float) -> None:
-    put3(b, lanes.START_J, i, start)
-    put3(b, lanes.STRETCH, i, (stretch, length, viscous))
-
-
-@merged
-def _put_material(
-    b: Any, i: int, bend: Any, torsion: float, viscous: float, first: float, second: float, twist: float
-) -> None:
-    put3(b, lanes.BEND_11, i, bend)
-    put3(b, lanes.TORSION, i, (torsion, viscous, first))
-    put(b, lanes.CURVATURE_2, i, second)
-    put(b, lanes.NATURAL_TWIST, i, twist)
 
 
 @merged

@@ -21,7 +21,7 @@ from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.newton import POSITION_FLOOR, State, new_state
 from anther.elastic_rod.rods import GRAVITY, Array, NaturalShape, Rods
 from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled, dot, load, merged, scale, subtract
+from anther.elastic_rod.vectors import compiled, dot, load, merged, scale, six, subtract
 from anther.errors import StageFailure
 
 NEWTON_LIMIT = 500
@@ -62,15 +62,13 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
 
 
 def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> NaturalShape:
-    joined = model.far >= 0
-    b11, b12, b22 = np.where(joined[:, None], model.bend, [1.0, 0.0, 1.0]).T
-    first, second = moments[:, 0], moments[:, 1]
-    bent = np.stack([b22 * first - b12 * second, b11 * second - b12 * first], axis=1) / (b11 * b22 - b12**2)[:, None]
+    w11, w12, w22, w13, w23, w33 = np.where(model.far[:, None] >= 0, model.joint, [1.0, 0, 1, 0, 0, 1]).T
+    stiffness = np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
+    strain = np.linalg.solve(stiffness, moments[:, :, None])[:, :, 0]
     stretch = np.divide(tension, model.stretch, out=np.zeros_like(tension), where=model.stretch > 0)
     if np.any(stretch <= -0.5):
         raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
-    twist = -np.divide(moments[:, 2], model.twist, out=np.zeros_like(tension), where=joined)
-    return NaturalShape(rods.lengths / (1 + stretch), model.curvature - bent, twist)
+    return NaturalShape(rods.lengths / (1 + stretch), model.curvature - strain[:, :2], -strain[:, 2])
 
 
 @compiled
@@ -94,8 +92,7 @@ def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, mo
         k1 = springs.rate_of(slopes[0], by_e, by_f, sign * move[a, 3], move[j, 3])
         k2 = springs.rate_of(slopes[1], by_e, by_f, sign * move[a, 3], move[j, 3])
         tau = springs.rate_of(slopes[2], by_e, by_f, sign * move[a, 3], move[j, 3])
-        b11, b12, b22 = load(model.bend, j)
-        stress = (b11 * k1 + b12 * k2, b12 * k1 + b22 * k2, model.twist[j] * tau)
+        stress = springs.moments(six(model.joint, j), (k1, k2, tau))
         for k in range(3):
             moment = stress[k]
             moments[j, k] += moment

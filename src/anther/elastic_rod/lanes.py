@@ -16,19 +16,19 @@ LANES = 8
 
 EDGE_M, EDGE_J, DIRECTOR_M, DIRECTOR_J, SPEED_M, SPEED_J = 0, 3, 6, 9, 12, 15  # three rows each
 SPIN_M, SPIN_J, TWIST = 18, 19, 20
-BEND_11, BEND_12, BEND_22, TORSION, VISCOUS, CURVATURE_1, CURVATURE_2, NATURAL_TWIST = range(21, 29)
-STRETCH, LENGTH, STRETCH_VISCOUS, START_J = range(29, 33)
-"""Input rows of a spring between edge m (o to m) and edge j (m to j): geometry, then material; START_J has three."""
+JOINT, VISCOUS, CURVATURE_1, CURVATURE_2, NATURAL_TWIST = 21, 27, 28, 29, 30  # JOINT has six rows
+STRETCH, LENGTH, START_J = 31, 32, 33  # START_J has three rows
+"""Input rows of a spring between edge m (o to m) and edge j (m to j): geometry, then material."""
 
-FORCE_J, FORCE_M, FORCE_O, MOMENT_J, MOMENT_M = 35, 38, 41, 44, 45
-JJ, MM, OO = 46, 52, 58  # symmetric: 00, 01, 11, 02, 12, 22
-JM, JO, MO = 64, 73, 82  # nine rows each: rows of the first node, columns of the second
-TURN_M_J, TURN_M_M, TURN_M_O, TURN_J_J, TURN_J_M, TURN_J_O = 91, 94, 97, 100, 103, 106  # spin against positions
-TURN_MM, TURN_MJ, TURN_JJ = 109, 110, 111
-ROWS = 112
+FORCE_J, FORCE_M, FORCE_O, MOMENT_J, MOMENT_M = 36, 39, 42, 45, 46
+JJ, MM, OO = 47, 53, 59  # symmetric: 00, 01, 11, 02, 12, 22
+JM, JO, MO = 65, 74, 83  # nine rows each: rows of the first node, columns of the second
+TURN_M_J, TURN_M_M, TURN_M_O, TURN_J_J, TURN_J_M, TURN_J_O = 92, 95, 98, 101, 104, 107  # spin against positions
+TURN_MM, TURN_MJ, TURN_JJ = 110, 111, 112
+ROWS = 113
 """Output rows: gradient and Hessian in the positions of nodes j, m, o and the spins of edges j, m."""
 
-SINE, COSINE = 35, 36
+SINE, COSINE = 36, 37
 """Output rows for the twist: its sine and cosine."""
 
 OLD_EDGE, NEW_EDGE, OLD_DIRECTOR, TURN, NEW_DIRECTOR = 0, 3, 6, 9, 10
@@ -59,6 +59,13 @@ def get3(buffer: Any, row: int, lane: int) -> Vector:
 
 
 @merged
+def get6(buffer: Any, row: int, lane: int) -> Any:
+    """Return six numbers from six rows."""
+    a, b = get3(buffer, row, lane), get3(buffer, row + 3, lane)
+    return (a[0], a[1], a[2], b[0], b[1], b[2])
+
+
+@merged
 def put3(buffer: Any, row: int, lane: int, v: Vector) -> None:
     """Write a vector to three rows."""
     buffer[row * LANES + lane] = v[0]
@@ -68,7 +75,7 @@ def put3(buffer: Any, row: int, lane: int, v: Vector) -> None:
 
 @merged
 def put6(buffer: Any, row: int, lane: int, s: Any) -> None:
-    """Write a symmetric 3x3 matrix, its upper triangle by columns, to six rows."""
+    """Write six numbers, as the upper triangle of a symmetric 3x3 matrix by columns, to six rows."""
     put3(buffer, row, lane, (s[0], s[1], s[2]))
     put3(buffer, row + 3, lane, (s[3], s[4], s[5]))
 

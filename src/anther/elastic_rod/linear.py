@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -68,11 +68,6 @@ def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float =
     loss = per_rate(model._replace(viscous=np.full(n, loss_factor))) if loss_factor > 0 else new_blocks(n)
     constrain(model, free, stiffness)
     return Linear(model, free, stiffness, damping, loss, _mass(model))
-
-
-def without_damping(rods: Rods) -> Rods:
-    """Return the same rods without viscosity and drag."""
-    return replace(rods, viscous_time=0.0, mass_damping=0.0, air_drag=0.0, node_drag=0.0)
 
 
 def _mass(model: Model) -> Blocks:

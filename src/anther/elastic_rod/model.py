@@ -9,12 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array
 from anther.elastic_rod import springs
+from anther.elastic_rod.joints import joint_matrix, joint_stiffness
 from anther.elastic_rod.rods import Array, NaturalShape, Rods
 from anther.elastic_rod.vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
 from anther.errors import bad_input
-
-NO_TWIST = 1e-4
-"""EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
 
 
 class Model(NamedTuple):
@@ -37,8 +35,7 @@ class Model(NamedTuple):
     drag: Array  # (N,) [N s/m]
     weight: Array  # (N, 3) [N]
     stretch: Array  # (N,) EA [N]
-    bend: Array  # (N, 3) entries 11, 12, 22 of the stiffness against the two curvatures [N m]
-    twist: Array  # (N,) GJ / Voronoi length [N m]
+    joint: Array  # (N, 6) stiffness of the joint with the parent edge, see `joints.joint_matrix` [N m]
     viscous: Array  # (N,) [s]
     length: Array  # (N,) natural length [m]
     curvature: Array  # (N, 2) natural curvature [-]
@@ -55,12 +52,11 @@ class Frames(NamedTuple):
 def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
     """Return the constants of `rods` under `gravity` (3,) [m/s^2], and the frames of the scanned shape.
 
-    A spring between edges e and f has the compliance of half of each, and of the joint: 1/K = l_e/2EI_e + l_f/2EI_f +
-    joint_compliance, which is EI over the Voronoi length (P19) where both are equal. Masses are those of linear finite
-    elements (m/3 of an edge at each end, m/6 between them), written as m/2 at each end and -m/6 on their relative
-    velocity: with them the bending frequencies converge with the fourth order. A lump's moment of inertia resists the
-    turning of its edge; its part along the edge is kept, so that the mass matrix is constant, and does nothing where
-    edges hardly change their length.
+    Masses are those of linear finite elements (m/3 of an edge at each end, m/6 between them), written as m/2 at each
+    end and -m/6 on their relative velocity: with them the bending frequencies converge with the fourth order. The
+    moment of inertia of the cross-section (Rayleigh's beam: m r^2/4) and of a lump resists the turning of the edge; its
+    part along the edge is kept, so that the mass matrix is constant, and does nothing where edges hardly change their
+    length.
 
     Raises:
         InputError: an edge folds back onto its parent edge.
@@ -69,13 +65,11 @@ def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
     frames, curvature = _rest_frames(rods.nodes, rods.parent, near, far, swapped)
     natural = rods.natural or NaturalShape(rods.lengths, curvature, np.zeros(len(near)))
     area = np.pi * np.square(rods.edge_radius)
-    modulus = area * np.asarray(rods.youngs)
-    EI = modulus * np.square(rods.edge_radius) / 4
-    GJ = EI / np.maximum(rods.bend_over_twist, NO_TWIST)
     paper = rods.discretisation == "paper"
     edge_mass = np.asarray(rods.density) * area * rods.lengths
     lump = np.asarray(rods.lumped_inertia)
-    rotary = np.divide(lump, rods.lengths**2, out=np.zeros(len(lump)), where=rods.lengths > 0)
+    turning = lump if paper else lump + edge_mass * np.square(rods.edge_radius) / 4
+    rotary = np.divide(turning, rods.lengths**2, out=np.zeros(len(lump)), where=rods.lengths > 0)
     model = Model(
         parent=rods.parent,
         order=order,
@@ -87,9 +81,8 @@ def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
         rotary=rotary if paper else rotary - edge_mass / 6,
         drag=rods.node_total_drag,
         weight=rods.node_mass[:, None] * check_array("gravity", gravity, (3,)),
-        stretch=modulus,
-        bend=_bend_stiffness(_in_series(EI, rods, near, far), 0 * curvature if paper else curvature),
-        twist=_in_series(GJ, rods, near, far),
+        stretch=area * np.asarray(rods.youngs),
+        joint=joint_matrix(rods, curvature, near, far),
         viscous=np.asarray(rods.viscous_time),
         length=natural.length,
         curvature=natural.curvature,
@@ -98,16 +91,10 @@ def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
     return Model(*(np.array(a) for a in model)), frames
 
 
-def _bend_stiffness(stiffness: Array, curvature: Array) -> Array:
-    """Return the entries 11, 12, 22 of K (I - (1 - cos^4(phi/2)) k k^T) of every spring.
-
-    The strain 2 tan(phi/2) grows faster than the angle phi: about a kink of angle phi, d(strain)^2 = d(phi)^2 /
-    cos^4(phi/2), so that a polyline with kinks would be too stiff in their planes (1.37 times at 45 degrees).
-    """
-    softer = 1 - (1 + np.sum(curvature**2, axis=1) / 4) ** -2
-    k = curvature / np.maximum(np.linalg.norm(curvature, axis=1, keepdims=True), 1e-300)
-    entries = np.stack([1 - softer * k[:, 0] ** 2, -softer * k[:, 0] * k[:, 1], 1 - softer * k[:, 1] ** 2], axis=1)
-    return stiffness[:, None] * entries
+def bend_stiffness(rods: Rods) -> Array:
+    """Return (N,) the bend stiffness of every joint, see `joints.joint_stiffness` [N m]."""
+    near, far, _, _ = _couplings(rods)
+    return joint_stiffness(rods, near, far)
 
 
 def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -126,23 +113,6 @@ def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], ND
 def _stiffest(rods: Rods, children: NDArray[Any]) -> int:
     radius, youngs = np.asarray(rods.edge_radius), np.asarray(rods.youngs)
     return int(children[np.argmax(youngs[children] * radius[children] ** 4)])
-
-
-def _in_series(stiffness: Array, rods: Rods, near: NDArray[Any], far: NDArray[Any]) -> Array:
-    """Return the stiffness of every spring: compliances of its share of both edges, and of its joint, in series.
-
-    A share is half an edge. But an edge that ends in a fork turns the fork's springs together, which none of them can
-    do alone: its own spring takes all of its compliance, theirs none.
-    """
-    fork = np.bincount(rods.parent[1:], minlength=len(near)) > 1
-    fork &= (far >= 0) & (rods.discretisation == "consistent")
-    compliance = rods.lengths / np.where(far < 0, np.maximum(stiffness, 1e-300), stiffness)
-    f = np.flatnonzero(far >= 0)
-    e = near[f]
-    out = np.zeros(len(near))
-    soft = np.asarray(rods.joint_compliance)[f]
-    out[f] = 1 / (np.where(fork[e], 0, 0.5) * compliance[e] + np.where(fork[f], 1, 0.5) * compliance[f] + soft)
-    return out
 
 
 def _rest_frames(

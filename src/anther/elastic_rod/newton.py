@@ -48,7 +48,7 @@ class Work(NamedTuple):
     turn: Array  # (N,) spin of each edge over the solve: 2 tan(angle / 2)
     correction: Array  # (N, 4) Newton's
     blocks: Blocks
-    done: Array  # (1,) work of the grip [J]
+    energy: Array  # (3,) total and stored energy of the state, work of the grip so far [J]
 
 
 def new_state(x: Array, frames: Frames) -> State:

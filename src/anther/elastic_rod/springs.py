@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from anther.elastic_rod import lanes
-from anther.elastic_rod.lanes import LANES, get, get3, put, put3, put6, put9
+from anther.elastic_rod.lanes import LANES, get, get3, get6, put, put3, put6, put9
 from anther.elastic_rod.vectors import (
     Vector,
     add,
@@ -163,10 +163,32 @@ def _sum9(s: float, a: Any, t: float, b: Any) -> Any:
 
 
 @merged
-def _stiffness(g1: Vector, g2: Vector, g3: Vector, bend: Vector, torsion: float) -> Any:
-    """Return the material part of a symmetric block: sum of stiffness times gradient gradient^T."""
-    curved = _sum(_both(g1, combine(0.5 * bend[0], g1, bend[1], g2)), _both(g2, scale(0.5 * bend[2], g2)))
-    return _sum(curved, _both(g3, scale(0.5 * torsion, g3)))
+def moments(W: Any, strain: Vector) -> Vector:
+    """Return the symmetric matrix W = (11, 12, 22, 13, 23, 33) times (kappa1, kappa2, twist)."""
+    k1, k2, tau = strain
+    return (
+        W[0] * k1 + W[1] * k2 + W[3] * tau,
+        W[1] * k1 + W[2] * k2 + W[4] * tau,
+        W[3] * k1 + W[4] * k2 + W[5] * tau,
+    )
+
+
+@merged
+def _weighted(W: Any, g1: Vector, g2: Vector, g3: Vector) -> Any:
+    """Return W times the column (g1, g2, g3) of vectors."""
+    return (
+        add(combine(W[0], g1, W[1], g2), scale(W[3], g3)),
+        add(combine(W[1], g1, W[2], g2), scale(W[4], g3)),
+        add(combine(W[3], g1, W[4], g2), scale(W[5], g3)),
+    )
+
+
+@merged
+def _stiffness(W: Any, g1: Vector, g2: Vector, g3: Vector) -> Any:
+    """Return the material part of a symmetric block: sum of W_ij gradient_i gradient_j^T."""
+    first = _both(g1, add(combine(0.5 * W[0], g1, W[1], g2), scale(W[3], g3)))
+    second = _both(g2, combine(0.5 * W[2], g2, W[4], g3))
+    return _sum(_sum(first, second), _both(g3, scale(0.5 * W[5], g3)))
 
 
 @merged
@@ -191,29 +213,8 @@ def _crossed(b: Bent, on_e: Vector, on_f: Vector, wt: Vector, k: float, s3: floa
 
 
 @merged
-def _first(bend: Vector, g1: Vector, g2: Vector) -> Vector:
-    """Return the first row of the bend stiffness times (g1, g2)."""
-    return combine(bend[0], g1, bend[1], g2)
-
-
-@merged
-def _second(bend: Vector, g1: Vector, g2: Vector) -> Vector:
-    """Return the second row of the bend stiffness times (g1, g2)."""
-    return combine(bend[1], g1, bend[2], g2)
-
-
-@merged
 def _put_position_blocks(
-    buffer: Any,
-    i: int,
-    b: Bent,
-    G: Any,
-    stress: Vector,
-    bend: Vector,
-    torsion: float,
-    we: Vector,
-    wf: Vector,
-    stretch: Any,
+    buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: Any, we: Vector, wf: Vector, stretch: Any
 ) -> None:
     """Write the Hessian in the positions of nodes j, m, o. Bending is both curvatures at once.
 
@@ -225,12 +226,13 @@ def _put_position_blocks(
     k = 0.5 * b.chi * dot(b.kb, wt)
     on_e, on_f = cross(b.tf, wt), cross(b.te, wt)
     per_e, per_f = b.per_e, b.per_f
-    ee = _stiffness(g1.e, g2.e, g3.e, bend, torsion)
+    ee = _stiffness(W, g1.e, g2.e, g3.e)
     ee = _sum(ee, _turning(b, b.te, scale(-1.0, on_e), we, k, s3, per_e * per_e))
-    ff = _sum(stretch, _stiffness(g1.f, g2.f, g3.f, bend, torsion))
+    ff = _sum(stretch, _stiffness(W, g1.f, g2.f, g3.f))
     ff = _sum(ff, _turning(b, b.tf, on_f, wf, k, s3, per_f * per_f))
-    fe = _sum9(1.0, _outer(g1.f, _first(bend, g1.e, g2.e)), 1.0, _outer(g2.f, _second(bend, g1.e, g2.e)))
-    fe = _sum9(1.0, fe, torsion, _outer(g3.f, g3.e))
+    h1, h2, h3 = _weighted(W, g1.e, g2.e, g3.e)
+    fe = _sum9(1.0, _outer(g1.f, h1), 1.0, _outer(g2.f, h2))
+    fe = _sum9(1.0, fe, 1.0, _outer(g3.f, h3))
     fe = _sum9(1.0, fe, per_e * per_f, _crossed(b, on_e, on_f, wt, k, s3))
     ef = (fe[0][0], fe[1][0], fe[2][0]), (fe[0][1], fe[1][1], fe[2][1]), (fe[0][2], fe[1][2], fe[2][2])
     put6(buffer, lanes.JJ, i, ff)
@@ -252,39 +254,45 @@ def _turned(b: Bent, w: Vector) -> Any:
 
 
 @merged
-def _put_spin_blocks(
-    buffer: Any, i: int, b: Bent, G: Any, stress: Vector, bend: Vector, torsion: float, m1: Any, w: Any
-) -> None:
-    """Write the Hessian in the spins of edges j and m, against each other and against the positions."""
+def _along(G: Any, u: Vector) -> Any:
+    """Return the mixtures u of the three gradients by e and by f."""
     g1, g2, g3 = G
+    by_e = add(combine(u[0], g1.e, u[1], g2.e), scale(u[2], g3.e))
+    by_f = add(combine(u[0], g1.f, u[1], g2.f), scale(u[2], g3.f))
+    return by_e, by_f
+
+
+@merged
+def _put_spin_blocks(buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: Any, m1: Any, w: Any) -> None:
+    """Write the Hessian in the spins of edges j and m, against each other and against the positions."""
     s1, s2, _ = stress
     (m1e, m1f), (we, wf) = m1, w
-    m2e, m2f = cross(b.te, m1e), cross(b.tf, m1f)
-    e1, e2 = bend[0] * g1.spin_e + bend[1] * g2.spin_e, bend[1] * g1.spin_e + bend[2] * g2.spin_e
-    f1, f2 = bend[0] * g1.spin_f + bend[1] * g2.spin_f, bend[1] * g1.spin_f + bend[2] * g2.spin_f
-    by_e, by_f = _turned(b, combine(-s1, m1e, -s2, m2e))
-    on_e = add(combine(e1, g1.e, e2, g2.e), combine(-torsion, g3.e, 1.0, by_e))
-    on_f = add(combine(e1, g1.f, e2, g2.f), combine(-torsion, g3.f, 1.0, by_f))
+    spin_e = (G[0].spin_e, G[1].spin_e, G[2].spin_e)
+    spin_f = (G[0].spin_f, G[1].spin_f, G[2].spin_f)
+    moment_e, moment_f = moments(W, spin_e), moments(W, spin_f)
+    by_e, by_f = _along(G, moment_e)
+    on_e, on_f = _turned(b, combine(-s1, m1e, -s2, cross(b.te, m1e)))
+    on_e, on_f = add(by_e, on_e), add(by_f, on_f)
     put3(buffer, lanes.TURN_M_J, i, on_f)
     put3(buffer, lanes.TURN_M_M, i, subtract(on_e, on_f))
     put3(buffer, lanes.TURN_M_O, i, scale(-1.0, on_e))
-    by_e, by_f = _turned(b, combine(-s1, m1f, -s2, m2f))
-    on_e = add(combine(f1, g1.e, f2, g2.e), combine(torsion, g3.e, 1.0, by_e))
-    on_f = add(combine(f1, g1.f, f2, g2.f), combine(torsion, g3.f, 1.0, by_f))
+    by_e, by_f = _along(G, moment_f)
+    on_e, on_f = _turned(b, combine(-s1, m1f, -s2, cross(b.tf, m1f)))
+    on_e, on_f = add(by_e, on_e), add(by_f, on_f)
     put3(buffer, lanes.TURN_J_J, i, on_f)
     put3(buffer, lanes.TURN_J_M, i, subtract(on_e, on_f))
     put3(buffer, lanes.TURN_J_O, i, scale(-1.0, on_e))
-    put(buffer, lanes.TURN_MM, i, e1 * g1.spin_e + e2 * g2.spin_e + torsion - 0.5 * dot(b.kb, we))
-    put(buffer, lanes.TURN_MJ, i, e1 * g1.spin_f + e2 * g2.spin_f - torsion)
-    put(buffer, lanes.TURN_JJ, i, f1 * g1.spin_f + f2 * g2.spin_f + torsion - 0.5 * dot(b.kb, wf))
+    put(buffer, lanes.TURN_MM, i, dot(moment_e, spin_e) - 0.5 * dot(b.kb, we))
+    put(buffer, lanes.TURN_MJ, i, dot(moment_e, spin_f))
+    put(buffer, lanes.TURN_JJ, i, dot(moment_f, spin_f) - 0.5 * dot(b.kb, wf))
 
 
 @merged
 def _put_forces(buffer: Any, i: int, G: Any, stress: Vector, tension: Vector) -> None:
-    g1, g2, g3 = G
+    g1, g2, _ = G
     s1, s2, s3 = stress
-    by_e = add(combine(s1, g1.e, s2, g2.e), scale(s3, g3.e))
-    by_f = add(combine(s1, g1.f, s2, g2.f), combine(s3, g3.f, 1.0, tension))
+    by_e, by_f = _along(G, stress)
+    by_f = add(by_f, tension)
     put3(buffer, lanes.FORCE_J, i, by_f)
     put3(buffer, lanes.FORCE_M, i, subtract(by_e, by_f))
     put3(buffer, lanes.FORCE_O, i, scale(-1.0, by_e))
@@ -300,8 +308,7 @@ def _stress(buffer: Any, i: int, k: Any, G: Any, ve: Vector, vf: Vector) -> Vect
     s2 = k[1] - get(buffer, lanes.CURVATURE_2, i) + lag * rate_of(G[1], ve, vf, spin_e, spin_f)
     s3 = get(buffer, lanes.TWIST, i) - get(buffer, lanes.NATURAL_TWIST, i)
     s3 += lag * rate_of(G[2], ve, vf, spin_e, spin_f)
-    b11, b12, b22 = get3(buffer, lanes.BEND_11, i)
-    return b11 * s1 + b12 * s2, b12 * s1 + b22 * s2, get(buffer, lanes.TORSION, i) * s3
+    return moments(get6(buffer, lanes.JOINT, i), (s1, s2, s3))
 
 
 @merged
@@ -313,11 +320,7 @@ def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) 
     changes (a discrete gradient: Simo & Tarnow 1992, Gonzalez 1996). Without that, stretching waves too fast for the
     step gain energy. The Hessian is made symmetric, which is exact where the edge does not turn.
     """
-    EA, natural, lag = (
-        get(buffer, lanes.STRETCH, i),
-        get(buffer, lanes.LENGTH, i),
-        get(buffer, lanes.STRETCH_VISCOUS, i),
-    )
+    EA, natural, lag = get(buffer, lanes.STRETCH, i), get(buffer, lanes.LENGTH, i), get(buffer, lanes.VISCOUS, i)
     start = get3(buffer, lanes.START_J, i)
     end = combine(2.0, f, -1.0, start)
     per_end = 1 / norm(end)
@@ -348,10 +351,11 @@ def spring_lanes(buffer: Any, rate: float) -> None:
         tension, stretch = stretched(buffer, i, rate, b, f, vf)
         _put_forces(buffer, i, G, stress, tension)
         stiffer = 1 + get(buffer, lanes.VISCOUS, i) * rate
-        bend = scale(stiffer, get3(buffer, lanes.BEND_11, i))
-        torsion = stiffer * get(buffer, lanes.TORSION, i)
+        a, c = get3(buffer, lanes.JOINT, i), get3(buffer, lanes.JOINT + 3, i)
+        a, c = scale(stiffer, a), scale(stiffer, c)
+        W = (a[0], a[1], a[2], c[0], c[1], c[2])
         s1, s2, _ = stress
         we = combine(s1, cross(b.te, m1e), -s2, m1e)
         wf = combine(s1, cross(b.tf, m1f), -s2, m1f)
-        _put_position_blocks(buffer, i, b, G, stress, bend, torsion, we, wf, stretch)
-        _put_spin_blocks(buffer, i, b, G, stress, bend, torsion, (m1e, m1f), (we, wf))
+        _put_position_blocks(buffer, i, b, G, stress, W, we, wf, stretch)
+        _put_spin_blocks(buffer, i, b, G, stress, W, (m1e, m1f), (we, wf))

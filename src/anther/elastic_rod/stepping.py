@@ -17,7 +17,7 @@ from anther.elastic_rod.rods import Array
 from anther.elastic_rod.vectors import compiled, cross, dot, load, merged, norm, scale, subtract, transport
 
 CREATED = 5e-4
-"""Share of kinetic and stretch energy that the stretch of the edges may create in a midpoint step (`_created`)."""
+"""Share of the elastic and kinetic energy that a midpoint step may create out of nothing (`_step`)."""
 
 
 class Grip(NamedTuple):
@@ -48,6 +48,7 @@ class Settings(NamedTuple):
     inertia: float  # 1: Newton starts from x + v dt; 0: from x
     tolerance: float  # accepted norm of the residual [N]
     most: int  # Newton iterations
+    balance: bool  # whether a step that creates energy is refused, so that it is split
 
 
 @merged
@@ -105,56 +106,72 @@ def _extrapolate(model: Model, free: Any, old: State, work: Work) -> None:
 
 
 @compiled
-def total_energy(model: Model, state: State) -> float:
-    """Return elastic + kinetic - weight . x [J]."""
-    energy = elastic_energy(model, state.x, state.frames)
-    for j in range(len(state.x)):
-        p = max(model.parent[j], 0)
-        energy += 0.5 * model.spin_inertia[j] * state.v[j, 3] * state.v[j, 3]
+def energies(model: Model, state: State) -> tuple[float, float]:
+    """Return the stored energy, elastic + kinetic, and the total, which also has - weight . x [J]."""
+    stored, raised, v, x, parent = elastic_energy(model, state.x, state.frames), 0.0, state.v, state.x, model.parent
+    mass, weight, rotary, spin_inertia = model.mass, model.weight, model.rotary, model.spin_inertia
+    for j in range(len(x)):
+        p = max(parent[j], 0)
+        stored += 0.5 * spin_inertia[j] * v[j, 3] * v[j, 3]
         for i in range(3):
-            v, change = state.v[j, i], state.v[j, i] - state.v[p, i]
-            energy += 0.5 * model.mass[j] * v * v - model.weight[j, i] * state.x[j, i]
-            energy += 0.5 * model.rotary[j] * change * change
-    return energy
-
-
-@compiled
-def _created(model: Model, old: State, work: Work) -> float:
-    """Return the energy that stretching created in a midpoint step, over the kinetic and stretch energy.
-
-    The midpoint force does not do the work by which the stretch energy changes. The difference is nothing in a calm
-    step, and grows without end where stretching waves are too fast for the step.
-    """
-    x, x_old, v, parent = work.mid.x, old.x, work.mid.v, model.parent
-    stretch, natural, mass = model.stretch, model.length, model.mass
-    created, total = 0.0, 1e-300
-    for j in range(1, len(x)):
-        p = parent[j]
-        start = subtract(load(x_old, j), load(x_old, p))
-        middle = subtract(load(x, j), load(x, p))
-        r0, r = norm(start) / natural[j], norm(middle) / natural[j]
-        r1 = norm(subtract(scale(2.0, middle), start)) / natural[j]
-        EAl = stretch[j] * natural[j]
-        work_done = 0.5 * EAl * (r - 1) / r * (r1 * r1 - r0 * r0)
-        created += 0.5 * EAl * ((r1 - 1) * (r1 - 1) - (r0 - 1) * (r0 - 1)) - work_done
-        speed = load(v, j)
-        total += 0.5 * EAl * ((r0 - 1) * (r0 - 1) + (r1 - 1) * (r1 - 1)) + 0.5 * mass[j] * dot(speed, speed)
-    return abs(created) / total
+            change = v[j, i] - v[p, i]
+            stored += 0.5 * mass[j] * v[j, i] * v[j, i] + 0.5 * rotary[j] * change * change
+            raised -= weight[j, i] * x[j, i]
+    return stored, stored + raised
 
 
 @merged
-def _account(grip: Grip, state: State, work: Work, step: int, settings: Settings) -> None:
-    """Add the work of the grip over the step; give its nodes the speed of the drive, which the midpoint leaves out."""
-    g, last = work.blocks.gradient, min(step + 2, len(grip.x) - 1)
+def _drive_speed(grip: Grip, state: State, step: int, dt: float) -> None:
+    """Give the gripped nodes the speed of the drive at the end of the step, which the midpoint rule leaves out."""
+    last = min(step + 2, len(grip.x) - 1)
     for k in range(len(grip.nodes)):
-        node = grip.nodes[k]
         for i in range(3):
-            work.done[0] += g[node, i] * (grip.x[step + 1, k, i] - grip.x[step, k, i])
-            if settings.midpoint:
-                state.v[node, i] = (grip.x[last, k, i] - grip.x[step, k, i]) / ((last - step) * settings.dt)
+            state.v[grip.nodes[k], i] = (grip.x[last, k, i] - grip.x[step, k, i]) / ((last - step) * dt)
+
+
+@merged
+def _grip_work(grip: Grip, work: Work, step: int, midpoint: bool) -> float:
+    """Return the work of the grip over the step [J]."""
+    g, total = work.blocks.gradient, 0.0
+    for k in range(len(grip.nodes)):
+        for i in range(3):
+            total += g[grip.nodes[k], i] * (grip.x[step + 1, k, i] - grip.x[step, k, i])
     for q in range(len(grip.edges)):
-        share = 2.0 if settings.midpoint else 1.0
-        work.done[0] += g[grip.edges[q], 3] * share * work.turn[grip.edges[q]]
+        total += g[grip.edges[q], 3] * (2.0 if midpoint else 1.0) * work.turn[grip.edges[q]]
+    return total
+
+
+@compiled
+def _step(
+    model: Model, free: Any, grip: Grip, state: State, work: Work, settings: Settings, step: int, conserve: bool
+) -> Any:
+    """Take one step from `state`, of which the end comes into work.mid.
+
+    A midpoint step that creates energy is refused: undamped stretching waves too fast for the step would go on
+    creating it until everything flies apart. `conserve` takes the stretch force that cannot create any.
+
+    Returns:
+        Newton iterations used (negative: not solved, or refused) and the last residual [N].
+    """
+    share = 0.5 if settings.midpoint else 1.0
+    h = share * settings.dt
+    _guess(free, grip, state, work, step, h, share, settings.inertia)
+    _turn_gripped_edges(model, grip, state, work, step, share)
+    used, residual = implicit_step(model, free, state, work, h, conserve, settings.tolerance, settings.most)
+    if used < 0:
+        return used, residual
+    gained = _grip_work(grip, work, step, settings.midpoint)
+    if settings.midpoint:
+        _extrapolate(model, free, state, work)
+        _drive_speed(grip, work.mid, step, settings.dt)
+    stored, total = energies(model, work.mid)
+    created = total - work.energy[0] - gained
+    most = (10 * CREATED if conserve else CREATED) * max(stored, work.energy[1])
+    if settings.midpoint and settings.balance and created > most:
+        return -used, residual
+    work.energy[0], work.energy[1] = total, stored
+    work.energy[2] += gained
+    return used, residual
 
 
 @compiled
@@ -163,8 +180,8 @@ def record(model: Model, grip: Grip, state: State, work: Work, out: Output, row:
     for j in range(len(state.x)):
         for i in range(3):
             out.x[row, j, i] = state.x[j, i]
-    out.energy[row] = total_energy(model, state)
-    out.work[row] = work.done[0]
+    out.energy[row] = work.energy[0]
+    out.work[row] = work.energy[2]
     g = work.blocks.gradient
     for i in range(3):
         out.force[row, i] = 0.0
@@ -204,22 +221,15 @@ def advance(
         The step it got to, Newton iterations spent, and the residual [N] of the step that failed.
     """
     spent, residual = 0, 0.0
-    share = 0.5 if settings.midpoint else 1.0
-    h = share * settings.dt
     for step in range(first, steps):
-        _guess(free, grip, state, work, step, h, share, settings.inertia)
-        _turn_gripped_edges(model, grip, state, work, step, share)
-        used, residual = implicit_step(model, free, state, work, h, False, settings.tolerance, settings.most)
+        used, residual = _step(model, free, grip, state, work, settings, step, False)
         spent += abs(used)
-        if settings.midpoint and (used < 0 or _created(model, state, work) > CREATED):
-            used, residual = implicit_step(model, free, state, work, h, True, settings.tolerance, settings.most)
+        if used < 0 and settings.midpoint:
+            used, residual = _step(model, free, grip, state, work, settings, step, True)
             spent += abs(used)
         if used < 0:
             return step, spent, residual
-        if settings.midpoint:
-            _extrapolate(model, free, state, work)
         _copy(work.mid, state)
-        _account(grip, state, work, step, settings)
         if every > 0 and (step + 1) % every == 0:
             record(model, grip, state, work, out, (step + 1) // every - 1)
     return steps, spent, residual

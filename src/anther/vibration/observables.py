@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
+from anther.elastic_rod.model import bend_stiffness
 from anther.elastic_rod.rods import Array
 from anther.plant import PlantModel
 
@@ -38,8 +39,8 @@ class Observables(NamedTuple):
 def observables(plant: PlantModel) -> Observables:
     """Return what is observed of a plant.
 
-    The strain of a joint is its change of angle, shared between its two half edges by their compliance as in the rod
-    model, over the half edge's length, times its radius; the larger of both counts. The leaf load of a leaf is the
+    The strain of a joint is its moment, stiffness times change of angle, over the section modulus EI / (E r) of its two
+    edges; the larger of both counts. The leaf load of a leaf is the
     inertia torque about its base over the sum of mass times distance: uniform acceleration a gives at most a, gravity
     gives at most g, so that a limit in g is a share of the leaf's own weight (facts: pollination 1d, safety factor
     1.7 of petioles).
@@ -71,17 +72,15 @@ def _flower_rows(plant: PlantModel, n: int) -> Array:
 def _strain_rows(plant: PlantModel, n: int) -> tuple[Array, Array]:
     """Return rows for the joints of the main stem and for those of the pedicels."""
     rods = plant.rods
-    parent, length, radius = rods.parent, rods.lengths, np.asarray(rods.edge_radius)
-    compliance = length / (np.asarray(rods.youngs) * radius**4)
+    parent, radius = rods.parent, np.asarray(rods.edge_radius)
+    stiffness, EI = bend_stiffness(rods), np.asarray(rods.youngs) * np.pi * radius**4 / 4
     stem, pedicel = [], []
     on_stem = np.isin(np.arange(n), plant.stem_nodes)
     for j in range(1, n):
         p = int(parent[j])
         if p == 0 or not (plant.is_pedicel[j] or (on_stem[j] and on_stem[p])):
             continue
-        share = np.array([compliance[p], compliance[j]]) / (compliance[p] + compliance[j])
-        half = 0.5 * np.array([length[p], length[j]])
-        strain = (share * np.array([radius[p], radius[j]]) / half).max()
+        strain = stiffness[j] * max(radius[p] / EI[p], radius[j] / EI[j])
         (pedicel if plant.is_pedicel[j] else stem).append(strain * _bend_row(rods.nodes, int(parent[p]), p, j))
     return _stack(stem, n), _stack(pedicel, n)
 

@@ -102,25 +102,29 @@ def gains(versions: Sequence[PlantModel], grips: NDArray[Any], directions: Array
         directions: (G, D, 3) unit shake directions at each grip.
         frequencies: (Q,) [Hz].
     """
-    parts = []
-    for plant in versions:
-        seen = observables(plant)
-        parts.append(
-            [
-                np.stack(a)
-                for a in zip(*(_gains_at(plant, seen, grips, directions, f) for f in frequencies), strict=True)
-            ]
-        )
+    parts = [_gains_of(plant, grips, directions, frequencies) for plant in versions]
     return Gains(*(np.stack(a) for a in zip(*parts, strict=True)))
 
 
-def _gains_at(
-    plant: PlantModel, seen: Observables, grips: NDArray[Any], directions: Array, frequency: float
+def _gains_of(
+    plant: PlantModel, grips: NDArray[Any], directions: Array, frequencies: Array
 ) -> tuple[Array, Array, Array, Array]:
-    everything = np.arange(len(plant.rods.nodes))
-    response = response_map(plant.rods_at(frequency), plant.clamp, grips, np.eye(3), [frequency], observe=everything)[0]
-    flat = response.reshape(len(grips) * 3, -1)
-    vectors = (seen.operator @ flat.T).reshape(-1, 3, len(grips), 3)
+    """Return the gains of one scenario; its damping ratio is the same at every frequency (hysteretic)."""
+    seen, everything = observables(plant), np.arange(len(plant.rods.nodes))
+    loss = 2 * plant.material.damping_ratio
+    response = response_map(
+        plant.rods, plant.clamp, grips, np.eye(3), frequencies, observe=everything, loss_factor=loss
+    )
+    each = [_gains_at(seen, r, directions, float(f)) for r, f in zip(response, frequencies, strict=True)]
+    first, second, third, fourth = (np.stack(a) for a in zip(*each, strict=True))
+    return first, second, third, fourth
+
+
+def _gains_at(
+    seen: Observables, response: NDArray[Any], directions: Array, frequency: float
+) -> tuple[Array, Array, Array, Array]:
+    flat = response.reshape(len(response) * 3, -1)
+    vectors = (seen.operator @ flat.T).reshape(-1, 3, len(response), 3)
     size = semi_major(np.einsum("kigj,gdj->gdki", vectors, directions))
     omega2 = (2 * np.pi * frequency) ** 2
     worst = [

@@ -1,0 +1,100 @@
+"""The stiffness of a joint between two edges: moments of the two curvatures and the twist per strain, a 3x3 matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.elastic_rod.rods import Array, Rods
+
+NO_TWIST = 1e-3
+"""EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
+
+
+def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[Any]) -> Array:
+    """Return (N, 6) entries 11, 12, 22, 13, 23, 33 of the stiffness on (kappa1, kappa2, twist) [N m]; 0 without joint.
+
+    A straight joint has K = 1 / (sum of the bend compliances of its shares of both edges, and of the joint itself),
+    which is EI over the Voronoi length (P19) where both are half and alike, and GJ likewise.
+
+    At a kink of angle phi the two edges do not share their axes: bending of the one in part twists the other. With
+    h = phi/2, the binormal b, the mean tangent t and n = b x t, a rotation (w_b, w_n, w_t) of edge j against its parent
+    gives the strains w_b / cos^2 h, w_n / cos h, w_t / cos h, and the shares' compliances, a of the parent and b of
+    edge j, add up to
+
+        C_bb = a_EI + b_EI,   C_nn = (a_EI + b_EI) cos^2 h + (a_GJ + b_GJ) sin^2 h,
+        C_tt = (a_EI + b_EI) sin^2 h + (a_GJ + b_GJ) cos^2 h,   C_nt = sin h cos h (a_EI - a_GJ - b_EI + b_GJ).
+
+    Without that, kinks and forks converge with the first order only. `discretisation="paper"` takes every joint as
+    straight and halves every edge.
+
+    Args:
+        rods: the rods.
+        curvature: (N, 2) curvatures of the scanned shape, |curvature| = 2 tan h.
+        near, far: of `Model`.
+    """
+    shares = _shares(rods, near, far)
+    bend, twist = _compliances(rods)
+    e, soft = np.where(far >= 0, near, 0), np.asarray(rods.joint_compliance)
+    a_EI, a_GJ = shares[0] * bend[e], shares[0] * twist[e]
+    b_EI, b_GJ = shares[1] * bend, shares[1] * twist
+    straight = rods.discretisation == "paper"
+    k, cosine, sine = _kink(0 * curvature if straight else curvature)
+    C_bb = a_EI + b_EI + soft
+    C_nn = (a_EI + b_EI) * cosine**2 + (a_GJ + b_GJ) * sine**2 + soft
+    C_tt = (a_EI + b_EI) * sine**2 + (a_GJ + b_GJ) * cosine**2 + soft
+    C_nt = sine * cosine * (a_EI - a_GJ - b_EI + b_GJ)
+    factor = cosine**2 / (C_nn * C_tt - C_nt**2)
+    W_bb, W_nn, W_nt, W_tt = cosine**4 / C_bb, factor * C_tt, -factor * C_nt, factor * C_nn
+    k1, k2 = k.T  # along kappa in the plane of the two curvatures; n is (k2, -k1) there
+    entries = np.stack(
+        [
+            W_bb * k1**2 + W_nn * k2**2,
+            (W_bb - W_nn) * k1 * k2,
+            W_bb * k2**2 + W_nn * k1**2,
+            W_nt * k2,
+            -W_nt * k1,
+            W_tt,
+        ],
+        axis=1,
+    )
+    return np.where(far[:, None] >= 0, entries, 0)
+
+
+def joint_stiffness(rods: Rods, near: NDArray[Any], far: NDArray[Any]) -> Array:
+    """Return (N,) the bend stiffness of the joint of edge j with its parent edge [N m]; 0 where it has none.
+
+    The moment there is this times the change of angle, so the strain at the surface of either edge is it times the
+    change of angle, times radius / EI.
+    """
+    shares, bend = _shares(rods, near, far), _compliances(rods)[0]
+    total = shares[0] * bend[np.where(far >= 0, near, 0)] + shares[1] * bend + np.asarray(rods.joint_compliance)
+    return np.where(far >= 0, 1 / total, 0)
+
+
+def _compliances(rods: Rods) -> tuple[Array, Array]:
+    """Return (N,) length / EI and length / GJ of every edge [rad/(N m)]; of the unused edge 0 those of edge 1."""
+    EI = np.asarray(rods.youngs) * np.pi * np.asarray(rods.edge_radius) ** 4 / 4
+    bend = np.concatenate([[1.0], rods.lengths[1:] / EI[1:]])
+    return bend, bend * np.maximum(rods.bend_over_twist, NO_TWIST)
+
+
+def _shares(rods: Rods, near: NDArray[Any], far: NDArray[Any]) -> tuple[Array, Array]:
+    """Return which shares of the parent edge and of edge j bend in the joint of edge j.
+
+    Half an edge each. But an edge that ends in a fork turns the fork's joints together, which none of them can do
+    alone: its own joint takes the whole of it, theirs none.
+    """
+    fork = np.bincount(rods.parent[1:], minlength=len(near)) > 1
+    fork &= (far >= 0) & (rods.discretisation == "consistent")
+    return np.where(fork[np.where(far >= 0, near, 0)], 0.0, 0.5), np.where(fork, 1.0, 0.5)
+
+
+def _kink(curvature: Array) -> tuple[Array, Array, Array]:
+    """Return the direction of each kink among the curvatures (N, 2), and cosine and sine of half its angle."""
+    size = np.linalg.norm(curvature, axis=1)
+    direction = np.where(size[:, None] > 0, curvature / np.maximum(size, 1e-300)[:, None], [1.0, 0.0])
+    cosine = 1 / np.sqrt(1 + size**2 / 4)
+    return direction, cosine, 0.5 * size * cosine
