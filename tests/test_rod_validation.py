@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
-from rod_cases.beam_theory import cone_frequencies, elastica, small_sag, uniform_roots
+from rod_cases.beam_theory import cone_frequencies, elastica, rayleigh_roots, small_sag, uniform_roots
 from rod_cases.motion import energy_cases, order_cases
 from rod_cases.peer_model import PeerModel, Shake
 from rod_cases.peer_references import reference, reference_cases
@@ -40,6 +40,13 @@ def test_roots_of_beams_with_a_tip_mass() -> None:
     np.testing.assert_allclose(uniform_roots(3), [1.8751041, 4.6940911, 7.8547574], rtol=1e-7)
     # a heavy tip: the stiffness 3 EI / L^3 swings the tip and 33 / 140 of the beam (Rayleigh)
     assert uniform_roots(1, 100.0)[0] == pytest.approx((3 / (100 + 33 / 140)) ** 0.25, rel=1e-5)
+
+
+def test_rotary_inertia_lowers_the_frequencies() -> None:
+    np.testing.assert_allclose(rayleigh_roots(3, 1e-5), uniform_roots(3), rtol=1e-9)
+    thin = (rayleigh_roots(1, 0.02) / uniform_roots(1))[0] ** 2
+    # Rayleigh's quotient: w^2 falls by s times the integral of w'^2 over that of w^2, 4.648 for the first mode
+    assert thin == pytest.approx(1 - 0.02**2 / 4 * 4.648 / 2, abs=1e-6)
 
 
 def test_a_row_fails_above_its_limit_or_without_a_number() -> None:

@@ -63,6 +63,30 @@ def uniform_roots(count: int, tip_mass: float = 0.0) -> Array:
     return _roots(equation, 0.3, 0.05, count)
 
 
+def rayleigh_roots(count: int, radius: float) -> Array:
+    """Return b as in `uniform_roots` for a round cantilever whose cross-sections have rotary inertia.
+
+    w'''' + s b^4 w'' - b^4 w = 0 with s = I / (A L^2); w = w' = 0 at the clamp, w'' = 0 and w''' + s b^4 w' = 0 at the
+    tip (Rayleigh 1877, The Theory of Sound, section 186). Solutions: cos, sin of p x and cosh, sinh of q x.
+
+    Args:
+        count: how many.
+        radius: over the length.
+    """
+    s = radius**2 / 4
+
+    def equation(b: float) -> float:
+        half, root = s * b**4 / 2, np.hypot(s * b**4 / 2, b * b)
+        p, q = np.sqrt(half + root), np.sqrt(root - half)
+        c, si, ch, sh = np.cos(p), np.sin(p), np.cosh(q), np.sinh(q)
+        slope = np.array([-p * si, p * c, q * sh, q * ch])
+        curvature = np.array([-p * p * c, -p * p * si, q * q * ch, q * q * sh])
+        shear = np.array([-p * p, -p * p, q * q, q * q]) * slope + 2 * half * slope
+        return float(np.linalg.det(np.array([[1, 0, 1, 0], [0, p, 0, q], curvature / ch, shear / ch])))
+
+    return _roots(equation, 0.3, 0.05, count)
+
+
 def cone_frequencies(tip_over_base: float, count: int) -> Array:
     """Return w L^2 sqrt(rho A_0 / EI_0), 0 = at the clamp, of cantilevers whose radius falls linearly to the tip.
 
