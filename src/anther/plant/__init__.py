@@ -27,7 +27,7 @@ from anther.plant.stability import least_youngs, stands, stout_radii
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +87,16 @@ class Params:
         areal_density: of a leaf blade [kg/m2]. A prior of ours; no source found.
         leaf_voxel: size of the cubes that count leaf area [m].
         blade_thickness: apparent thickness of a blade in the cloud, from depth noise [m].
+        leaf_drag: drag per leaf area [N s/m3]; 0 because the material's damping ratio has the leaves' share already.
         flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
+        flower_radius: of its mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm).
         pedicel_length, pedicel_radius: [m] (facts: 9-22 mm long, about 1 mm thick).
         pedicel_youngs: [Pa] (facts: 50-100 MPa gives the 23-33 Hz at which tomato flowers answer stem shaking best).
         pedicel_spread: standard deviation of ln of the pedicel's stiffness, ln 2 / sqrt 12 for that range [-].
         peduncle_radius: of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R]).
         pedicel_pieces: edges per pedicel.
+        pedicel_joint: extra compliance where a pedicel leaves its branch, for a soft abscission joint [rad/(N m)]; 0 as
+            no measurement was found (facts: pollination, "Not found").
         margin: least ratio of Young's modulus to the value at which the plant buckles [-].
         stiffen: raise Young's modulus to that margin, with a note, since the plant evidently stands; False refuses.
     """
@@ -102,13 +106,16 @@ class Params:
     areal_density: float = 0.25
     leaf_voxel: float = 0.006
     blade_thickness: float = 0.001
+    leaf_drag: float = 0.0
     flower_mass: float = 1e-4
+    flower_radius: float = 5e-3
     pedicel_length: float = 0.015
     pedicel_radius: float = 0.5e-3
     pedicel_youngs: float = 70e6
     pedicel_spread: float = 0.2
     peduncle_radius: float = 1.25e-3
     pedicel_pieces: int = 3
+    pedicel_joint: float = 0.0
     margin: float = 1.5
     stiffen: bool = True
 
@@ -118,13 +125,16 @@ class Params:
         check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
         check_range("leaf_voxel", self.leaf_voxel, 1e-4, 0.1, "m")
         check_range("blade_thickness", self.blade_thickness, 0, 0.05, "m")
+        check_range("leaf_drag", self.leaf_drag, 0, 1e3, "N s/m3")
         check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
+        check_range("flower_radius", self.flower_radius, 0, 0.05, "m")
         check_range("pedicel_length", self.pedicel_length, 1e-3, 0.2, "m")
         check_range("pedicel_radius", self.pedicel_radius, 1e-5, 0.02, "m")
         check_range("pedicel_youngs", self.pedicel_youngs, 1e5, 1e11, "Pa")
         check_range("pedicel_spread", self.pedicel_spread, 0, 3)
         check_range("peduncle_radius", self.peduncle_radius, 1e-5, 0.02, "m")
         check_range("pedicel_pieces", self.pedicel_pieces, 1, 50)
+        check_range("pedicel_joint", self.pedicel_joint, 0, 1e6, "rad/(N m)")
         check_range("margin", self.margin, 1, 100)
 
 
@@ -222,7 +232,7 @@ class PlantModel:
         Raises:
             InputError: missing, truncated, or not a plant model of this schema.
         """
-        stored = read_npz(path, "plant model", SCHEMA)
+        stored: dict[str, Any] = read_npz(path, "plant model", SCHEMA)
         natural = NaturalShape(**{name: stored[f"natural_{name}"] for name in _NATURAL_ARRAYS})
         return cls(
             rods=Rods(**{name: stored[name] for name in _ROD_ARRAYS}, natural=natural),
@@ -306,17 +316,22 @@ def _rods(
             voxel=params.leaf_voxel,
             thickness=params.blade_thickness,
         )
-    leaves = float(mass.sum())
+    leaves, drag, inertia = float(mass.sum()), mass * params.leaf_drag / max(params.areal_density, 1e-9), 0 * mass
     mass[stalks.tips] += params.flower_mass
+    inertia[stalks.tips] = 0.4 * params.flower_mass * params.flower_radius**2
     is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
+    parent = np.concatenate([skeleton.parent, stalks.parent])
     rods = Rods(
         nodes=np.concatenate([skeleton.nodes, stalks.nodes]),
-        parent=np.concatenate([skeleton.parent, stalks.parent]),
+        parent=parent,
         edge_radius=np.concatenate([radius, stalks.radius]),
         youngs=np.where(is_pedicel, params.pedicel_youngs, material.youngs),
         density=material.density,
         bend_over_twist=material.bend_over_twist,
+        joint_compliance=np.where(is_pedicel & ~is_pedicel[parent], params.pedicel_joint, 0),
         lumped_mass=mass,
+        lumped_inertia=inertia,
+        node_drag=drag,
     )
     stout = stout_radii(rods, margin=2 * params.margin)
     keeps = is_pedicel | np.isin(np.arange(len(mass)), stem.node_ids)
@@ -370,7 +385,10 @@ def _check(skeleton: Skeleton, stem: Stem, flowers: Flowers) -> None:
             raise bad_input(name, given=f"node {nodes.max()}", allowed=f"0 <= node < {count}", do="Same skeleton?")
 
 
-_ROD_ARRAYS = ("nodes", "parent", "edge_radius", "youngs", "density", "bend_over_twist", "lumped_mass")
+_ROD_ARRAYS = (
+    "nodes", "parent", "edge_radius", "youngs", "density", "bend_over_twist", "joint_compliance", "lumped_mass",
+    "lumped_inertia", "node_drag",
+)  # fmt: skip
 _NATURAL_ARRAYS = ("length", "curvature", "twist")
 _PLANT_ARRAYS = ("stem_nodes", "arc_length", "flower_nodes", "branch_bases", "is_pedicel")
 _MATERIAL = tuple(Material.__dataclass_fields__)
