@@ -110,7 +110,7 @@ def test_flower_resonates_on_its_pedicel_where_tomato_flowers_do() -> None:
     stiffness = EI / length**3 * np.array([[12, -6 * length], [-6 * length, 4 * length**2]])
     inertia = np.diag([p.flower_mass, 0.4 * p.flower_mass * p.flower_radius**2])
     square = np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real.min()
-    assert lowest == pytest.approx(np.sqrt(square) / (2 * np.pi), rel=0.08)
+    assert lowest == pytest.approx(np.sqrt(square) / (2 * np.pi), rel=0.1)
     assert np.all((lowest > 20) & (lowest < 35))
 
 
