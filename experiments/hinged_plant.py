@@ -15,9 +15,7 @@ complex 3-vector. Amplitude is its length; phase is the argument of the product 
 amplitude_error compares equal meshes. converged_amplitude_error first corrects each code's phasor by the
 discretisation error of that code's own small-vibration response on that mesh (converged value: hinges, Richardson's
 second-order extrapolation from 40 and 80 edges per 0.5 m; rods, a + b h + c h^2 through 80, 160 and 320). The hinges'
-phasors are corrected for MuJoCo's time step as well, by the same means (pieces.py, Linear.response). What then remains
-is mostly the rotary inertia of the cross-section, which the pieces have and the rods have not: it slows a wave of
-number k by (k r)^2 / 8 and matters beside a resonance.
+phasors are corrected for MuJoCo's time step as well, by the same means (pieces.py, Linear.response).
 
 Keys of the --json file: <case>_<f>hz_amplitude_error and _phase_error_deg (converged, worst tip), the same with _<n>
 for equal meshes of n edges per 0.5 m, _resonance_hz (natural frequency nearest to the shake, grip held),

@@ -42,7 +42,8 @@ import matplotlib.pyplot as plt
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
-NO_TWIST = 1e-3
+NO_TWIST = 0.0
+"""EI/GJ of rods that cannot twist."""
 RATIOS = (1.5, SOFTEST)
 """EI/GJ: a round bar of constant volume; dicot petioles (facts: pollination 2)."""
 OCTAVE = 2.0 ** np.linspace(-0.5, 0.5, 9)
@@ -80,11 +81,8 @@ def hanging(plant: Plant, ratio: float) -> Rods:
 
 def amplitudes(plant: Plant, rods: Rods, hertz: Array) -> Array:
     """Return the flowers' amplitudes per grip amplitude, (Q, G, D, F)."""
-    clamp, out = Clamp.root(rods), []
-    for f in hertz:
-        damped = replace(rods, viscous_time=plant.damping_ratio / (np.pi * f))
-        out.append(semi_major(response_map(damped, clamp, plant.grips, AXES, [f], observe=plant.flowers)[0]))
-    return np.array(out)
+    clamp, loss = Clamp.root(plant.rods), 2 * plant.damping_ratio
+    return semi_major(response_map(rods, clamp, plant.grips, AXES, hertz, observe=plant.flowers, loss_factor=loss))
 
 
 def answer(plant: Plant) -> Answer:
@@ -190,7 +188,9 @@ def _head(answers: list[Answer]) -> Iterator[str]:
     yield "# May twist be left out?\n\nMade by `python experiments/twist.py`; do not edit.\n"
     yield "The paper's rods do not twist (P20). This changes a flower's amplitude by (median, and 90th percentile):\n"
     for ratio in RATIOS:
-        parts = [f"{_percent(answers, ratio, b, 0.5)} ({_percent(answers, ratio, b, 0.9)}) at {b}" for b in BANDS]
+        parts = [
+            f"{band}: {_percent(answers, ratio, band, 0.5)} ({_percent(answers, ratio, band, 0.9)})" for band in BANDS
+        ]
         yield f"- against EI/GJ = {ratio:g}: {', '.join(parts)}."
     yield f"\nLess than 10 % for the median flower: {_listed(typical)}. For nine flowers in ten: {_listed(most)}.\n"
     yield "Change = amplitude of a flower without twist over that with it, minus one, without its sign; over all"
