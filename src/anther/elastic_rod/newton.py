@@ -144,7 +144,7 @@ def _evaluate(model: Model, old: State, new: State, start: Any, turn: Any, rate:
 
 @compiled
 def implicit_step(
-    model: Model, free: Any, old: State, work: Work, h: float, conserve: bool, tolerance: float, most: int
+    model: Model, free: Any, old: State, work: Work, h: float, midpoint: bool, tolerance: float, most: int
 ) -> Any:
     """Solve one implicit Euler step of length h [s] from `old` for work.mid.
 
@@ -155,7 +155,7 @@ def implicit_step(
         old: the state before.
         work: scratch; on success its blocks.gradient holds the forces that the held unknowns need.
         h: [s].
-        conserve: for a midpoint step: average the stretch force over the whole step, so that it creates no energy.
+        midpoint: whether this is the first half of a midpoint step: the stretch force is then that of the whole step.
         tolerance: accepted norm of the residual force [N].
         most: Newton iterations allowed.
 
@@ -166,7 +166,7 @@ def implicit_step(
     g, parent, before, share, halved = blocks.gradient, model.parent, math.inf, 1.0, 0
     residual, largest = math.inf, math.inf
     for iteration in range(1, most + 1):
-        if conserve:
+        if midpoint:
             _evaluate(model, old, new, old.x, turn, 1 / h, blocks)
         else:
             _evaluate(model, old, new, new.x, turn, 1 / h, blocks)

@@ -318,7 +318,8 @@ def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) 
     The elastic force is EA (1/l - 1/r) f with r the length of f. In a midpoint step, f is the edge at its middle and r
     the mean of the lengths at its start and end: then the force does exactly the work by which the stretch energy
     changes (a discrete gradient: Simo & Tarnow 1992, Gonzalez 1996). Without that, stretching waves too fast for the
-    step gain energy. The Hessian is made symmetric, which is exact where the edge does not turn.
+    step gain energy. Of the Hessian, EA / r^2 f (f_end / |f_end|)^T is taken along f only, which keeps it symmetric;
+    what is left out lets an error across the edge cause one along it, but not the reverse, so Newton hardly notices.
     """
     EA, natural, lag = get(buffer, lanes.STRETCH, i), get(buffer, lanes.LENGTH, i), get(buffer, lanes.VISCOUS, i)
     start = get3(buffer, lanes.START_J, i)
@@ -329,10 +330,8 @@ def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) 
     force = combine(EA * (1 / natural - per_r), f, viscous, b.tf)
     across = EA * (1 / natural - per_r) + viscous * b.per_f
     along = EA * lag * rate / natural - viscous * b.per_f
-    hessian = _sum(
-        _both(scale(EA * per_r * per_r, f), scale(0.5 * per_end, end)), _both(b.tf, scale(0.5 * along, b.tf))
-    )
-    return force, _plus_identity(across, hessian)
+    along += EA * per_r * per_r * per_end * dot(f, end)
+    return force, _plus_identity(across, _both(b.tf, scale(0.5 * along, b.tf)))
 
 
 @compiled
