@@ -62,6 +62,8 @@ def violent_cases(quick: bool) -> Findings:
     try:
         periods, share, detail = energy_balance(1e-3, duration)
         finer = [energy_balance(dt, duration)[2] for dt in ([] if quick else [2.5e-4, 1.25e-4])]
+        if finer:
+            finer.append("for the energy taken in, undamped, use dt 0.25 ms or less")
     except StageFailure as failure:
         return Findings([Row("violent_shake", what, np.nan, 0.02, "%", str(failure))])
     row = Row("violent_shake", what, float(np.abs(share).max()), 0.02, "%", "; ".join([detail, *finer]))
