@@ -135,6 +135,27 @@ def simulate(
         StageFailure: kind "no_convergence", with the time and the residual, when a step cannot be solved even after
             splitting, or when no stable equilibrium exists.
     """
+    run = prepare(
+        rods, clamp, drive, duration, dt, gravity, integrator, start, tolerance, record_every, newton_limit, predictor
+    )
+    return run.trajectory()
+
+
+def prepare(
+    rods: Rods,
+    clamp: Clamp,
+    drive: Motion | None,
+    duration: float,
+    dt: float,
+    gravity: ArrayLike,
+    integrator: str,
+    start: str,
+    tolerance: float,
+    record_every: int,
+    newton_limit: int = 30,
+    predictor: str = "inertia",
+) -> Run:
+    """Return a simulation ready to be stepped; arguments and errors as of `simulate`."""
     steps = _check_steps(duration, dt, record_every)
     if integrator not in ("midpoint", "implicit_euler"):
         raise bad_input("integrator", given=integrator, allowed="midpoint or implicit_euler", do="Check the spelling.")
@@ -147,10 +168,10 @@ def simulate(
     else:
         state = new_state(rods.nodes, frames)
     settings = Settings(dt, integrator == "midpoint", float(predictor == "inertia"), tolerance, newton_limit, True)
-    run = _Run(model, free, state, drive, settings)
+    run = Run(model, free, state, drive, settings, steps, record_every)
     if predictor == "guess displacement":
         run.guess = _guess_shares(rods.parent, run.nodes)
-    return run.trajectory(steps, record_every)
+    return run
 
 
 def _guess_shares(parent: Any, grip: Any) -> Array:
@@ -174,12 +195,15 @@ def _check_steps(duration: float, dt: float, record_every: int) -> int:
     return steps // record_every * record_every
 
 
-class _Run:
+class Run:
     """One simulation: the constants, the moving state, and the splitting of steps that do not converge."""
 
-    def __init__(self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings) -> None:
+    def __init__(
+        self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings, steps: int, every: int
+    ) -> None:
         n, frames = len(state.x), state.frames
         self.model, self.free, self.state, self.drive, self.settings = model, free, state, drive, settings
+        self.steps, self.every = steps, every
         self.nodes = np.array(() if drive is None else drive.nodes, dtype=np.int64)
         self.edges = gripped_edges(model.parent, tuple(self.nodes.tolist()))
         self.home, self.director = state.x[self.nodes].copy(), frames.m1[self.edges].copy()
@@ -188,13 +212,13 @@ class _Run:
         self.work = Work(mid, end, np.zeros(n), np.zeros((n, 4)), new_blocks(n), np.zeros(3))
         stored, total = energies(model, state)
         self.work.energy[:] = total, stored, 0
+        self.first_x, self.first_energy = state.x.copy(), total
         self.iterations = self.splits = 0
 
-    def trajectory(self, steps: int, every: int) -> Trajectory:
-        rows, n, dt = steps // every, len(self.state.x), self.settings.dt
-        out = _output(rows, n)
-        first_x, first_energy = self.state.x.copy(), self.work.energy[0]
-        grip = self._grip(np.arange(steps + 1, dtype=np.float64) * dt)
+    def trajectory(self) -> Trajectory:
+        """Take all steps."""
+        steps, every, dt = self.steps, self.every, self.settings.dt
+        out, grip = new_output(steps // every, len(self.state.x)), self.grip(self.step_times())
         done, residual = self._advance(grip, self.settings, 0, steps, every, out)
         while done < steps:
             self._split(done * dt, dt, residual, HALVINGS)
@@ -202,10 +226,22 @@ class _Run:
             if done % every == 0:
                 record(self.model, grip, self.state, self.work, out, done // every - 1)
             done, residual = self._advance(grip, self.settings, done, steps, every, out)
+        return self.recorded(out)
+
+    def step_times(self) -> Array:
+        """Return (S + 1,) the ends of the steps [s]."""
+        return np.arange(self.steps + 1, dtype=np.float64) * self.settings.dt
+
+    def recorded(self, out: Output) -> Trajectory:
+        """Return what was recorded, after the start.
+
+        Raises:
+            StageFailure: kind "no_convergence": the energy grows by itself.
+        """
         trajectory = Trajectory(
-            times=np.arange(rows + 1, dtype=np.float64) * every * dt,
-            positions=np.concatenate([first_x[None], out.x]),
-            energy=np.concatenate([[first_energy], out.energy]),
+            times=self.step_times()[:: self.every],
+            positions=np.concatenate([self.first_x[None], out.x]),
+            energy=np.concatenate([[self.first_energy], out.energy]),
             grip_force=np.concatenate([np.zeros((1, 3)), out.force]),
             grip_moment=np.concatenate([np.zeros((1, 3)), out.moment]),
             work=np.concatenate([[0.0], out.work]),
@@ -226,12 +262,13 @@ class _Run:
             )
         half = self.settings._replace(dt=dt / 2, balance=halvings > HALVINGS - BALANCED)
         for start in (t0, t0 + dt / 2):
-            grip = self._grip(np.array([start, start + dt / 2]))
-            done, residual = self._advance(grip, half, 0, 1, 0, _output(0, 0))
+            grip = self.grip(np.array([start, start + dt / 2]))
+            done, residual = self._advance(grip, half, 0, 1, 0, new_output(0, 0))
             if done == 0:
                 self._split(start, dt / 2, residual, halvings - 1)
 
-    def _grip(self, times: Array) -> Grip:
+    def grip(self, times: Array) -> Grip:
+        """Return what the gripper prescribes at (S + 1,) times [s]."""
         if self.drive is None:
             nothing = np.zeros((len(times), 0, 3))
             return Grip(self.nodes, self.edges, nothing, nothing, self.guess)
@@ -250,7 +287,8 @@ class _Run:
         return done, residual
 
 
-def _output(rows: int, n: int) -> Output:
+def new_output(rows: int, n: int) -> Output:
+    """Return empty rows for the records of N nodes."""
     return Output(np.zeros((rows, n, 3)), np.zeros(rows), np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros(rows))
 
 
