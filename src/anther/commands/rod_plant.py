@@ -15,7 +15,8 @@ from anther.elastic_rod import Clamp, Rods, least_stiffness, stands, with_gravit
 from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile, read_skeleton
 from anther.geometry import Array
-from anther.plant import PlantModel
+from anther.identification import read_material
+from anther.plant import Material, PlantModel
 from anther.runs import FILES
 
 YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
@@ -34,6 +35,8 @@ class PlantOptions:
     """Radius of every edge [m]. By default the radii in the file."""
     least_radius: float = 0.0
     """No edge is thinner than this [m]: a scan shows twigs and midribs thinner than they are."""
+    material: Path | None = None
+    """What `anther identify` measured (material.json): its values stand in for options that are not given."""
     youngs: float | None = None
     """Young's modulus [Pa]. By default 100e6, or that of the run; pedicels of a run keep their own."""
     density: float | None = None
@@ -106,11 +109,18 @@ def read_plant(options: PlantOptions) -> RodPlant:
         check_range("damping_ratio", options.damping_ratio, 0, 10)
     check_range("least_radius", options.least_radius, 0, 1, "m")
     check_range("pads", options.pads, 0, 1, "m")
+    if options.material is not None:
+        options = _with_material(options, read_material(options.material))
     plant = _of_run(options) if options.skeleton.is_dir() else _of_skeleton(options)
-    drag: dict[str, Any] = {"air_drag": options.air_drag, "node_drag": options.node_drag}
-    rods = replace(plant.rods, discretisation=options.discretisation, **drag)
+    drag = np.asarray(plant.rods.node_drag) + options.node_drag
+    rods = replace(plant.rods, discretisation=options.discretisation, air_drag=options.air_drag, node_drag=drag)
     clamp = Clamp.root(rods) if options.clamp_below is None else Clamp.below(rods, options.clamp_below)
     return replace(plant, rods=rods, clamp=clamp)
+
+
+def _with_material(options: PlantOptions, material: Material) -> PlantOptions:
+    names = ("youngs", "density", "bend_over_twist", "damping_ratio")
+    return replace(options, **{name: _given(getattr(options, name), getattr(material, name)) for name in names})
 
 
 def _of_skeleton(options: PlantOptions) -> RodPlant:

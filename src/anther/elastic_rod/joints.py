@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from anther.elastic_rod.rods import Array, Rods
 
-NO_TWIST = 1e-3
+NO_TWIST = 1e-2
 """EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
 
 
