@@ -88,6 +88,11 @@ def test_without_a_gpu_the_error_says_what_to_install() -> None:
         simulate_many(alike(), device="cuda")
 
 
+def test_other_devices_are_refused() -> None:
+    with pytest.raises(InputError, match="device: got gpu; allowed: cpu or cuda"):
+        simulate_many(alike(), device="gpu")  # type: ignore[arg-type]
+
+
 @pytest.mark.skipif(not gpu_here(), reason="needs an NVIDIA GPU and anther[cuda]")
 def test_gpu_agrees_with_the_cpu() -> None:
     scenarios = (alike() + mixed()) * 20

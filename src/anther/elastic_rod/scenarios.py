@@ -62,6 +62,8 @@ def simulate_many(
     Raises:
         InputError: arguments out of range in any scenario, or no GPU.
     """
+    if device not in ("cpu", "cuda"):
+        raise bad_input("device", given=device, allowed="cpu or cuda", do="Check the spelling.")
     count = os.cpu_count() or 1 if workers is None else workers
     check_range("workers", count, 1, 4096)
     check_range("memory", memory, 1e6, 1e13, "bytes")
