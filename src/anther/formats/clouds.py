@@ -34,9 +34,24 @@ def read_cloud(path: Path | str, units: Units | None = None, up: Axis | None = N
     path = existing(path)
     raw = _read(path, plant)
     units, up = units or raw.units or "m", up or raw.up or "z"
+    upright = np.ascontiguousarray(raw.points[:, _TO_Z_UP[up]]) * _METRES[units]
+    return checked_cloud(path, RawPoints(upright, raw.colors), units)
+
+
+def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
+    """Return points that are in metres with z up as a cloud, without the few that may be broken.
+
+    Args:
+        path: where they come from, for messages.
+        raw: the points [m] and colours.
+        units: how they were scaled, for messages.
+
+    Raises:
+        InputError: too few points, more than 5 % broken points, or a size no plant has.
+    """
     finite = np.asarray(np.isfinite(raw.points).all(axis=1))
     _check_enough(path, finite)
-    points = np.ascontiguousarray(raw.points[finite][:, _TO_Z_UP[up]]) * _METRES[units]
+    points = raw.points[finite]
     _check_size(path, points, units)
     broken = int((~finite).sum())
     notes = (f"{path.name}: {broken} of {len(finite)} points were NaN or infinite and dropped",) if broken else ()
@@ -86,5 +101,5 @@ def _check_size(path: Path, points: np.ndarray, units: str) -> None:
             str(path),
             given=f"a plant of {size:g} m (read in {units})",
             allowed=f"{_SMALLEST:g} <= size <= {_LARGEST:g} m",
-            do=f"Wrong units? Try --units {other}.",
+            do=f"Wrong units? Try --units {other}." if units in _METRES else "Wrong scale?",
         )

@@ -100,13 +100,13 @@ def read_npz_points(path: Path, plant: int) -> RawPoints:
 
 
 def read_pcd(path: Path) -> RawPoints:
-    """Read a PCD (ASCII or binary) with fields x, y, z and, optionally, rgb."""
+    """Read a PCD (ASCII, binary or binary_compressed) with fields x, y, z and, optionally, rgb."""
     content = path.read_bytes()
     header, body = _pcd_header(path, content)
     try:
         record = _pcd_record(header)
         count, kind = int(header["POINTS"][0]), header["DATA"][0]
-        rows = _pcd_ascii(body, record, count) if kind == "ascii" else np.frombuffer(body, record, count)
+        rows = _PCD_BODIES[kind](body, record, count)
     except (KeyError, ValueError, IndexError) as error:
         raise _unreadable(path, error, "a PCD with as many points as its header says") from error
     missing = {"x", "y", "z"} - set(record.names or ())
@@ -139,9 +139,9 @@ def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes
         at = end + 1
         if words and not words[0].startswith("#"):
             header[words[0]] = words[1:]
-    if header["DATA"] not in (["ascii"], ["binary"]):
+    if " ".join(header["DATA"]) not in _PCD_BODIES:
         raise bad_input(
-            str(path), given=f"DATA {' '.join(header['DATA'])}", allowed="ascii or binary", do="Save it uncompressed."
+            str(path), given=f"DATA {' '.join(header['DATA'])}", allowed=", ".join(_PCD_BODIES), do="Save it anew."
         )
     return header, content[at:]
 
@@ -172,6 +172,62 @@ def _pcd_ascii(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
         out[name] = values
         column += width
     return out
+
+
+def _pcd_compressed(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
+    """Decompress PCL's layout: sizes (two uint32), then LZF of all x, all y, ... one field after another."""
+    packed, size = (int(n) for n in np.frombuffer(body, "<u4", 2))
+    if size != record.itemsize * count or len(body) < 8 + packed:
+        raise ValueError(f"{size} bytes announced for {count} points of {record.itemsize}, {len(body) - 8} there")
+    data = lzf_decompress(body[8 : 8 + packed], size)
+    out, at = np.zeros(count, record), 0
+    for name in record.names or ():
+        field = record[name]
+        out[name] = np.frombuffer(data, field.base, count * (field.itemsize // field.base.itemsize), at).reshape(
+            count, *field.shape
+        )
+        at += field.itemsize * count
+    return out
+
+
+def lzf_decompress(data: bytes, size: int) -> bytes:
+    """Return the `size` bytes that LZF (M. Lehmann's LibLZF, as PCL uses it) packed into `data`.
+
+    A control byte below 32 is followed by that many literals plus one; else its upper three bits (and, where they are
+    7, the next byte) give a length less 2, its lower five and the next byte how far back to copy from, less 1.
+
+    Raises:
+        ValueError: the data is damaged.
+    """
+    out, at = bytearray(), 0
+    while at < len(data):
+        control = data[at]
+        at += 1
+        if control < 32:
+            out += data[at : at + control + 1]
+            at += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length += data[at]
+            at += 1
+        start = len(out) - ((control & 31) << 8) - data[at] - 1
+        at += 1
+        if start < 0 or len(out) > size:
+            raise ValueError("damaged LZF data")
+        piece = out[start : start + length + 2]
+        repeats = -(-(length + 2) // len(piece)) if piece else 0  # it may reach into what it writes: then it repeats
+        out += (piece * repeats)[: length + 2]
+    if len(out) != size:
+        raise ValueError(f"damaged LZF data: {len(out)} of {size} bytes")
+    return bytes(out)
+
+
+def _pcd_binary(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
+    return np.frombuffer(body, record, count)
+
+
+_PCD_BODIES = {"ascii": _pcd_ascii, "binary": _pcd_binary, "binary_compressed": _pcd_compressed}
 
 
 def _packed_rgb(values: NDArray[Any]) -> NDArray[Any]:

@@ -1,0 +1,70 @@
+"""A run's skeleton, or a skeleton file -> PLY, SWC, GraphML, MTG, glTF, text or npz, for other programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from anther.errors import bad_input
+from anther.files import existing
+from anther.formats.skeletons import WRITES, read_skeleton, write_skeleton
+from anther.runs import FILES
+from anther.skeleton import Skeleton
+from anther.stem import STEM, Stem
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: what to export and where to."""
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """Run folder, or a skeleton file (.npz .swc .ply .graphml .mtg .txt)."""
+    out: Path
+    """File to write; its suffix chooses the format: .ply .swc .graphml .mtg .glb .txt .npz."""
+    radius: float | None = None
+    """Radius of every node [m], for a file that has none (.txt), or instead of the file's."""
+
+
+def run(args: Args) -> None:
+    """Read, write, and say what was written.
+
+    Raises:
+        InputError: the source has no skeleton, cannot be read, or the suffix is unknown.
+    """
+    if args.out.suffix.lower() not in WRITES:
+        raise bad_input("out", given=str(args.out), allowed=" ".join(WRITES), do="Choose one of these suffixes.")
+    skeleton, labels = labelled_skeleton(args.source, args.radius)
+    write_skeleton(args.out, skeleton, labels)
+    organs = f"; {labels.count('stem')} stem nodes" if labels is not None else "; organs not told apart"
+    print(f"{args.out}: {len(skeleton.nodes)} nodes{organs}")
+
+
+def labelled_skeleton(source: Path, radius: float | None = None) -> tuple[Skeleton, list[str] | None]:
+    """Return (skeleton, "stem" or "branch" a node, or None where nothing tells) of a run folder or skeleton file.
+
+    Args:
+        source: a run folder or a skeleton file.
+        radius: replaces a file's radii [m].
+
+    Raises:
+        InputError: no skeleton there, or one that cannot be read.
+    """
+    source = existing(source)
+    if not source.is_dir():
+        file = read_skeleton(source)
+        return file.skeleton(radius), None if file.labels is None else list(file.labels)
+    if not (source / FILES["skeleton"]).exists():
+        raise bad_input(
+            str(source),
+            given=f"a folder without {FILES['skeleton']}",
+            allowed="a run folder whose skeleton was made, or a skeleton file",
+            do="`anther reconstruct` and `anther trial` fill run folders.",
+        )
+    skeleton = Skeleton.load(source / FILES["skeleton"])
+    if not (source / FILES["stem"]).exists():
+        return skeleton, None
+    organ = Stem.load(source / FILES["stem"]).organ
+    return skeleton, ["stem" if kind == STEM else "branch" for kind in organ]

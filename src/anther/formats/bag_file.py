@@ -1,0 +1,171 @@
+"""Open a ROS 1 bag (also RealSense's .bag), a ROS 2 bag folder or an MCAP file, whichever it is, in one way.
+
+Needs the extra `anther[bags]`: rosbags reads bags and decodes messages, mcap reads MCAP files. Message types are the
+standard ones of ROS; definitions that a bag carries are not needed, which RealSense's own types would only spoil.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from anther.errors import InputError, MissingExtra, bad_input
+from anther.files import existing
+
+INSTALL = "pip install 'anther[bags]'"
+_TFMESSAGE = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """One message as recorded.
+
+    Attributes:
+        topic: its topic.
+        kind: its type, e.g. "sensor_msgs/msg/Image".
+        stamp: time in its header, or when it was recorded if it has none or zero [s].
+        index: how many messages of its topic came before it.
+        data: the serialised message.
+        ros1: whether it is serialised as ROS 1 does, else CDR.
+    """
+
+    topic: str
+    kind: str
+    stamp: float
+    index: int
+    data: bytes
+    ros1: bool
+
+
+class BagFile:
+    """A bag of any kind, open for reading. Use it as a context manager.
+
+    Args:
+        path: a .bag, an .mcap, or a folder with metadata.yaml (ROS 2).
+
+    Attributes:
+        path: as given.
+        topics: topic -> message type ("package/msg/Name").
+
+    Raises:
+        MissingExtra: rosbags or mcap is not installed.
+        InputError: missing, unreadable, or no bag.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = existing(path)
+        try:
+            import mcap  # noqa: F401, PLC0415
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
+        except ImportError as error:
+            raise MissingExtra(f"{path}: bags need rosbags and mcap. Install them with: {INSTALL}") from error
+        self._stores = {True: get_typestore(Stores.ROS1_NOETIC), False: get_typestore(Stores.ROS2_HUMBLE)}
+        for name in _TFMESSAGE:
+            self._stores[True].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+        self._stack = ExitStack()
+        self._reader: Any = None
+        self.topics: dict[str, str] = {}
+
+    def __enter__(self) -> BagFile:
+        try:
+            if self.path.suffix == ".mcap":
+                self._open_mcap()
+            else:
+                self._open_rosbag()
+        except InputError:
+            raise
+        except Exception as error:  # each reader raises errors of its own
+            raise self._unreadable(error) from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def messages(self, topics: set[str]) -> Iterator[Recorded]:
+        """Yield the messages of some topics in the order they were recorded.
+
+        Raises:
+            InputError: the bag is damaged.
+        """
+        counts = dict.fromkeys(topics, 0)
+        try:
+            for topic, kind, time, data, ros1 in self._raw(topics):
+                yield Recorded(topic, kind, _stamp(kind, data, time, ros1), counts[topic], data, ros1)
+                counts[topic] += 1
+        except InputError:
+            raise
+        except Exception as error:
+            raise self._unreadable(error) from error
+
+    def decode(self, message: Recorded) -> Any:
+        """Return a message as an object with the fields of its ROS type.
+
+        Raises:
+            InputError: the type is not a standard one, or the data does not fit it.
+        """
+        store = self._stores[message.ros1]
+        try:
+            if message.ros1:
+                return store.deserialize_ros1(message.data, message.kind)
+            return store.deserialize_cdr(message.data, message.kind)
+        except Exception as error:
+            raise self._unreadable(error) from error
+
+    def _open_rosbag(self) -> None:
+        from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
+        from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
+
+        if self.path.suffix != ".bag" and not (self.path / "metadata.yaml").is_file():
+            allowed = ".bag, .mcap, or a ROS 2 bag folder with metadata.yaml"
+            raise bad_input(str(self.path), given="no bag", allowed=allowed, do="Name the bag itself.")
+        self._reader = self._stack.enter_context((Reader1 if self.path.suffix == ".bag" else Reader2)(self.path))
+        self.topics = {c.topic: _full(c.msgtype) for c in self._reader.connections}
+
+    def _open_mcap(self) -> None:
+        from mcap.reader import make_reader  # noqa: PLC0415
+
+        self._reader = make_reader(self._stack.enter_context(self.path.open("rb")), validate_crcs=True)
+        summary = self._reader.get_summary()
+        if summary is None:
+            raise ValueError("no summary: it was not closed")
+        for channel in summary.channels.values():
+            if channel.message_encoding in ("ros1", "cdr") and channel.schema_id in summary.schemas:
+                self.topics[channel.topic] = _full(summary.schemas[channel.schema_id].name)
+
+    def _raw(self, topics: set[str]) -> Iterator[tuple[str, str, int, bytes, bool]]:
+        if self.path.suffix == ".mcap":
+            for schema, channel, message in self._reader.iter_messages(topics=sorted(topics)):
+                ros1 = channel.message_encoding == "ros1"
+                yield channel.topic, _full(schema.name), message.log_time, message.data, ros1
+            return
+        ros1 = self.path.suffix == ".bag"
+        connections = [c for c in self._reader.connections if c.topic in topics]
+        for connection, time, data in self._reader.messages(connections=connections) if connections else ():
+            yield connection.topic, _full(connection.msgtype), time, bytes(data), ros1
+
+    def _unreadable(self, error: Exception) -> InputError:
+        do = "Is it truncated, or not closed? `rosbag reindex` or `mcap recover` may repair it."
+        return bad_input(str(self.path), given=f"unreadable ({error})", allowed="a whole bag", do=do)
+
+
+def _full(kind: str) -> str:
+    return kind if "/msg/" in kind else kind.replace("/", "/msg/", 1)
+
+
+def _stamp(kind: str, data: bytes, time: int, ros1: bool) -> float:
+    """Return the header's stamp [s]: it begins at byte 4, after seq (ROS 1) or after CDR's own four bytes."""
+    if kind.rpartition("/")[2] not in _WITH_HEADER or len(data) < 12:
+        return time * 1e-9
+    order = "<" if ros1 or data[1] else ">"
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", data, 4)
+    return (seconds + nanoseconds * 1e-9) or time * 1e-9
+
+
+_WITH_HEADER = {"Image", "CompressedImage", "CameraInfo", "PoseStamped", "TransformStamped"}

@@ -1,0 +1,253 @@
+"""Views from a bag: RealSense .bag, ROS 1 .bag, ROS 2 folder or .mcap -> a `Capture`. V views.
+
+Depth frames lead; colour and pose are the ones nearest in time, within a stated tolerance. Depth that is not aligned to
+colour is laid over it (`bag_images.laid_over`). Topics are found by their names and types unless they are given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther.capture import Capture
+from anther.checks import check_range
+from anther.errors import bad_input
+from anther.formats.bag_file import BagFile, Recorded
+from anther.formats.bag_images import BagCamera, camera_of, colour_image, depth_image, laid_over
+from anther.formats.bag_poses import (
+    FrameTree,
+    PoseSeries,
+    Where,
+    nearest,
+    pose_matrix,
+    read_trajectory,
+    sorted_series,
+)
+from anther.formats.bag_topics import Topics, find_topics
+from anther.geometry import Array, inverse, transform_from_pose7
+
+_SAME_CAMERA = 1e-3  # relative difference of intrinsics that counts as one camera
+
+
+@dataclass(frozen=True, slots=True)
+class BagOptions:
+    """What is taken from a bag.
+
+    Attributes:
+        color_topic, depth_topic: images; None: found by name.
+        pose_topic: geometry_msgs/PoseStamped or TransformStamped; None: the only one there is, else tf.
+        poses: a trajectory file (time x y z qx qy qz qw) instead: RealSense's own bags hold no poses.
+        camera_frame: the camera's optical frame in tf; None: the one its camera info names.
+        world_frame: the world's frame in tf; None: the root of the camera's tree.
+        camera_in_pose: 7-number pose of the camera's optical frame in the frame whose poses are given (hand-eye
+            calibration, when they are the flange's); None: they are the camera's.
+        tolerance: largest difference of stamps between depth, colour and pose [s].
+        views: at most so many, evenly spread over the matched ones.
+    """
+
+    color_topic: str | None = None
+    depth_topic: str | None = None
+    pose_topic: str | None = None
+    poses: Path | None = None
+    camera_frame: str | None = None
+    world_frame: str | None = None
+    camera_in_pose: tuple[float, float, float, float, float, float, float] | None = None
+    tolerance: float = 0.02
+    views: int = 30
+
+    def __post_init__(self) -> None:
+        check_range("tolerance", self.tolerance, 0, 10, "s")
+        check_range("views", self.views, 1, 10_000)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BagViews:
+    """The views taken from a bag.
+
+    Attributes:
+        capture: the views.
+        stamps: (V,) time of each depth frame [s].
+        notes: what was left out and why.
+    """
+
+    capture: Capture
+    stamps: Array
+    notes: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class _Contents:
+    """What the first pass over a bag collects: stamps of the images and every small message."""
+
+    color: list[float] = field(default_factory=list)
+    depth: list[float] = field(default_factory=list)
+    infos: dict[str, BagCamera] = field(default_factory=dict)
+    poses: list[tuple[float, Array]] = field(default_factory=list)
+    frames: FrameTree = field(default_factory=FrameTree)
+    extrinsics: dict[str, Array] = field(default_factory=dict)
+    unit: float = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    depth: int
+    color: int
+    time: float
+    T_world_cam: Array
+
+
+def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
+    """Return the views in a bag.
+
+    Args:
+        path: a .bag (ROS 1, RealSense), an .mcap, or a ROS 2 bag folder.
+        options: see `BagOptions`.
+
+    Raises:
+        MissingExtra: rosbags or mcap is not installed.
+        InputError: no bag, damaged, a topic is missing or ambiguous, no poses, nothing within the tolerance, or images
+            that cannot be used.
+    """
+    options = options or BagOptions()
+    with BagFile(path) as bag:
+        topics = find_topics(bag, options.color_topic, options.depth_topic, options.pose_topic)
+        held = _first_pass(bag, topics)
+        camera, depth_camera, T_color_depth = _cameras(str(path), topics, held)
+        views, notes = _matched(str(path), held, _where(str(path), topics, held, options, camera.frame), options)
+        images = _images(bag, topics, held.unit, views)
+    depth = [depth_camera.straighten(image, nearest=True) for image, _ in images]
+    if T_color_depth is not None:
+        depth = [laid_over(d, depth_camera.intrinsics, camera.intrinsics, T_color_depth) for d in depth]
+    capture = Capture(
+        depth=np.stack(depth),
+        intrinsics=camera.intrinsics,
+        T_world_cam=np.stack([view.T_world_cam for view in views]),
+        rgb=np.stack([camera.straighten(image, nearest=False) for _, image in images]),
+    )
+    return BagViews(capture, np.array([view.time for view in views]), notes)
+
+
+def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
+    held = _Contents()
+    for message in bag.messages(topics.all()):
+        if message.topic == topics.color:
+            held.color.append(message.stamp)
+        elif message.topic == topics.depth:
+            held.depth.append(message.stamp)
+        else:
+            _keep(held, message, bag, topics)
+    return held
+
+
+def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> None:
+    value: Any = bag.decode(message)
+    match message.kind.rpartition("/")[2]:
+        case "CameraInfo":
+            held.infos.setdefault(message.topic, camera_of(message.topic, value))
+        case "PoseStamped":
+            held.poses.append((message.stamp, pose_matrix(value.pose.position, value.pose.orientation)))
+        case "TransformStamped":
+            held.poses.append((message.stamp, pose_matrix(value.transform.translation, value.transform.rotation)))
+        case "Transform":
+            held.extrinsics[message.topic] = pose_matrix(value.translation, value.rotation)
+        case "Float32":
+            held.unit = float(value.data)
+        case _:
+            held.frames.add(value.transforms, static=message.topic.endswith("static"))
+
+
+def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, BagCamera, Array | None]:
+    """Return the colour camera, the depth camera, and T_color_depth where depth is not aligned (else None)."""
+    color = held.infos.get(topics.color_info)
+    if color is None:
+        raise bad_input(path, given=f"nothing on {topics.color_info}", allowed="a CameraInfo", do="Record it as well.")
+    depth = held.infos.get(topics.depth_info, color)
+    a, b = color.intrinsics, depth.intrinsics
+    same = (a.width, a.height) == (b.width, b.height) and np.allclose(a.matrix, b.matrix, rtol=_SAME_CAMERA)
+    ends = [held.extrinsics.get(topic) for topic in (topics.color_extrinsics, topics.depth_extrinsics)]
+    if ends[0] is not None and ends[1] is not None:
+        T_color_depth = ends[0] @ inverse(ends[1])
+    elif color.frame == depth.frame:
+        T_color_depth = np.eye(4)
+    else:
+        T_color_depth = held.frames.between(color.frame, depth.frame)
+    if T_color_depth is None:
+        raise bad_input(
+            path,
+            given=f"depth in frame '{depth.frame}', colour in '{color.frame}', and no fixed transform between them",
+            allowed="depth aligned to colour, or tf_static or RealSense extrinsics that join them",
+            do="Record aligned_depth_to_color (realsense2_camera: align_depth.enable:=true) or /tf_static.",
+        )
+    return color, depth, None if same and np.allclose(T_color_depth, np.eye(4), atol=1e-5) else T_color_depth
+
+
+def _where(path: str, topics: Topics, held: _Contents, options: BagOptions, frame: str) -> Where:
+    """Return what tells the camera's pose at a time."""
+    camera = np.eye(4) if options.camera_in_pose is None else transform_from_pose7(options.camera_in_pose)
+    if options.poses is not None:
+        series: PoseSeries | None = read_trajectory(options.poses)
+    else:
+        series = sorted_series(held.poses) if held.poses else None
+    if series is None and not held.frames.parent:
+        raise bad_input(
+            path,
+            given="no poses",
+            allowed="a topic of geometry_msgs/PoseStamped or TransformStamped, /tf, or a trajectory file",
+            do="Record one, or give --poses FILE with rows: time x y z qx qy qz qw (camera in world).",
+        )
+    where = held.frames.lookup(options.camera_frame or frame, options.world_frame) if series is None else series.at
+
+    def camera_at(time: float) -> tuple[Array, float]:
+        T, off = where(time)
+        return T @ camera, off
+
+    return camera_at
+
+
+def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> tuple[list[_View], tuple[str, ...]]:
+    """Return the views whose colour and pose are near enough in time, and notes on the others."""
+    if not held.color or not held.depth:
+        given = f"{len(held.color)} colour and {len(held.depth)} depth frames"
+        raise bad_input(path, given=given, allowed="some of both", do="Was the recording stopped early?")
+    order = np.argsort(held.color, kind="stable")
+    stamps = np.array(held.color)[order]
+    views, gaps = [], []
+    for i, time in enumerate(held.depth):
+        k = nearest(stamps, time)
+        T, pose_off = where(time)
+        gap = (abs(float(stamps[k]) - time), pose_off)
+        gaps.append(gap)
+        if max(gap) <= options.tolerance:
+            views.append(_View(i, int(order[k]), time, T))
+    if not views:
+        color, pose = (min(column) for column in zip(*gaps, strict=True))
+        raise bad_input(
+            path,
+            given=f"no depth frame with both near in time (nearest colour {color:.4g} s, nearest pose {pose:.4g} s)",
+            allowed=f"within {options.tolerance:g} s",
+            do="Raise --tolerance, or check that all clocks are one (RealSense's own stamps are not ROS time).",
+        )
+    lost = len(gaps) - len(views)
+    notes = [f"{lost} of {len(gaps)} depth frames had no colour or pose within {options.tolerance:g} s"] if lost else []
+    if len(views) > options.views:
+        notes.append(f"{options.views} of {len(views)} matched views taken, evenly spread")
+        views = [views[k] for k in np.round(np.linspace(0, len(views) - 1, options.views)).astype(int)]
+    return views, tuple(notes)
+
+
+def _images(bag: BagFile, topics: Topics, unit: float, views: list[_View]) -> list[tuple[Any, Any]]:
+    """Return (depth [m], RGB) of every view, in a second pass that decodes only these."""
+    wanted = {topics.depth: {v.depth for v in views}, topics.color: {v.color for v in views}}
+    found: dict[tuple[str, int], Any] = {}
+    for message in bag.messages({topics.depth, topics.color}):
+        if message.index in wanted[message.topic]:
+            image = bag.decode(message)
+            found[message.topic, message.index] = (
+                depth_image(message.topic, image, unit)
+                if message.topic == topics.depth
+                else colour_image(message.topic, image)
+            )
+    return [(found[topics.depth, view.depth], found[topics.color, view.color]) for view in views]

@@ -1,0 +1,162 @@
+"""Views and clouds from COLMAP: a dense workspace becomes a `Capture`, a fused PLY or sparse points a `Cloud`.
+
+COLMAP knows neither scale nor up: the user tells them (`upright.scale_and_up`). The world's origin stays the model's.
+V views, N points.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.capture import PIXEL_CENTRE, Capture
+from anther.cloud import Cloud
+from anther.errors import bad_input
+from anther.files import existing
+from anther.formats.clouds import checked_cloud
+from anther.formats.colmap_model import (
+    ColmapCamera,
+    ColmapImage,
+    read_cameras,
+    read_depth_map,
+    read_images,
+    read_points,
+)
+from anther.formats.points import RawPoints, read_ply
+from anther.formats.upright import scale_and_up
+from anther.geometry import Array, Intrinsics
+
+DEPTH_MAPS = ("geometric", "photometric")
+"""Kinds of depth map, the better first."""
+
+_ALIKE = 1e-6  # relative difference of focal lengths and principal points that counts as one camera
+
+
+def read_colmap_capture(folder: Path | str, scale: float | None = None, up: str | None = None) -> Capture:
+    """Return the views of a COLMAP dense workspace, in metres with z up.
+
+    The workspace is what `colmap image_undistorter` and `patch_match_stereo` leave: sparse/ (cameras, images),
+    images/, stereo/depth_maps/NAME.geometric.bin. Images without depth map are left out.
+
+    Args:
+        folder: the workspace.
+        scale: metres per model unit.
+        up: the direction that points up in the model, e.g. "-y" or "0.1,-0.9,0.3".
+
+    Raises:
+        InputError: scale or up is missing; a file is missing or unreadable; several cameras, lens distortion, depth
+            maps of another size than the camera; or no depth maps.
+    """
+    folder = existing(folder)
+    scale, R_world_model = scale_and_up(folder, scale, up)
+    model = _model_folder(folder)
+    maps = {image.name: _depth_path(folder, image.name) for image in read_images(model)}
+    images = [image for image in read_images(model) if maps[image.name] is not None]
+    if not images:
+        raise bad_input(
+            str(folder / "stereo/depth_maps"),
+            given=f"a depth map for none of {len(maps)} images",
+            allowed="NAME.geometric.bin or NAME.photometric.bin",
+            do="Run `colmap patch_match_stereo`, or import the fused PLY as a cloud.",
+        )
+    intrinsics = _intrinsics(read_cameras(model), images)
+    depth = np.stack([_depth(maps[image.name], intrinsics, scale) for image in images])
+    rgb = [_colour(folder / "images" / image.name, intrinsics) for image in images]
+    return Capture(
+        depth=depth,
+        intrinsics=intrinsics,
+        T_world_cam=_upright(np.stack([image.T_world_cam for image in images]), scale, R_world_model),
+        rgb=np.stack(rgb),
+    )
+
+
+def read_colmap_cloud(path: Path | str, scale: float | None = None, up: str | None = None) -> Cloud:
+    """Return a fused PLY, or a model folder's sparse points, as a cloud in metres with z up.
+
+    Args:
+        path: a .ply (`colmap stereo_fusion`), or a folder with points3D.bin or .txt.
+        scale: metres per model unit.
+        up: the direction that points up in the model.
+
+    Raises:
+        InputError: scale or up is missing, the file is unreadable, has too few points, or a size no plant has.
+    """
+    path = existing(path)
+    scale, R_world_model = scale_and_up(path, scale, up)
+    raw = RawPoints(*read_points(_model_folder(path))) if path.is_dir() else read_ply(path)
+    return checked_cloud(path, RawPoints(raw.points @ R_world_model.T * scale, raw.colors), f"scale {scale:g}")
+
+
+def _model_folder(folder: Path) -> Path:
+    for candidate in (folder, folder / "sparse", folder / "sparse/0"):
+        if any((candidate / f"cameras{suffix}").exists() for suffix in (".bin", ".txt")):
+            return candidate
+    raise bad_input(
+        str(folder),
+        given="no cameras.bin or cameras.txt in it, in sparse or in sparse/0",
+        allowed="a COLMAP workspace or model folder",
+        do="Name the folder that holds sparse/.",
+    )
+
+
+def _depth_path(folder: Path, name: str) -> Path | None:
+    paths = (folder / "stereo/depth_maps" / f"{name}.{kind}.bin" for kind in DEPTH_MAPS)
+    return next((path for path in paths if path.exists()), None)
+
+
+def _intrinsics(cameras: dict[int, ColmapCamera], images: list[ColmapImage]) -> Intrinsics:
+    lost = [image for image in images if image.camera not in cameras]
+    if lost:
+        raise bad_input(
+            "COLMAP images",
+            given=f"camera {lost[0].camera} of {lost[0].name}",
+            allowed=f"ids {sorted(cameras)}",
+            do="Are cameras and images of one model?",
+        )
+    used = [cameras[number] for number in sorted({image.camera for image in images})]
+    first = used[0].pinhole()
+    for other in used[1:]:
+        same_size = (other.width, other.height) == (used[0].width, used[0].height)
+        if not same_size or not np.allclose(other.pinhole(), first, rtol=_ALIKE, atol=0):
+            raise bad_input(
+                "COLMAP cameras",
+                given=f"{len(used)} different cameras",
+                allowed="one camera for all views",
+                do="Reconstruct with `--ImageReader.single_camera 1`, or import each camera's views on their own.",
+            )
+    fx, fy, cx, cy = first
+    return Intrinsics(used[0].width, used[0].height, fx, fy, cx - PIXEL_CENTRE, cy - PIXEL_CENTRE)
+
+
+def _depth(path: Path | None, intrinsics: Intrinsics, scale: float) -> NDArray[np.float32]:
+    assert path is not None
+    depth = read_depth_map(path)
+    if depth.shape != (intrinsics.height, intrinsics.width):
+        raise bad_input(
+            str(path),
+            given=f"{depth.shape[1]} x {depth.shape[0]} px",
+            allowed=f"{intrinsics.width} x {intrinsics.height} px, the camera's size",
+            do="Undistort with --max_image_size N and match with the same --PatchMatchStereo.max_image_size.",
+        )
+    return np.where(np.isfinite(depth) & (depth > 0), depth * np.float32(scale), np.float32(0))
+
+
+def _colour(path: Path, intrinsics: Intrinsics) -> NDArray[Any]:
+    image = cv2.imread(str(existing(path)), cv2.IMREAD_COLOR)
+    if image is None or image.shape[:2] != (intrinsics.height, intrinsics.width):
+        given = "no image" if image is None else f"{image.shape[1]} x {image.shape[0]} px"
+        raise bad_input(
+            str(path), given=given, allowed=f"{intrinsics.width} x {intrinsics.height} px", do="Is it undistorted?"
+        )
+    return image[..., ::-1]
+
+
+def _upright(poses: Array, scale: float, R_world_model: Array) -> Array:
+    out = poses.copy()
+    out[:, :3, :3] = R_world_model @ poses[:, :3, :3]
+    out[:, :3, 3] = scale * poses[:, :3, 3] @ R_world_model.T
+    return out
