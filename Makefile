@@ -28,10 +28,13 @@ sync: $(DEV)  ## only the environment
 bench: $(DEV)  ## speed
 	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
 
-docs: $(DEV)  ## measure again what docs/results.md shows (about 15 minutes)
+docs: $(DEV)  ## measure again what docs/ shows (about 45 minutes)
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/trials.py
-	$(BIN)/python tools/record.py benchmarks/rods.py
+	$(BIN)/python tools/record.py experiments/hinged_plant.py
+	$(BIN)/python tools/record.py experiments/rod_validation.py
+	$(BIN)/python tools/record.py experiments/twist.py
+	$(BIN)/python tools/record.py benchmarks/rods.py --page docs/rod_speed.md
 	$(BIN)/python tools/draw_readme.py runs/trials/tomato-2-0 docs/pictures/trial.png
 
 lock: $(DEV)  ## show what is installed, to renew the lock files from

@@ -64,7 +64,7 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
 def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> NaturalShape:
     w11, w12, w22, w13, w23, w33 = np.where(model.far[:, None] >= 0, model.joint, [1.0, 0, 1, 0, 0, 1]).T
     stiffness = np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
-    strain = np.linalg.solve(stiffness, moments[:, :, None])[:, :, 0]
+    strain: Array = np.linalg.solve(stiffness, moments[:, :, None])[:, :, 0].astype(np.float64)
     stretch = np.divide(tension, model.stretch, out=np.zeros_like(tension), where=model.stretch > 0)
     if np.any(stretch <= -0.5):
         raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
