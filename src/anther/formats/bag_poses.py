@@ -140,9 +140,9 @@ def read_trajectory(path: Path | str) -> PoseSeries:
         rows = np.loadtxt(path, ndmin=2)
     except (ValueError, UnicodeDecodeError) as error:
         raise bad_input(str(path), given=f"unreadable ({error})", allowed=_ROWS, do="Is it a trajectory?") from error
-    rows = check_array(f"{path} (rows of {_ROWS})", rows, (None, 8))
-    if not len(rows):
+    if not rows.size:
         raise bad_input(str(path), given="no rows", allowed=f"rows of {_ROWS}", do="Is it truncated?")
+    rows = check_array(f"{path} (rows of {_ROWS})", rows, (None, 8))
     return sorted_series([(float(row[0]), transform_from_pose7(row[1:])) for row in rows])
 
 
