@@ -14,6 +14,7 @@ COMMANDS = {
     "shake": "shake a skeleton with the elastic-rod model; print the flower's motion",
     "respond": "map how flowers answer shakes of a skeleton or run, over grip height and frequency",
     "identify": "bench measurements of a stem -> density, stiffness, damping, with uncertainty",
+    "calibrate": "images of a board and flange poses -> where the camera sits on the flange, and how well it is known",
     "view": "open a run in the 3-D viewer, or write it to one HTML file",
     "convert-kinect": "Kinect turntable frames -> a capture folder",
 }
@@ -72,6 +73,8 @@ def _module(name: str) -> ModuleType:
             from anther.commands import respond as command
         case "identify":
             from anther.commands import identify as command
+        case "calibrate":
+            from anther.commands import calibrate as command
         case "view":
             from anther.commands import view as command
         case _:

@@ -1,0 +1,230 @@
+"""Hand-eye calibration: board views and flange poses give where the camera sits on the flange. V views.
+
+AX = XB by a closed-form solver (Tsai and Lenz 1989, as in paper row P1) on the views that agree, then a nonlinear
+refinement of camera and board pose together on reprojection errors, without outlying views.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+
+from anther.calibration.boards import Board, CharucoBoard, Chessboard, parse_board
+from anther.calibration.closed_form import (
+    METHODS,
+    Method,
+    closed_form,
+    disagreement,
+    predicted_board,
+    robust_estimate,
+)
+from anther.calibration.hand_eye import HandEye, MethodError
+from anther.calibration.leave_one_out import compare, left_out_errors
+from anther.calibration.motions import check_motions, motion_warnings
+from anther.calibration.refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
+from anther.calibration.views import (
+    BoardCorners,
+    BoardViews,
+    board_views,
+    detect_board,
+    estimate_intrinsics,
+    find_corners,
+    largest_distortion,
+    undistorted,
+)
+from anther.checks import check_range, check_transform
+from anther.errors import bad_input
+from anther.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
+
+__all__ = [
+    "Board",
+    "BoardCorners",
+    "BoardViews",
+    "CharucoBoard",
+    "Chessboard",
+    "HandEye",
+    "Method",
+    "MethodError",
+    "Params",
+    "board_views",
+    "calibrate",
+    "detect_board",
+    "estimate_intrinsics",
+    "find_corners",
+    "largest_distortion",
+    "parse_board",
+    "undistorted",
+]
+
+FEW_FOR_NOISE = 6
+"""With fewer views the arm's errors are taken from `Params`, not from the data."""
+HOPELESS = float(np.deg2rad(4)), 0.04
+"""Half of the views disagree by more than one of these [rad], [m]: the poses do not belong to the images."""
+ROUNDS = 8
+"""After so many rounds the outliers stay what they are, should they still change."""
+LOOSE = 0.002
+"""Standard error of the camera's place from which on the views are called too poor [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How the hand-eye transform is found.
+
+    Attributes:
+        method: closed-form solver of the first estimate.
+        refine: whether to refine it by least squares.
+        rotation_sigma, translation_sigma: error of the arm in one view [rad], [m]. With six views or more they are
+            only where to begin, and estimated.
+        outlier: views less likely than this many standard deviations of a normal distribution are left out.
+        least_turn: the flange must turn about two different axes by at least this [rad].
+    """
+
+    method: Method = "tsai"
+    refine: bool = True
+    rotation_sigma: float = float(np.deg2rad(0.1))
+    translation_sigma: float = 0.001
+    outlier: float = 4.0
+    least_turn: float = float(np.deg2rad(3))
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise bad_input("hand-eye method", given=self.method, allowed=", ".join(METHODS), do="Choose one of these.")
+        check_range("rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
+        check_range("translation sigma", self.translation_sigma, 1e-6, 1, "m")
+        check_range("outlier threshold", self.outlier, 1, 8)
+        check_range("least turn", self.least_turn, 1e-3, 1, "rad")
+
+
+def calibrate(
+    T_base_flange: Any,
+    views: BoardViews,
+    intrinsics: Intrinsics,
+    params: Params | None = None,
+    *,
+    images: tuple[str, ...] | None = None,
+    distortion: Array | None = None,
+) -> HandEye:
+    """Return the hand-eye transform from views of a board that stands still.
+
+    Args:
+        T_base_flange: (V, 4, 4) flange poses of the views, V >= 3.
+        views: of the board from them (`detect_board`).
+        intrinsics: of the camera.
+        params: see `Params`.
+        images: names of the views, for messages and the result; by default their numbers.
+        distortion: (5,) of the lens, already taken out of `views`; only recorded.
+
+    Raises:
+        InputError: fewer than three views, motions that do not determine the transform, or poses that do not belong
+            to the images.
+    """
+    params = params or Params()
+    board = check_transform("T_cam_board", views.T_cam_board, len(views.images))
+    flange = check_transform("T_base_flange", T_base_flange, len(board))
+    names = images or tuple(str(number) for number in views.images)
+    check_motions(flange, params.least_turn)
+    centre = np.concatenate(views.corners.points).mean(axis=0)
+    sigmas = params.rotation_sigma, params.translation_sigma
+    X, Z, misfit = robust_estimate(flange, board, centre, sigmas, params.method)
+    _refuse_strangers(flange, board, centre, X, Z, params)
+    used = misfit <= 5 * max(float(np.median(misfit)), 1.0)
+    problem = Problem.of(flange, views, intrinsics)
+    fit, noise, used = _without_outliers(problem, X, Z, used, pixel_noise(views), params)
+    if not params.refine:
+        X, Z = closed_form(flange[used], board[used], params.method)
+        fit = Fit(X, Z, fit.covariance)
+    turn, shift = disagreement(predicted_board(flange, fit.T_flange_cam, fit.T_base_board), board, centre)
+    left_out = left_out_errors(problem, board, centre, fit, noise, used, None if params.refine else params.method)
+    spread = np.sqrt([np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1] for i in (0, 3)])
+    return HandEye(
+        T_flange_cam=fit.T_flange_cam,
+        T_base_board=fit.T_base_board,
+        intrinsics=intrinsics,
+        distortion=np.zeros(5) if distortion is None else distortion,
+        images=names,
+        used=used,
+        pixel_residuals=problem.pixel_rms(fit.T_flange_cam, fit.T_base_board),
+        rotation_residuals=turn,
+        translation_residuals=shift,
+        left_out_errors=left_out,
+        rotation_error=float(spread[0]),
+        translation_error=float(spread[1]),
+        pixel_noise=noise.pixel,
+        arm_rotation_error=noise.rotation,
+        arm_translation_error=noise.translation,
+        methods=compare(problem, board, centre, fit, noise, used, left_out),
+        method=f"{params.method}{' + nonlinear refinement' if params.refine else ''}",
+        notes=_notes(flange, used, names, float(spread[1])),
+    )
+
+
+def _without_outliers(
+    problem: Problem, X: Array, Z: Array, used: NDArray[Any], own_noise: Array, params: Params
+) -> tuple[Fit, Noise, NDArray[Any]]:
+    """Refine, estimate the noise and judge all views by it, until the same views stay."""
+    flange = problem.T_base_flange
+    pixel = float(np.median(own_noise))
+    noise = Noise(pixel, params.rotation_sigma, params.translation_sigma)
+    limit = float(np.sqrt(chi2.isf(2 * norm.sf(params.outlier), 6)))
+    rounds = 0
+    while True:
+        check_motions(flange[used], params.least_turn)
+        fit = refine(problem, X, Z, noise, used)
+        if used.sum() >= FEW_FOR_NOISE:
+            noise = estimate_noise(problem, fit, pixel, used)
+            fit = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, used)
+        distances = view_distances(problem, fit, noise, own_noise)
+        scale = max(float(np.median(distances[used])) / np.sqrt(chi2.median(6)), 1.0)
+        kept, rounds = distances <= limit * scale, rounds + 1
+        if np.array_equal(kept, used) or rounds == ROUNDS:
+            return fit, noise, used
+        used, X, Z = kept, fit.T_flange_cam, fit.T_base_board
+
+
+def _notes(flange: Array, used: NDArray[Any], names: tuple[str, ...], spread: float) -> tuple[str, ...]:
+    notes = list(motion_warnings(flange[used]))
+    if not used.all():
+        left = ", ".join(name for name, kept in zip(names, used, strict=True) if not kept)
+        notes.append(f"left out as outliers: views {left}")
+    if (~used).sum() > len(used) / 3:
+        notes.append("more than a third of the views are outliers: check that poses and images belong together")
+    if spread > LOOSE:
+        notes.append(f"the views leave the camera's place open by {1e3 * spread:.1f} mm: take more, tilted more")
+    return tuple(notes)
+
+
+def _refuse_strangers(flange: Array, board: Array, centre: Array, X: Array, Z: Array, params: Params) -> None:
+    """Refuse poses that no hand-eye transform explains, and say which mix-up of conventions would explain them."""
+    if not _hopeless(flange, board, centre, X, Z):
+        return
+    first = np.stack([pose7(T) for T in flange])[:, [0, 1, 2, 4, 5, 6, 3]]
+    guesses = {
+        "They look like T_flange_base: invert them.": inverse(flange),
+        "Their quaternions look like w x y z: write x y z w.": np.stack([transform_from_pose7(p) for p in first]),
+    }
+    advice = "Check that image names, poses and units (m, quaternion x y z w) belong together."
+    for text, other in guesses.items():
+        X, Z, _ = robust_estimate(other, board, centre, (params.rotation_sigma, params.translation_sigma), "park")
+        if not _hopeless(other, board, centre, X, Z):
+            advice = text
+    turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
+    raise bad_input(
+        "flange poses",
+        given=f"poses from which half of the views disagree about the board ({_half(np.rad2deg(turn)):.0f} deg, "
+        f"{_half(1e3 * shift):.0f} mm)",
+        allowed="T_base_flange of a flange with the camera on it, the board standing still",
+        do=advice,
+    )
+
+
+def _half(values: Array) -> float:
+    return float(np.median(values))
+
+
+def _hopeless(flange: Array, board: Array, centre: Array, X: Array, Z: Array) -> bool:
+    turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
+    return _half(turn) > HOPELESS[0] or _half(shift) > HOPELESS[1]

@@ -1,0 +1,231 @@
+"""Images of a board and the flange's poses -> where the camera sits on the flange, and how far that can be trusted."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther.calibration import HandEye, Params
+from anther.errors import InputError, bad_input
+from anther.geometry import Array, Intrinsics
+
+SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
+BENT = 0.3
+"""Distortion from which on the other commands need undistorted images [px]."""
+COVERED = 0.4
+"""Share of the image that corners should cover where intrinsics are estimated [-]."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: images, poses, board. docs/calibration.md has the file formats and how to take the images."""
+
+    images: Path
+    """Folder with the images of the board, one per flange pose."""
+    poses: Path
+    """Flange poses T_base_flange, CSV (image, x, y, z, qx, qy, qz, qw) or JSON {image: [7 numbers]}; metres."""
+    board: str
+    """charuco:7x5:30mm:22mm (squares, their edge, the markers'; then perhaps :DICT_4X4_50), or chessboard:9x6:25mm
+    (inner corners)."""
+    intrinsics: Path | None = None
+    """JSON with width, height, fx, fy, cx, cy, perhaps k1 k2 p1 p2 k3; or a transforms.json or calibration.json. By
+    default intrinsics.json in the images' folder."""
+    estimate_intrinsics: bool = False
+    """Estimate the intrinsics from the same images."""
+    out: Path = Path()
+    """Folder for calibration.json and calibration.png."""
+    json: bool = False
+    """Print the result as JSON."""
+    params: Params = field(default_factory=Params)
+    """Parameters of the solution."""
+
+
+def run(args: Args) -> None:
+    """Find the corners, calibrate, print and write the result.
+
+    Raises:
+        InputError: a bad file or option, or views that do not determine the result.
+    """
+    from anther import calibration
+    from anther.calibration.pose_file import read_poses
+    from anther.files import replacing
+    from anther.pictures.calibration import draw_calibration
+
+    board = calibration.parse_board(args.board)
+    poses = read_poses(args.poses)
+    given = _given_intrinsics(args)
+    names, notes = _names(args.images, poses)
+    corners, size = _find(args.images, names, board)
+    intrinsics, distortion = given or calibration.estimate_intrinsics(corners, *size)
+    if (intrinsics.width, intrinsics.height) != size:
+        raise bad_input(
+            "intrinsics",
+            given=f"{intrinsics.width} x {intrinsics.height} px",
+            allowed=f"{size[0]} x {size[1]} px, as the images",
+            do="Give those of this resolution.",
+        )
+    views = calibration.board_views(calibration.undistorted(corners, intrinsics, distortion), intrinsics)
+    seen = tuple(names[number] for number in views.images)
+    notes += [f"no board found in {', '.join(n for n in names if n not in seen)}"] if len(seen) < len(names) else []
+    flange = np.stack([poses[name] for name in seen])
+    found = calibration.calibrate(flange, views, intrinsics, args.params, images=seen, distortion=distortion)
+    notes += [*found.notes, *_camera_notes(args, views, intrinsics, distortion)]
+    found.save(args.out / "calibration.json")
+    with replacing(args.out / "calibration.png") as temporary:
+        draw_calibration(found, views, flange).savefig(temporary, dpi=110)
+    if args.json:
+        print(json.dumps(json.loads((args.out / "calibration.json").read_text()) | {"notes": notes}, indent=2))
+    else:
+        _print(found, notes, args)
+
+
+def _given_intrinsics(args: Args) -> tuple[Intrinsics, Array] | None:
+    """Return None where they are to be estimated."""
+    from anther.calibration.pose_file import read_intrinsics
+
+    if args.estimate_intrinsics:
+        if args.intrinsics is not None:
+            raise InputError("intrinsics: give --intrinsics or --estimate-intrinsics, not both.")
+        return None
+    beside = args.images / "intrinsics.json"
+    if args.intrinsics is None and not beside.exists():
+        raise bad_input(
+            "intrinsics",
+            given=f"none, and no {beside}",
+            allowed="--intrinsics FILE, or --estimate-intrinsics",
+            do="Prefer the camera's own.",
+        )
+    return read_intrinsics(args.intrinsics or beside)
+
+
+def _names(folder: Path, poses: dict[str, Array]) -> tuple[list[str], list[str]]:
+    """Return the images that have poses, and notes."""
+    from anther.files import existing
+
+    if not existing(folder).is_dir():
+        raise bad_input(f"{folder}", given="a file", allowed="a folder of images", do="Give the folder.")
+    there = {path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
+    missing = sorted(set(poses) - there)
+    if missing:
+        raise bad_input(
+            "images",
+            given=f"poses for {', '.join(missing[:5])}{' ...' if len(missing) > 5 else ''}, which {folder} lacks",
+            allowed="an image for each pose, by file name",
+            do="Copy them there, or correct the names.",
+        )
+    spare = sorted(there - set(poses))
+    return sorted(poses), [f"no pose for {', '.join(spare)}: not used"] if spare else []
+
+
+def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, int]]:
+    """Return the corners and the images' size, read one at a time."""
+    import cv2
+    from rich.console import Console
+    from rich.progress import track
+
+    from anther.calibration import find_corners
+
+    sizes: dict[tuple[int, int], str] = {}
+
+    def read(name: str) -> Any:
+        image = cv2.imdecode(np.fromfile(folder / name, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+        if image is None:
+            raise bad_input(
+                str(folder / name), given="no readable image", allowed="PNG, JPEG, TIFF", do="Save it again."
+            )
+        sizes.setdefault((image.shape[1], image.shape[0]), name)
+        if len(sizes) > 1:
+            text = ", ".join(f"{w} x {h} ({first})" for (w, h), first in sizes.items())
+            raise bad_input("images", given=f"sizes {text}", allowed="one size", do="Keep one camera's images.")
+        return image
+
+    console = Console(stderr=True)
+    shown = track(names, "corners", console=console, transient=True, disable=not console.is_terminal)
+    return find_corners((read(name) for name in shown), board), next(iter(sizes))
+
+
+def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Array) -> list[str]:
+    from anther.calibration import largest_distortion
+    from anther.pictures.calibration import image_coverage
+
+    notes, bend = [], largest_distortion(intrinsics, distortion)
+    covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)
+    if bend > BENT:
+        notes.append(f"the lens bends the image's border by {bend:.1f} px: undistort images before anther reconstruct")
+    if args.estimate_intrinsics and covered < COVERED:
+        notes.append(f"the corners cover {covered:.0%} of the image: move the board into its corners too")
+    return notes
+
+
+def _print(found: HandEye, notes: list[str], args: Args) -> None:
+    from rich.console import Console
+
+    from anther.geometry import pose7
+
+    console = Console(highlight=False)
+    console.print(_view_table(found))
+    console.print(_method_table(found))
+    pose = " ".join(f"{number:.6f}" for number in pose7(found.T_flange_cam))
+    camera = found.intrinsics
+    console.print(f"T_flange_cam  {pose}   (x y z [m] qx qy qz qw)", markup=False, soft_wrap=True)
+    console.print(
+        f"standard error, worst direction: {np.rad2deg(found.rotation_error):.3f} deg, "
+        f"{1e3 * found.translation_error:.2f} mm",
+        soft_wrap=True,
+    )
+    console.print(
+        f"corners found to {found.pixel_noise:.2f} px; the arm's poses err by "
+        f"{np.rad2deg(found.arm_rotation_error):.2f} deg, {1e3 * found.arm_translation_error:.1f} mm per axis",
+        soft_wrap=True,
+    )
+    source = "estimated" if args.estimate_intrinsics else "given"
+    console.print(
+        f"camera ({source}): {camera.width} x {camera.height} px, f {camera.fx:.2f} {camera.fy:.2f}, "
+        f"c {camera.cx:.2f} {camera.cy:.2f}, distortion {' '.join(f'{k:.4g}' for k in found.distortion)}",
+        soft_wrap=True,
+    )
+    for note in notes:
+        console.print(f"warning: {note}", markup=False, soft_wrap=True)
+    console.print(f"written: {args.out / 'calibration.json'}, {args.out / 'calibration.png'}", soft_wrap=True)
+
+
+def _view_table(found: HandEye) -> Any:
+    from rich.table import Table
+
+    table = Table(title="views: how far the board is from where it is expected")
+    table.add_column("image", overflow="fold")
+    for name in ("px", "deg", "mm", "px, left out", "deg", "mm", ""):
+        table.add_column(name, justify="right")
+    for i, name in enumerate(found.images):
+        own = found.pixel_residuals[i], found.rotation_residuals[i], found.translation_residuals[i]
+        outlier = "" if found.used[i] else "outlier"
+        table.add_row(
+            name, *_cells(own), *_cells(found.left_out_errors[i]), outlier, style="" if not outlier else "red"
+        )
+    return table
+
+
+def _method_table(found: HandEye) -> Any:
+    from rich.table import Table
+
+    table = Table(title="methods: apart from the result, and RMS error of a view left out")
+    for name in ("method", "apart deg", "mm", "RMS px", "px, left out", "deg", "mm"):
+        table.add_column(name, justify="left" if name == "method" else "right")
+    for row in found.methods:
+        name = row.name if row.name != "result" else "refined" if "refine" in found.method else "chosen"
+        apart = f"{np.rad2deg(row.rotation_apart):.3f}", f"{1e3 * row.translation_apart:.2f}"
+        left_out = row.left_out_pixel, row.left_out_rotation, row.left_out_translation
+        table.add_row(name, *apart, f"{row.pixel_rms:.2f}", *_cells(left_out))
+    return table
+
+
+def _cells(errors: Any) -> list[str]:
+    """Return an error in px, rad, m as text in px, deg, mm."""
+    pixel, turn, shift = (float(number) for number in errors)
+    if np.isnan(pixel):
+        return ["-", "-", "-"]
+    return [f"{pixel:.2f}", f"{np.rad2deg(turn):.3f}", f"{1e3 * shift:.2f}"]
