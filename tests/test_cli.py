@@ -55,7 +55,12 @@ def test_unknown_command(capfd) -> None:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_unknown_option(capfd, name) -> None:
-    required = {"trial": [], "shake": ["a", "--grip", 1, "--flower", 2], "convert-kinect": ["a", "b"]}.get(name, ["a"])
+    required = {
+        "trial": [],
+        "shake": ["a", "--grip", 1, "--flower", 2],
+        "convert-kinect": ["a", "b"],
+        "import-capture": ["a", "b"],
+    }.get(name, ["a"])
     required += ["--units", "m", "--up", "z"] if name == "skeletonize" else []
     assert "--frobnicate" in refused(capfd, name, *required, "--frobnicate", 3)
 

@@ -16,6 +16,8 @@ COMMANDS = {
     "identify": "bench measurements of a stem -> density, stiffness, damping, with uncertainty",
     "calibrate": "images of a board and flange poses -> where the camera sits on the flange, and how well it is known",
     "view": "open a run in the 3-D viewer, or write it to one HTML file",
+    "export": "a run's skeleton -> PLY, SWC, GraphML, MTG (OpenAlea) or glTF, by the file's suffix",
+    "import-capture": "COLMAP, RealSense or ROS bags, MCAP -> a capture folder; fused PLY -> a cloud",
     "convert-kinect": "Kinect turntable frames -> a capture folder",
 }
 
@@ -77,6 +79,10 @@ def _module(name: str) -> ModuleType:
             from anther.commands import calibrate as command
         case "view":
             from anther.commands import view as command
+        case "export":
+            from anther.commands import export as command
+        case "import-capture":
+            from anther.commands import import_capture as command
         case _:
             from anther.commands import convert_kinect as command
     return command
