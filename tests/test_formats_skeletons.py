@@ -297,6 +297,17 @@ def test_export_from_file_to_file_keeps_the_organs(tmp_path: Path) -> None:
     assert labels.count("stem") == 21
 
 
+def test_export_finds_the_stem_when_asked(tmp_path: Path, capsys) -> None:
+    straight_plant(tmp_path)
+    (tmp_path / FILES["stem"]).unlink()
+    for source in (str(tmp_path), str(tmp_path / FILES["skeleton"])):
+        words = ["export", source, "--out", str(tmp_path / "a.swc")]
+        assert main(words) == 0
+        assert "organs not told apart" in capsys.readouterr().out
+        assert main([*words, "--find-stem"]) == 0
+        assert "21 stem nodes" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("source", "out", "message"),
     [

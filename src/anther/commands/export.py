@@ -13,7 +13,7 @@ from anther.files import existing
 from anther.formats.skeletons import WRITES, read_skeleton, write_skeleton
 from anther.runs import FILES
 from anther.skeleton import Skeleton
-from anther.stem import STEM, Stem
+from anther.stem import STEM, Stem, find_stem
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,8 @@ class Args:
     """File to write; its suffix chooses the format: .ply .swc .graphml .mtg .glb .txt .npz."""
     radius: float | None = None
     """Radius of every node [m], for a file that has none (.txt), or instead of the file's."""
+    find_stem: bool = False
+    """Find the main stem anew, to label nodes stem or branch, instead of taking the source's labels."""
 
 
 def run(args: Args) -> None:
@@ -33,21 +35,29 @@ def run(args: Args) -> None:
 
     Raises:
         InputError: the source has no skeleton, cannot be read, or the suffix is unknown.
+        StageFailure: a stem was asked for and there is none.
     """
     if args.out.suffix.lower() not in WRITES:
         raise bad_input("out", given=str(args.out), allowed=" ".join(WRITES), do="Choose one of these suffixes.")
-    skeleton, labels = labelled_skeleton(args.source, args.radius)
+    skeleton, labels = labelled_skeleton(args.source, args.radius, new_stem=args.find_stem)
     write_skeleton(args.out, skeleton, labels)
-    organs = f"; {labels.count('stem')} stem nodes" if labels is not None else "; organs not told apart"
+    organs = (
+        f"; {labels.count('stem')} stem nodes"
+        if labels is not None
+        else "; organs not told apart (--find-stem does it)"
+    )
     print(f"{args.out}: {len(skeleton.nodes)} nodes{organs}")
 
 
-def labelled_skeleton(source: Path, radius: float | None = None) -> tuple[Skeleton, list[str] | None]:
+def labelled_skeleton(
+    source: Path, radius: float | None = None, *, new_stem: bool = False
+) -> tuple[Skeleton, list[str] | None]:
     """Return (skeleton, "stem" or "branch" a node, or None where nothing tells) of a run folder or skeleton file.
 
     Args:
         source: a run folder or a skeleton file.
         radius: replaces a file's radii [m].
+        new_stem: find the main stem instead of taking the labels that are there.
 
     Raises:
         InputError: no skeleton there, or one that cannot be read.
@@ -55,7 +65,8 @@ def labelled_skeleton(source: Path, radius: float | None = None) -> tuple[Skelet
     source = existing(source)
     if not source.is_dir():
         file = read_skeleton(source)
-        return file.skeleton(radius), None if file.labels is None else list(file.labels)
+        skeleton, labels = file.skeleton(radius), None if file.labels is None else list(file.labels)
+        return skeleton, _organs(find_stem(skeleton)) if new_stem else labels
     if not (source / FILES["skeleton"]).exists():
         raise bad_input(
             str(source),
@@ -64,7 +75,11 @@ def labelled_skeleton(source: Path, radius: float | None = None) -> tuple[Skelet
             do="`anther reconstruct` and `anther trial` fill run folders.",
         )
     skeleton = Skeleton.load(source / FILES["skeleton"])
-    if not (source / FILES["stem"]).exists():
-        return skeleton, None
-    organ = Stem.load(source / FILES["stem"]).organ
-    return skeleton, ["stem" if kind == STEM else "branch" for kind in organ]
+    if new_stem:
+        return skeleton, _organs(find_stem(skeleton))
+    there = (source / FILES["stem"]).exists()
+    return skeleton, _organs(Stem.load(source / FILES["stem"])) if there else None
+
+
+def _organs(stem: Stem) -> list[str]:
+    return ["stem" if kind == STEM else "branch" for kind in stem.organ]
