@@ -105,6 +105,7 @@ def calibrate(
     intrinsics: Intrinsics,
     params: Params | None = None,
     *,
+    free_intrinsics: bool = False,
     images: tuple[str, ...] | None = None,
     distortion: Array | None = None,
 ) -> HandEye:
@@ -115,6 +116,8 @@ def calibrate(
         views: of the board from them (`detect_board`).
         intrinsics: of the camera.
         params: see `Params`.
+        free_intrinsics: whether focal lengths and principal point are sought too, from where they are given: for
+            `estimate_intrinsics`, which does not know how the camera moved.
         images: names of the views, for messages and the result; by default their numbers.
         distortion: (5,) of the lens, already taken out of `views`; only recorded.
 
@@ -132,18 +135,19 @@ def calibrate(
     X, Z, misfit = robust_estimate(flange, board, centre, sigmas, params.method)
     _refuse_strangers(flange, board, centre, X, Z, params)
     used = misfit <= 5 * max(float(np.median(misfit)), 1.0)
-    problem = Problem.of(flange, views, intrinsics)
+    problem = Problem.of(flange, views, intrinsics, free_intrinsics and params.refine)
     fit, noise, used = _without_outliers(problem, X, Z, used, pixel_noise(views), params)
     if not params.refine:
         X, Z = closed_form(flange[used], board[used], params.method)
-        fit = Fit(X, Z, fit.covariance)
+        fit = Fit(X, Z, intrinsics, fit.covariance)
+    problem, board = problem.at(fit.intrinsics), board_views(views.corners, fit.intrinsics).T_cam_board
     turn, shift = disagreement(predicted_board(flange, fit.T_flange_cam, fit.T_base_board), board, centre)
     left_out = left_out_errors(problem, board, centre, fit, noise, used, None if params.refine else params.method)
     spread = np.sqrt([np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1] for i in (0, 3)])
     return HandEye(
         T_flange_cam=fit.T_flange_cam,
         T_base_board=fit.T_base_board,
-        intrinsics=intrinsics,
+        intrinsics=fit.intrinsics,
         distortion=np.zeros(5) if distortion is None else distortion,
         images=names,
         used=used,
@@ -182,7 +186,7 @@ def _without_outliers(
         kept, rounds = distances <= limit * scale, rounds + 1
         if np.array_equal(kept, used) or rounds == ROUNDS:
             return fit, noise, used
-        used, X, Z = kept, fit.T_flange_cam, fit.T_base_board
+        used, X, Z, problem = kept, fit.T_flange_cam, fit.T_base_board, problem.at(fit.intrinsics)
 
 
 def _notes(flange: Array, used: NDArray[Any], names: tuple[str, ...], spread: float) -> tuple[str, ...]:
@@ -208,8 +212,8 @@ def _refuse_strangers(flange: Array, board: Array, centre: Array, X: Array, Z: A
     }
     advice = "Check that image names, poses and units (m, quaternion x y z w) belong together."
     for text, other in guesses.items():
-        X, Z, _ = robust_estimate(other, board, centre, (params.rotation_sigma, params.translation_sigma), "park")
-        if not _hopeless(other, board, centre, X, Z):
+        sigmas = params.rotation_sigma, params.translation_sigma
+        if not _hopeless(other, board, centre, *robust_estimate(other, board, centre, sigmas, "park")[:2]):
             advice = text
     turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
     raise bad_input(

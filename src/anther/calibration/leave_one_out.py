@@ -43,11 +43,11 @@ def left_out_errors(
     for view in np.flatnonzero(used) if used.sum() > 3 else ():
         others = used & (np.arange(len(used)) != view)
         if method is None:
-            X, Z, _ = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, others)
+            X, Z, camera, _ = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, others)
         else:
-            X, Z = closed_form(problem.T_base_flange[others], T_cam_board[others], method)
+            (X, Z), camera = closed_form(problem.T_base_flange[others], T_cam_board[others], method), fit.intrinsics
         turn, shift = disagreement(predicted_board(problem.T_base_flange, X, Z), T_cam_board, centre)
-        out[view] = problem.pixel_rms(X, Z)[view], turn[view], shift[view]
+        out[view] = problem.at(camera).pixel_rms(X, Z)[view], turn[view], shift[view]
     return out
 
 
@@ -58,7 +58,7 @@ def compare(
 
     The last row is the result itself, whose errors are `left_out` (V, 3). A solver that finds nothing has no row.
     """
-    rows = []
+    rows, problem = [], problem.at(fit.intrinsics)
     for method in METHODS:
         try:
             X, Z = closed_form(problem.T_base_flange[used], T_cam_board[used], method)

@@ -15,7 +15,7 @@ s from each view's own best pose. Gauss and Newton's method with the derivatives
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,19 +45,20 @@ class Noise(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """T_flange_cam, T_base_board, and the (12, 12) covariance of their errors.
+    """T_flange_cam, T_base_board, the intrinsics, and the (12, 12) or (16, 16) covariance of their errors.
 
     The errors are, in this order: rotation [rad] and shift [m] of the camera on the flange, in flange axes; rotation
-    and shift of the board, in base axes.
+    and shift of the board, in base axes; if the intrinsics are free, of fx, fy, cx, cy as shares of the focal length.
     """
 
     T_flange_cam: Array
     T_base_board: Array
+    intrinsics: Intrinsics
     covariance: Array
 
 
 class _Sums(NamedTuple):
-    """Per view: sums of products of residuals r, derivatives F (12) after X and Z, and J (6) after the arm's error."""
+    """Per view: sums of products of residuals r, derivatives F (12 or 16 sought numbers) and J (6, the arm's error)."""
 
     rr: Array
     Fr: Array
@@ -77,6 +78,7 @@ class Problem:
         points: (N, 3) in the board frame [m].
         pixels: (N, 2).
         intrinsics: of the camera.
+        free_intrinsics: whether they are only a start.
     """
 
     T_base_flange: Array
@@ -84,13 +86,20 @@ class Problem:
     points: Array
     pixels: Array
     intrinsics: Intrinsics
+    free_intrinsics: bool = False
 
     @classmethod
-    def of(cls, T_base_flange: Array, views: BoardViews, intrinsics: Intrinsics) -> Problem:
+    def of(
+        cls, T_base_flange: Array, views: BoardViews, intrinsics: Intrinsics, free_intrinsics: bool = False
+    ) -> Problem:
         """Return the problem of some views of a board."""
         view = np.repeat(np.arange(len(T_base_flange)), [len(p) for p in views.corners.points])
         points, pixels = np.concatenate(views.corners.points), np.concatenate(views.corners.pixels)
-        return cls(T_base_flange, view, points, pixels, intrinsics)
+        return cls(T_base_flange, view, points, pixels, intrinsics, free_intrinsics)
+
+    def at(self, intrinsics: Intrinsics) -> Problem:
+        """Return the same problem with these intrinsics."""
+        return replace(self, intrinsics=intrinsics)
 
     def residuals(self, X: Array, Z: Array) -> Array:
         """Return (N, 2): where the corners are seen, less where they should be [px]."""
@@ -121,7 +130,12 @@ class Problem:
         D[:, 1, 1], D[:, 1, 2] = c.fy / z, -c.fy * p[:, 1] / z**2
         D = D @ X[:3, :3].T  # pixels after a corner in the flange frame
         to_flange = D @ np.swapaxes(self.T_base_flange[:, :3, :3], 1, 2)[self.view]  # pixels after one in the base
-        F = np.concatenate([D @ _cross(in_flange - X[:3, 3]), -D, -to_flange @ _cross(lever), to_flange], axis=2)
+        blocks = [D @ _cross(in_flange - X[:3, 3]), -D, -to_flange @ _cross(lever), to_flange]
+        if self.free_intrinsics:
+            focal = np.array([c.fx, c.fy])
+            rays = np.stack([p[:, 0] / z, p[:, 1] / z], axis=1)
+            blocks += [np.eye(2) * (focal * rays)[:, :, None], np.broadcast_to(np.diag(focal), (len(p), 2, 2))]
+        F = np.concatenate(blocks, axis=2)
         J = np.concatenate([D @ _cross(in_flange), -D], axis=2)
         r = self.pixels - self._project(p)
         first = np.searchsorted(self.view, np.arange(len(self.T_base_flange)))
@@ -151,15 +165,22 @@ def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any
         step = np.asarray(np.linalg.lstsq(A, b, rcond=1e-14)[0], dtype=np.float64)
         length = float(np.abs(step).max())
         step *= min(1.0, LARGEST_STEP / (length + 1e-300))
-        X, Z = _moved(X, step[:6]), _moved(Z, step[6:])
+        X, Z = _moved(X, step[:6]), _moved(Z, step[6:12])
+        if problem.free_intrinsics:
+            problem = problem.at(_adjusted(problem.intrinsics, step[12:]))
         if length < SETTLED:
-            return Fit(X, Z, np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True), dtype=np.float64))
+            return Fit(
+                X, Z, problem.intrinsics, np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True), dtype=np.float64)
+            )
     raise InputError("hand-eye calibration: the refinement does not settle. Take more views, tilted more.")
 
 
 def estimate_noise(problem: Problem, fit: Fit, pixel: float, used: NDArray[Any]) -> Noise:
     """Return the noise with the arm's errors for which the `used` (V,) views are most likely (REML)."""
-    sums, weights = problem.sums(fit.T_flange_cam, fit.T_base_board), np.asarray(used, dtype=np.float64)
+    sums, weights = (
+        problem.at(fit.intrinsics).sums(fit.T_flange_cam, fit.T_base_board),
+        np.asarray(used, dtype=np.float64),
+    )
 
     def misfit(logs: Array) -> float:
         noise = Noise(pixel, *np.exp(logs))
@@ -179,7 +200,7 @@ def view_distances(problem: Problem, fit: Fit, noise: Noise, own_noise: Array) -
     Squared, they are chi-square distributed with 6 degrees of freedom for views that are as they should be. A view
     whose corners are found worse than usual, by its `own_noise` (V,) [px], is judged by that.
     """
-    sums = problem.sums(fit.T_flange_cam, fit.T_base_board)
+    sums = problem.at(fit.intrinsics).sums(fit.T_flange_cam, fit.T_base_board)
     variance = np.maximum(own_noise, noise.pixel)[:, None, None] ** 2
     information = sums.JJ / variance
     away = np.linalg.solve(information, sums.Jr[..., None] / variance)
@@ -195,9 +216,9 @@ def _normal_equations(sums: _Sums, noise: Noise, weights: Array) -> tuple[Array,
     JF, Jr = L[:, None] * sums.JF, L * sums.Jr
     solved = np.linalg.solve(middle, np.concatenate([JF, Jr[..., None]], axis=2))
     w = weights / noise.pixel**2
-    A = np.einsum("v,vij->ij", w, sums.FF - np.swapaxes(JF, 1, 2) @ solved[..., :12])
-    b = np.einsum("v,vi->i", w, sums.Fr - (np.swapaxes(JF, 1, 2) @ solved[..., 12:])[..., 0])
-    fixed = float(w @ (sums.rr - np.sum(Jr * solved[..., 12], axis=1)))
+    A = np.einsum("v,vij->ij", w, sums.FF - np.swapaxes(JF, 1, 2) @ solved[..., :-1])
+    b = np.einsum("v,vi->i", w, sums.Fr - (np.swapaxes(JF, 1, 2) @ solved[..., -1:])[..., 0])
+    fixed = float(w @ (sums.rr - np.sum(Jr * solved[..., -1], axis=1)))
     return A, b, fixed
 
 
@@ -209,6 +230,14 @@ def _scaled(JJ: Array, noise: Noise) -> Array:
 def _moved(T: Array, step: Array) -> Array:
     """Return a transform turned and shifted, both in the axes of the frame it leads to."""
     return transform(Rotation.from_rotvec(step[:3]).as_matrix() @ T[:3, :3], T[:3, 3] + step[3:])
+
+
+def _adjusted(camera: Intrinsics, step: Array) -> Intrinsics:
+    """Return intrinsics with a step of fx, fy, cx, cy, as shares of the focal length."""
+    fx, fy = camera.fx * float(np.exp(step[0])), camera.fy * float(np.exp(step[1]))
+    return replace(
+        camera, fx=fx, fy=fy, cx=camera.cx + camera.fx * float(step[2]), cy=camera.cy + camera.fy * float(step[3])
+    )
 
 
 def _cross(v: Array) -> Array:

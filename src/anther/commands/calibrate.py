@@ -72,7 +72,15 @@ def run(args: Args) -> None:
     seen = tuple(names[number] for number in views.images)
     notes += [f"no board found in {', '.join(n for n in names if n not in seen)}"] if len(seen) < len(names) else []
     flange = np.stack([poses[name] for name in seen])
-    found = calibration.calibrate(flange, views, intrinsics, args.params, images=seen, distortion=distortion)
+    found = calibration.calibrate(
+        flange,
+        views,
+        intrinsics,
+        args.params,
+        free_intrinsics=args.estimate_intrinsics,
+        images=seen,
+        distortion=distortion,
+    )
     notes += [*found.notes, *_camera_notes(args, views, intrinsics, distortion)]
     found.save(args.out / "calibration.json")
     with replacing(args.out / "calibration.png") as temporary:
