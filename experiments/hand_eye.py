@@ -3,7 +3,7 @@
 A 7 x 5 ChArUco board of 30 mm squares is seen from 20 places 0.35 to 0.5 m above it by a camera of 1280 x 720 px,
 f = 640 px; its corners are projected and given noise. "arm" is the standard deviation of the flange's error per axis.
 
-python experiments/hand_eye.py [--quick] [--seed N] [--json FILE]
+python experiments/hand_eye.py [--quick] [--seed N] [--json FILE] [--figure FILE]
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from scipy.spatial.transform import Rotation
 from anther.calibration import BoardCorners, board_views, calibrate, estimate_intrinsics
 from anther.calibration.closed_form import METHODS, closed_form
 from anther.calibration.refinement import Noise, Problem, refine
-from anther.files import write_json
+from anther.files import replacing, write_json
 from anther.geometry import Array, Intrinsics, inverse, look_at, small_transform, transform_points
+from anther.pictures.calibration import draw_calibration
 
 CAMERA = Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5)
 CORNERS = 0.03 * np.array([[column, row, 0] for row in range(1, 5) for column in range(1, 7)])
@@ -91,13 +92,19 @@ def error(T: Array) -> tuple[float, float]:
     return float(np.rad2deg(Rotation.from_matrix(gap[:3, :3]).magnitude())), float(1e3 * np.linalg.norm(gap[:3, 3]))
 
 
-def run(case: Case, rng: np.random.Generator) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
-    """Return the errors of each method in one calibration, and what became of its views."""
+def seen(case: Case, rng: np.random.Generator) -> tuple[Array, BoardCorners, Array]:
+    """Return the flange poses as the arm reports them, the corners, and (V,) which views are wrong."""
     flange = flange_poses(rng)
     corners = corners_seen(flange, rng, case.pixel)
     flange = shaken(flange, rng, case.arm_degrees, case.arm_millimetres)
     wrong = np.isin(np.arange(VIEWS), rng.choice(VIEWS, case.wrong, replace=False))
     flange[wrong] = shaken(flange[wrong], rng, *WRONG_BY) if wrong.any() else flange[wrong]
+    return flange, corners, wrong
+
+
+def run(case: Case, rng: np.random.Generator) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """Return the errors of each method in one calibration, and what became of its views."""
+    flange, corners, wrong = seen(case, rng)
     camera = estimate_intrinsics(corners, CAMERA.width, CAMERA.height)[0] if case.estimated else CAMERA
     views = board_views(corners, camera)
     found = calibrate(flange, views, camera, free_intrinsics=case.estimated)
@@ -151,13 +158,24 @@ def _case_metrics(name: str, errors: dict[str, list], judged: dict[str, list]) -
     return out
 
 
+def draw(path: Path, seed: int) -> None:
+    """Write the picture that `anther calibrate` makes, of one calibration with an inexact arm and outliers."""
+    flange, corners, _ = seen(CASES["outliers_arm_0.1deg_1mm_0.2px"], np.random.default_rng([seed, 0]))
+    views = board_views(corners, CAMERA)
+    with replacing(path) as temporary:
+        draw_calibration(calibrate(flange, views, CAMERA), views, flange).savefig(temporary, dpi=110)
+
+
 def main() -> None:
     """Run, print the table, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="5 calibrations per case instead of 40")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--figure", type=Path, help="write the picture of one calibration here")
     args = parser.parse_args()
+    if args.figure:
+        draw(args.figure, args.seed)
     table, metrics = measure(5 if args.quick else 40, args.seed, Console(stderr=True))
     Console(width=130).print(table)
     if args.json:

@@ -132,6 +132,8 @@ def test_bad_folders_and_files_are_refused(case: Path, tmp_path: Path, capsys) -
     assert "100 x 100 (05.png)" in refused(capsys, words(copy, tmp_path, *given))
     (copy / "images" / "05.png").write_bytes(b"no image")
     assert "05.png: got no readable image" in refused(capsys, words(copy, tmp_path, *given))
+    (copy / "images" / "05.png").write_bytes(b"")
+    assert "05.png: got no readable image" in refused(capsys, words(copy, tmp_path, *given))
     (copy / "images" / "05.png").unlink()
     assert "poses for 05.png" in refused(capsys, words(copy, tmp_path, *given))
     (copy / "poses.csv").unlink()

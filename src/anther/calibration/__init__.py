@@ -77,8 +77,9 @@ class Params:
     Attributes:
         method: closed-form solver of the first estimate.
         refine: whether to refine it by least squares.
-        rotation_sigma, translation_sigma: error of the arm in one view [rad], [m]. With six views or more they are
-            only where to begin, and estimated.
+        rotation_sigma: error of the arm's rotation in one view, per axis [rad]. With six views or more it is only where
+            to begin, and estimated.
+        translation_sigma: the same for its translation [m].
         outlier: views less likely than this many standard deviations of a normal distribution are left out.
         least_turn: the flange must turn about two different axes by at least this [rad].
     """

@@ -140,7 +140,8 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
     sizes: dict[tuple[int, int], str] = {}
 
     def read(name: str) -> Any:
-        image = cv2.imdecode(np.fromfile(folder / name, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+        stored = np.fromfile(folder / name, dtype=np.uint8)
+        image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if len(stored) else None
         if image is None:
             raise bad_input(
                 str(folder / name), given="no readable image", allowed="PNG, JPEG, TIFF", do="Save it again."

@@ -91,7 +91,7 @@ def _draw_scatter(axes: Any, found: HandEye, views: BoardViews, T_base_flange: A
     axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="du [px]", ylabel="dv [px]")
     axes.set_aspect("equal")
     axes.set_title("residuals of used views, a colour each", fontsize=9)
-    axes.legend(fontsize=8, loc="upper right")
+    axes.legend(fontsize=8, loc="upper right", framealpha=0.4)
     axes.grid(alpha=0.3)
 
 
