@@ -14,6 +14,7 @@ from anther.elastic_rod.model import Model, build_model
 from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import Array, Rods
 from anther.elastic_rod.tree_solver import constrain
+from anther.elastic_rod.vectors import compiled
 
 MATRIX = ("diagonal", "near", "far")
 
@@ -92,8 +93,17 @@ def set_dynamic(system: Linear, omega: float, dynamic: Blocks) -> None:
     """Fill `dynamic` (complex) with K + i omega C + i loss - omega^2 M, held unknowns as in the identity."""
     for name in MATRIX:
         parts = [getattr(blocks, name) for blocks in (system.stiffness, system.damping, system.loss, system.mass)]
-        getattr(dynamic, name)[:] = parts[0] - omega**2 * parts[3] + 1j * (omega * parts[1] + parts[2])
+        _combine(*parts, omega, getattr(dynamic, name))
     constrain(system.model, system.free, dynamic)
+
+
+@compiled
+def _combine(stiffness: Any, damping: Any, loss: Any, mass: Any, omega: float, out: Any) -> None:
+    for j in range(len(out)):
+        for i in range(4):
+            for k in range(4):
+                real = stiffness[j, i, k] - omega * omega * mass[j, i, k]
+                out[j, i, k] = complex(real, omega * damping[j, i, k] + loss[j, i, k])
 
 
 def product(model: Model, blocks: Blocks, vectors: Array) -> Array:
