@@ -120,7 +120,9 @@ def test_poses_of_the_flange_with_a_calibration(tmp_path: Path) -> None:
         maker.pose(POSE, START + i * PERIOD, T @ inverse(T_flange_cam))
     maker.write(tmp_path / "a.bag")
     options = BagOptions(camera_in_pose=tuple(pose7(T_flange_cam).tolist()))  # type: ignore[arg-type]
-    same(read_bag(tmp_path / "a.bag", options).capture, capture)
+    again = read_bag(tmp_path / "a.bag", options).capture
+    same(again, capture)
+    assert len(again.T_world_cam) == len(capture.T_world_cam)
 
 
 def realsense_bag(tmp_path: Path, *, aligned: bool = False) -> tuple[BagMaker, Intrinsics, np.ndarray]:
