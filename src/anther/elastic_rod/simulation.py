@@ -159,6 +159,8 @@ def prepare(
     steps = _check_steps(duration, dt, record_every)
     if integrator not in ("midpoint", "implicit_euler"):
         raise bad_input("integrator", given=integrator, allowed="midpoint or implicit_euler", do="Check the spelling.")
+    if start not in ("equilibrium", "scanned"):
+        raise bad_input("start", given=start, allowed="equilibrium or scanned", do="Check the spelling.")
     if predictor not in PREDICTORS:
         raise bad_input("predictor", given=predictor, allowed=", ".join(PREDICTORS), do="Check the spelling.")
     model, frames = build_model(rods, gravity)
