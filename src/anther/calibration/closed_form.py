@@ -38,6 +38,7 @@ def closed_form(T_base_flange: Array, T_cam_board: Array, method: Method) -> tup
     """
     flange, board = T_base_flange, T_cam_board
     # `method` by keyword: as a positional argument OpenCV ignores it without a word (opencv #28074).
+    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it would print is raised below
     try:
         R, t = cv2.calibrateHandEye(
             R_gripper2base=list(flange[:, :3, :3]),
@@ -48,6 +49,8 @@ def closed_form(T_base_flange: Array, T_cam_board: Array, method: Method) -> tup
         )
     except cv2.error:
         R = t = np.array(np.nan)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
     if not (np.isfinite(R).all() and np.isfinite(t).all()):
         raise InputError(
             f"hand-eye calibration: {method} found nothing. Do the poses belong to the images, and do they turn?"

@@ -143,7 +143,11 @@ def _draw_methods(axes: Any, found: HandEye) -> None:
     names = ["refined" if row.name == "result" and "refine" in found.method else row.name for row in rows]
     axes.barh(names, np.nan_to_num(pixels), color=[LEFT_OUT if row.name == "result" else "0.7" for row in rows])
     for k, row in enumerate(rows):
-        text = f"{row.left_out_pixel:.2f} px, {1e3 * row.left_out_translation:.2f} mm"
+        text = (
+            f"{row.left_out_pixel:.2f} px, {1e3 * row.left_out_translation:.2f} mm"
+            if pixels[k] >= 0
+            else "three views only"
+        )
         axes.text(0, k, f" {text}", va="center", fontsize=8)
     axes.set_xlabel("error of a view left out [px]")
     axes.set_title("methods", fontsize=9)
