@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_plants import branched, grasps_on
 
-from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.modes import natural_frequencies
+from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import Rods
 from anther.errors import InputError
 from anther.identification import (
