@@ -355,7 +355,7 @@ def all_peer_rows(args: argparse.Namespace, network: Rods, rounds: int) -> list[
 def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
     """Run everything."""
     ceilings, operations = measure_roofline(), operations_per_node()
-    network, repeats, steps = reference_network(), 3 if args.quick else 9, 200 if args.quick else 500
+    network, repeats, steps = reference_network(), 3 if args.quick else 9, 200 if args.quick else 1000
     rows = scaling_rows(ceilings, operations, (1, 15, 30, 59) if args.quick else (1, 4, 15, 59, 236), 3)
     for rods in (replace(network, bend_over_twist=0.0), network):
         case = Case(rods, steps=steps, twist=bool(rods is network))
