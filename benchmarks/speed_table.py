@@ -64,6 +64,13 @@ def describe(ceilings: Roofline) -> str:
     )
 
 
+def missed(rows: list[Row]) -> str:
+    """Return which limits the best samples miss, in words."""
+    over = [row for row in rows if row.samples and row.limit is not None and min(row.samples) > row.limit]
+    words = "; ".join(f"{row.case} ({min(row.samples):.3g} against {row.limit:g} {row.unit})" for row in over)
+    return f"Limits missed: {words or 'none'}."
+
+
 def print_table(rows: list[Row], ceilings: Roofline) -> None:
     """Print the table."""
     table = Table(*COLUMNS)
@@ -71,11 +78,11 @@ def print_table(rows: list[Row], ceilings: Roofline) -> None:
         table.add_row(*row.cells)
     console = Console(width=150)
     console.print(table)
-    console.print(describe(ceilings), highlight=False)
+    console.print(missed(rows), describe(ceilings), sep="\n", highlight=False)
 
 
 def write_page(path: Path, title: str, text: str, rows: list[Row], ceilings: Roofline) -> None:
     """Write the table as a docs page, the text below it."""
     lines = [COLUMNS, ("---",) * len(COLUMNS), *(row.cells for row in rows)]
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    write_text(path, f"# {title}\n\n{table}\n\n{describe(ceilings)}\n\n{text.strip()}\n")
+    write_text(path, f"# {title}\n\n{table}\n\n{missed(rows)}\n\n{describe(ceilings)}\n\n{text.strip()}\n")
