@@ -84,8 +84,25 @@ class Motion(Protocol):
         ...
 
 
+class Straight:
+    """A grip that keeps its orientation, and holds `node` and the nodes of `also`."""
+
+    __slots__ = ()
+    node: int
+    also: tuple[int, ...]
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        """The driven nodes."""
+        return (self.node, *self.also)
+
+    def rotation(self, times: ArrayLike) -> Array:
+        """Return (T, 3) zeros: the grip keeps its orientation."""
+        return np.zeros((*np.shape(times), 3))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class Drive:
+class Drive(Straight):
     """A sinusoidal shake of the grip: amplitude * sin(2 pi frequency t) along a direction.
 
     Attributes:
@@ -111,25 +128,16 @@ class Drive:
         check_range("shake frequency", self.frequency, 0, 1e5, "Hz")
         check_range("shake ramp", self.ramp, 0, 1e4, "s")
 
-    @property
-    def nodes(self) -> tuple[int, ...]:
-        """The driven nodes."""
-        return (self.node, *self.also)
-
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
         t = np.asarray(times, dtype=np.float64)
-        rise = np.ones_like(t) if self.ramp == 0 else 0.5 - 0.5 * np.cos(np.pi * np.clip(t / self.ramp, 0, 1))
+        rise = smooth_rise(t, self.ramp)
         return (rise * self.amplitude * np.sin(2 * np.pi * self.frequency * t))[..., None] * self.direction
-
-    def rotation(self, times: ArrayLike) -> Array:
-        """Return (T, 3) zeros: the grip keeps its orientation."""
-        return np.zeros((*np.shape(times), 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SampledDrive:
-    """Any motion of the grip, given by samples and interpolated linearly (chirp, burst, recorded).
+class SampledDrive(Straight):
+    """Any motion of the grip, given by samples and interpolated linearly, for instance a recorded one.
 
     Attributes:
         node: the grip node.
@@ -155,11 +163,6 @@ class SampledDrive:
         turns = np.zeros_like(moves) if self.rotations is None else self.rotations
         object.__setattr__(self, "rotations", check_array("drive rotations", turns, (len(times), 3)))
 
-    @property
-    def nodes(self) -> tuple[int, ...]:
-        """The driven nodes."""
-        return (self.node, *self.also)
-
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
         return self._interpolated(times, self.displacements)
@@ -172,6 +175,13 @@ class SampledDrive:
     def _interpolated(self, times: ArrayLike, samples: Array) -> Array:
         t = np.asarray(times, dtype=np.float64)
         return np.stack([np.interp(t, self.times, column) for column in samples.T], axis=-1)
+
+
+def smooth_rise(times: Array, ramp: float) -> Array:
+    """Return (T,) a share that grows from 0 to 1 over `ramp` [s] as a half cosine; 1 throughout if ramp is 0."""
+    if ramp == 0:
+        return np.ones_like(times)
+    return 0.5 - 0.5 * np.cos(np.pi * np.clip(times / ramp, 0, 1))
 
 
 def gripped_edges(parent: NDArray[Any], nodes: Sequence[int]) -> NDArray[Any]:

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.checks import check_range
-from anther.elastic_rod.motion import unit_direction
+from anther.elastic_rod.motion import Straight, smooth_rise, unit_direction
 from anther.elastic_rod.rods import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chirp:
+class Chirp(Straight):
     """A sweep: amplitude * sin of a phase whose frequency rises or falls linearly, then rest.
 
     Attributes:
@@ -43,27 +43,17 @@ class Chirp:
         check_range("sweep time", self.sweep_time, 1e-6, 1e5, "s")
         check_range("shake ramp", self.ramp, 0, self.sweep_time / 2, "s")
 
-    @property
-    def nodes(self) -> tuple[int, ...]:
-        """The driven nodes."""
-        return (self.node, *self.also)
-
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
         t = np.clip(np.asarray(times, dtype=np.float64), 0, self.sweep_time)
         rise = (self.end_frequency - self.start_frequency) / self.sweep_time
         wave = np.sin(2 * np.pi * (self.start_frequency + 0.5 * rise * t) * t)
-        left = np.minimum(t, self.sweep_time - t)
-        swell = 1.0 if self.ramp == 0 else 0.5 - 0.5 * np.cos(np.pi * np.clip(left / self.ramp, 0, 1))
+        swell = smooth_rise(np.minimum(t, self.sweep_time - t), self.ramp)
         return (self.amplitude * swell * wave)[..., None] * self.direction
-
-    def rotation(self, times: ArrayLike) -> Array:
-        """Return (T, 3) zeros: the grip keeps its orientation."""
-        return np.zeros((*np.shape(times), 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Burst:
+class Burst(Straight):
     """Repeated bursts of whole cycles that swell and fade (Hann window), with rests between them.
 
     Attributes:
@@ -91,18 +81,9 @@ class Burst:
         check_range("cycles", self.cycles, 1, 1e9)
         check_range("rest", self.rest, 0, 1e5, "s")
 
-    @property
-    def nodes(self) -> tuple[int, ...]:
-        """The driven nodes."""
-        return (self.node, *self.also)
-
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
         length = self.cycles / self.frequency
         t = np.minimum(np.mod(np.asarray(times, dtype=np.float64), length + self.rest), length)
         wave = (0.5 - 0.5 * np.cos(2 * np.pi * t / length)) * np.sin(2 * np.pi * self.frequency * t)
         return (self.amplitude * wave)[..., None] * self.direction
-
-    def rotation(self, times: ArrayLike) -> Array:
-        """Return (T, 3) zeros: the grip keeps its orientation."""
-        return np.zeros((*np.shape(times), 3))

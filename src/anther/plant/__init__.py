@@ -18,12 +18,13 @@ from anther.cloud import Cloud
 from anther.elastic_rod.equilibrium import with_gravity_equilibrium
 from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import NaturalShape, Rods
+from anther.elastic_rod.stability import stands
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.plant.shape import edge_radii, hang_flowers, leaf_mass
-from anther.plant.stability import least_youngs, stands, stout_radii
+from anther.plant.stability import least_youngs, stout_radii
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 

@@ -7,27 +7,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.elastic_rod.assembly import new_blocks
-from anther.elastic_rod.equilibrium import unstable_directions, with_gravity_equilibrium
-from anther.elastic_rod.model import build_model
 from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.newton import new_state
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.errors import StageFailure
+from anther.elastic_rod.stability import stands
 
 SOFTEST, STIFFEST = 1e4, 1e12
 """Range of Young's modulus that is searched [Pa]."""
-
-
-def stands(rods: Rods, clamp: Clamp) -> bool:
-    """Return whether the scanned shape is stable under gravity: its tangent stiffness is positive definite."""
-    try:
-        resting = with_gravity_equilibrium(rods, clamp)
-    except StageFailure:
-        return False
-    model, frames = build_model(resting, GRAVITY)
-    state = new_state(resting.nodes, frames)
-    return unstable_directions(model, clamp.free(resting), state, new_blocks(len(resting.nodes))) == 0
 
 
 def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_]) -> float | None:
