@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
+from anther import stem as organs
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, transform_points
 from anther.sim.capture import CaptureTruth
@@ -71,6 +72,7 @@ def score(plant: SimPlant, visible: NDArray[np.bool_], skeleton: Skeleton, stem:
     found, found_radius = polyline(skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids])
     lines = found_samples(skeleton, np.isin(stem.organ, [STEM, BRANCH]))
     error, nearest = KDTree(axis).query(found)
+    error, nearest = np.asarray(error), np.asarray(nearest)
     close = error <= NEAR
     covered = KDTree(found).query(true_samples(plant, (Organ.STEM,))[0])[0] <= NEAR
     return Score(
@@ -156,8 +158,6 @@ def found_junctions(skeleton: Skeleton, stem: Stem) -> Array:
 
 
 def _not_blade(stem: Stem) -> NDArray[np.bool_]:
-    from anther import stem as organs
-
     return stem.organ != getattr(organs, "LEAF", 255)
 
 

@@ -1,0 +1,167 @@
+"""Skeletons of simulated plants against their truth, through the whole noisy capture, one parameter set (paper R1).
+
+    python experiments/skeletons.py --json docs/results/skeletons.json --page docs/skeletons.md
+
+Ten plants (two tomatoes, eight peppers, as in the paper) and 100 further ones (50 of each species), none of which was
+looked at while parameters were chosen. Each is seen in 30 views that the Sawyer reaches, 1280 x 720, with the depth
+noise of a D455, arm pose noise (0.2 deg, 1.5 mm per axis) and a hand-eye error (0.2 deg, 1 mm). Finished plants are
+kept in --out and not run again. `skeleton_truth.py` says how a plant is judged.
+
+Keys of the --json file: those of `skeleton_truth.pooled` for all plants together, and with the prefixes tomato_,
+pepper_, ten_ (the ten plants), hundred_ for parts; seconds_median (perception alone), failed (share of plants without
+a result).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from skeleton_truth import Score, pooled, score, visible_flowers
+
+from anther import cloud, flowers, masks, skeleton, stem
+from anther.arm import sawyer
+from anther.arm.views import Params as ViewParams
+from anther.arm.views import plan_views
+from anther.capture import Capture
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.errors import AntherError
+from anther.files import read_json, write_json
+from anther.sim.capture import CaptureTruth, capture_views, perturbed_hand_eye
+from anther.sim.plant import SimPlant
+
+VIEWS = 30
+TEN = [("tomato", k) for k in range(2)] + [("pepper", k) for k in range(8)]
+HUNDRED = [(species, 1000 + k) for k in range(50) for species in ("tomato", "pepper")]
+
+TARGETS = {
+    "stem_error_median_mm": "<= 1.5",
+    "stem_error_p95_mm": "<= 5",
+    "stem_covered": "",
+    "radius_error": "<= 0.15",
+    "radius_bias": "",
+    "radius_within_15_percent": "",
+    "recall_5mm": ">= 0.9",
+    "precision_5mm": ">= 0.95",
+    "junction_f1": ">= 0.8",
+    "junction_recall": "",
+    "junction_precision": "",
+    "flower_recall": ">= 0.85",
+    "flower_precision": "",
+    "tree_share": "= 1",
+    "root_error_median_mm": "",
+    "root_error_max_mm": "",
+}
+"""What the table shows, with the target where there is one."""
+
+
+def take(species: Species, seed: int, views: int = VIEWS) -> tuple[SimPlant, Capture, CaptureTruth]:
+    """Grow a plant in the cell and see it as `anther trial` does."""
+    place = layout(USUAL_DISTANCE)
+    planned = plan_views(place.region, place.solids, ViewParams(count=views))
+    plant = grow(species, seed, 0.0, USUAL_DISTANCE)
+    sight, camera = (np.random.default_rng([seed, 0, k]) for k in range(2))
+    T_flange_cam = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
+    capture, truth = capture_views(plant, planned.joints, sawyer.forward, T_flange_cam, sawyer.T_FLANGE_CAM, rng=sight)
+    return plant, capture, truth
+
+
+def one_plant(which: tuple[Species, int], out: Path) -> dict[str, Any]:
+    """Return one plant's score as plain lists, from --out when it was run before."""
+    species, seed = which
+    file = out / f"{species}-{seed}.json"
+    if not file.exists():
+        plant, capture, truth = take(species, seed)
+        begin = time.perf_counter()
+        try:
+            labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace)
+            points = cloud.fuse(capture, labels, layout(USUAL_DISTANCE).workspace)
+            tree = skeleton.skeletonize(points)
+            main = stem.find_stem(tree)
+            found = flowers.find_flowers(points, tree, main)
+        except AntherError as error:
+            write_json(file, {"failure": str(error)})
+        else:
+            seconds = time.perf_counter() - begin
+            result = score(plant, visible_flowers(plant, truth, capture.intrinsics), tree, main, found)
+            write_json(file, {**as_lists(result), "seconds": seconds, "notes": [*points.notes, *tree.notes]})
+    return read_json(file)
+
+
+def as_lists(result: Score) -> dict[str, Any]:
+    """Return the fields of a score as JSON can hold them."""
+    fields = {name: getattr(result, name) for name in Score.__slots__}
+    return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in fields.items()}
+
+
+def as_score(stored: dict[str, Any]) -> Score:
+    """Return what `as_lists` was given."""
+    fields = {name: stored[name] for name in Score.__slots__}
+    return Score(**{name: np.array(value) if isinstance(value, list) else value for name, value in fields.items()})
+
+
+def metrics(rows: dict[tuple[str, int], dict[str, Any]]) -> dict[str, float]:
+    """Return the flat table of all plants and of its parts."""
+    parts = {
+        "": list(rows),
+        "tomato_": [which for which in rows if which[0] == "tomato"],
+        "pepper_": [which for which in rows if which[0] == "pepper"],
+        "ten_": [which for which in rows if which in TEN],
+        "hundred_": [which for which in rows if which not in TEN],
+    }
+    table: dict[str, float] = {}
+    for prefix, members in parts.items():
+        scores = [as_score(rows[which]) for which in members if "failure" not in rows[which]]
+        if scores:
+            table |= {prefix + name: float(value) for name, value in pooled(scores).items()}
+            table[prefix + "failed"] = 1 - len(scores) / len(members)
+    table["seconds_median"] = float(np.median([row["seconds"] for row in rows.values() if "seconds" in row]))
+    return table
+
+
+def show(table: dict[str, float], console: Console) -> None:
+    """Print the parts side by side."""
+    shown = Table("metric", "target", "all", "tomato", "pepper", "the ten", "the hundred")
+    for name, target in {**TARGETS, "plants": "", "failed": ""}.items():
+        values = [table.get(prefix + name) for prefix in ("", "tomato_", "pepper_", "ten_", "hundred_")]
+        shown.add_row(name, target, *("" if value is None else f"{value:.3g}" for value in values))
+    console.print(shown)
+    console.print(f"perception of one plant: {table['seconds_median']:.1f} s (median)")
+
+
+def main() -> None:
+    """Run what is not there yet, print the table, list the worst plants, write --json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="two plants of each species")
+    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
+    parser.add_argument("--jobs", type=int, default=1, help="plants at a time; each uses two threads")
+    parser.add_argument("--out", type=Path, default=Path("runs/skeletons"), help="where finished plants are kept")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED]
+    chosen = [(species, seed + args.seed) for species, seed in chosen]
+    with ProcessPoolExecutor(args.jobs) as pool:
+        results = pool.map(partial(one_plant, out=args.out), chosen)
+        rows = dict(zip(chosen, track(results, "plants", total=len(chosen), console=console), strict=True))
+    table = metrics(rows)
+    show(table, console)
+    for (species, seed), row in rows.items():
+        if "failure" in row or np.quantile(row["stem_error"], 0.95) > 0.005 or row["stem_covered"] < 0.8:
+            what = row.get("failure") or f"p95 {1e3 * np.quantile(row['stem_error'], 0.95):.1f} mm"
+            console.print(f"{species} {seed}: {what}, notes {row.get('notes')}", highlight=False)
+    if args.json:
+        write_json(args.json, table)
+
+
+if __name__ == "__main__":
+    main()
