@@ -104,8 +104,10 @@ def as_lists(result: Score) -> dict[str, Any]:
 
 def as_score(stored: dict[str, Any]) -> Score:
     """Return what `as_lists` was given."""
-    fields = {name: stored[name] for name in Score.__slots__}
-    return Score(**{name: np.array(value) if isinstance(value, list) else value for name, value in fields.items()})
+    fields: dict[str, Any] = {name: stored[name] for name in Score.__slots__}
+    for name, value in fields.items():
+        fields[name] = np.array(value) if isinstance(value, list) else value
+    return Score(**fields)
 
 
 def metrics(rows: dict[tuple[str, int], dict[str, Any]]) -> dict[str, float]:
