@@ -65,6 +65,7 @@ class Capture:
             raise bad_input("depth", given=f"{depth.min():g} m", allowed=">= 0 m", do="0 means no reading.")
         object.__setattr__(self, "depth", depth)
         object.__setattr__(self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, views))
+        _check_scale(depth, self.T_world_cam)
         if self.rgb is not None:
             object.__setattr__(self, "rgb", check_array("rgb", self.rgb, (views, *size, 3), dtype="uint8"))
         if self.joints is not None:
@@ -123,6 +124,28 @@ class Capture:
             T_world_cam=poses @ OPENGL_TO_OPENCV,
             rgb=_read_colour(folder, frames, intrinsics),
             joints=None if any(j is None for j in joints) else _joints_array(joints),
+        )
+
+
+def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
+    """Refuse metres mistaken for millimetres, or the other way round, in depth or poses."""
+    readings = depth[:: max(1, len(depth) // 5), ::8, ::8]
+    if np.any(readings > 0):
+        middle = float(np.median(readings[readings > 0]))
+        if not _PLAUSIBLE_DEPTH[0] <= middle <= _PLAUSIBLE_DEPTH[1]:
+            raise bad_input(
+                "depth",
+                given=f"a median of {middle:g} m",
+                allowed=f"{_PLAUSIBLE_DEPTH[0]:g} to {_PLAUSIBLE_DEPTH[1]:g} m",
+                do="Is it in metres? In a folder, depth_unit_scale_factor says metres per step: 0.001 for millimetres.",
+            )
+    furthest = float(np.linalg.norm(T_world_cam[:, :3, 3], axis=1).max())
+    if furthest > _PLAUSIBLE_POSITION:
+        raise bad_input(
+            "T_world_cam",
+            given=f"a camera {furthest:g} m from the world's origin",
+            allowed=f"at most {_PLAUSIBLE_POSITION:g} m",
+            do="Are the poses in metres?",
         )
 
 
@@ -290,16 +313,6 @@ def _read_depth(
         np.multiply(image, np.float32(unit), out=depth[view])
 
     _in_threads(read, range(len(frames)))
-    readings = depth[:: max(1, len(frames) // 5), ::8, ::8]
-    if np.any(readings > 0):
-        middle = float(np.median(readings[readings > 0]))
-        if not _PLAUSIBLE_DEPTH[0] <= middle <= _PLAUSIBLE_DEPTH[1]:
-            raise bad_input(
-                "depth",
-                given=f"a median of {middle:g} m",
-                allowed=f"{_PLAUSIBLE_DEPTH[0]:g} to {_PLAUSIBLE_DEPTH[1]:g} m",
-                do="Check depth_unit_scale_factor: metres per step, 0.001 for millimetres.",
-            )
     return depth
 
 
