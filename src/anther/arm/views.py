@@ -75,6 +75,31 @@ class Views:
         object.__setattr__(self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, n))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Viewpoints:
+    """Views that the arm can reach, to choose from.
+
+    Attributes:
+        branches: V arrays (C, 7) of free joints [rad] that hold the camera there, upright or upside down.
+        azimuth, elevation: (V,) as in `Views` [degrees].
+        T_flange_cam: (4, 4) hand-eye calibration.
+    """
+
+    branches: tuple[Array, ...]
+    azimuth: Array
+    elevation: Array
+    T_flange_cam: Array
+
+    @property
+    def T_world_cam(self) -> Array:
+        """(V, 4, 4) camera poses, each by its first branch."""
+        return sawyer.forward(np.array([choices[0] for choices in self.branches])) @ self.T_flange_cam
+
+    def spread(self, count: int) -> list[int]:
+        """Return up to `count` of the views, each the farthest in direction from those before it."""
+        return _spread(_unit_rays(np.stack([self.azimuth, self.elevation], axis=1)), count)
+
+
 def plan_views(
     region: Box,
     boxes: Sequence[Box] = (),
@@ -102,23 +127,37 @@ def plan_views(
         StageFailure: "unreachable" when fewer than three views can be reached, "collision" when the arm starts within
             the region or an obstacle.
     """
-    begin = check_array("start joints", start, (7,))
-    hand_eye = check_transform("T_flange_cam", T_flange_cam)
-    planner = Planner(cylinder_points(region), np.zeros((0, 3)), boxes, params=motion or FAST)
-    if not planner.world.free(begin):
-        raise StageFailure("collision", f"the start joints {begin.round(2)} are not free. Start from sawyer.READY.")
-    directions, branches = _reachable(region, planner, params, hand_eye)
-    if len(branches) < 3:
-        raise StageFailure(
-            "unreachable", f"only {len(branches)} views of {region} can be reached. Move the plant or arm."
-        )
-    chosen = _spread(_unit_rays(directions), params.count)
-    tour = _short_tour(begin, [branches[i] for i in chosen], *directions[chosen].T)
-    rows = [(chosen[i], q) for i, q in tour]
-    kept, motions = _motions(planner, begin, rows)
-    joints = np.array([q for _, q in kept])
-    azimuth, elevation = directions[[i for i, _ in kept]].T
-    return Views(joints, sawyer.forward(joints) @ hand_eye, tuple(motions), azimuth, elevation, params.dwell)
+    planner = _planner(region, boxes, start, motion)
+    viewpoints = _reachable(region, planner, params, check_transform("T_flange_cam", T_flange_cam))
+    return _visit(viewpoints, viewpoints.spread(params.count), planner, np.asarray(start, dtype=np.float64), params)
+
+
+def reachable_views(
+    region: Box,
+    boxes: Sequence[Box] = (),
+    params: Params = Params(),
+    *,
+    start: ArrayLike = sawyer.READY,
+    T_flange_cam: ArrayLike = sawyer.T_FLANGE_CAM,
+) -> Viewpoints:
+    """Return all views that `plan_views` chooses from; the arguments and what is raised are the same."""
+    planner = _planner(region, boxes, start, None)
+    return _reachable(region, planner, params, check_transform("T_flange_cam", T_flange_cam))
+
+
+def visit_views(
+    viewpoints: Viewpoints,
+    chosen: Sequence[int],
+    region: Box,
+    boxes: Sequence[Box] = (),
+    params: Params = Params(),
+    *,
+    start: ArrayLike = sawyer.READY,
+    motion: MotionParams | None = None,
+) -> Views:
+    """Return the chosen of the viewpoints in an order and with branches that keep the motion short."""
+    planner = _planner(region, boxes, start, motion)
+    return _visit(viewpoints, list(chosen), planner, np.asarray(start, dtype=np.float64), params)
 
 
 def capture_time(views: Views) -> float:
@@ -138,11 +177,27 @@ def cylinder_points(region: Box, spacing: float = 0.015) -> Array:
     return np.concatenate(layers + top)
 
 
-def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -> tuple[Array, list[Array]]:
-    """Return azimuth and elevation (V, 2) [degrees] of the reachable views and the free joints (C, 7) of each.
+def _planner(region: Box, boxes: Sequence[Box], start: ArrayLike, motion: MotionParams | None) -> Planner:
+    """Return a planner that keeps out of the region; the arm must start outside."""
+    begin = check_array("start joints", start, (7,))
+    planner = Planner(cylinder_points(region), np.zeros((0, 3)), boxes, params=motion or FAST)
+    if not planner.world.free(begin):
+        raise StageFailure("collision", f"the start joints {begin.round(2)} are not free. Start from sawyer.READY.")
+    return planner
 
-    Each direction takes the first distance of the list at which it can be reached.
-    """
+
+def _visit(viewpoints: Viewpoints, chosen: list[int], planner: Planner, start: Array, params: Params) -> Views:
+    azimuth, elevation = viewpoints.azimuth, viewpoints.elevation
+    tour = _short_tour(start, [viewpoints.branches[i] for i in chosen], azimuth[chosen], elevation[chosen])
+    kept, motions = _motions(planner, start, [(chosen[i], q) for i, q in tour])
+    at = [i for i, _ in kept]
+    joints = np.array([q for _, q in kept])
+    T_world_cam = sawyer.forward(joints) @ viewpoints.T_flange_cam
+    return Views(joints, T_world_cam, tuple(motions), azimuth[at], elevation[at], params.dwell)
+
+
+def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -> Viewpoints:
+    """Return the reachable views; each direction takes the first distance of the list at which it can be reached."""
     steps = np.arange(-180, 180, params.azimuth_step)
     grid = [(a, e, share) for e, share in zip(params.elevations, params.height_shares, strict=True) for a in steps]
     found: dict[int, Array] = {}
@@ -155,8 +210,11 @@ def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -
             free = choices[[planner.world.free(q) for q in choices]] if len(choices) else choices
             if len(free):
                 found[i] = free
+    if len(found) < 3:
+        raise StageFailure("unreachable", f"only {len(found)} views of {region} can be reached. Move the plant or arm.")
     order = sorted(found)
-    return np.array([grid[i][:2] for i in order]).reshape(-1, 2), [found[i] for i in order]
+    azimuth, elevation = np.array([grid[i][:2] for i in order]).T
+    return Viewpoints(tuple(found[i] for i in order), azimuth, elevation, hand_eye)
 
 
 _ROLLS = (np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0]))
