@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.checks import check_array, check_transform
 from anther.geometry import Array, Intrinsics
 from anther.sim import shading
-from anther.sim.greenhouse import surroundings
+from anther.sim.greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
 
 AMBIENT_RAYS = 16
@@ -58,6 +58,7 @@ class Scene:
         vertex_color: NDArray[Any],
         *,
         ambient: NDArray[Any] | None = None,
+        setting: Setting | None = None,
     ) -> None:
         """Build the scene.
 
@@ -67,7 +68,9 @@ class Scene:
             face_organ: (Nf,) an `Organ` each.
             vertex_color: (Nv, 3) uint8 sRGB.
             ambient: (Nv, 2) sky light on both sides of each vertex; None computes it.
+            setting: whose light falls on it; None is daylight.
         """
+        self.setting = setting or Setting()
         self.vertices = check_array("scene vertices", vertices, (None, 3))
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
         self.face_organ = np.asarray(face_organ, dtype=np.uint8)
@@ -79,17 +82,21 @@ class Scene:
         kind = np.full(256, shading.OPAQUE, dtype=np.uint8)
         kind[[Organ.LEAF, Organ.FLOWER]], kind[Organ.SURROUNDINGS] = shading.THIN, shading.SUNLESS
         colour = shading.linear(self.vertex_color)
+        self._mix = np.array(self.setting.light, dtype=np.float64)
         self._mesh = (self.faces, colour, self._normals, self._ambient, kind[self.face_organ])
 
     @classmethod
-    def of_plant(cls, plant: SimPlant) -> Scene:
-        """Return the scene of a plant in its pot on a bench in a greenhouse."""
-        vertices, faces, organ, colour = surroundings(plant.pot)
+    def of_plant(cls, plant: SimPlant, setting: Setting | None = None) -> Scene:
+        """Return the scene of a plant in its pot on a bench in a greenhouse; `setting` varies its looks and light."""
+        setting = setting or Setting()
+        vertices, faces, organ, colour = surroundings(plant.pot, setting)
+        painted = repainted(plant.face_organ, plant.faces, plant.vertex_color, setting)
         return cls(
             np.vstack([plant.vertices, vertices]),
             np.vstack([plant.faces, faces + len(plant.vertices)]),
             np.concatenate([plant.face_organ, organ]),
-            np.vstack([plant.vertex_color, colour]),
+            np.vstack([painted, colour]),
+            setting=setting,
         )
 
     def with_object(self, vertices: ArrayLike, faces: NDArray[Any], colour: ArrayLike) -> Scene:
@@ -101,13 +108,14 @@ class Scene:
             np.concatenate([self.face_organ, np.full(len(faces), Organ.BENCH, dtype=np.uint8)]),
             np.vstack([self.vertex_color, np.tile(np.asarray(colour, dtype=np.uint8), (len(v), 1))]),
             ambient=np.vstack([self._ambient, np.full((len(v), 2), 0.7 * shading.SKY_LIGHT, dtype=np.float32)]),
+            setting=self.setting,
         )
 
     def moved(self, vertices: ArrayLike) -> Scene:
         """Return the scene with its first n vertices at `vertices` (n, 3) [m]: the plant's, from `posed_vertices`."""
         new = self.vertices.copy()
         new[: len(np.asarray(vertices))] = vertices
-        return Scene(new, self.faces, self.face_organ, self.vertex_color, ambient=self._ambient)
+        return Scene(new, self.faces, self.face_organ, self.vertex_color, ambient=self._ambient, setting=self.setting)
 
     def render(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> Image:
         """Return the image of a camera at T_world_cam."""
@@ -119,7 +127,7 @@ class Scene:
         depth = np.where(face >= 0, hit["tfar"], np.float32(0))
         rgb = np.empty((len(face), 3), dtype=np.uint8)
         sunlit = self._sunlit(T[:3, 3], rays, depth, hit)
-        shading.shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, rgb)
+        shading.shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, self._mix, rgb)
         organ = np.append(self.face_organ, np.uint8(Organ.NOTHING))[face]
         return Image(rgb.reshape(*size, 3), depth.reshape(size), face.reshape(size), organ.reshape(size))
 
@@ -149,6 +157,8 @@ class Scene:
     def _sunlit(self, eye: Array, rays: NDArray[Any], depth: NDArray[Any], hit: dict[str, Any]) -> NDArray[np.bool_]:
         pixels, origins = shading.shadow_origins(eye.copy(), rays, (depth, hit["primID"], hit["Ng"]), self._mesh[4])
         to_sun = np.tile(shading.SUN.astype(np.float32), (len(origins), 1))
+        if not self.setting.sun:
+            return np.zeros(len(rays), dtype=np.bool_)
         free = self._embree.run(origins, to_sun, np.full(len(origins), 1.5, np.float32), query="OCCLUDED") < 0
         sunlit = np.zeros(len(rays), dtype=np.bool_)
         sunlit[pixels[free]] = True

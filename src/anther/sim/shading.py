@@ -98,6 +98,7 @@ def shade(
     hit: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
     sunlit: NDArray[Any],
     mesh: tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]],
+    mix: Array,
     out: NDArray[Any],
 ) -> None:
     """Fill out (P, 3) uint8 sRGB.
@@ -108,14 +109,17 @@ def shade(
         sunlit: (P,) whether the sun reaches the point.
         mesh: faces (Nf, 3), colour (Nv, 3) linear, normal (Nv, 3), ambient (Nv, 2) light on the normal's side and on
             the other, kind (Nf,).
+        mix: (3, 3) maps linear red, green, blue to what the camera's channels take in.
         out: result.
     """
     faces, colour, normal, ambient, kind = mesh
     face, second, third = hit
+    level = np.empty(3)
     for i in range(len(face)):
         f = face[i]
         if f < 0:
-            _sky(rays[i], out[i])
+            _sky(rays[i], level)
+            _expose(level, mix, out[i])
             continue
         a, b, c = faces[f]
         v, w = second[i], third[i]
@@ -134,14 +138,19 @@ def shade(
         for channel in range(3):
             albedo = u * colour[a, channel] + v * colour[b, channel] + w * colour[c, channel]
             tint = 1.25 if channel == 1 else (1.0 if channel == 0 else 0.5)
-            level = albedo * (light + tint * through)
-            out[i, channel] = _ENCODED[int(min(level, 1.0) * (_STEPS - 1))]
+            level[channel] = albedo * (light + tint * through)
+        _expose(level, mix, out[i])
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def _sky(ray: NDArray[Any], out: NDArray[Any]) -> None:
+def _sky(ray: NDArray[Any], level: Array) -> None:
     up = ray[2] / np.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
-    level = 0.72 + 0.2 * up
-    out[0] = _ENCODED[int(0.93 * level * (_STEPS - 1))]
-    out[1] = _ENCODED[int(0.97 * level * (_STEPS - 1))]
-    out[2] = _ENCODED[int(level * (_STEPS - 1))]
+    level[2] = 0.72 + 0.2 * up
+    level[0], level[1] = 0.93 * level[2], 0.97 * level[2]
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _expose(level: Array, mix: Array, out: NDArray[Any]) -> None:
+    for channel in range(3):
+        light = mix[channel, 0] * level[0] + mix[channel, 1] * level[1] + mix[channel, 2] * level[2]
+        out[channel] = _ENCODED[int(min(light, 1.0) * (_STEPS - 1))]
