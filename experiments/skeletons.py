@@ -1,6 +1,6 @@
 """Skeletons of simulated plants against their truth, through the whole noisy capture, one parameter set (paper R1).
 
-    python experiments/skeletons.py --json docs/results/skeletons.json --page docs/skeletons.md
+    python experiments/skeletons.py --json docs/results/skeletons.json --figures docs/pictures
 
 Ten plants (two tomatoes, eight peppers, as in the paper) and 100 further ones (50 of each species), none of which was
 looked at while parameters were chosen. Each is seen in 30 views that the Sawyer reaches, 1280 x 720, with the depth
@@ -25,6 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from skeleton_figures import draw_spread, draw_ten
 from skeleton_truth import Score, pooled, score, visible_flowers
 
 from anther import cloud, flowers, masks, skeleton, stem
@@ -92,8 +93,18 @@ def one_plant(which: tuple[Species, int], out: Path) -> dict[str, Any]:
         else:
             seconds = time.perf_counter() - begin
             result = score(plant, visible_flowers(plant, truth, capture.intrinsics), tree, main, found)
+            if which in TEN:
+                keep(out / file.stem, points, tree, main)
             write_json(file, {**as_lists(result), "seconds": seconds, "notes": [*points.notes, *tree.notes]})
     return read_json(file)
+
+
+def keep(folder: Path, points: cloud.Cloud, tree: skeleton.Skeleton, main: stem.Stem) -> None:
+    """Save what the picture of the ten plants shows."""
+    folder.mkdir(exist_ok=True)
+    points.save(folder / "cloud.ply")
+    tree.save(folder / "skeleton.npz")
+    main.save(folder / "stem.npz")
 
 
 def as_lists(result: Score) -> dict[str, Any]:
@@ -147,6 +158,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
     parser.add_argument("--jobs", type=int, default=1, help="plants at a time; each uses two threads")
     parser.add_argument("--out", type=Path, default=Path("runs/skeletons"), help="where finished plants are kept")
+    parser.add_argument("--figures", type=Path, help="write skeletons.png and skeletons_spread.png into this folder")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     console = Console()
@@ -163,6 +175,10 @@ def main() -> None:
             console.print(f"{species} {seed}: {what}, notes {row.get('notes')}", highlight=False)
     if args.json:
         write_json(args.json, table)
+    if args.figures:
+        scores = {which: as_score(row) for which, row in rows.items() if "failure" not in row}
+        draw_ten([which for which in scores if which in TEN], args.out).savefig(args.figures / "skeletons.png", dpi=90)
+        draw_spread(scores).savefig(args.figures / "skeletons_spread.png", dpi=90)
 
 
 if __name__ == "__main__":

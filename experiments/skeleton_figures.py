@@ -1,0 +1,62 @@
+"""Pictures of experiments/skeletons.py: the ten plants with their skeletons over the truth, and the errors' spread."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from skeleton_truth import AXIS, NEAR, Score
+
+from anther.cloud import Cloud
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow
+from anther.pictures.plant import draw_side
+from anther.sim.plant import SimPlant
+from anther.skeleton import Skeleton
+from anther.stem import Stem
+
+FRONT = (1, 2, 0)
+"""Across, up, depth: the plant as the arm sees it from its base."""
+
+Which = tuple[Any, int]
+
+
+def draw_ten(plants: list[Which], out: Path) -> Figure:
+    """Return the plants side by side: cloud, skeleton by organ, main stem; true stem and branches dashed."""
+    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    plots = figure.subplots(2, (len(plants) + 1) // 2, sharey=True)
+    for (species, seed), plot in zip(plants, plots.flat, strict=False):
+        folder = out / f"{species}-{seed}"
+        cloud, skeleton = Cloud.load(folder / "cloud.ply"), Skeleton.load(folder / "skeleton.npz")
+        draw_side(plot, FRONT, cloud, skeleton, Stem.load(folder / "stem.npz"))
+        _draw_truth(plot, grow(species, seed, 0.0, USUAL_DISTANCE))
+        plot.set(title=f"{species} {seed}", aspect="equal")
+        plot.tick_params(labelsize=7)
+    return figure
+
+
+def _draw_truth(plot: Any, plant: SimPlant) -> None:
+    for k in np.flatnonzero(np.isin(plant.organ, AXIS)):
+        line = np.stack([plant.start[k], plant.end[k]])[:, FRONT[:2]]
+        plot.plot(*line.T, color="black", lw=0.8, ls=(0, (2, 2)), zorder=8)
+
+
+def draw_spread(scores: dict[Which, Score]) -> Figure:
+    """Return the distributions over plants: 95th percentile of the stem error, radius, recall and precision."""
+    figure = Figure(figsize=(13, 3.4), layout="constrained")
+    panels = {
+        "stem error, 95th percentile [mm]": lambda s: 1e3 * np.quantile(s.stem_error, 0.95),
+        "found / true stem radius, median": lambda s: np.median(s.radius_ratio),
+        f"recall at {1e3 * NEAR:.0f} mm": lambda s: np.mean(s.recalled),
+        f"precision at {1e3 * NEAR:.0f} mm": lambda s: np.mean(s.precise),
+    }
+    for plot, (title, value) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
+        groups = {name: [value(s) for (species, _), s in scores.items() if species == name] for name in SPECIES}
+        plot.hist(list(groups.values()), bins=15, stacked=True, color=list(SPECIES.values()), label=list(groups))
+        plot.set(title=title, ylabel="plants")
+        plot.legend(fontsize=7)
+    return figure
+
+
+SPECIES = {"tomato": "#c0392b", "pepper": "#2e7d32"}
