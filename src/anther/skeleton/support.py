@@ -1,0 +1,105 @@
+"""How well the cloud supports each node of a skeleton, and the confidence that follows. J nodes, N points.
+
+A node is believed when a surface lies around it at one radius, all the way round, along an organ that is longer than
+broad. Bridges have no surface, blades are broad, and where views disagree the surface is thick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+
+from anther.geometry import Array
+
+SECTORS = 8
+"""The directions around a node in which a surface is looked for."""
+
+FITTED = (2.31, 0.89, -1.38, -3.11, -0.83)
+"""Constant and weights of `node_support` in the log-odds: `python experiments/confidence.py --fit`."""
+
+
+def node_confidence(nodes: Array, parent: NDArray[Any], radius: Array, width: Array, points: Array) -> Array:
+    """Return (J,) the probability that an organ's axis lies within 5 mm of each node.
+
+    An axis is that of a stem, branch, petiole, rachis or truss: on the blade of a leaf the confidence is low.
+    See `node_support` for the arguments.
+    """
+    return probability(FITTED, node_support(nodes, parent, radius, width, points))
+
+
+def probability(fitted: Sequence[float], evidence: Array) -> Array:
+    """Return the logistic model's probabilities (...,) of evidence (..., K), `fitted` being constant and weights."""
+    return 1 / (1 + np.exp(-(fitted[0] + evidence @ np.asarray(fitted[1:]))))
+
+
+def logit(share: ArrayLike) -> Array:
+    """Return the log-odds of probabilities, which are kept within 0.02 .. 0.98."""
+    p = np.clip(share, 0.02, 0.98)
+    return np.log(p / (1 - p))
+
+
+def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array, points: Array) -> Array:
+    """Return what the cloud says of every node, (J, 4): larger is better except where noted.
+
+    Columns: the share of SECTORS around the node that hold points; the logarithm of breadth over thickness (bad); the
+    scatter of the surface about one radius, as a share of it (bad); the logarithm of the distance to the nearest
+    points over the radius, 0 or more (bad, a bridge).
+
+    Args:
+        nodes: (J, 3) [m].
+        parent: (J,) of a rooted tree, parent[0] = -1.
+        radius, width: (J,) half thickness and half breadth [m].
+        points: (N, 3) the cloud [m].
+    """
+    owner = np.asarray(KDTree(nodes).query(points)[1])
+    tangent = _tangents(nodes, parent)
+    one, two = _across(tangent)
+    offset = points - nodes[owner]
+    x, y = np.sum(offset * one[owner], axis=1), np.sum(offset * two[owner], axis=1)
+    away = np.hypot(x, y)
+    reach = np.maximum(2.5 * radius, 2 * np.median(radius))
+    near = away <= reach[owner]
+    sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
+    held = np.zeros((len(nodes), SECTORS), dtype=bool)
+    held[owner[near], sector[near]] = True
+    count = np.maximum(np.bincount(owner[near], minlength=len(nodes)), 1)
+    spread = np.bincount(owner[near], np.abs(away - radius[owner])[near], minlength=len(nodes)) / count
+    gap = np.asarray(KDTree(points).query(nodes)[0])
+    columns = (
+        held.mean(axis=1),
+        np.log(np.maximum(width / radius, 1)),
+        np.minimum(spread / radius, 3),
+        np.log(np.maximum(gap / radius, 1)),
+    )
+    return np.stack([_along(column, parent) for column in columns], axis=1)
+
+
+def _along(values: Array, parent: NDArray[Any]) -> Array:
+    """Return the values averaged with those of the parent and of the children."""
+    total, count = values.copy(), np.ones(len(values))
+    np.add.at(total, parent[1:], values[1:])
+    np.add.at(count, parent[1:], 1)
+    total[1:] += values[parent[1:]]
+    count[1:] += 1
+    return total / count
+
+
+def _tangents(nodes: Array, parent: NDArray[Any]) -> Array:
+    """Return (J, 3) unit directions: from the parent to the mean of the children."""
+    edge = nodes[1:] - nodes[parent[1:]]
+    direction = np.zeros_like(nodes)
+    direction[1:] += edge
+    np.add.at(direction, parent[1:], edge)
+    return direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+
+
+def _across(tangent: Array) -> tuple[Array, Array]:
+    """Return two unit vectors (J, 3) across each unit tangent."""
+    helper = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+    one = np.cross(tangent, helper)
+    one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-12)
+    return one, np.cross(tangent, one)
