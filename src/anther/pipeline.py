@@ -16,7 +16,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.identification import refine
-from anther.masks import Masks
+from anther.masks import Masks, grounded_sam2
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response
 from anther.runs import Advance, Run
@@ -33,6 +33,7 @@ class Params:
     """Every stage's parameters; each stage documents its own."""
 
     masks: masks.Params = field(default_factory=masks.Params)
+    grounded_sam2: grounded_sam2.Params = field(default_factory=grounded_sam2.Params)
     cloud: cloud.Params = field(default_factory=cloud.Params)
     skeleton: skeleton.Params = field(default_factory=skeleton.Params)
     stem: stem.Params = field(default_factory=stem.Params)
@@ -42,6 +43,10 @@ class Params:
     vibration: vibration.Params = field(default_factory=vibration.Params)
     execution: execution.Params = field(default_factory=execution.Params)
     response: response.Params = field(default_factory=response.Params)
+
+
+FindMasks = Callable[[Capture, Box | None, Advance], Masks]
+"""Another way to masks than `masks.segment`: (capture, workspace, progress) -> Masks."""
 
 
 class MotionPlanner(execution.Planner, Protocol):
@@ -96,13 +101,23 @@ class Done:
     material: Material
 
 
-def perceive(capture: Capture, workspace: Box | None, run: Run, params: Params) -> Seen:
+def perceive(
+    capture: Capture, workspace: Box | None, run: Run, params: Params, find_masks: FindMasks | None = None
+) -> Seen:
     """Turn views into a labelled cloud, a rooted skeleton, its main stem and its flowers.
+
+    Args:
+        capture: the views.
+        workspace: where the plant may stand, world [m]; None: about where the cameras look.
+        run: where every stage's result is kept.
+        params: of every stage.
+        find_masks: finds plant and flowers instead of `masks.segment`, which needs no weights.
 
     Raises:
         StageFailure: no plant or no stem was found.
     """
-    labels = run.stage("masks", Masks.load, lambda _: masks.segment(capture, workspace, params.masks))
+    find_masks = find_masks or (lambda views, box, _: masks.segment(views, box, params.masks))
+    labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
     fused = run.stage(
         "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
     )
@@ -126,7 +141,7 @@ def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params)
     )
 
 
-def pollinate(cell: Cell, material: Material, run: Run, params: Params) -> Done:
+def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_masks: FindMasks | None = None) -> Done:
     """See, grasp and shake one plant, and measure how its flowers answer.
 
     When a grasp turns out to hold nothing, or the wrong thing, the next best is tried.
@@ -136,12 +151,13 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params) -> Done:
         material: what is believed of the plant's stiffness, density and damping.
         run: where every stage's result is kept.
         params: of every stage.
+        find_masks: see `perceive`.
 
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
     capture = run.stage("capture", Capture.load, cell.take_views)
-    seen = perceive(capture, cell.workspace, run, params)
+    seen = perceive(capture, cell.workspace, run, params, find_masks)
     planner = cell.plan_around(seen.cloud)
     grasps = rank_grasps(seen, planner.reach, run, params)
     rods = run.stage(

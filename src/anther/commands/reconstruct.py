@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from anther.commands.mask_source import MaskSource
 from anther.pipeline import Params
 
 
@@ -21,6 +22,10 @@ class Args:
     """Run folder; by default runs/ and the capture's name."""
     workspace: tuple[float, float, float, float, float, float] | None = None
     """Box the plant stands in: x0 y0 z0 x1 y1 z1 [m]. By default it is found from where the cameras look."""
+    masks: MaskSource = "colour"
+    """What finds plant and flowers: colour and geometry, or Grounding DINO and SAM 2 (docs/masks.md)."""
+    models: Path = Path("models")
+    """Folder with the weights for grounded-sam2."""
     restart_from: str | None = None
     """Read the results of earlier stages from the run folder and go on from this stage."""
     overwrite: bool = False
@@ -35,15 +40,17 @@ def run(args: Args) -> None:
 
     from anther import pipeline
     from anther.capture import Capture
+    from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run
     from anther.geometry import Box
 
     out = args.out or Path("runs") / args.capture.resolve().name
     workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))
+    find_masks = mask_finder(args.masks, args.models, args.params, cache=_folder(args.capture) / "masks")
     capture = Capture.load(args.capture)
     with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
         capture = run.stage("capture", Capture.load, lambda _: capture)
-        seen = pipeline.perceive(capture, workspace, run, args.params)
+        seen = pipeline.perceive(capture, workspace, run, args.params, find_masks)
         grasps = pipeline.rank_grasps(seen, None, run, args.params)
     results = finish(run)
     stem = seen.stem.arc_length[-1]
@@ -52,3 +59,8 @@ def run(args: Args) -> None:
     for note in results.notes():
         print(f"note: {note}")
     print(f"report: {run.path('report')}")
+
+
+def _folder(capture: Path) -> Path:
+    """Return the capture's folder, which may be given by its transforms.json."""
+    return capture if capture.is_dir() else capture.parent

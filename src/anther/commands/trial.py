@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from anther.commands.mask_source import MaskSource
 from anther.pipeline import Params
 
 if TYPE_CHECKING:
@@ -30,6 +31,10 @@ class Args:
     """Of the pot in front of the arm [m]."""
     views: int = 30
     """How many RGB-D views the arm takes."""
+    masks: MaskSource = "colour"
+    """What finds plant and flowers: colour and geometry, or Grounding DINO and SAM 2 (docs/masks.md)."""
+    models: Path = Path("models")
+    """Folder with the weights for grounded-sam2."""
     out: Path | None = None
     """Run folder; by default runs/PLANT-SEED-VIEWPOINT."""
     restart_from: str | None = None
@@ -45,6 +50,7 @@ class Args:
 def run(args: Args) -> int:
     """Run one trial; return 0 when the main stem was shaken without harm, 1 when not, 2 when it never came to that."""
     from anther.checks import check_range
+    from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run, parameters
     from anther.commands.trial_summary import print_summary, summarise
     from anther.errors import StageFailure, bad_input
@@ -62,12 +68,13 @@ def run(args: Args) -> int:
             allowed="a stage up to 'execution'",
             do="The simulated world and its video are not kept: restart from execution.",
         )
+    find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     out = args.out or Path("runs") / f"{args.plant}-{args.seed}-{args.viewpoint:g}"
     cell = done = verdict = failure = None
     with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
         try:
             cell = run.timed("cell", lambda _: _build(args))
-            done = pollinate(cell.robot_side, _material(args.plant), run, args.params)
+            done = pollinate(cell.robot_side, _material(args.plant), run, args.params, find_masks)
             verdict = run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
