@@ -69,7 +69,6 @@ class GroundedSam2:
             processor = _read(transformers.GroundingDinoImageProcessorPil, models.detector)
         return cls(detector, tokenizer, processor, outliner, score=score, most_boxes=most_boxes)
 
-    @torch.inference_mode()
     def find(self, images: NDArray[Any], words: Sequence[str]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         """Return for each image (B, H, W, 3) uint8 its masks (K, H, W) bool and (K,) which of the words each fits.
 
@@ -88,6 +87,7 @@ class GroundedSam2:
             ) from error
         return [(mask, word.cpu().numpy()) for mask, (_, word) in zip(masks, boxes, strict=True)]
 
+    @torch.inference_mode()
     def boxes(self, images: NDArray[Any], words: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
         """Return for each image (B, H, W, 3) its boxes (K, 4) x0 y0 x1 y1 [px] and (K,) which words each fits."""
         text = self._tokenizer([" ".join(words)] * len(images), return_tensors="pt").to(self.device)
@@ -106,6 +106,7 @@ class GroundedSam2:
             for logits, boxes in zip(answer.logits, answer.pred_boxes, strict=True)
         ]
 
+    @torch.inference_mode()
     def outlines(self, images: NDArray[Any], boxes: Sequence[Tensor]) -> list[NDArray[np.bool_]]:
         """Return for each image (B, H, W, 3) the mask (K, H, W) of the object in each of its boxes (K, 4) [px]."""
         height, width = images.shape[1:3]
