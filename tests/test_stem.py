@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_plants import simple_plant
+from made_plants import segment_distance, simple_plant
+from scipy.spatial.transform import Rotation
 
 from anther.cloud import Cloud
 from anther.errors import StageFailure
+from anther.geometry import Array
 from anther.skeleton import Skeleton, skeletonize
-from anther.stem import BRANCH, STEM, Stem, find_stem
+from anther.stem import BRANCH, LEAF, STEM, TRUSS, Stem, find_stem
 
 
 def drawn(*lines: list[list[float]], radius: list[float]) -> Skeleton:
@@ -42,7 +44,82 @@ def test_stem_of_a_made_plant_runs_up_the_axis() -> None:
     assert len(stem.attachments) == 4
     assert stem.arc_length[0] == 0
     assert np.all(stem.organ[stem.node_ids] == STEM)
-    assert np.count_nonzero(stem.organ == BRANCH) == len(skeleton.nodes) - len(stem.node_ids)
+
+
+@pytest.mark.parametrize("lean", [0, 20, 30])
+def test_a_leaning_plants_stem_is_found_to_its_top_and_not_beyond(lean: int) -> None:
+    turn = Rotation.from_euler("y", lean, degrees=True).as_matrix()
+    skeleton = skeletonize(Cloud(simple_plant(lean) @ turn.T))
+    nodes = skeleton.nodes[find_stem(skeleton).node_ids]
+    assert segment_distance(nodes, [0, 0, 0], turn @ [0, 0, 0.5]).max() < 0.005
+    assert np.linalg.norm(nodes[-1] - turn @ [0, 0, 0.5]) < 0.02
+
+
+@pytest.mark.parametrize("bend", [0.8, -1.5])
+def test_a_bent_plants_stem_is_found_to_its_top(bend: float) -> None:
+    skeleton = skeletonize(Cloud(bent(simple_plant(3), bend)))
+    nodes = skeleton.nodes[find_stem(skeleton).node_ids]
+    axis = bent(np.array(line([0, 0, 0], [0, 0, 0.5], 500)), bend)
+    assert np.linalg.norm(nodes[:, None] - axis, axis=2).min(axis=1).max() < 0.005
+    assert np.linalg.norm(nodes[-1] - axis[-1]) < 0.02
+
+
+def bent(points: Array, bend: float) -> Array:
+    """Return the points moved sideways with the square of their height: at 0.5 m up by bend / 4 [m]."""
+    return points + np.outer(bend * points[:, 2] ** 2, [1.0, 0, 0])
+
+
+def test_petioles_are_branches_and_blades_are_leaves() -> None:
+    skeleton = skeletonize(Cloud(simple_plant()))
+    organ = find_stem(skeleton).organ
+    petiole, blade = np.full((2, len(organ)), np.inf)
+    for k in range(4):
+        base, out = np.array([0, 0, 0.125 + 0.1 * k]), np.array([np.cos(2.4 * k), np.sin(2.4 * k), 0.7])
+        petiole = np.minimum(petiole, segment_distance(skeleton.nodes, base + 0.01 * out, base + 0.07 * out))
+        blade = np.minimum(blade, segment_distance(skeleton.nodes, base + 0.1 * out, base + 0.14 * out))
+    assert np.mean(organ[petiole < 0.004] == BRANCH) > 0.9
+    assert np.all(organ[blade < 0.008] == LEAF)
+
+
+def test_nothing_grows_out_of_a_leaf() -> None:
+    skeleton = skeletonize(Cloud(simple_plant(1)))
+    organ = find_stem(skeleton).organ
+    assert np.all(organ[1:][organ[skeleton.parent[1:]] == LEAF] == LEAF)
+
+
+def test_a_limb_with_flowers_and_no_leaf_is_a_truss() -> None:
+    stalk = line([0, 0, 0.2], [0.06, 0, 0.22])
+    skeleton = drawn(
+        line([0, 0, 0], [0, 0, 0.3], 30), stalk, line([0, 0, 0.1], [0.06, 0, 0.12]), radius=[0.004, 0.002, 0.002]
+    )
+    flowers_at = np.array([[0.06, 0, 0.21], [0.045, 0.01, 0.21]])
+    on_truss = (skeleton.nodes[:, 0] > 0) & (skeleton.nodes[:, 2] > 0.15)
+    assert np.array_equal(find_stem(skeleton, flowers_at=flowers_at).organ == TRUSS, on_truss)
+    assert not np.any(find_stem(skeleton).organ == TRUSS)
+
+
+def test_a_branch_with_a_flower_and_leaves_is_a_branch() -> None:
+    limb, twig = line([0, 0, 0.2], [0.1, 0, 0.25]), line([0.1, 0, 0.25], [0.2, 0, 0.25])
+    skeleton = leafy(line([0, 0, 0], [0, 0, 0.4]), limb, blade=twig)
+    organ = find_stem(skeleton, flowers_at=np.array([[0.06, 0.015, 0.23]])).organ
+    assert np.all(organ[(skeleton.nodes[:, 0] > 0) & (skeleton.nodes[:, 0] <= 0.1)] == BRANCH)
+    assert np.all(organ[skeleton.nodes[:, 0] > 0.1] == LEAF)
+
+
+def test_a_spur_is_neither_branch_nor_attachment() -> None:
+    skeleton = drawn(
+        line([0, 0, 0], [0, 0, 0.3]), [[0, 0, 0.15], [0.005, 0, 0.15], [0.01, 0, 0.15]], radius=[0.004, 0.003]
+    )
+    stem = find_stem(skeleton)
+    assert not np.any(stem.organ == BRANCH)
+    assert len(stem.attachments) == 0
+
+
+def leafy(*lines: list[list[float]], blade: list[list[float]]) -> Skeleton:
+    """Return slender lines, 8 mm thick, and a blade of 30 mm that goes on from them."""
+    plain = drawn(*lines, blade, radius=[0.004] * (len(lines) + 1))
+    on_blade = np.arange(len(plain.nodes)) >= len(plain.nodes) - len(blade) + 1
+    return Skeleton(plain.nodes, plain.parent, plain.radius, width=np.where(on_blade, 0.015, 0.004))
 
 
 def test_a_long_horizontal_leaf_is_cut_off() -> None:

@@ -98,20 +98,26 @@ def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, params: Params | 
         params: sizes in metres; flowers do not scale with the plant.
     """
     params = params or Params()
-    points = cloud.points[cloud.labels == FLOWER]
-    centres = _centres(points, params) if len(points) else np.zeros((0, 3))
+    centres = flower_centres(cloud, params)
     distance, carrier = _carriers(centres, skeleton, stem, params)
     near = distance <= params.pedicel
     notes = []
     if not near.any():
-        notes.append(f"no flowers: {len(points)} points are labelled as flower")
+        notes.append(f"no flowers: {np.count_nonzero(cloud.labels == FLOWER)} points are labelled as flower")
     if not near.all():
         notes.append(f"{np.count_nonzero(~near)} flower-like clusters too far from the plant were left out")
     return Flowers(centres[near], carrier[near], tuple(notes))
 
 
-def _centres(points: Array, params: Params) -> Array:
-    """Return flower centres (F, 3): clusters of a flower's size, large ones split, pieces joined, specks dropped."""
+def flower_centres(cloud: Cloud, params: Params | None = None) -> Array:
+    """Return flower centres (F, 3) [m], wherever they hang: `find_stem` tells trusses by them.
+
+    Clusters of points labelled flower and of a flower's size: large ones are split, pieces joined, specks dropped.
+    """
+    params = params or Params()
+    points = cloud.points[cloud.labels == FLOWER]
+    if not len(points):
+        return np.zeros((0, 3))
     _, first = np.unique(np.rint(points / params.grid).astype(np.int64), axis=0, return_index=True)
     points = points[first]
     pieces = [part for cluster in _clusters(points, params.gap) for part in _split(cluster, params)]

@@ -1,0 +1,141 @@
+"""Stem: the main stem within the skeleton, and which organ each skeleton node belongs to. S stem samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.checks import check_array
+from anther.errors import StageFailure, bad_input
+from anther.files import read_npz, write_npz
+from anther.geometry import Array
+from anther.skeleton import Skeleton
+from anther.skeleton.raw_tree import chains, edge_lengths
+from anther.stem.main_axis import forks, growth_end, path_score
+from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS, classify, longest_way, stem_breadth
+from anther.stem.params import Params
+
+__all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
+
+_KIND, _SCHEMA = "stem", 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stem:
+    """The main stem as an ordered path of skeleton nodes, root first.
+
+    Attributes:
+        node_ids: (S,) skeleton nodes from the root to the stem's top.
+        arc_length: (S,) distance from the root along the stem [m].
+        attachments: (A,) positions within node_ids where a branch, petiole, truss or leaf leaves the stem.
+        organ: (J,) uint8 per skeleton node: STEM, BRANCH (also petioles), TRUSS or LEAF.
+        fork: position within node_ids of the first fork, above which the stem is one of several (pepper); the last
+            position when there is none.
+        notes: what the stage wants the user to know.
+        confidence: probability that the stem is right; None if unknown.
+    """
+
+    node_ids: NDArray[Any]
+    arc_length: Array
+    attachments: NDArray[Any]
+    organ: NDArray[Any]
+    fork: int = -1
+    notes: tuple[str, ...] = ()
+    confidence: float | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.node_ids)
+        object.__setattr__(self, "node_ids", check_array("stem nodes", self.node_ids, (n,), dtype="int64"))
+        object.__setattr__(self, "arc_length", check_array("stem arc length", self.arc_length, (n,)))
+        object.__setattr__(self, "attachments", check_array("attachments", self.attachments, (None,), dtype="int64"))
+        object.__setattr__(self, "organ", check_array("organ", self.organ, (None,), dtype="uint8"))
+        if n < 2 or np.any(np.diff(self.arc_length) <= 0):
+            raise bad_input("stem", given=f"{n} nodes", allowed="two or more, root first", do="Order the nodes.")
+        if not -n <= self.fork < n:
+            raise bad_input("stem fork", given=self.fork, allowed=f"a position in {n} nodes", do="Find the stem again.")
+        object.__setattr__(self, "fork", int(self.fork) % n)
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz (schema 3)."""
+        write_npz(
+            path,
+            _KIND,
+            _SCHEMA,
+            node_ids=self.node_ids,
+            arc_length=self.arc_length,
+            attachments=self.attachments,
+            organ=self.organ,
+            fork=self.fork,
+            notes=np.array(self.notes, dtype=np.str_),
+            confidence=None if self.confidence is None else np.array(self.confidence),
+        )
+
+    @classmethod
+    def load(cls, path: Path | str) -> Stem:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, truncated, or of another kind or schema.
+        """
+        a = read_npz(path, _KIND, _SCHEMA)
+        notes = tuple(str(note) for note in a["notes"])
+        sure = None if a.get("confidence") is None else float(a["confidence"])
+        return cls(a["node_ids"], a["arc_length"], a["attachments"], a["organ"], int(a["fork"]), notes, sure)
+
+
+def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: Array | None = None) -> Stem:
+    """Return the main stem, the best root-to-tip path by score S up to where it leaves its growth axis, and all organs.
+
+    Where a plant forks (pepper), the better fork goes on as the main stem and the other is a branch.
+
+    Args:
+        skeleton: one rooted tree.
+        params: one set for every plant.
+        flowers_at: (F, 3) centres of flowers (`flowers.flower_centres`) [m]; without them no node is TRUSS.
+
+    Raises:
+        StageFailure: "no_stem_found" when no path rises far enough to be a stem.
+    """
+    params = params or Params()
+    size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
+    path = chains(skeleton.parent, path_score(skeleton, params))[0]
+    node_ids = path[: growth_end(skeleton, path, size, params)]
+    nodes = skeleton.nodes[node_ids]
+    arc_length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+    _plausible(nodes, arc_length, size, params)
+    flowers_at = np.zeros((0, 3)) if flowers_at is None else flowers_at
+    organ = classify(skeleton, node_ids, flowers_at, params)
+    attachments = _attachments(skeleton, node_ids, organ, params)
+    forked = [i for i in attachments if forks(skeleton, path, organ, int(i), params)]
+    return Stem(node_ids, arc_length, attachments, organ, int(min(forked, default=len(node_ids) - 1)))
+
+
+def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any], params: Params) -> NDArray[Any]:
+    """Return the positions within the stem where more than a spur leaves it."""
+    way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
+    long = way > params.spur * stem_breadth(skeleton, node_ids)
+    leaves = (organ[1:] != STEM) & (organ[skeleton.parent[1:]] == STEM) & ((organ[1:] != LEAF) | long[1:])
+    return np.flatnonzero(np.isin(node_ids, skeleton.parent[1:][leaves]))
+
+
+def _plausible(nodes: Array, arc_length: Array, size: float, params: Params) -> None:
+    rise = nodes[:, 2].max() - nodes[0, 2]
+    if not 0.005 <= size <= 20:
+        problem = f"the plant measures {size:g} m (allowed: 0.005 to 20 m). Wrong units?"
+    elif arc_length[-1] < params.shortest * size:
+        problem = (
+            f"the best candidate is {arc_length[-1] * 1e3:.1f} mm long on a plant of {size * 1e3:.0f} mm "
+            f"(allowed: {params.shortest:g} of the plant or more). Is the stem in view?"
+        )
+    elif rise < 0.2 * arc_length[-1]:
+        problem = (
+            f"the best candidate of {arc_length[-1] * 1e3:.1f} mm rises only {rise * 1e3:.1f} mm "
+            "(allowed: a fifth of its length or more). Is z up?"
+        )
+    else:
+        return
+    raise StageFailure("no_stem_found", f"main stem: {problem}")

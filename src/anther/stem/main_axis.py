@@ -1,0 +1,93 @@
+"""The main stem's path through the skeleton (paper P10, P11). J nodes, S stem nodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.geometry import Array
+from anther.skeleton import Skeleton
+from anther.skeleton.raw_tree import path_gain
+from anther.stem.organs import BRANCH
+from anther.stem.params import Params
+
+_FORK_NODES = 6  # nodes after a fork whose median radius is compared
+_ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
+
+
+def forks(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int, params: Params) -> bool:
+    """Whether a branch that leaves the stem at position `at` of the path is as much a stem as what goes on."""
+    base = skeleton.nodes[path[at]]
+    beyond = path[at + 1 :]
+    if not len(beyond):
+        return False
+    rise = float(skeleton.nodes[beyond, 2].max() - base[2])
+    thick = float(np.median(skeleton.radius[beyond[:_FORK_NODES]]))
+    for child in np.flatnonzero((skeleton.parent == path[at]) & (organ == BRANCH)):
+        limb = _highest_path(skeleton, int(child))
+        lean = _angle(skeleton.nodes[limb[-1]] - base, np.array([0.0, 0.0, 1.0]))
+        higher = skeleton.nodes[limb[-1], 2] - base[2] >= params.fork_share * rise
+        thicker = np.median(skeleton.radius[limb[:_FORK_NODES]]) >= params.fork_share * thick
+        if higher and thicker and lean < params.fork_angle:
+            return True
+    return False
+
+
+def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:
+    """Return the nodes from `start` to the highest node of its subtree."""
+    inside = np.zeros(len(skeleton.nodes), dtype=bool)
+    inside[start] = True
+    for j in range(start + 1, len(skeleton.nodes)):
+        inside[j] = inside[skeleton.parent[j]]
+    top = int(np.argmax(np.where(inside, skeleton.nodes[:, 2], -np.inf)))
+    whole = skeleton.path_from_root(top)
+    return whole[np.flatnonzero(whole == start)[0] :]
+
+
+def path_score(skeleton: Skeleton, params: Params) -> Array:
+    """Return what each edge adds to the path score (P10); less on a blade, by how much broader than thick it is."""
+    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius, alpha=params.alpha, v_bias=params.v_bias)
+    if skeleton.width is None:
+        return gain
+    return gain * np.minimum(_ROUND * skeleton.radius / skeleton.width, 1)
+
+
+def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Params) -> int:
+    """Return how many nodes of the path belong to the stem (P11).
+
+    Every step is stem-like or not: whether it turns from the growth axis (root to here), thins, or broadens to a blade.
+    The stem ends where the length that is stem-like, less `doubt` times the length that is not, is largest, so that
+    a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
+    """
+    nodes = skeleton.nodes[path]
+    length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+    arc = np.concatenate([[0], np.cumsum(length)])
+    like = _stem_like(skeleton, path, arc, params.window * size, params)
+    gain = np.cumsum(length * np.where(like, 1.0, -params.doubt))
+    return int(np.argmax(gain)) + 2
+
+
+def _stem_like(skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, params: Params) -> NDArray[np.bool_]:
+    """Return (S - 1,) whether each step of the path looks like stem, over the window ahead of it."""
+    nodes, radius = skeleton.nodes[path], skeleton.radius[path]
+    width = radius if skeleton.width is None else skeleton.width[path]
+    flatness = width / radius
+    ahead = np.minimum(np.searchsorted(arc, arc + window), len(path) - 1)
+    like = np.ones(len(path) - 1, dtype=bool)
+    for i in np.flatnonzero(arc[:-1] >= window):
+        coming = slice(i, max(ahead[i], i + 1) + 1)
+        turned = _angle(nodes[i] - nodes[0], nodes[coming][-1] - nodes[i]) > params.turn
+        thin = np.median(radius[coming]) < params.thinnest * np.median(radius[: i + 1])
+        usual = params.broadest * np.median(flatness[: i + 1])  # noise and one-sided views flatten stems as well
+        flat = np.median(flatness[coming]) > max(params.flattest, usual)
+        flat = flat and np.median(width[coming]) > params.broadest * np.median(width[: i + 1])
+        like[i] = not (turned or thin or flat)
+    return like
+
+
+def _angle(one: Array, other: Array) -> float:
+    """Return the angle between two vectors [degrees]."""
+    cosine = one @ other / max(float(np.linalg.norm(one) * np.linalg.norm(other)), 1e-12)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))

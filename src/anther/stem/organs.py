@@ -1,0 +1,132 @@
+"""Which organ each skeleton node belongs to: main stem, branch or petiole, truss, or leaf. J nodes, F flowers.
+
+Three observations tell organs apart, whatever the plant and its size:
+
+- An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
+  it; a blade is broader than the stem and many times broader than thick.
+- Nothing grows out of a blade: the axes of a plant are a connected part of the tree that holds the root.
+- A limb that carries flowers and no leaf is a truss. One that carries neither and is short is a spur: a stump, or an
+  error of the skeleton.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.geometry import Array
+from anther.skeleton import Skeleton
+from anther.skeleton.raw_tree import edge_lengths
+from anther.stem.params import Params
+
+STEM, BRANCH, TRUSS, LEAF = range(4)
+ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
+"""A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
+
+
+def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: Params) -> NDArray[np.uint8]:
+    """Return (J,) the organ of every node.
+
+    Args:
+        skeleton: the tree; without widths no leaf can be told from a branch.
+        main: nodes of the main stem.
+        flowers_at: (F, 3) centres of flowers [m]; F may be 0.
+        params: what is slender, how far a flower reaches, how long a spur is.
+    """
+    breadth = _relative_breadth(skeleton, main)
+    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < params.axis_breadth, params.flower_reach)
+    axis = _axes(skeleton, main, breadth / params.axis_breadth, beside, params.flat_blade)
+    organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
+    organ[main] = STEM
+    length = edge_lengths(skeleton.nodes, skeleton.parent)
+    is_truss = _sum_below(skeleton.parent, params.leaf_per_flower * bears - length * ((organ == LEAF) & ~beside)) > 0
+    is_truss &= _sum_below(skeleton.parent, bears) > 0
+    is_spur = _sum_below(skeleton.parent, organ == LEAF) == 0
+    is_spur &= longest_way(skeleton.parent, length) <= params.spur * stem_breadth(skeleton, main)
+    return _limbs_named(skeleton.parent, organ, is_truss, is_spur)
+
+
+def stem_breadth(skeleton: Skeleton, main: NDArray[Any]) -> float:
+    """Return the median half width of the main stem [m]."""
+    return float(np.median((skeleton.radius if skeleton.width is None else skeleton.width)[main]))
+
+
+def longest_way(parent: NDArray[Any], length: Array) -> Array:
+    """Return (J,) the longest way from each node's parent through the node to a tip [m]."""
+    way = length.copy()
+    for j in range(len(parent) - 1, 0, -1):
+        way[parent[j]] = max(way[parent[j]], length[parent[j]] + way[j])
+    return way
+
+
+def _relative_breadth(skeleton: Skeleton, main: NDArray[Any]) -> Array:
+    """Return (J,) how much broader each node is than the main stem."""
+    width = skeleton.radius if skeleton.width is None else skeleton.width
+    return width / stem_breadth(skeleton, main)
+
+
+def _flower_bearers(
+    nodes: Array, flowers_at: Array, may_bear: NDArray[np.bool_], reach: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return (J,) how many flowers each node bears, being the nearest within reach, and which are in reach of one."""
+    bears, beside = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=bool)
+    if len(flowers_at):
+        some = np.flatnonzero(may_bear)
+        away, nearest = map(np.asarray, KDTree(nodes[some]).query(flowers_at))
+        np.add.at(bears, some[nearest[away <= reach]], 1)
+        beside[some] = KDTree(flowers_at).query(nodes[some])[0] <= reach
+    return bears, beside
+
+
+def _axes(
+    skeleton: Skeleton, main: NDArray[Any], breadth: Array, beside: NDArray[np.bool_], flat_blade: float
+) -> NDArray[np.bool_]:
+    """Return (J,) which nodes lie on an axis: the rooted part of the tree with the most evidence of being slender.
+
+    Every edge gives its length times a number from -1 (blade) to 1 (axis): the logarithm of how much narrower it is
+    than the stem, or than a flat section, whichever says less; beside a flower a broad one says nothing, since
+    pedicels make a truss broad. The rooted part with the largest sum is found from the tips down, so a contact with
+    a neighbouring leaf does not end a branch that goes on beyond it.
+    """
+    if skeleton.width is None:
+        return np.ones(len(breadth), dtype=bool)
+    slender = np.clip(-np.log(np.maximum(breadth, skeleton.width / (flat_blade * skeleton.radius))), -1, 1)
+    slender = np.where(beside, np.maximum(slender, 0), slender)
+    gain = edge_lengths(skeleton.nodes, skeleton.parent) * slender
+    axis = np.isin(np.arange(len(gain)), main)
+    for j in range(len(gain) - 1, 0, -1):
+        gain[skeleton.parent[j]] += max(gain[j], 0)
+    for j in range(1, len(gain)):
+        axis[j] |= axis[skeleton.parent[j]] and gain[j] > 0
+    return axis
+
+
+def _limbs_named(
+    parent: NDArray[Any], organ: NDArray[np.uint8], is_truss: NDArray[np.bool_], is_spur: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """Return the organs with limbs that are trusses or spurs (then leaf) named so from their first node on."""
+    organ = organ.copy()
+    side = np.bincount(parent[1:], weights=organ[1:] != STEM, minlength=len(parent))
+    for j in range(1, len(parent)):
+        below = organ[parent[j]]
+        begins = below == STEM or (below == BRANCH and side[parent[j]] > 1)
+        if organ[j] == STEM:
+            continue
+        if below in (TRUSS, LEAF):
+            organ[j] = below
+        elif begins and is_truss[j]:
+            organ[j] = TRUSS
+        elif begins and is_spur[j]:
+            organ[j] = LEAF
+    return organ
+
+
+def _sum_below(parent: NDArray[Any], amount: Array) -> Array:
+    """Return (J,) the sum of `amount` over each node and all that hangs on it."""
+    total = np.asarray(amount, dtype=np.float64).copy()
+    for j in range(len(parent) - 1, 0, -1):
+        total[parent[j]] += total[j]
+    return total

@@ -1,0 +1,48 @@
+"""What makes a path the main stem, and a node part of an organ."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What makes a path the main stem (paper P10, P11), and a node part of an organ.
+
+    Attributes:
+        alpha: exponent of the mean radius in the path score S.
+        v_bias: weight of verticality in S.
+        turn: a step that turns from the growth axis by more than this is not stem-like [degrees].
+        window: length over which a step is judged (share of the plant's size).
+        flattest: nor is a blade: a step broader than thick by more than this factor,
+        broadest: and broader, and flatter, than the median so far by more than this factor.
+        thinnest: nor one thinner than this share of the median radius so far.
+        doubt: how much a length that is not stem-like counts against one that is.
+        shortest: a shorter stem is not believed (share of the plant's size).
+        fork_share: a branch forks the stem when it is at least this share as thick as the stem beyond it and rises at
+            least this share as high,
+        fork_angle: and on the whole leans from the vertical by less than this [degrees].
+        flat_blade: a section broader than thick by this factor is as likely blade as axis.
+        axis_breadth: so is one broader than the main stem by this factor; broader ones bear no flowers either.
+        flower_reach: and only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts:
+            pollination), a few millimetres of flower, and half the distance between nodes.
+        leaf_per_flower: a limb is a truss when it bears more flowers than it has leaf, at so much length a flower [m].
+        spur: a limb that bears nothing is no limb unless longer than this, relative to the stem's half width.
+    """
+
+    alpha: float = 2.0
+    v_bias: float = 1.0
+    turn: float = 45.0
+    window: float = 0.06
+    flattest: float = 1.6
+    broadest: float = 1.4
+    thinnest: float = 0.35
+    doubt: float = 2.0
+    shortest: float = 0.05
+    fork_share: float = 0.5
+    fork_angle: float = 50.0
+    flat_blade: float = 2.0
+    axis_breadth: float = 1.2
+    flower_reach: float = 0.03
+    leaf_per_flower: float = 0.03
+    spur: float = 3.0
