@@ -1,153 +1,154 @@
-"""Grasps and main stems on real, labelled plants: how often they lie on the stem system.
+"""Skeletons, main stems and grasps on real plants: against people's labels, against published graphs, beside peers.
 
-Clouds (read from --data; docs/skeleton.md says where they come from): 93 scans of tomato seedlings
-(trackplant3d_tomato1a), one 26-day tomato (salk_tomato_D26), one maize (gavriel_maize). One parameter set for all.
+Labelled clouds (read from --data): 93 scans of tomato seedlings (trackplant3d_tomato1a), a 26-day tomato
+(salk_tomato_D26), a maize (gavriel_maize). Clouds with a published skeleton graph: two tomatoes and a maize of
+Pheno4D. One parameter set for all. Beside Anther, in the same run: plain Lee thinning with the paper's tree, stem and
+grasp rule and none of Anther's steps, at two resolutions; and pc-skeletor with the same rules, when --pc-skeletor names
+a Python that has it. docs/real_plants.md shows the results and says what each number means.
 
-Keys of the --json file: trackplant_grasp_on_stem and all_grasp_on_stem (share of plants whose best grasp has a point
-labelled stem as its nearest point, within 2 stem radii), stem_on_label (share of the predicted main stem's length
-within 2 radii of points labelled stem, mean over plants), stem_on_label_95 (share of plants with 95 % or more),
-stem_distance_median_mm (main stem to the nearest stem-labelled point), single_trees, seconds_median, plants.
+Keys of the --json file, without a prefix Anther's, then with plain_, plain_fine_ and pc_skeletor_:
+trackplant_grasp_on_stem and all_grasp_on_stem (share of plants whose grasp is on the stem system), stem_on_label (share
+of the main stem's length on it, mean over plants), stem_on_label_95 (share of plants with 95 % or more), stem_reach,
+covered, stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants; and
+<scan>_precision_<1v|3v>, <scan>_recall_<1v|3v> against the published graphs.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from real.answers import Answer, Method, Seen, anther, asked
+from real.contraction import PcSkeletor
+from real.judge import Outcome, Tolerance, agreement, judge
+from real.pictures import draw_below, draw_methods, draw_references, draw_seen, save
+from real.plain_thinning import FINE, plain_thinning
+from real.plants import LABELLED, UNLABELLED, Labelled, labelled_plants, references
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from scipy.spatial import KDTree
 
-from anther.cloud import Cloud
-from anther.commands.skeletonize import best_grasps
-from anther.errors import AntherError
 from anther.files import write_json
 from anther.formats.clouds import read_cloud
-from anther.skeleton import Params, skeletonize
-from anther.stem import find_stem
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
-TRACKPLANT = "trackplant3d_tomato1a"
+ENOUGH = 0.95
+"""Share of the main stem that must lie on the stem system."""
+SHOWN = ("167_tomato1_control1_plant1_D00", "213_tomato1_drought_plant1_D02", "259_tomato1_heat_plant2_D05", *LABELLED)
+"""Plants drawn with all methods: the first, middle and last seedling, and the other two; by place, not by result."""
+MOST_BELOW = 2
+
+Outcomes = dict[str, list[Outcome]]
 
 
-@dataclass(frozen=True)
-class Labelled:
-    """A plant with the truth: which of its points are stem."""
-
-    name: str
-    cloud: Cloud
-    is_stem: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What one plant gave; failure is None or the error's text."""
-
-    name: str
-    grasp_on_stem: bool = False
-    stem_share: float = 0.0
-    distance: float = np.nan
-    single_tree: bool = False
-    seconds: float = np.nan
-    failure: str | None = None
-
-
-def labelled_plants(folder: Path, every: int) -> Iterator[Labelled]:
-    """Yield the labelled plants, of trackplant3d every so many."""
-    with np.load(folder / f"{TRACKPLANT}.npz") as stored:
-        labels, offsets, names = stored["labels"], stored["offsets"], stored["names"]
-    for k in range(0, len(names), every):
-        cloud = read_cloud(folder / f"{TRACKPLANT}.npz", "mm", "y", plant=k)
-        yield Labelled(str(names[k]), cloud, labels[offsets[k] : offsets[k + 1]] == 0)
-    for name in ("salk_tomato_D26", "gavriel_maize_28.2.23_8"):
-        with np.load(folder / f"{name}.npz") as stored:
-            is_stem = stored["labels"] == stored["stem_label"]
-        yield Labelled(name, read_cloud(folder / f"{name}.npz"), is_stem)
+def run(plants: list[Labelled], methods: dict[str, Method], console: Console, figures: Path | None) -> Outcomes:
+    """Return every method's outcomes on the labelled plants; draw some of the plants."""
+    outcomes: Outcomes = {name: [] for name in ("anther", *methods)}
+    shown: list[tuple[Labelled, dict[str, Answer | str]]] = []
+    below: list[tuple[Labelled, Seen]] = []
+    for plant in track(plants, "labelled plants", console=console):
+        seen = anther(plant.cloud)
+        tolerance = Tolerance(seen.skeleton.nodes[seen.stem.node_ids], seen.skeleton.radius[seen.stem.node_ids])
+        answers = {"anther": seen.answer, **{name: asked(method, plant.cloud) for name, method in methods.items()}}
+        for name, answer in answers.items():
+            outcomes[name].append(judge(plant, answer, tolerance))
+        if plant.name in SHOWN:
+            shown.append((plant, answers))
+        if outcomes["anther"][-1].stem_share < ENOUGH:
+            below.append((plant, seen))
+    if figures is not None:
+        save(draw_methods(shown), figures / "real_plants_methods.png")
+        if below:
+            save(draw_below(below[:MOST_BELOW]), figures / "real_plants_below.png")
+    return outcomes
 
 
-def judge(plant: Labelled, params: Params) -> Outcome:
-    """Run one plant and compare with its labels."""
-    begin = time.perf_counter()
-    try:
-        skeleton = skeletonize(plant.cloud, params)
-        stem = find_stem(skeleton)
-        grasp = best_grasps(stem, skeleton, plant.cloud)[0][0]
-    except AntherError as error:
-        return Outcome(plant.name, seconds=time.perf_counter() - begin, failure=str(error))
-    seconds = time.perf_counter() - begin
-    points = plant.cloud.points
-    distance, nearest = KDTree(points).query(grasp.point)
-    on_stem = bool(plant.is_stem[nearest]) and float(distance) <= grasp.stem_diameter
-    away = np.asarray(KDTree(points[plant.is_stem]).query(skeleton.nodes[stem.node_ids])[0])
-    near = away <= 2 * skeleton.radius[stem.node_ids]
-    weight = np.gradient(stem.arc_length)
-    return Outcome(
-        plant.name,
-        grasp_on_stem=on_stem,
-        stem_share=float(near @ weight / weight.sum()),
-        distance=float(np.median(away)),
-        single_tree=_one_tree(skeleton.parent),
-        seconds=seconds,
-    )
+def against_references(folder: Path, figures: Path | None) -> dict[str, float]:
+    """Return precision and recall against the published graphs; draw both."""
+    seen = [(plant, anther(plant.cloud)) for plant in references(folder)]
+    if figures is not None:
+        save(draw_references(seen), figures / "real_plants_references.png")
+    return {f"{plant.name}_{name}": value for plant, s in seen for name, value in agreement(plant, s.answer).items()}
 
 
-def metrics(outcomes: list[Outcome]) -> dict[str, float]:
-    """Return the numbers of the results contract."""
-    of_trackplant = [o for o in outcomes if "tomato1" in o.name]
+def draw_unlabelled(folder: Path, figures: Path) -> None:
+    """Draw the plants nobody has labelled."""
+    for name in UNLABELLED:
+        seen = anther(read_cloud(folder / f"{name}.npz"))
+        save(draw_seen(seen, name), figures / f"real_plants_{name}.png")
+
+
+def metrics(outcomes: Outcomes) -> dict[str, float]:
+    """Return the numbers of the results contract; a method without an answer has missed everything."""
+    found: dict[str, float] = {}
+    for method, of_plants in outcomes.items():
+        prefix = "" if method == "anther" else f"{method}_"
+        found |= {prefix + name: value for name, value in _of_method(of_plants).items()}
+    return found
+
+
+def _of_method(outcomes: list[Outcome]) -> dict[str, float]:
     return {
-        "trackplant_grasp_on_stem": _mean([o.grasp_on_stem for o in of_trackplant]),
+        "trackplant_grasp_on_stem": _mean([o.grasp_on_stem for o in outcomes if "tomato1" in o.plant]),
         "all_grasp_on_stem": _mean([o.grasp_on_stem for o in outcomes]),
         "stem_on_label": _mean([o.stem_share for o in outcomes]),
-        "stem_on_label_95": _mean([o.stem_share >= 0.95 for o in outcomes]),
+        "stem_on_label_95": _mean([o.stem_share >= ENOUGH for o in outcomes]),
+        "stem_reach": _mean([o.stem_reach for o in outcomes]),
+        "covered": _mean([o.covered for o in outcomes]),
         "stem_distance_median_mm": float(np.nanmedian([o.distance for o in outcomes])) * 1e3,
-        "single_trees": _mean([o.single_tree for o in outcomes]),
-        "seconds_median": float(np.median([o.seconds for o in outcomes])),
+        "single_trees": _mean([o.is_tree for o in outcomes]),
+        "tips_per_leaf": float(np.nanmedian([o.tips_per_leaf for o in outcomes])),
+        "seconds_median": float(np.nanmedian([o.seconds for o in outcomes])),
+        "no_answer": sum(o.failure is not None for o in outcomes),
         "plants": len(outcomes),
     }
 
 
 def main() -> None:
-    """Run, print a table, list what went wrong, write --json."""
+    """Run, print a table, list what went wrong, write --json and the pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
     parser.add_argument("--json", type=Path, help="write the metrics here")
+    parser.add_argument("--figures", type=Path, help="write the pictures into this folder")
+    parser.add_argument("--pc-skeletor", type=Path, metavar="PYTHON", help="a Python that has pc-skeletor")
     parser.add_argument("--quick", action="store_true", help="every eighth seedling only")
     parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
-    parser.add_argument("--method", choices=("geodesic", "thinning"), default="geodesic")
     args = parser.parse_args()
     console = Console()
-    plants = list(labelled_plants(args.data, every=8 if args.quick else 1))
-    outcomes = [judge(plant, Params(method=args.method)) for plant in track(plants, "real plants", console=console)]
-    _print(console, outcomes)
+    methods: dict[str, Method] = {"plain": plain_thinning, "plain_fine": partial(plain_thinning, resolution=FINE)}
+    with contextlib.ExitStack() as stack:
+        if args.pc_skeletor:
+            methods["pc_skeletor"] = stack.enter_context(contextlib.closing(PcSkeletor(args.pc_skeletor)))
+        outcomes = run(list(labelled_plants(args.data, 8 if args.quick else 1)), methods, console, args.figures)
+    agreements = against_references(args.data, args.figures)
+    if args.figures:
+        draw_unlabelled(args.data, args.figures)
+    _print(console, outcomes, agreements)
     if args.json:
-        write_json(args.json, metrics(outcomes))
+        write_json(args.json, metrics(outcomes) | agreements)
 
 
-def _print(console: Console, outcomes: list[Outcome]) -> None:
-    table = Table("metric", "value")
-    for name, value in metrics(outcomes).items():
-        table.add_row(name, f"{value:.4g}")
+def _print(console: Console, outcomes: Outcomes, agreements: dict[str, float]) -> None:
+    table = Table("metric", *outcomes)
+    rows = {method: _of_method(of_plants) for method, of_plants in outcomes.items()}
+    for name in rows["anther"]:
+        table.add_row(name, *(f"{row[name]:.4g}" for row in rows.values()))
     console.print(table)
-    for o in outcomes:
-        if o.failure or not o.grasp_on_stem or o.stem_share < 0.95:
-            what = o.failure or ("" if o.grasp_on_stem else "grasp off the stem; ")
-            console.print(f"{o.name}: {what}{o.stem_share:.0%} of the main stem on stem points", highlight=False)
-
-
-def _one_tree(parent: NDArray[Any]) -> bool:
-    """Walk up from every node: in one rooted tree all walks end at node 0."""
-    above = np.arange(len(parent))
-    for _ in range(len(parent)):
-        above = np.where(above > 0, parent[above], 0)
-    return not above.any() and int((parent < 0).sum()) == 1
+    for name, value in agreements.items():
+        console.print(f"{name}: {value:.2f}", highlight=False)
+    for o in outcomes["anther"]:
+        if not o.grasp_on_stem or o.stem_share < ENOUGH:
+            grasp = "" if o.grasp_on_stem else "grasp off the stem; "
+            console.print(f"{o.plant}: {grasp}{o.stem_share:.0%} of the main stem on stem points", highlight=False)
+    for method, of_plants in outcomes.items():
+        for reason, count in Counter(o.failure for o in of_plants if o.failure).items():
+            console.print(f"{method}: no answer on {count} plants: {reason}", highlight=False)
 
 
 def _mean(values: list[Any]) -> float:

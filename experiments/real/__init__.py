@@ -1,0 +1,1 @@
+"""What experiments/real_plants.py is made of."""

@@ -1,0 +1,123 @@
+"""How an answer compares with what is known of the plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.geometry import Array
+from real.answers import Answer
+from real.plants import Labelled, Reference, nearest, plant_size
+
+STEPS = 400
+"""A centreline is sampled every plant size / STEPS."""
+TOLERANCES = (1, 3)
+"""Tolerances of precision and recall against published graphs, in 200ths of the plant's diagonal (facts: peers)."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one method gave on one labelled plant. Without an answer everything counts as missed.
+
+    Attributes:
+        plant: its name.
+        grasp_on_stem: the point nearest to the grasp is labelled stem, and not farther than two stem radii.
+        stem_share: share of the main stem's length within two stem radii of points labelled stem.
+        stem_reach: share of the height of the points labelled stem that the main stem's height covers.
+        covered: share of the points labelled stem within 3/200 of the plant's size of the skeleton's largest piece.
+        distance: median distance from the main stem to the nearest point labelled stem [m].
+        is_tree: one piece, no cycles.
+        pieces: how many pieces the skeleton has.
+        tips_per_leaf: ends of the skeleton but the root, over labelled leaves; NaN where leaves are not labelled.
+        seconds: processor time.
+        failure: None, or why there is no answer.
+    """
+
+    plant: str
+    grasp_on_stem: bool = False
+    stem_share: float = 0.0
+    stem_reach: float = 0.0
+    covered: float = 0.0
+    distance: float = np.nan
+    is_tree: bool = False
+    pieces: int = 0
+    tips_per_leaf: float = np.nan
+    seconds: float = np.nan
+    failure: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tolerance:
+    """Two stem radii, as Anther measured them where it saw the main stem; the same for every method.
+
+    Attributes:
+        nodes: (S, 3) main stem [m].
+        radius: (S,) [m].
+    """
+
+    nodes: Array
+    radius: Array
+
+    def at(self, points: Array) -> Array:
+        """Return (M,) the tolerance at each of M points [m]: that of the nearest place on the main stem."""
+        return 2 * self.radius[np.asarray(KDTree(self.nodes).query(points)[1])]
+
+
+def judge(plant: Labelled, answer: Answer | str, tolerance: Tolerance) -> Outcome:
+    """Return how an answer, or the reason why there is none, compares with the labels."""
+    if isinstance(answer, str):
+        return Outcome(plant.name, failure=answer)
+    size, stem_points = plant_size(plant.cloud.points), plant.stem_points
+    line = sampled(answer.nodes, answer.stem, size / STEPS)
+    body = sampled(answer.nodes, _largest_piece(answer), size / STEPS)
+    away = nearest(stem_points, line)
+    gap, at = KDTree(plant.cloud.points).query(answer.grasp)
+    low, high = np.quantile(stem_points[:, 2], [0.005, 0.995])
+    return Outcome(
+        plant.name,
+        grasp_on_stem=bool(plant.is_stem[at]) and float(gap) <= float(tolerance.at(answer.grasp)),
+        stem_share=float(np.mean(away <= tolerance.at(line))),
+        stem_reach=float(np.ptp(np.clip(line[:, 2], low, high)) / (high - low)),
+        covered=float(np.mean(nearest(body, stem_points) <= 3 * size / 200)),
+        distance=float(np.median(away)),
+        is_tree=answer.is_tree,
+        pieces=answer.pieces,
+        tips_per_leaf=(answer.tips - 1) / plant.leaves if plant.leaves else np.nan,
+        seconds=answer.seconds,
+    )
+
+
+def agreement(plant: Reference, answer: Answer) -> dict[str, float]:
+    """Return precision and recall of the centrelines against a published graph, at every tolerance."""
+    size = plant_size(plant.cloud.points)
+    ours = sampled(answer.nodes, answer.edges, size / STEPS)
+    published = sampled(plant.nodes, plant.edges, size / STEPS)
+    precision, recall = nearest(published, ours), nearest(ours, published)
+    found = {}
+    for voxels in TOLERANCES:
+        limit = voxels * size / 200
+        found[f"precision_{voxels}v"] = float(np.mean(precision <= limit))
+        found[f"recall_{voxels}v"] = float(np.mean(recall <= limit))
+    return found
+
+
+def sampled(nodes: Array, edges: NDArray[Any], step: float) -> Array:
+    """Return points along the edges, about `step` [m] apart, each standing for the same length."""
+    start, along = nodes[edges[:, 0]], nodes[edges[:, 1]] - nodes[edges[:, 0]]
+    length = np.linalg.norm(along, axis=1)
+    ends = np.cumsum(length)
+    count = max(round(ends[-1] / step), 1)
+    at = (np.arange(count) + 0.5) * ends[-1] / count
+    edge = np.searchsorted(ends, at)
+    share = 1 - (ends[edge] - at) / length[edge]
+    return start[edge] + share[:, None] * along[edge]
+
+
+def _largest_piece(answer: Answer) -> NDArray[Any]:
+    """Return the edges of the piece with the most nodes."""
+    label = answer.piece_of_node
+    return answer.edges[label[answer.edges[:, 0]] == np.bincount(label).argmax()]

@@ -1,0 +1,181 @@
+"""Pictures of real plants: points faint, skeleton by organ, main stem thick, grasp marked, to scale."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from anther.cloud import Cloud
+from anther.geometry import Array
+from anther.stem import Stem
+from real.answers import Answer, Seen
+from real.plants import Labelled, Reference
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ORGANS = {0: ("main stem", "#7a3b12"), 1: ("branch", "#1f6fb2"), 2: ("truss", "#e0a100"), 3: ("leaf", "#2e8b57")}
+"""Name and colour by anther.stem's organ classes."""
+GRASP_COLOUR, PUBLISHED_COLOUR = "#c2389a", "#d62728"
+STEM_LABEL, LEAF_LABEL = "#a8875f", "#a5cdaa"
+MOST_POINTS = 25_000
+FRONT, SIDE = (0, 2), (1, 2)
+DPI = 80
+
+Sides = tuple[int, int]
+
+
+def draw_methods(shown: list[tuple[Labelled, dict[str, Answer | str]]]) -> Figure:
+    """Return one row a plant, one column a method: its skeleton, main stem and grasp, or why there is none."""
+    methods = list(shown[0][1])
+    figure, axes = plt.subplots(len(shown), len(methods), figsize=(4 * len(methods), 3.4 * len(shown)), squeeze=False)
+    for row, (plant, answers) in zip(axes, shown, strict=True):
+        sides = _broad_side(plant.cloud.points)
+        for plot, (method, answer) in zip(row, answers.items(), strict=True):
+            _points(plot, plant.cloud, sides, np.where(plant.is_stem, STEM_LABEL, LEAF_LABEL))
+            if isinstance(answer, str):
+                plot.text(0.5, 0.5, answer, transform=plot.transAxes, ha="center", wrap=True, fontsize=7)
+            else:
+                _graph(plot, answer.nodes, answer.edges, sides, color=ORGANS[1][1], lw=0.7)
+                _graph(plot, answer.nodes, answer.stem, sides, color=ORGANS[0][1], lw=2.4)
+                plot.plot(*answer.grasp[list(sides)], "o", ms=9, mfc="none", mec=GRASP_COLOUR, mew=2)
+            _finish(plot, plant.cloud, sides, f"{method.replace('_', ' ')}: {plant.name}")
+    figure.tight_layout()
+    return figure
+
+
+def draw_seen(seen: Seen, name: str) -> Figure:
+    """Return the plant from the front, the side, and close up around the grasp, with the notes of the skeleton."""
+    figure, axes = plt.subplots(1, 3, figsize=(16, 7), width_ratios=[1, 1, 0.8])
+    across_grasp = FRONT if abs(seen.grasp.approach[0]) >= abs(seen.grasp.approach[1]) else SIDE
+    half = 0.12 * np.ptp(seen.cloud.points, axis=0).max()
+    for plot, sides, title in zip(axes, (FRONT, SIDE, across_grasp), ("front", "side", "at the grasp"), strict=True):
+        cloud, size = (_around(seen, sides, half), 8) if plot is axes[2] else (seen.cloud, 1.5)
+        _points(plot, cloud, sides, None, size=size)
+        _organs(plot, seen, sides)
+        _finish(plot, seen.cloud, sides, title)
+    across, up = seen.grasp.point[list(across_grasp)]
+    axes[2].set(xlim=(across - half, across + half), ylim=(up - half, up + half))
+    _scale_bar(axes[2], 2 * half)
+    figure.suptitle("; ".join([f"{name}: {len(seen.skeleton.nodes)} nodes", *seen.skeleton.notes]))
+    figure.legend(handles=_legend(seen.stem), loc="lower center", ncols=8, frameon=False)
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    return figure
+
+
+def draw_below(plants: list[tuple[Labelled, Seen]]) -> Figure:
+    """Return the plants whose main stem leaves the points labelled stem: the labels and what we made of them."""
+    figure, axes = plt.subplots(1, 2 * len(plants), figsize=(6.5 * len(plants), 6), squeeze=False)
+    for pair, (plant, seen) in zip(axes[0].reshape(-1, 2), plants, strict=True):
+        for plot, sides in zip(pair, (FRONT, SIDE), strict=True):
+            _points(plot, plant.cloud, sides, np.where(plant.is_stem, STEM_LABEL, LEAF_LABEL), size=3)
+            _organs(plot, seen, sides)
+            _finish(plot, plant.cloud, sides, plant.name)
+    labels = (("labelled stem", STEM_LABEL), ("labelled leaf", LEAF_LABEL))
+    dots = [Line2D([], [], marker="o", ls="", color=colour, label=name) for name, colour in labels]
+    figure.legend(handles=[*dots, *_legend(plants[0][1].stem)], loc="lower center", ncols=8, frameon=False)
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    return figure
+
+
+def draw_references(plants: list[tuple[Reference, Seen]]) -> Figure:
+    """Return Anther's skeletons beside the published graphs, front and side."""
+    figure, axes = plt.subplots(2, len(plants), figsize=(5 * len(plants), 11), squeeze=False)
+    for column, (plant, seen) in zip(axes.T, plants, strict=True):
+        for plot, sides in zip(column, (FRONT, SIDE), strict=True):
+            _points(plot, plant.cloud, sides, None)
+            _organs(plot, seen, sides)
+            _graph(plot, plant.nodes, plant.edges, sides, color=PUBLISHED_COLOUR, lw=1.6, ls="--")
+            plot.plot(*plant.nodes[:, list(sides)].T, "o", ms=4, color=PUBLISHED_COLOUR)
+            _finish(plot, plant.cloud, sides, plant.name)
+    published = Line2D([], [], color=PUBLISHED_COLOUR, ls="--", marker="o", label="published graph")
+    figure.legend(handles=[*_legend(plants[0][1].stem), published], loc="lower center", ncols=8, frameon=False)
+    figure.tight_layout(rect=(0, 0.03, 1, 1))
+    return figure
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a picture and forget it."""
+    figure.savefig(path, dpi=DPI)
+    plt.close(figure)
+
+
+def _broad_side(points: Array) -> Sides:
+    """Return the side view in which the plant is broader."""
+    return FRONT if np.ptp(points[:, 0]) >= np.ptp(points[:, 1]) else SIDE
+
+
+def _around(seen: Seen, sides: Sides, half: float) -> Cloud:
+    """Return the points not farther than `half` [m] in front of or behind the grasp, so that others do not hide it."""
+    depth = ({0, 1} - set(sides)).pop()
+    near = np.abs(seen.cloud.points[:, depth] - seen.grasp.point[depth]) <= half
+    return Cloud(seen.cloud.points[near], colors=None if seen.cloud.colors is None else seen.cloud.colors[near])
+
+
+def _points(plot: Axes, cloud: Cloud, sides: Sides, colours: NDArray[Any] | None, size: float = 1.2) -> None:
+    some = np.random.default_rng(0).permutation(len(cloud.points))[:MOST_POINTS]
+    if colours is None:
+        colours = np.full(len(cloud.points), "#8f9c8f") if cloud.colors is None else cloud.colors / 255
+    at = cloud.points[some][:, list(sides)]
+    plot.scatter(*at.T, s=size, c=colours[some], lw=0, alpha=0.5, rasterized=True)
+
+
+def _graph(plot: Axes, nodes: Array, edges: NDArray[Any], sides: Sides, **style: Any) -> None:
+    lines: Any = nodes[:, list(sides)][edges]
+    collection = LineCollection(lines, capstyle="round", **style)
+    plot.add_collection(collection)
+
+
+def _organs(plot: Axes, seen: Seen, sides: Sides) -> None:
+    """Draw the skeleton by organ (an edge has that of its lower end), junctions on the stem, and the grasp."""
+    nodes, edges = seen.skeleton.nodes, seen.skeleton.edges
+    organ = seen.stem.organ[edges[:, 1]]
+    for kind, (_, colour) in ORGANS.items():
+        width = 3.0 if kind == 0 else 1.3
+        _graph(plot, nodes, edges[organ == kind], sides, color=colour, lw=width, zorder=4 if kind == 0 else 3)
+    plot.plot(*nodes[0, list(sides)], "*", ms=12, color="black", zorder=6)
+    joints = nodes[seen.stem.node_ids[seen.stem.attachments]]
+    plot.plot(*joints[:, list(sides)].T, "o", ms=3.5, mfc="white", mec=ORGANS[0][1], zorder=5)
+    tip, length = seen.grasp.point, 0.09 * np.ptp(seen.cloud.points, axis=0).max()
+    start = (tip - length * seen.grasp.approach)[list(sides)]
+    arrow = {"arrowstyle": "-|>", "color": GRASP_COLOUR, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
+    plot.annotate("", xy=tuple(tip[list(sides)]), xytext=tuple(start), arrowprops=arrow, zorder=7)
+    plot.plot(*tip[list(sides)], "o", ms=9, mfc="none", mec=GRASP_COLOUR, mew=2, zorder=7)
+
+
+def _finish(plot: Axes, cloud: Cloud, sides: Sides, title: str) -> None:
+    low, high = np.quantile(cloud.points[:, list(sides)], [0.0005, 0.9995], axis=0)
+    margin = 0.06 * (high - low).max()
+    plot.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - 2 * margin, high[1] + margin), aspect="equal")
+    plot.set_title(title, fontsize=8)
+    plot.set_axis_off()
+    _scale_bar(plot, float((high - low).max()))
+
+
+def _scale_bar(plot: Axes, extent: float) -> None:
+    """Draw a bar of a round length, about a fifth of the extent [m], at the lower left; an old bar goes."""
+    for old in [artist for artist in (*plot.lines, *plot.texts) if artist.get_gid() == "scale"]:
+        old.remove()
+    length = max(x for x in (m * 10.0**e for e in range(-4, 2) for m in (1, 2, 5)) if x <= extent / 4)
+    x, y = plot.get_xlim()[0], plot.get_ylim()[0]
+    plot.plot([x, x + length], [y, y], color="black", lw=3, solid_capstyle="butt", gid="scale", clip_on=False)
+    unit, per_metre = ("mm", 1e3) if length < 0.1 else ("cm", 1e2) if length < 1 else ("m", 1)
+    text = f"{length * per_metre:g} {unit}"
+    plot.text(x, y, text, va="bottom", fontsize=8, gid="scale")
+
+
+def _legend(stem: Stem) -> list[Line2D]:
+    there = [kind for kind in ORGANS if np.any(stem.organ == kind)]
+    lines = [Line2D([], [], color=ORGANS[k][1], lw=3 if k == 0 else 1.3, label=ORGANS[k][0]) for k in there]
+    grasp = Line2D([], [], marker="o", ls="", mfc="none", mec=GRASP_COLOUR, mew=2, ms=9, label="grasp, approach")
+    return [*lines, grasp, Line2D([], [], marker="*", ls="", color="black", ms=11, label="root")]

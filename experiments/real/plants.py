@@ -1,0 +1,87 @@
+"""The real plants: where their clouds lie, and what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.cloud import Cloud
+from anther.formats.clouds import read_cloud
+from anther.geometry import Array
+
+TRACKPLANT = "trackplant3d_tomato1a"
+LABELLED = ("salk_tomato_D26", "gavriel_maize_28.2.23_8")
+WITH_REFERENCE = ("pheno4d_tomato_03-05", "pheno4d_tomato_03-08", "pheno4d_maize_03-13")
+UNLABELLED = ("sice_robot_cloud0", "sorghum_kinect_fused", "adtree_tree1")
+
+_METRES = {"m": 1.0, "mm": 1e-3}
+
+
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """A plant whose points people have labelled.
+
+    Attributes:
+        name: of the scan.
+        cloud: its N points, z up [m].
+        is_stem: (N,) which points belong to the stem system (stem, petioles and rachises).
+        leaves: how many leaves are labelled; 0 where leaves are not told apart.
+    """
+
+    name: str
+    cloud: Cloud
+    is_stem: NDArray[np.bool_]
+    leaves: int
+
+    @property
+    def stem_points(self) -> Array:
+        """The points labelled stem [m]."""
+        return self.cloud.points[self.is_stem]
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A plant with a published skeleton graph: nodes (K, 3) [m] and edges (E, 2)."""
+
+    name: str
+    cloud: Cloud
+    nodes: Array
+    edges: NDArray[Any]
+
+
+def labelled_plants(folder: Path, every: int) -> Iterator[Labelled]:
+    """Yield the labelled plants, of the 93 seedlings every so many."""
+    with np.load(folder / f"{TRACKPLANT}.npz") as stored:
+        labels, offsets, names = stored["labels"], stored["offsets"], stored["names"]
+    for k in range(0, len(names), every):
+        cloud = read_cloud(folder / f"{TRACKPLANT}.npz", "mm", "y", plant=k)
+        of_plant = labels[offsets[k] : offsets[k + 1]]
+        yield Labelled(str(names[k]), cloud, of_plant == 0, len(np.unique(of_plant[of_plant > 0])))
+    for name in LABELLED:
+        with np.load(folder / f"{name}.npz") as stored:
+            labels, stem = stored["labels"], int(stored["stem_label"])
+        yield Labelled(name, read_cloud(folder / f"{name}.npz"), labels == stem, len(np.unique(labels[labels != stem])))
+
+
+def references(folder: Path) -> Iterator[Reference]:
+    """Yield the plants with a published graph (all of them z up)."""
+    for name in WITH_REFERENCE:
+        with np.load(folder / f"{name}.npz") as stored:
+            nodes, edges, unit = stored["ref_nodes"], stored["ref_edges"], str(stored["units"])
+        yield Reference(name, read_cloud(folder / f"{name}.npz"), nodes * _METRES[unit], edges.astype(np.int64))
+
+
+def plant_size(points: Array) -> float:
+    """Return the diagonal of the bounding box [m]."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def nearest(points: Array, to: Array) -> Array:
+    """Return (M,) the distance of each of M positions `to` from the nearest of the points [m]."""
+    return np.asarray(KDTree(points).query(to)[0])

@@ -1,0 +1,107 @@
+"""What real_plants.py judges with: the paper's stem rule, plain thinning, and the comparison with labels."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anther.cloud import Cloud
+from anther.geometry import Array
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+
+from real.answers import Answer, NoAnswer, asked
+from real.judge import Tolerance, judge, sampled
+from real.paper_rule import core_stem
+from real.plain_thinning import plain_thinning
+from real.plants import Labelled
+
+RADIUS = 0.004
+STEM = np.array([[0, 0, z] for z in np.linspace(0, 0.3, 31)])
+LEAF = np.array([[x, 0, 0.2 + 0.1 * x] for x in np.linspace(0.01, 0.2, 20)])
+
+
+def chain(first: int, count: int) -> list[tuple[int, int]]:
+    return [(k, k + 1) for k in range(first, first + count - 1)]
+
+
+def small_tree() -> tuple[Array, np.ndarray, Array]:
+    """A vertical stem of 30 cm with a nearly level leaf at 20 cm."""
+    nodes = np.concatenate([STEM, LEAF])
+    edges = np.array([*chain(0, len(STEM)), (20, len(STEM)), *chain(len(STEM), len(LEAF))])
+    radius = np.where(np.arange(len(nodes)) < len(STEM), RADIUS, RADIUS / 3)
+    return nodes, edges, radius
+
+
+def labelled(rng: np.random.Generator) -> Labelled:
+    """The same plant as a cloud of labelled points within its organs' radii."""
+    nodes, edges, _ = small_tree()
+    points = sampled(nodes, edges, 1e-4)
+    is_stem = points[:, 0] == 0
+    points = points + rng.uniform(-1, 1, points.shape) * np.where(is_stem, RADIUS, RADIUS / 3)[:, None]
+    return Labelled("small", Cloud(points), is_stem, 1)
+
+
+def test_core_stem_is_the_upright_path_and_the_grasp_its_longest_part() -> None:
+    nodes, edges, radius = small_tree()
+    stem, grasp = core_stem(nodes, edges, radius)
+    assert set(stem.ravel()) == set(range(len(STEM)))
+    assert grasp == pytest.approx([0, 0, 0.1])
+
+
+def test_core_stem_of_a_forest_is_in_its_largest_tree() -> None:
+    nodes, edges, radius = small_tree()
+    more = np.concatenate([nodes, [[1, 1, -1], [1, 1, 2]]])
+    both = np.concatenate([edges, [[len(nodes), len(nodes) + 1]]])
+    assert core_stem(more, both, np.append(radius, [1, 1]))[0].max() < len(STEM)
+
+
+def test_a_lying_skeleton_has_no_core_stem() -> None:
+    nodes, edges, radius = small_tree()
+    with pytest.raises(NoAnswer, match="no stem"):
+        core_stem(nodes[:, [2, 1, 0]], edges[:30], radius)
+
+
+def test_plain_thinning_finds_a_plain_plant_and_is_judged_so() -> None:
+    plant = labelled(np.random.default_rng(0))
+    answer = asked(plain_thinning, plant.cloud)
+    assert isinstance(answer, Answer)
+    outcome = judge(plant, answer, Tolerance(STEM, np.full(len(STEM), RADIUS)))
+    assert outcome.grasp_on_stem
+    assert outcome.is_tree
+    assert outcome.stem_share > 0.9
+    assert outcome.stem_reach > 0.8
+
+
+def test_a_stem_drawn_through_the_leaf_is_judged_off_the_stem() -> None:
+    plant = labelled(np.random.default_rng(0))
+    nodes, edges, _ = small_tree()
+    leaf = edges[len(STEM) :]
+    outcome = judge(plant, Answer(nodes, edges, leaf, nodes[-1], 0.0), Tolerance(STEM, np.full(len(STEM), RADIUS)))
+    assert not outcome.grasp_on_stem
+    assert outcome.stem_share < 0.1
+    assert outcome.is_tree
+    assert outcome.tips_per_leaf == 2
+    assert outcome.covered == pytest.approx(1, abs=0.01)
+
+
+def test_no_answer_counts_as_missed() -> None:
+    outcome = judge(labelled(np.random.default_rng(0)), "died", Tolerance(STEM, np.ones(len(STEM))))
+    assert outcome.failure == "died"
+    assert (outcome.grasp_on_stem, outcome.stem_share, outcome.is_tree) == (False, 0.0, False)
+
+
+def test_pieces_and_cycles_are_no_tree() -> None:
+    nodes, edges, _ = small_tree()
+    assert Answer(nodes, edges[:-1], edges, nodes[0], 0.0).pieces == 2
+    assert not Answer(nodes, np.concatenate([edges, [[0, 5]]]), edges, nodes[0], 0.0).is_tree
+
+
+def test_samples_stand_for_equal_lengths() -> None:
+    nodes = np.array([[0, 0, 0], [0, 0, 1.0], [0, 0, 4.0]])
+    points = sampled(nodes, np.array([[0, 1], [1, 2]]), 0.1)
+    assert np.diff(points[:, 2]) == pytest.approx(0.1)
+    assert points[:, 2].mean() == pytest.approx(2)
