@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from small_gicp import voxelgrid_sampling
 
-from anther.checks import check_array
+from anther.checks import check_array, check_range
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
@@ -21,10 +21,11 @@ from anther.skeleton.centreline import centred, resample
 from anther.skeleton.geodesic_levels import level_tree
 from anther.skeleton.raw_tree import RawTree, rerooted, without_spurs
 from anther.skeleton.rooting import find_root, stem_gain
+from anther.skeleton.support import node_confidence
 from anther.skeleton.thinning import thinned_tree
 from anther.skeleton.voxel_solid import VoxelSolid, components, neighbour_edges, point_spacing, solidify
 
-_KIND, _SCHEMA = "skeleton", 1
+_KIND, _SCHEMA = "skeleton", 2
 _FEWEST_POINTS = 50
 _MANY_POINTS = 80_000
 _FINEST = 700  # a cloud of many points is thinned to one per cube of plant size / _FINEST
@@ -79,6 +80,8 @@ class Skeleton:
         radius: (J,) radius at the node [m]; half the thickness where the organ is flat.
         notes: what the stage wants the user to know.
         width: (J,) half width of the organ [m]: about the radius of a stem, more of a blade; None if unknown.
+        confidence: (J,) probability that the axis of a stem, branch, petiole, rachis or truss lies within 5 mm of the
+            node (docs/confidence.md); None if unknown.
     """
 
     nodes: Array
@@ -86,6 +89,7 @@ class Skeleton:
     radius: Array
     notes: tuple[str, ...] = ()
     width: Array | None = None
+    confidence: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.nodes)
@@ -95,6 +99,11 @@ class Skeleton:
         object.__setattr__(self, "radius", check_array("skeleton radius", self.radius, (n,)))
         if self.width is not None:
             object.__setattr__(self, "width", check_array("skeleton width", self.width, (n,)))
+        if self.confidence is not None:
+            confidence = check_array("skeleton confidence", self.confidence, (n,))
+            object.__setattr__(self, "confidence", confidence)
+            for extreme in (confidence.min(), confidence.max()):
+                check_range("skeleton confidence", float(extreme), 0, 1)
         ordered = n >= 2 and parent[0] == -1 and bool(np.all((parent[1:] >= 0) & (parent[1:] < np.arange(1, n))))
         if not ordered:
             raise bad_input(
@@ -124,7 +133,7 @@ class Skeleton:
         return np.array(path[::-1])
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz (schema 1)."""
+        """Write an .npz (schema 2)."""
         write_npz(
             path,
             _KIND,
@@ -133,6 +142,7 @@ class Skeleton:
             parent=self.parent,
             radius=self.radius,
             width=self.width,
+            confidence=self.confidence,
             notes=np.array(self.notes, dtype=np.str_),
         )
 
@@ -144,7 +154,8 @@ class Skeleton:
             InputError: missing, truncated, or of another kind or schema.
         """
         a = read_npz(path, _KIND, _SCHEMA)
-        return cls(a["nodes"], a["parent"], a["radius"], tuple(str(note) for note in a["notes"]), a.get("width"))
+        notes = tuple(str(note) for note in a["notes"])
+        return cls(a["nodes"], a["parent"], a["radius"], notes, a.get("width"), a.get("confidence"))
 
 
 def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
@@ -170,7 +181,9 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     curves = resample(coarse, stem_gain(coarse), params.spacing or size / 110)
     smallest = params.smallest_radius + params.fattening
     curves = centred(curves, points, rounds=params.recentre, smallest=smallest)
-    return Skeleton(curves.nodes, curves.parent, curves.radius - params.fattening, notes, curves.width)
+    radius = curves.radius - params.fattening
+    confidence = node_confidence(curves.nodes, curves.parent, radius, curves.width, points)
+    return Skeleton(curves.nodes, curves.parent, radius, notes, curves.width, confidence)
 
 
 def _plant_points(cloud: Cloud) -> Array:
