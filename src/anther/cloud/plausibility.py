@@ -18,7 +18,7 @@ RANGE = (0.05, 10.0)
 BLIND = 0.3
 """A view is blind when fewer pixels read a depth than this share of what the median view has."""
 NEAR, COVERED = 0.4, 0.15
-"""Something nearer than this share of the views' median depth blocks a view when it covers this share of the image."""
+"""Something nearer than this share of the plant's distance blocks a view when it covers this share of the image."""
 EDGE, CUT = 0.004, 0.005
 """A plant is cut off when this share of its points lies so near the workspace's faces [m]."""
 SECOND, SECOND_SIZE = 0.03, 0.08
@@ -27,19 +27,25 @@ SLAB, GROUND_POINTS, GROUND_AREA = 0.01, 0.25, 0.2
 """A layer this thick [m] is ground when it holds this share of the points and of the workspace's area."""
 
 
-def view_doubts(depth: NDArray[Any]) -> tuple[str, ...]:
-    """Return which of the depth images (V, H, W) [m] are blind or blocked, by view number."""
+def view_doubts(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
+    """Return which views are blind or blocked, by number.
+
+    Args:
+        depth: (V, H, W) [m].
+        labels: (V, H, W) of the masks; 0 is not plant.
+    """
     thin = depth[:, ::4, ::4]
     usable = (thin > RANGE[0]) & (thin < RANGE[1])
     seen = usable.mean(axis=(1, 2))
-    middle = float(np.median(thin[usable])) if usable.any() else 0.0
-    near = ((thin > 0) & (thin < NEAR * middle)).mean(axis=(1, 2))
+    plant = thin[usable & (labels[:, ::4, ::4] > 0)]
+    close = NEAR * float(np.median(plant)) if len(plant) else 0.0
+    near = ((thin > 0) & (thin < close)).mean(axis=(1, 2))
     blind = [
         f"view {v}: the depth image is blind ({seen[v]:.0%} of it reads {RANGE[0]:g} to {RANGE[1]:g} m)"
         for v in np.flatnonzero(seen < BLIND * np.median(seen))
     ]
     blocked = [
-        f"view {v}: something nearer than {NEAR * middle:.2f} m covers {near[v]:.0%} of the image"
+        f"view {v}: something nearer than {close:.2f} m covers {near[v]:.0%} of the image"
         for v in np.flatnonzero(near > COVERED)
     ]
     return (*blind, *blocked)

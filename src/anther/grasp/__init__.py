@@ -29,11 +29,12 @@ from anther.grasp.clearance import (
     clearance,
     surroundings_of,
 )
+from anther.grasp.confidence import place_confidence
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
-SCHEMA = 1
+SCHEMA = 2
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
 ROOT_STRAIN = 0.01
@@ -103,6 +104,8 @@ class Grasp:
         score: higher is better; comparable within one ranked list only.
         reason: why it ranks where it does, for people.
         joints: (7,) arm joints at the grasp [rad], or None when no arm was asked.
+        confidence: probability that it is the main stem that closes between the fingers (pepper: below the first fork;
+            docs/confidence.md), or None when the skeleton's confidence is unknown.
     """
 
     T_world_flange: Array
@@ -115,6 +118,7 @@ class Grasp:
     score: float
     reason: str
     joints: NDArray[Any] | None = None
+    confidence: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_world_flange", check_transform("T_world_flange", self.T_world_flange))
@@ -123,6 +127,8 @@ class Grasp:
         if self.joints is not None:
             object.__setattr__(self, "joints", check_array("joints", self.joints, (7,)))
         check_range("grasp arc length", self.arc_length, 0, 20, "m")
+        if self.confidence is not None:
+            check_range("grasp confidence", self.confidence, 0, 1)
 
     @property
     def pose7(self) -> Array:
@@ -148,7 +154,8 @@ def plan_grasps(
     """Return grasps of the main stem, best first, at most one per station along it.
 
     Stations along the stem times directions around it (the paper's n* among them, P13) are scored by what the open
-    gripper meets on its straight way in, the stem's thickness and straightness, and the distance from attachments.
+    gripper meets on its straight way in, the stem's thickness and straightness, the distance from attachments, and how
+    sure it is that the main stem stands there.
 
     Args:
         stem, skeleton, cloud: the plant and, in the cloud, pot and bench.
@@ -197,18 +204,20 @@ def load_grasps(path: Path | str) -> list[Grasp]:
 
 _SAVED = (
     "point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "score", "reason", "joints",
+    "confidence",
 )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ranking:
-    """Candidates with what they cost; `fell` counts those refused, by criterion."""
+    """Candidates with what they cost and how sure they are; `fell` counts those refused, by criterion."""
 
     candidates: Candidates
     met: Clearance
     costs: dict[str, NDArray[Any]]
     order: NDArray[Any]
     fell: Counter[str]
+    confidence: Array | None
 
 
 def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
@@ -228,6 +237,9 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     refusals = _refusals(candidates, met, params)
     costs = _costs(candidates, met, cloud, gripper.stroke, length)
     costs["above a fork"] = 10.0 * (candidates.arc_length > stem.arc_length[stem.fork])  # no longer the main stem
+    confidence = place_confidence(stem, skeleton, candidates.arc_length)
+    if confidence is not None:
+        costs["perhaps not the main stem"] = 2.0 * (1 - confidence)
     if toward_base:
         costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
     refused = np.any(list(refusals.values()), axis=0)
@@ -237,7 +249,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     total = np.sum(list(costs.values()), axis=0)
     order = np.argsort(np.where(refused, np.inf, total), kind="stable")[: int((~refused).sum())]
     fell = Counter({name: int(yes.sum()) for name, yes in refusals.items() if yes.any()})
-    return _Ranking(candidates, met, costs, order, fell)
+    return _Ranking(candidates, met, costs, order, fell, confidence)
 
 
 def _refusals(c: Candidates, met: Clearance, params: Params) -> dict[str, NDArray[np.bool_]]:
@@ -315,6 +327,7 @@ def _grasp(ranking: _Ranking, i: int) -> Grasp:
         clearance=free,
         score=-sum(cost.values()),
         reason="; ".join([reason, *against]),
+        confidence=None if ranking.confidence is None else float(ranking.confidence[i]),
     )
 
 

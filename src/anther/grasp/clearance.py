@@ -14,6 +14,7 @@ from anther.cloud import Cloud
 from anther.geometry import Array
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
+from anther.stem import LEAF as ORGAN_LEAF
 from anther.stem import Stem
 
 LEAF, FLOWER_POINT, BRANCH, STEM, OBSTACLE = range(5)
@@ -98,7 +99,8 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud, *, leaf_size: 
     """Return stem, petioles, leaves, flowers and obstacles as balls.
 
     The stem is taken from the skeleton, not from its surface points, which a depth camera makes too thick; points on
-    it are left out. A branch is stiff for its first `STIFF_LENGTH`; beyond, its surface points count as leaf.
+    it are left out. A branch is stiff for its first `STIFF_LENGTH`; beyond, and on a blade, the surface points count as
+    leaf.
 
     Args:
         stem, skeleton, cloud: the plant, pot and bench.
@@ -106,7 +108,8 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud, *, leaf_size: 
     """
     stem_balls = _balls_along(skeleton, stem.node_ids[1:], 0.003)
     outward = _distance_from_stem(stem, skeleton)
-    branch_balls = _balls_along(skeleton, np.flatnonzero((outward > 0) & (outward < STIFF_LENGTH)), 0.005)
+    stiff = (outward > 0) & (outward < STIFF_LENGTH) & (stem.organ != ORGAN_LEAF)
+    branch_balls = _balls_along(skeleton, np.flatnonzero(stiff), 0.005)
     line = KDTree(stem_balls[:, :3])
     free = lambda points, margin: points[_outside(points, line, stem_balls[:, 3], margin)]  # noqa: E731
     branch_balls = branch_balls[_outside(branch_balls[:, :3], line, stem_balls[:, 3], 0.004)]

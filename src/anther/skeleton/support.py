@@ -101,5 +101,5 @@ def _across(tangent: Array) -> tuple[Array, Array]:
     """Return two unit vectors (J, 3) across each unit tangent."""
     helper = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
     one = np.cross(tangent, helper)
-    one /= np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-12)
-    return one, np.cross(tangent, one)
+    one = np.asarray(one / np.maximum(np.linalg.norm(one, axis=1, keepdims=True), 1e-12), dtype=np.float64)
+    return one, np.asarray(np.cross(tangent, one), dtype=np.float64)

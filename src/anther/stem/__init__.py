@@ -15,6 +15,7 @@ from anther.files import read_npz, write_npz
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import chains, edge_lengths
+from anther.stem.confidence import doubt, second_stem, stem_confidence
 from anther.stem.main_axis import forks, growth_end, path_score
 from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS, classify, longest_way, stem_breadth
 from anther.stem.params import Params
@@ -36,7 +37,8 @@ class Stem:
         fork: position within node_ids of the first fork, above which the stem is one of several (pepper); the last
             position when there is none.
         notes: what the stage wants the user to know.
-        confidence: probability that the stem is right; None if unknown.
+        confidence: probability that at least 95 % of its length lies within 5 mm of the true main axis
+            (docs/confidence.md); None if unknown.
     """
 
     node_ids: NDArray[Any]
@@ -58,6 +60,10 @@ class Stem:
         if not -n <= self.fork < n:
             raise bad_input("stem fork", given=self.fork, allowed=f"a position in {n} nodes", do="Find the stem again.")
         object.__setattr__(self, "fork", int(self.fork) % n)
+
+    def organ_names(self) -> list[str]:
+        """Return "stem", "branch", "truss" or "leaf" for every skeleton node."""
+        return [ORGAN_NAMES[kind] for kind in self.organ]
 
     def save(self, path: Path | str) -> None:
         """Write an .npz (schema 3)."""
@@ -111,7 +117,10 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     organ = classify(skeleton, node_ids, flowers_at, params)
     attachments = _attachments(skeleton, node_ids, organ, params)
     forked = [i for i in attachments if forks(skeleton, path, organ, int(i), params)]
-    return Stem(node_ids, arc_length, attachments, organ, int(min(forked, default=len(node_ids) - 1)))
+    fork = int(min(forked, default=len(node_ids) - 1))
+    confidence = stem_confidence(skeleton, node_ids)
+    notes = (*second_stem(skeleton, node_ids), *doubt(confidence))
+    return Stem(node_ids, arc_length, attachments, organ, fork, notes, confidence)
 
 
 def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any], params: Params) -> NDArray[Any]:

@@ -1,0 +1,102 @@
+"""How sure the main stem is: what supports its nodes, and how good the best other path is. J nodes, S stem samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.geometry import Array
+from anther.skeleton import Skeleton
+from anther.skeleton.raw_tree import path_gain, subtree_best
+from anther.skeleton.support import logit, probability
+
+FITTED = (0.0, 1.0, 1.0, -1.0)
+"""Constant and weights of `stem_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
+
+DOUBTFUL = 0.6
+"""Below this confidence of stem or grasp the summaries warn."""
+
+SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
+"""A second stem stands so far from the first, its foot lies so low, and it is followed so far up (shares of the
+plant's size); it leans from the vertical by less than this [degrees]."""
+
+STRETCH = 0.12
+"""Length of the stretch whose support is the weakest, as a share of the stem."""
+
+
+def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
+    """Return the probability that at least 95 % of the stem's length lies within 5 mm of the true main axis.
+
+    Above a fork (pepper) any of the stems counts as the main axis. None when the skeleton's own confidence is unknown.
+    """
+    if skeleton.confidence is None:
+        return None
+    return float(probability(FITTED, stem_evidence(skeleton, node_ids)))
+
+
+def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
+    """Return (3,): log-odds of the nodes' mean confidence and of the weakest stretch's, and the strongest rivalry.
+
+    Args:
+        skeleton: with its confidence.
+        node_ids: (S,) the stem, root first.
+    """
+    assert skeleton.confidence is not None
+    along = skeleton.confidence[node_ids]
+    window = max(int(STRETCH * len(along)), 1)
+    stretches = np.convolve(along, np.ones(window) / window, mode="valid")
+    return np.array([logit(along.mean()), logit(stretches.min()), rivalry(skeleton, node_ids)[-1]])
+
+
+def rivalry(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
+    """Return (S,) how strong the best path is that leaves the stem at or below each sample: 0 none, 0.5 as good.
+
+    It is the share a rival has of what rival and stem gain beyond the place where they part; the gain is the path
+    score S (P10, `raw_tree.path_gain`), each edge weighed by its node's confidence.
+    """
+    assert skeleton.confidence is not None
+    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius, alpha=2.0, v_bias=1.0) * skeleton.confidence
+    beyond = subtree_best(skeleton.parent, gain) + gain
+    on_stem = np.zeros(len(gain), dtype=bool)
+    on_stem[node_ids] = True
+    own, rival = np.zeros(len(gain)), np.zeros(len(gain))
+    child = np.arange(1, len(gain))
+    stays = on_stem[child]
+    np.maximum.at(own, skeleton.parent[child[stays]], beyond[child[stays]])
+    np.maximum.at(rival, skeleton.parent[child[~stays]], beyond[child[~stays]])
+    own, rival = own[node_ids[:-1]], rival[node_ids[:-1]]  # beyond the stem's last node there is nothing to compare
+    share = rival / np.maximum(rival + own, 1e-30)
+    return np.maximum.accumulate(np.append(share, 0.0))
+
+
+def doubt(confidence: float | None) -> tuple[str, ...]:
+    """Return a warning when the stem's confidence is below DOUBTFUL."""
+    if confidence is None or confidence >= DOUBTFUL:
+        return ()
+    return (f"main stem: confidence {confidence:.2f} is below {DOUBTFUL:g}: look at it before you trust it",)
+
+
+def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
+    """Return a warning when the tree comes down to the soil a second time: two plants have grown into each other.
+
+    What comes down must be upright, as surely an organ's axis as not, and half as thick as the stem's foot: a drooping
+    leaf is none of these all the way down.
+    """
+    if skeleton.confidence is None:
+        return ()
+    nodes, root = skeleton.nodes, skeleton.nodes[0]
+    size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    thick = float(np.median(skeleton.radius[node_ids[: max(len(node_ids) // 4, 3)]]))
+    low = nodes[:, 2] <= root[2] + SECOND_LOW * size
+    aside = np.linalg.norm(nodes[:, :2] - root[:2], axis=1) >= SECOND_APART * size
+    for tip in np.flatnonzero((skeleton.children_count == 0) & low & aside):
+        path = skeleton.path_from_root(int(tip))
+        down = path[np.linalg.norm(nodes[path] - nodes[tip], axis=1) <= SECOND_LENGTH * size]
+        rise = nodes[down[0]] - nodes[tip]
+        upright = rise[2] >= np.cos(np.radians(SECOND_LEAN)) * max(SECOND_LENGTH * size * 0.8, np.linalg.norm(rise))
+        if upright and skeleton.confidence[down].mean() >= 0.5 and np.median(skeleton.radius[down]) >= 0.5 * thick:
+            x, y = nodes[tip, :2]
+            return (f"main stem: a second stem seems to stand at x, y = {x:.2f}, {y:.2f} m: two plants in one?",)
+    return ()
