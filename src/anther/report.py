@@ -124,7 +124,9 @@ def _plant(results: RunResults) -> str:
     if results.skeleton is not None:
         parts.append(f"a skeleton of {len(results.skeleton.nodes)} nodes")
     if results.stem is not None:
-        parts.append(f"a main stem {results.stem.arc_length[-1]:.2f} m long")
+        sure = results.stem.confidence
+        believed = "" if sure is None else f" (right with a probability of {sure:.0%})"
+        parts.append(f"a main stem {results.stem.arc_length[-1]:.2f} m long{believed}")
     if results.flowers is not None:
         parts.append(f"{len(results.flowers.positions)} flowers")
     text = f"<p>{escape(', '.join(parts))}.</p>"
@@ -142,12 +144,13 @@ def _grasp(results: RunResults) -> str:
             f"{g.arc_length:.3f} m",
             f"{1000 * g.stem_diameter:.1f} mm",
             f"{1000 * g.clearance:.0f} mm",
+            "unknown" if g.confidence is None else f"{g.confidence:.0%}",
             " ".join(f"{x:.3f}" for x in g.pose7),
             g.reason,
         ]
         for rank, g in enumerate(results.grasps[:5])
     ]
-    return _table(["Rank", "Height along stem", "Stem diameter", "Clearance", "Flange pose", "Why"], rows)
+    return _table(["Rank", "Height along stem", "Stem diameter", "Clearance", "Confidence", "Flange pose", "Why"], rows)
 
 
 def _shake(results: RunResults) -> str:

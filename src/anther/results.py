@@ -17,6 +17,7 @@ from anther.response import Response
 from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
+from anther.stem.confidence import doubt
 from anther.vibration import ShakePlan
 
 
@@ -76,7 +77,13 @@ class RunResults:
     def notes(self) -> list[str]:
         """Return what the stages want the user to know, in order."""
         stages = (self.cloud, self.skeleton, self.stem, self.flowers, self.shake, self.response)
-        return [str(note) for stage in stages if stage is not None for note in getattr(stage, "notes", ())]
+        notes = [str(note) for stage in stages if stage is not None for note in getattr(stage, "notes", ())]
+        return notes + [note for note in self.doubts() if note not in notes]
+
+    def doubts(self) -> list[str]:
+        """Return a line for the main stem and for the best grasp if their confidence is low."""
+        stem = () if self.stem is None else doubt(self.stem.confidence)
+        return [*stem, *(note for grasp in self.grasps[:1] for note in doubt(grasp.confidence, "best grasp"))]
 
 
 def read_run(folder: Path | str) -> RunResults:

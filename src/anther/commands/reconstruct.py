@@ -23,9 +23,9 @@ class Args:
     workspace: tuple[float, float, float, float, float, float] | None = None
     """Box the plant stands in: x0 y0 z0 x1 y1 z1 [m]. By default it is found from where the cameras look."""
     masks: MaskSource = "colour"
-    """What finds plant and flowers: colour and geometry, or Grounding DINO and SAM 2 (docs/masks.md)."""
+    """What finds plant and flowers: colour and geometry, Grounding DINO and SAM 2, or SAM 3 (docs/masks.md)."""
     models: Path = Path("models")
-    """Folder with the weights for grounded-sam2."""
+    """Folder with the weights of the networks."""
     restart_from: str | None = None
     """Read the results of earlier stages from the run folder and go on from this stage."""
     overwrite: bool = False
@@ -53,8 +53,10 @@ def run(args: Args) -> None:
         seen = pipeline.perceive(capture, workspace, run, args.params, find_masks)
         grasps = pipeline.rank_grasps(seen, None, run, args.params)
     results = finish(run)
-    stem = seen.stem.arc_length[-1]
+    stem, sure = seen.stem.arc_length[-1], seen.stem.confidence
     print(f"{len(seen.cloud.points):,} points, {len(seen.skeleton.nodes)} skeleton nodes, main stem {stem:.3f} m")
+    if sure is not None:
+        print(f"confidence: main stem {sure:.2f}, grasp {grasps[0].confidence:.2f}")
     print(f"{len(seen.flowers.positions)} flowers; grasp at {grasps[0].arc_length:.3f} m: {grasps[0].reason}")
     for note in results.notes():
         print(f"note: {note}")

@@ -52,6 +52,7 @@ def _planned(done: Done | None) -> dict[str, Any]:
         "grasp_pose7": grasp.pose7,
         "grasp_arc_length_m": grasp.arc_length,
         "grasp_stem_diameter_m": grasp.stem_diameter,
+        "grasp_confidence": grasp.confidence,
         "shake_amplitude_m": shake.amplitude,
         "shake_frequency_hz": shake.frequency,
         "shake_direction": shake.direction,
@@ -103,6 +104,8 @@ def print_summary(results: RunResults) -> None:
     table = Table(title=results.title, show_header=False, title_justify="left", pad_edge=False)
     for name, value in _rows(results.summary or {}):
         table.add_row(name, value)
+    for note in results.doubts():
+        table.add_row("warning", note)
     slowest = sorted(results.seconds.items(), key=lambda item: -item[1])
     times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in slowest if seconds >= 0.05)
     table.add_row("time per stage [s]", f"{times}; total {sum(results.seconds.values()):.1f}")
@@ -116,7 +119,9 @@ def _rows(s: dict[str, Any]) -> list[tuple[str, str]]:
     if "grasp_pose7" in s:
         held = s["organ_grasped"] or "nothing"
         height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
-        rows.append(("grasped", f"{held}, {height:.1f} cm above the root, {diameter:.1f} mm thick as measured"))
+        confidence = s.get("grasp_confidence")
+        sure = "" if confidence is None else f"; the main stem with a probability of {confidence:.0%}"
+        rows.append(("grasped", f"{held}, {height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"))
         along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
         amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
         rows.append(

@@ -71,11 +71,11 @@ def rivalry(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
     return np.maximum.accumulate(np.append(share, 0.0))
 
 
-def doubt(confidence: float | None) -> tuple[str, ...]:
-    """Return a warning when the stem's confidence is below DOUBTFUL."""
+def doubt(confidence: float | None, what: str = "main stem") -> tuple[str, ...]:
+    """Return a warning when the confidence of stem or grasp is below DOUBTFUL."""
     if confidence is None or confidence >= DOUBTFUL:
         return ()
-    return (f"main stem: confidence {confidence:.2f} is below {DOUBTFUL:g}: look at it before you trust it",)
+    return (f"{what}: confidence {confidence:.2f} is below {DOUBTFUL:g}; look at it before you trust it",)
 
 
 def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
