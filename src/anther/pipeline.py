@@ -16,7 +16,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.identification import refine
-from anther.masks import Masks, grounded_sam2
+from anther.masks import Masks, by_words
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response
 from anther.runs import Advance, Run
@@ -33,7 +33,7 @@ class Params:
     """Every stage's parameters; each stage documents its own."""
 
     masks: masks.Params = field(default_factory=masks.Params)
-    grounded_sam2: grounded_sam2.Params = field(default_factory=grounded_sam2.Params)
+    by_words: by_words.Params = field(default_factory=by_words.Params)
     cloud: cloud.Params = field(default_factory=cloud.Params)
     skeleton: skeleton.Params = field(default_factory=skeleton.Params)
     stem: stem.Params = field(default_factory=stem.Params)
@@ -122,7 +122,8 @@ def perceive(
         "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
     )
     tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
-    main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem))
+    centres = flowers.flower_centres(fused, params.flowers)
+    main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
     found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, params.flowers))
     return Seen(labels, fused, tree, main, found)
 

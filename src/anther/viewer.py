@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from anther.files import write_text
 from anther.geometry import Array
 from anther.results import RunResults
-from anther.stem import STEM
+from anther.stem import BRANCH, LEAF, STEM, TRUSS
 
 POINT_SIZE = 0.0015
 """[m]"""
@@ -100,13 +100,14 @@ def _add_skeleton(scene: Any, results: RunResults) -> None:
     if skeleton is None:
         return
     segments = skeleton.nodes[skeleton.edges]
-    on_stem = np.zeros(len(segments), bool)
-    if stem is not None:
-        on_stem = (stem.organ[skeleton.edges] == STEM).all(axis=1)
-    for name, chosen, colour, width in (
-        ("branches", ~on_stem, (230, 140, 40), 0.0015),
-        ("main stem", on_stem, (210, 40, 40), 0.004),
+    organ = stem.organ[1:] if stem is not None else np.full(len(segments), BRANCH)  # edge j - 1 ends at node j
+    for kind, name, colour, width in (
+        (STEM, "main stem", (210, 40, 40), 0.004),
+        (BRANCH, "branches", (230, 140, 40), 0.0015),
+        (TRUSS, "trusses", (200, 60, 200), 0.0015),
+        (LEAF, "leaves", (60, 150, 60), 0.001),
     ):
+        chosen = organ == kind
         if chosen.any():
             scene.add_line_segments(f"/skeleton/{name}", segments[chosen].astype(np.float32), colour, thickness=width)
     if results.flowers is not None:

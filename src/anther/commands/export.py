@@ -13,7 +13,7 @@ from anther.files import existing
 from anther.formats.skeletons import WRITES, read_skeleton, write_skeleton
 from anther.runs import FILES
 from anther.skeleton import Skeleton
-from anther.stem import STEM, Stem, find_stem
+from anther.stem import Stem, find_stem
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Args:
     radius: float | None = None
     """Radius of every node [m], for a file that has none (.txt), or instead of the file's."""
     find_stem: bool = False
-    """Find the main stem anew, to label nodes stem or branch, instead of taking the source's labels."""
+    """Tell organs apart anew (without flowers, so no truss), instead of taking the source's labels."""
 
 
 def run(args: Args) -> None:
@@ -52,7 +52,7 @@ def run(args: Args) -> None:
 def labelled_skeleton(
     source: Path, radius: float | None = None, *, new_stem: bool = False
 ) -> tuple[Skeleton, list[str] | None]:
-    """Return (skeleton, "stem" or "branch" a node, or None where nothing tells) of a run folder or skeleton file.
+    """Return (skeleton, organ name a node, or None where nothing tells) of a run folder or skeleton file.
 
     Args:
         source: a run folder or a skeleton file.
@@ -66,7 +66,7 @@ def labelled_skeleton(
     if not source.is_dir():
         file = read_skeleton(source)
         skeleton, labels = file.skeleton(radius), None if file.labels is None else list(file.labels)
-        return skeleton, _organs(find_stem(skeleton)) if new_stem else labels
+        return skeleton, find_stem(skeleton).organ_names() if new_stem else labels
     if not (source / FILES["skeleton"]).exists():
         raise bad_input(
             str(source),
@@ -76,10 +76,6 @@ def labelled_skeleton(
         )
     skeleton = Skeleton.load(source / FILES["skeleton"])
     if new_stem:
-        return skeleton, _organs(find_stem(skeleton))
+        return skeleton, find_stem(skeleton).organ_names()
     there = (source / FILES["stem"]).exists()
-    return skeleton, _organs(Stem.load(source / FILES["stem"])) if there else None
-
-
-def _organs(stem: Stem) -> list[str]:
-    return ["stem" if kind == STEM else "branch" for kind in stem.organ]
+    return skeleton, Stem.load(source / FILES["stem"]).organ_names() if there else None

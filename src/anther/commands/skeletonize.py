@@ -13,6 +13,7 @@ import tyro
 from anther.cloud import Cloud
 from anther.errors import StageFailure
 from anther.files import replacing
+from anther.flowers import flower_centres
 from anther.formats.clouds import read_cloud
 from anther.formats.points import Axis, Units
 from anther.formats.skeletons import write_skeleton
@@ -48,7 +49,7 @@ def run(args: Args) -> None:
     cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
     begin = time.perf_counter()
     skeleton = skeletonize(cloud, args.params)
-    stem = find_stem(skeleton)
+    stem = find_stem(skeleton, flowers_at=flower_centres(cloud))
     grasps, notes = best_grasps(stem, skeleton, cloud)
     seconds = time.perf_counter() - begin
     if args.out is not None:
@@ -74,7 +75,7 @@ def best_grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> tuple[list[Gras
 def write_results(folder: Path, cloud: Cloud, skeleton: Skeleton, stem: Stem, grasps: list[Grasp]) -> None:
     """Write skeleton.npz, skeleton.swc, grasp.json (all grasps, best first) and overview.png."""
     skeleton.save(folder / "skeleton.npz")
-    write_skeleton(folder / "skeleton.swc", skeleton)
+    write_skeleton(folder / "skeleton.swc", skeleton, stem.organ_names())
     save_grasps(folder / "grasp.json", grasps)
     with replacing(folder / "overview.png") as temporary:
         draw_plant(cloud, skeleton, stem, grasps[0]).savefig(temporary, dpi=110)

@@ -9,6 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from anther.geometry import Array
+from anther.stem import BRANCH, LEAF, STEM, TRUSS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from anther.stem import Stem
 
 STEM_COLOR, BRANCH_COLOR, GRASP_COLOR, FLOWER_COLOR, LEAF_COLOR = "#7a3b12", "#1f6fb2", "#c2389a", "#e0a100", "#9db89f"
+ORGAN_COLORS = {STEM: STEM_COLOR, BRANCH: BRANCH_COLOR, TRUSS: "#d05a00", LEAF: "#2e8540"}
 
 _SIDES = {"front (x, z)": (0, 2, 1), "side (y, z)": (1, 2, 0), "top (x, y)": (0, 1, 2)}
 _MOST_POINTS = 40_000
@@ -30,9 +32,9 @@ def draw_plant(
 ) -> Figure:
     """Return a figure of the plant from the front, the side, the top, and close up around the grasp.
 
-    Lengths are drawn to scale, axes in metres. Grey-green or photographed colours: cloud; blue: branches; brown:
-    main stem, with dots where something leaves it; magenta: the gripper's approach and its closing line; yellow:
-    flowers; star: root.
+    Lengths are drawn to scale, axes in metres. Grey-green or photographed colours: cloud; brown: main stem, with dots
+    where something leaves it; blue: branches; orange: trusses; green: leaves; magenta: the gripper's approach and its
+    closing line; yellow: flowers; star: root.
     """
     figure = Figure(figsize=(13, 5.2), layout="constrained")
     views = [*_SIDES.items(), *([("at the grasp", _facing(grasp))] if grasp is not None else [])]
@@ -64,7 +66,8 @@ def draw_side(plot: Axes, axes: tuple[int, int, int], cloud: Cloud, skeleton: Sk
     plot.scatter(*cloud.points[some][:, [across, up]].T, s=0.4, c=color, lw=0, alpha=0.6, rasterized=True)
     flat = skeleton.nodes[:, [across, up]]
     lines: Any = flat[skeleton.edges]
-    plot.add_collection(LineCollection(lines, colors=BRANCH_COLOR, linewidths=1.0, zorder=3))
+    colors = [ORGAN_COLORS[int(organ)] for organ in stem.organ[1:]]
+    plot.add_collection(LineCollection(lines, colors=colors, linewidths=1.0, zorder=3))
     plot.plot(*flat[stem.node_ids].T, color=STEM_COLOR, lw=2.6, zorder=4)
     plot.plot(*flat[stem.node_ids[stem.attachments]].T, "o", ms=3, mfc="white", mec=STEM_COLOR, mew=0.8, zorder=5)
     plot.plot(*flat[0], "*", ms=11, color="black", zorder=6)

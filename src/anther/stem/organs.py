@@ -37,8 +37,8 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: 
         params: what is slender, how far a flower reaches, how long a spur is.
     """
     breadth = _relative_breadth(skeleton, main)
-    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < params.axis_breadth, params.flower_reach)
-    axis = _axes(skeleton, main, breadth / params.axis_breadth, beside, params.flat_blade)
+    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < params.truss_breadth, params.flower_reach)
+    axis = _axes(skeleton, main, breadth / params.axis_breadth, params.flat_blade)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
@@ -81,20 +81,16 @@ def _flower_bearers(
     return bears, beside
 
 
-def _axes(
-    skeleton: Skeleton, main: NDArray[Any], breadth: Array, beside: NDArray[np.bool_], flat_blade: float
-) -> NDArray[np.bool_]:
+def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, flat_blade: float) -> NDArray[np.bool_]:
     """Return (J,) which nodes lie on an axis: the rooted part of the tree with the most evidence of being slender.
 
     Every edge gives its length times a number from -1 (blade) to 1 (axis): the logarithm of how much narrower it is
-    than the stem, or than a flat section, whichever says less; beside a flower a broad one says nothing, since
-    pedicels make a truss broad. The rooted part with the largest sum is found from the tips down, so a contact with
-    a neighbouring leaf does not end a branch that goes on beyond it.
+    than the stem, or than a flat section, whichever says less. The rooted part with the largest sum is found from the
+    tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
     """
     if skeleton.width is None:
         return np.ones(len(breadth), dtype=bool)
     slender = np.clip(-np.log(np.maximum(breadth, skeleton.width / (flat_blade * skeleton.radius))), -1, 1)
-    slender = np.where(beside, np.maximum(slender, 0), slender)
     gain = edge_lengths(skeleton.nodes, skeleton.parent) * slender
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):

@@ -23,7 +23,8 @@ class Params:
             least this share as high,
         fork_angle: and on the whole leans from the vertical by less than this [degrees].
         flat_blade: a section broader than thick by this factor is as likely blade as axis.
-        axis_breadth: so is one broader than the main stem by this factor; broader ones bear no flowers either.
+        axis_breadth: so is one broader than the main stem by this factor.
+        truss_breadth: only a node not broader than this, relative to the stem, bears flowers: pedicels broaden a truss.
         flower_reach: and only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts:
             pollination), a few millimetres of flower, and half the distance between nodes.
         leaf_per_flower: a limb is a truss when it bears more flowers than it has leaf, at so much length a flower [m].
@@ -43,6 +44,7 @@ class Params:
     fork_angle: float = 50.0
     flat_blade: float = 2.0
     axis_breadth: float = 1.2
+    truss_breadth: float = 2.0
     flower_reach: float = 0.03
-    leaf_per_flower: float = 0.03
+    leaf_per_flower: float = 0.02
     spur: float = 3.0
