@@ -8,7 +8,6 @@ pixels. Without colour, whatever stands above the ground is plant.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,33 +15,16 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from anther.capture import Capture, viewed_box
+from anther.capture import Capture
 from anther.checks import check_array, check_range
 from anther.errors import StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Box
-from anther.masks.ground import ground_cells
-from anther.masks.voting import (
-    BESIDE_FLOWER,
-    BROWN_CELL,
-    EMPTY,
-    FLOWER_CELL,
-    GREEN,
-    GREEN_CELL,
-    GREEN_NO_DEPTH,
-    GROUND,
-    LAYERS,
-    PETAL_VIEWS,
-    WHITE,
-    YELLOW,
-    ColourRule,
-    Grid,
-    camera_numbers,
-    read_back,
-    vote,
-)
+from anther.masks.cells import kinds
+from anther.masks.light import GREEN_NO_DEPTH
+from anther.masks.survey import each_view, survey
+from anther.masks.voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
 
@@ -71,6 +53,7 @@ class Params:
         rim_height: a pot's rim stands at most this much above its soil [m].
         attach_distance: a part that is not green belongs to the plant if it comes this close to green ones [m].
         brown_extent: greatest second extent of such a part [m]: stems and fruits are slender, walls are not.
+        petal_contrast: where the light holds no green, petals are at least this much brighter than leaves.
         least_part: flowers are looked for beside green parts of at least this many cells.
         least_pixels: with fewer plant pixels in all views together there is no plant.
     """
@@ -93,6 +76,7 @@ class Params:
     rim_height: float = 0.05
     attach_distance: float = 0.012
     brown_extent: float = 0.08
+    petal_contrast: float = 2.0
     least_part: int = 20
     least_pixels: int = 200
 
@@ -145,154 +129,59 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         StageFailure: `no_plant_found` when the views show too little plant.
     """
     params = params or Params()
-    grid = Grid.over(workspace or viewed_box(capture), params.voxel)
-    rule = None if capture.rgb is None else _colour_rule(capture.rgb, params)
-    cameras = [camera_numbers(T, capture.intrinsics) for T in capture.T_world_cam]
-    threads = 2  # each votes in a grid of its own
-    counts = np.zeros((threads, LAYERS if rule else 1, *grid.shape), dtype=np.uint16)
-    classes = np.zeros(capture.depth.shape, dtype=np.uint8)
+    seen = survey(capture, workspace, params)
+    cells = kinds(seen, capture, params)
     labels = np.zeros(capture.depth.shape, dtype=np.uint8)
 
-    def vote_views(thread: int) -> None:
-        for view in range(thread, capture.views, threads):
-            rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
-            classes[view] = vote(
-                rgb, capture.depth[view], camera=cameras[view], grid=grid, rule=rule, counts=counts[thread], view=view
-            )
-
     def label_view(view: int) -> None:
-        found = read_back(capture.depth[view], cameras[view], grid, classes[view], cells)
-        labels[view] = _add_pixels_without_depth(found, classes[view])
+        classes = seen.classes[view]
+        found = read_back(capture.depth[view], seen.cameras[view], seen.grid, classes, cells)
+        labels[view] = _add_pixels_without_depth(found, classes)
 
-    with ThreadPoolExecutor(max_workers=threads) as pool:
-        list(pool.map(vote_views, range(threads)))
-        votes = counts.sum(axis=0, dtype=np.uint16)
-        if rule:
-            cells = _cells_by_colour(votes, params, *_enough_petals(capture, grid, params))
-        else:
-            cells = _cells_by_geometry(votes[0], params)
-        list(pool.map(label_view, range(capture.views)))
+    each_view(label_view, capture.views)
     found = int((labels > 0).sum())
     if found < params.least_pixels:
+        lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
         raise StageFailure(
             "no_plant_found",
             f"masks: {found} plant pixels in {capture.views} views; at least {params.least_pixels} are needed. "
-            f"Is the plant within x, y, z = {grid.lower} .. {grid.lower + np.multiply(grid.shape, grid.voxel)} m?",
+            f"Is the plant within x, y, z = {lower} .. {lower + size} m?",
         )
-    return Masks(labels, "colour and geometry" if rule is not None else "geometry")
+    return Masks(labels, seen.source)
 
 
-def _colour_rule(rgb: NDArray[Any], params: Params) -> ColourRule:
-    """Return thresholds adapted to the light: shades-of-grey white balance, brightness relative to the leaves.
+def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:
+    """Return masks of any source freed of pot, soil, bench and all that lies outside the workspace.
 
-    Shades of grey with Minkowski norm p = 6: Finlayson and Trezzi 2004.
-    """
-    sample = rgb[:, ::16, ::16].reshape(-1, 3).astype(np.float64)
-    norm = np.power(np.mean(sample**6, axis=0), 1 / 6) + 1e-9
-    gains = np.clip(norm.mean() / norm, 0.75, 1.33)
-    balanced = sample * gains
-    excess = 3 * balanced[:, 1] / (balanced.sum(axis=1) + 1e-9) - 1
-    leaves = balanced.max(axis=1)[excess > params.green]
-    bright = float(np.percentile(leaves, 90)) if len(leaves) else 128.0
-    return ColourRule(
-        gains=(float(gains[0]), float(gains[1]), float(gains[2])),
-        green=params.green,
-        yellow_saturation=params.yellow_saturation,
-        yellow_value=float(np.clip(params.yellow_gain * bright, 40, 200)),
-        white_saturation=params.white_saturation,
-        white_value=float(np.clip(params.white_gain * bright, 80, 220)),
-    )
-
-
-def _cells_by_geometry(votes: NDArray[Any], params: Params) -> NDArray[Any]:
-    """Return what each cell is, (X, Y, Z) uint8: whatever is seen above the ground is a part of the plant."""
-    below, rim = _ground(votes >= 2, params, params.bare_ground_radius, rings=False)
-    return np.where(below | rim, GROUND, np.where(votes >= 2, BROWN_CELL, EMPTY)).astype(np.uint8)
-
-
-def _enough_petals(capture: Capture, grid: Grid, params: Params) -> tuple[float, int]:
-    """Return how many petal pixels, and from how many views, a petal cell needs."""
-    centre = grid.lower + np.multiply(grid.shape, grid.voxel) / 2
-    distance = float(np.median(np.linalg.norm(capture.T_world_cam[:, :3, 3] - centre, axis=1)))
-    pixels = (grid.voxel * capture.intrinsics.fx / max(distance, grid.voxel)) ** 2
-    return params.petal_cover * pixels, min(params.petal_views, capture.views)
-
-
-def _cells_by_colour(counts: NDArray[Any], params: Params, least_votes: float, least_views: int) -> NDArray[Any]:
-    """Return what each cell is, (X, Y, Z) uint8, from the votes (LAYERS, X, Y, Z)."""
-    total = counts[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
-    green = counts[GREEN - 1] >= np.maximum(2, params.green_share * total)
-    occupied = total >= 2
-    below, rim = _ground((total >= 5) & (counts[GREEN - 1] <= 0.1 * total), params, params.ground_radius, rings=True)
-    rest = occupied & ~green & ~below & ~rim
-    cells = np.where(below | (rim & ~green), GROUND, EMPTY).astype(np.uint8)
-    green &= ~below
-    cells[green] = GREEN_CELL
-    petal_votes = counts[YELLOW - 1].astype(np.int32) + counts[WHITE - 1]
-    seen_often = (petal_votes >= least_votes) & (counts[PETAL_VIEWS] >= least_views)
-    petals = occupied & ~below & ~rim & seen_often & (petal_votes >= params.petal_share * total)
-    flowers = _parts_near(
-        petals,
-        _large_parts(green & ~petals, params.least_part),
-        distance=params.flower_distance,
-        extent=params.flower_extent,
-        axis=0,
-        voxel=params.voxel,
-    )
-    brown = _parts_near(
-        rest & ~flowers, green, distance=params.attach_distance, extent=params.brown_extent, axis=1, voxel=params.voxel
-    )
-    cells[brown] = BROWN_CELL
-    cells[(ndimage.maximum_filter(flowers.astype(np.uint8), size=3) > 0) & (cells != GROUND)] = BESIDE_FLOWER
-    cells[flowers] = FLOWER_CELL
-    return cells
-
-
-def _ground(
-    solid: NDArray[np.bool_], params: Params, sure_radius: float, *, rings: bool
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    return ground_cells(
-        solid,
-        params.voxel,
-        radius=params.ground_radius,
-        sure_radius=sure_radius,
-        margin=params.ground_margin,
-        rim_height=params.rim_height,
-        rings=rings,
-    )
-
-
-def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
-    """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
-    parts = np.zeros(part.shape, dtype=np.int32)
-    ndimage.label(part, structure=np.ones((3, 3, 3)), output=parts)
-    large = np.bincount(parts.ravel()) >= least
-    large[0] = False
-    return large[parts]
-
-
-def _parts_near(
-    part: NDArray[np.bool_], plant: NDArray[np.bool_], *, distance: float, extent: float, axis: int, voxel: float
-) -> NDArray[np.bool_]:
-    """Return the connected components of `part` that come within `distance` [m] of `plant` and are small.
+    Segmentation networks bleed into the pot (the paper's first weakness). The ground is found as `segment` finds it,
+    by geometry; about the pot's rim colour decides, if there is any. The foot of a stem is kept.
 
     Args:
-        axis: which of the three extents along the bounding box, sorted from the greatest, may not exceed `extent`:
-            0 bounds the size, 1 lets through slender parts of any length.
+        masks: of the same views.
+        capture, workspace, params: as in `segment`.
+
+    Raises:
+        InputError: masks and capture differ in shape.
     """
-    parts = np.zeros(part.shape, dtype=np.int32)
-    count = int(np.asarray(ndimage.label(part, structure=np.ones((3, 3, 3)), output=parts)))
-    if count == 0:
-        return part
-    reach = 2 * max(1, round(distance / voxel)) + 1
-    near = ndimage.maximum_filter(plant.astype(np.uint8), size=reach) > 0
-    touches = np.zeros(count + 1, dtype=bool)
-    touches[np.unique(parts[near])] = True
-    for number, slices in enumerate(ndimage.find_objects(parts), start=1):
-        sizes = sorted((s.stop - s.start for s in slices), reverse=True)
-        touches[number] &= sizes[axis] * voxel <= extent + voxel
-    touches[0] = False
-    return touches[parts]
+    params = params or Params()
+    labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
+    seen = survey(capture, workspace, params)
+    masked = np.zeros((1, *seen.grid.shape), dtype=np.uint16)
+    for view in range(capture.views):
+        depth = np.where(labels[view] > 0, capture.depth[view], np.float32(0))
+        vote(None, depth, camera=seen.cameras[view], grid=seen.grid, rule=None, counts=masked)
+    foot = seen.foot((masked[0] >= 2) & ~seen.rim, params)
+    rim = RIM if capture.rgb is not None else GROUND
+    cells = np.where(seen.below & ~foot, GROUND, np.where(seen.rim & ~foot, rim, EMPTY)).astype(np.uint8)
+    kept = np.empty_like(labels)
+
+    def clear_view(view: int) -> None:
+        depth, classes = capture.depth[view], seen.classes[view]
+        kept[view] = clear(labels[view], depth, seen.cameras[view], seen.grid, classes, cells)
+        _drop_pixels_without_depth(kept[view], labels[view], depth)
+
+    each_view(clear_view, capture.views)
+    return Masks(kept, masks.source)
 
 
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:
@@ -303,3 +192,13 @@ def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> ND
     holds_plant[np.unique(patch[labels > 0])] = True
     labels[(classes == GREEN_NO_DEPTH) & holds_plant[patch]] = PLANT
     return labels
+
+
+def _drop_pixels_without_depth(kept: NDArray[Any], labels: NDArray[Any], depth: NDArray[Any]) -> None:
+    """Drop pixels without depth (in place) around which more was dropped than kept."""
+    measured = depth > 0
+    dropped = (measured & (labels > 0) & (kept == 0)).astype(np.float32)
+    stayed = (measured & (kept > 0)).astype(np.float32)
+    window = (21, 21)
+    more = cv2.boxFilter(dropped, -1, window) > cv2.boxFilter(stayed, -1, window)
+    kept[~measured & more] = 0

@@ -16,6 +16,9 @@ from scipy import ndimage
 WALL_HEIGHT = 0.04
 """A closed ring is a pot's wall if it goes on over this height [m]; leaves close rings over less."""
 
+STEM_EXTENT = 0.04
+"""The foot of a stem, as the errors of the poses spread it, is at most this wide [m]."""
+
 SEEN_BELOW = 0.3
 """A surface with something seen below a larger share of it is foliage."""
 
@@ -64,6 +67,27 @@ def ground_cells(
     levels = np.arange(solid.shape[2])
     below = levels[None, None, :] <= (height + margin / voxel)[:, :, None]
     return below, _rim_zone(height, levels, voxel, rim_height)
+
+
+def foot_cells(plant: NDArray[np.bool_], below: NDArray[np.bool_], voxel: float, margin: float) -> NDArray[np.bool_]:
+    """Return the cells just below the top of the ground (X, Y, Z) that carry on a stem above it.
+
+    The margin above the soil belongs to the ground, and a stem would begin above it. What stands on that layer and is
+    no wider than `STEM_EXTENT` is a stem, carried on straight down through the margin.
+
+    Args:
+        plant: (X, Y, Z) plant cells above the ground.
+        below: (X, Y, Z) ground cells, each column filled from its bottom.
+        voxel, margin: as in `ground_cells`.
+    """
+    top = below.sum(axis=2)[:, :, None]
+    levels = np.arange(below.shape[2])[None, None, :]
+    standing = (plant & (levels >= top) & (levels < top + 2)).any(axis=2).astype(np.uint8)
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(standing, connectivity=8)
+    narrow = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= STEM_EXTENT / voxel
+    narrow[0] = False
+    depth = 1 + int(margin / voxel)
+    return narrow[parts][:, :, None] & (levels < top) & (levels >= np.maximum(top - depth, 0))
 
 
 def _slabs(solid: NDArray[np.bool_], voxel: float) -> list[tuple[int, NDArray[np.uint8]]]:

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.geometry import Array, Box, Intrinsics
+from anther.masks.light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, YELLOW, ColourRule
 
-OUTSIDE, OTHER, GREEN, YELLOW, WHITE, GREEN_NO_DEPTH = range(6)
-"""Colour class of a pixel. OUTSIDE: beyond the workspace or without depth (and not green)."""
-
-EMPTY, GROUND, GREEN_CELL, BROWN_CELL, FLOWER_CELL, BESIDE_FLOWER = range(6)
-"""What a cell of the grid was found to be. BROWN_CELL: a part of the plant that is not green."""
+EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, BESIDE_FLOWER = range(7)
+"""What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is
+not green."""
 
 PETAL_VIEWS, LAST_PETAL_VIEW = 4, 5
 """Layers of the vote grid after the four colours: in how many views petals voted, and the last of these plus one."""
@@ -26,39 +25,7 @@ PETAL_VIEWS, LAST_PETAL_VIEW = 4, 5
 LAYERS = 6
 """Number of layers of the vote grid."""
 
-_BLEED_REACH, _BLEED_COLOUR, _BLEED_DEPTH = 3, 18, 0.05  # [px], [grey levels], [m]
-
-
-@dataclass(frozen=True, slots=True)
-class ColourRule:
-    """Thresholds of the colour classes, after white balance.
-
-    Attributes:
-        gains: white-balance gains of red, green and blue.
-        green: least excess green of vegetation.
-        yellow_saturation, yellow_value: least saturation 0..1 and brightness 0..255 of yellow petals.
-        white_saturation, white_value: greatest saturation 0..1 and least brightness 0..255 of white petals.
-    """
-
-    gains: tuple[float, float, float]
-    green: float
-    yellow_saturation: float
-    yellow_value: float
-    white_saturation: float
-    white_value: float
-
-    def numbers(self) -> Array:
-        """Return the rule as a flat array, as the compiled loop wants it."""
-        return np.array(
-            [
-                *self.gains,
-                self.green,
-                self.yellow_saturation,
-                self.yellow_value,
-                self.white_saturation,
-                self.white_value,
-            ]
-        )
+_BLEED_REACH, _BLEED_DEPTH = 3, 0.05  # [px], [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +79,7 @@ def vote(
     if rgb is None or rule is None:
         _vote_depth(depth, camera, grid.numbers(), classes, counts)
     else:
-        _vote_colour(rgb, depth, camera, grid.numbers(), rule.numbers(), classes, counts, view)
+        _vote_colour(rgb, depth, camera, grid.numbers(), rule.table, rule.alike, classes, counts, view)
     return classes
 
 
@@ -135,23 +102,7 @@ def _cell(u, v, z, cam, grid):
 
 
 @numba.njit(nogil=True, cache=True, inline="always")
-def _colour_class(red, green, blue, rule):
-    r, g, b = red * rule[0], green * rule[1], blue * rule[2]
-    total, high, low = r + g + b, max(r, g, b), min(r, g, b)
-    if total < 30:  # too dark to have a colour
-        return OTHER
-    saturation = (high - low) / high
-    if saturation >= rule[4] and high >= rule[5] and r >= 0.9 * g and g >= 0.58 * r:
-        return YELLOW
-    if saturation <= rule[6] and high >= rule[7]:
-        return WHITE
-    if (2 * g - r - b) / total >= rule[3]:
-        return GREEN
-    return OTHER
-
-
-@numba.njit(nogil=True, cache=True, inline="always")
-def _bleeds(rgb, depth, v, u):
+def _bleeds(rgb, depth, v, u, like):
     """Return whether a pixel has the colour of a background near it: then it is that background, wrongly placed."""
     for dv in (-_BLEED_REACH, 0, _BLEED_REACH):
         for du in (-_BLEED_REACH, 0, _BLEED_REACH):
@@ -160,24 +111,24 @@ def _bleeds(rgb, depth, v, u):
             if depth[j, i] > depth[v, u] + _BLEED_DEPTH or depth[j, i] <= 0:
                 alike = True
                 for c in range(3):
-                    alike = alike and abs(float(rgb[j, i, c]) - float(rgb[v, u, c])) < _BLEED_COLOUR
+                    alike = alike and abs(float(rgb[j, i, c]) - float(rgb[v, u, c])) < like
                 if alike:
                     return True
     return False
 
 
 @numba.njit(nogil=True, cache=True)
-def _vote_colour(rgb, depth, cam, grid, rule, classes, counts, view):
+def _vote_colour(rgb, depth, cam, grid, table, like, classes, counts, view):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             i, j, k = _cell(u, v, depth[v, u], cam, grid)
             if depth[v, u] > 0 and i < 0:
                 continue
-            kind = _colour_class(float(rgb[v, u, 0]), float(rgb[v, u, 1]), float(rgb[v, u, 2]), rule)
+            kind = table[rgb[v, u, 0] >> 2, rgb[v, u, 1] >> 2, rgb[v, u, 2] >> 2]
             if depth[v, u] <= 0:
                 classes[v, u] = GREEN_NO_DEPTH if kind == GREEN else OUTSIDE
             else:
-                if kind >= YELLOW and _bleeds(rgb, depth, v, u):
+                if kind >= YELLOW and _bleeds(rgb, depth, v, u, like):
                     kind = OTHER
                 classes[v, u] = kind
                 counts[kind - 1, i, j, k] += 1
@@ -225,8 +176,40 @@ def read_back(
     Args:
         depth, camera, grid: as in `vote`.
         classes: (H, W) from `vote`.
-        cells: (X, Y, Z) uint8, EMPTY, GROUND, GREEN_CELL, BROWN_CELL, FLOWER_CELL or BESIDE_FLOWER.
+        cells: (X, Y, Z) uint8, see EMPTY and what follows.
     """
     labels = np.zeros(depth.shape, dtype=np.uint8)
     _read_back(depth, camera, grid.numbers(), classes, cells, labels)
     return labels
+
+
+@numba.njit(nogil=True, cache=True)
+def _clear(depth, cam, grid, classes, cells, labels):
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            if labels[v, u] == 0 or depth[v, u] <= 0:
+                continue
+            i, j, k = _cell(u, v, depth[v, u], cam, grid)
+            if i < 0 or cells[i, j, k] == GROUND or (cells[i, j, k] == RIM and classes[v, u] == OTHER):
+                labels[v, u] = 0
+
+
+def clear(
+    labels: NDArray[Any],
+    depth: NDArray[Any],
+    camera: Array,
+    grid: Grid,
+    classes: NDArray[Any],
+    cells: NDArray[Any],
+) -> NDArray[Any]:
+    """Return labels (H, W) of any source freed of the ground, of the pot and of what lies outside the grid.
+
+    Args:
+        labels: (H, W) uint8, 0 = background.
+        depth, camera, grid: as in `vote`.
+        classes: (H, W) from `vote`.
+        cells: (X, Y, Z) uint8, of which GROUND and RIM count.
+    """
+    kept = labels.copy()
+    _clear(depth, camera, grid.numbers(), classes, cells, kept)
+    return kept
