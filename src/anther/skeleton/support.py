@@ -18,6 +18,8 @@ from anther.geometry import Array
 SECTORS = 8
 """The directions around a node in which a surface is looked for."""
 
+_ENOUGH = 40_000  # more points than this make the node statistics no better
+
 FITTED = (2.31, 0.89, -1.38, -3.11, -0.83)
 """Constant and weights of `node_support` in the log-odds: `python experiments/confidence.py --fit`."""
 
@@ -47,7 +49,7 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array
 
     Columns: the share of SECTORS around the node that hold points; the logarithm of breadth over thickness (bad); the
     scatter of the surface about one radius, as a share of it (bad); the logarithm of the distance to the nearest
-    points over the radius, 0 or more (bad, a bridge).
+    points over the radius, 0 to log 10 (bad, a bridge).
 
     Args:
         nodes: (J, 3) [m].
@@ -55,7 +57,8 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array
         radius, width: (J,) half thickness and half breadth [m].
         points: (N, 3) the cloud [m].
     """
-    owner = np.asarray(KDTree(nodes).query(points)[1])
+    points = points[:: max(len(points) // _ENOUGH, 1)]
+    distance, owner = map(np.asarray, KDTree(nodes).query(points))
     tangent = _tangents(nodes, parent)
     one, two = _across(tangent)
     offset = points - nodes[owner]
@@ -68,12 +71,13 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array
     held[owner[near], sector[near]] = True
     count = np.maximum(np.bincount(owner[near], minlength=len(nodes)), 1)
     spread = np.bincount(owner[near], np.abs(away - radius[owner])[near], minlength=len(nodes)) / count
-    gap = np.asarray(KDTree(points).query(nodes)[0])
+    gap = np.full(len(nodes), np.inf)
+    np.minimum.at(gap, owner, distance)
     columns = (
         held.mean(axis=1),
         np.log(np.maximum(width / radius, 1)),
         np.minimum(spread / radius, 3),
-        np.log(np.maximum(gap / radius, 1)),
+        np.log(np.clip(gap / radius, 1, 10)),
     )
     return np.stack([_along(column, parent) for column in columns], axis=1)
 
