@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from anther import stem as organs
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, transform_points
 from anther.sim.capture import CaptureTruth
 from anther.sim.plant import Organ, SimPlant
 from anther.skeleton import Skeleton
-from anther.stem import BRANCH, STEM, Stem
+from anther.stem import BRANCH, LEAF, STEM, Stem
 
 STEP = 0.001
 """Distance between the samples of a line [m]."""
@@ -153,12 +152,8 @@ def true_junctions(plant: SimPlant) -> Array:
 def found_junctions(skeleton: Skeleton, stem: Stem) -> Array:
     """Return the nodes (n, 3) [m] of stem and branches from which another organ than a blade leaves."""
     limb = np.isin(stem.organ, [STEM, BRANCH])
-    counts = np.bincount(skeleton.parent[1:][_not_blade(stem)[1:]], minlength=len(skeleton.nodes))
+    counts = np.bincount(skeleton.parent[1:][stem.organ[1:] != LEAF], minlength=len(skeleton.nodes))
     return skeleton.nodes[limb & (counts >= 2)]
-
-
-def _not_blade(stem: Stem) -> NDArray[np.bool_]:
-    return stem.organ != getattr(organs, "LEAF", 255)
 
 
 def _matches(true: Array, found: Array, near: float) -> NDArray[Any]:

@@ -86,7 +86,7 @@ def one_plant(which: tuple[Species, int], out: Path) -> dict[str, Any]:
             labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace)
             points = cloud.fuse(capture, labels, layout(USUAL_DISTANCE).workspace)
             tree = skeleton.skeletonize(points)
-            main = stem.find_stem(tree)
+            main = stem.find_stem(tree, flowers_at=flowers.flower_centres(points))
             found = flowers.find_flowers(points, tree, main)
         except AntherError as error:
             write_json(file, {"failure": str(error)})
