@@ -1,0 +1,172 @@
+"""Masks of what words name, by pretrained networks: the paper's Grounding DINO and SAM 2, or SAM 3.
+
+Needs the extra anther[segmentation] and weights on disk (docs/masks.md). The networks see single images: pot and soil
+that they take along are for geometry to remove. Dimensions: V views, B of them at a time, K found in a view, H x W
+pixels.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.capture import Capture
+from anther.checks import check_range
+from anther.errors import InputError, StageFailure, bad_input
+from anther.masks import FLOWER, PLANT, Masks
+from anther.masks.weights import NETWORKS, Method, find_models, fingerprint
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What is looked for, and when it counts as found.
+
+    Attributes:
+        plant, flower: words whose objects become plant, or flower; lower case, each ending in "." (that is how
+            Grounding DINO tells them apart). The paper uses "leaves".
+        score: least score of a find, 0..1. transformers' decoding has 0.25 for Grounding DINO, 0.3 for SAM 3.
+        most: so many of the best finds in a view; bounds time and memory.
+        least_pixels: with fewer plant pixels in all views together there is no plant.
+        batch: views at a time; None means 4 on a GPU, 1 on a CPU.
+        device: auto takes the GPU when there is one.
+    """
+
+    plant: tuple[str, ...] = ("leaves.", "stem.")
+    flower: tuple[str, ...] = ("flower.",)
+    score: float = 0.25
+    most: int = 64
+    least_pixels: int = 200
+    batch: int | None = None
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+
+    def __post_init__(self) -> None:
+        check_range("score", self.score, 0, 1)
+        check_range("most finds", self.most, 1, 900)
+        check_range("batch", self.batch or 1, 1, 64)
+        if not self.plant:
+            raise bad_input("plant words", given="none", allowed="one or more", do="For example: leaves. stem.")
+        for words in (*self.plant, *self.flower):
+            if words != words.lower() or not words[:-1].strip() or words[-1] != "." or set(".?") & set(words[:-1]):
+                raise bad_input(
+                    "words", given=f"'{words}'", allowed="lower case, one '.' at the end", do="As 'leaves.'."
+                )
+
+
+class Networks(Protocol):
+    """What finds objects by words in images; `device` is a torch.device."""
+
+    device: Any
+
+    def find(self, images: NDArray[Any], words: Sequence[str]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
+        """Return for each image (B, H, W, 3) its masks (K, H, W) bool and (K,) which of the words each fits."""
+        ...
+
+
+def segment(
+    capture: Capture,
+    models: Path,
+    params: Params | None = None,
+    *,
+    method: Method = "grounded-sam2",
+    cache: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Masks:
+    """Return the plant and flower pixels of every view, as the networks see them.
+
+    Args:
+        capture: the views; colour is needed.
+        models: folder that holds the networks' weights (`weights.find_models`).
+        params: see `Params`.
+        method: which networks.
+        cache: folder that keeps the result; a second call with the same images, weights and parameters reads it.
+        progress: called with (views done, V).
+
+    Raises:
+        MissingExtra: torch or transformers is not installed.
+        InputError: no colour, weights missing or not usable, no such device.
+        StageFailure: `no_plant_found` when the networks find next to nothing.
+    """
+    params = params or Params()
+    if capture.rgb is None:
+        raise bad_input("masks", given="a capture without colour", allowed="colour images", do="Use --masks colour.")
+    folders = find_models(models, method)
+    kept = None if cache is None else cache / f"{method}-{_key(capture.rgb, folders, params)}.npz"
+    masks = None if kept is None else _read(kept)
+    source = " and ".join(network.name for network in NETWORKS[method])
+    if masks is None:
+        networks = _load(method, folders, params)
+        batch = params.batch or (4 if networks.device.type == "cuda" else 1)
+        masks = Masks(label_views(capture.rgb, networks, params, batch=batch, progress=progress), source)
+        if kept is not None:
+            with suppress(OSError):  # a capture on a read-only disk is segmented anew each time
+                masks.save(kept)
+    found = int((masks.labels > 0).sum())
+    if found < params.least_pixels:
+        raise StageFailure(
+            "no_plant_found",
+            f"masks: {source} found {found} pixels of {' '.join((*params.plant, *params.flower))} in {capture.views} "
+            f"views; at least {params.least_pixels} are needed. Try other words or a score below {params.score:g}.",
+        )
+    return masks
+
+
+def label_views(
+    rgb: NDArray[Any],
+    networks: Networks,
+    params: Params,
+    *,
+    batch: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> NDArray[np.uint8]:
+    """Return the labels (V, H, W) of images (V, H, W, 3): what each of the words found, in `paint`'s order."""
+    words = (*params.plant, *params.flower)
+    label_of = np.array([PLANT] * len(params.plant) + [FLOWER] * len(params.flower), dtype=np.uint8)
+    labels = np.zeros(rgb.shape[:3], dtype=np.uint8)
+    for start in range(0, len(rgb), batch):
+        for view, (masks, word) in enumerate(networks.find(rgb[start : start + batch], words), start):
+            paint(labels[view], masks, label_of[word])
+        if progress is not None:
+            progress(min(start + batch, len(rgb)), len(rgb))
+    return labels
+
+
+def paint(image: NDArray[np.uint8], masks: NDArray[np.bool_], labels: NDArray[np.uint8]) -> None:
+    """Write labels (K,) into `image` (H, W) where masks (K, H, W) are set, the smallest mask on top.
+
+    So a flower lies on the leaf behind it, and a flower's mask that ran over the whole plant lies below its leaves.
+    """
+    for k in np.argsort(-masks.sum(axis=(1, 2)), kind="stable"):
+        image[masks[k]] = labels[k]
+
+
+def _load(method: Method, folders: Sequence[Path], params: Params) -> Networks:
+    """Import torch, which is an extra and takes seconds, and read the weights."""
+    if method == "sam3":
+        from anther.masks.sam3 import Sam3 as Chosen  # noqa: PLC0415
+    else:
+        from anther.masks.grounded_sam2 import GroundedSam2 as Chosen  # noqa: PLC0415
+    return Chosen.load(folders, device=params.device, score=params.score, most=params.most)
+
+
+def _key(rgb: NDArray[Any], folders: Sequence[Path], params: Params) -> str:
+    """Return a name for the masks of these images by these weights with these parameters."""
+    settings = {
+        name: value for name, value in asdict(params).items() if name not in ("batch", "device", "least_pixels")
+    }
+    digest = hashlib.blake2b(f"{settings} {rgb.shape} {fingerprint(folders)}".encode(), digest_size=8)
+    digest.update(np.ascontiguousarray(rgb).data)
+    return digest.hexdigest()
+
+
+def _read(path: Path) -> Masks | None:
+    """Return the kept masks; None when there are none, or when the file is damaged."""
+    with suppress(InputError):
+        return Masks.load(path)
+    return None
