@@ -1,26 +1,69 @@
-"""Tiny Grounding DINO and SAM 2 with random weights, saved as the published folders are, so that real code runs."""
+"""Tiny Grounding DINO, SAM 2 and SAM 3 with random weights, saved as the published folders are."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import torch
 import transformers
+from safetensors.torch import save_file
 
 SIDE = 64  # of the images SAM 2 looks at [px]
 
 
-def save_tiny_networks(folder: Path) -> Path:
+def save_tiny_grounded_sam2(folder: Path) -> Path:
     """Write `folder`/grounding-dino and `folder`/sam2 (0.3 million parameters each) and return `folder`."""
     torch.manual_seed(0)
-    bars = transformers.utils.logging
-    bars.disable_progress_bar()
-    try:
+    with _no_bars():
         _save_detector(folder / "grounding-dino")
         _save_outliner(folder / "sam2")
-    finally:
-        bars.enable_progress_bar()
     return folder
+
+
+def save_tiny_sam3(folder: Path) -> Path:
+    """Write `folder`/sam3 (0.3 million parameters) as a part of the video model, as it is published."""
+    torch.manual_seed(1)
+    small = {"hidden_size": 32, "num_layers": 1, "num_attention_heads": 2, "intermediate_size": 32}
+    config = transformers.Sam3Config(
+        vision_config={
+            "backbone_config": {
+                "model_type": "sam3_vit_model", "hidden_size": 32, "intermediate_size": 32, "num_hidden_layers": 2,
+                "num_attention_heads": 2, "image_size": 56, "patch_size": 14, "window_size": 2,
+                "global_attn_indexes": [1], "pretrain_image_size": 28,
+            },
+            "fpn_hidden_size": 32, "backbone_feature_sizes": [[16, 16], [8, 8], [4, 4]],
+        },
+        text_config={
+            "model_type": "clip_text_model", "vocab_size": 100, "hidden_size": 32, "intermediate_size": 32,
+            "projection_dim": 16, "num_hidden_layers": 1, "num_attention_heads": 2, "max_position_embeddings": 32,
+            "hidden_act": "gelu", "bos_token_id": 98, "eos_token_id": 99,
+        },
+        geometry_encoder_config=small, detr_encoder_config=small, detr_decoder_config=small | {"num_queries": 10},
+        mask_decoder_config={"hidden_size": 32, "num_attention_heads": 2},
+    )  # fmt: skip
+    network = transformers.Sam3Model(config)
+    place = folder / "sam3"
+    place.mkdir(parents=True)
+    numbers = {f"detector_model.{name}": value.contiguous() for name, value in network.state_dict().items()}
+    save_file(numbers | {"tracker_model.x": torch.zeros(1)}, place / "model.safetensors", metadata={"format": "pt"})
+    (place / "config.json").write_text(json.dumps({"model_type": "sam3_video", "detector_config": config.to_dict()}))
+    letters = [chr(97 + k) for k in range(26)]
+    vocabulary = [*letters, *(f"{k}</w>" for k in letters), *(f"[unused{k}]" for k in range(46))]
+    ids = {token: i for i, token in enumerate([*vocabulary, "<|startoftext|>", "<|endoftext|>"])}
+    transformers.CLIPTokenizer(vocab=ids, merges=[]).save_pretrained(place)
+    return folder
+
+
+@contextmanager
+def _no_bars() -> Iterator[None]:
+    transformers.utils.logging.disable_progress_bar()
+    try:
+        yield
+    finally:
+        transformers.utils.logging.enable_progress_bar()
 
 
 def _save_detector(folder: Path) -> None:

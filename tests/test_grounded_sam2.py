@@ -20,7 +20,7 @@ from anther.cli import main
 from anther.errors import InputError, MissingExtra, StageFailure
 from anther.geometry import Intrinsics, look_at
 from anther.masks import BACKGROUND, FLOWER, PLANT, Masks
-from anther.masks.grounded_sam2 import SOURCE, Params, label_views, paint, segment
+from anther.masks.by_words import Params, label_views, paint, segment
 from anther.masks.weights import find_models
 from anther.sim.capture import capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper
@@ -28,6 +28,7 @@ from anther.sim.plant import Organ
 from anther.sim.render import d455
 
 WIDTH, HEIGHT = 32, 24
+SOURCE = "Grounding DINO and SAM 2"
 
 
 class Rectangles:
@@ -129,7 +130,7 @@ def test_words_the_detector_would_misread_are_refused(words: str) -> None:
 
 
 def test_bad_numbers_are_refused() -> None:
-    for bad in ({"score": 1.2}, {"most_boxes": 0}, {"batch": -1}, {"plant": ()}):
+    for bad in ({"score": 1.2}, {"most": 0}, {"batch": -1}, {"plant": ()}):
         with pytest.raises(InputError):
             Params(**bad)
 
@@ -153,8 +154,9 @@ def test_models_are_found_by_what_they_are(models: Path) -> None:
     (models / "notes").mkdir()
     (models / "notes" / "config.json").write_text("[not json")
     weights(models / "another", "clip")
-    found = find_models(models)
-    assert (found.detector.name, found.outliner.name) == ("grounding-dino-tiny", "sam2")
+    assert [found.name for found in find_models(models)] == ["grounding-dino-tiny", "sam2"]
+    weights(models / "sam3", "sam3_video")
+    assert find_models(models, "sam3") == (models / "sam3",)
 
 
 def test_missing_weights_get_the_commands_that_bring_them(tmp_path: Path) -> None:
@@ -175,7 +177,9 @@ def test_missing_weights_get_the_commands_that_bring_them(tmp_path: Path) -> Non
         find_models(folder)
     assert "grounding-dino-tiny" not in str(half.value)
     weights(Path(places[1]), "sam2_video")
-    assert find_models(folder).outliner == Path(places[1])
+    assert find_models(folder) == (Path(places[0]), Path(places[1]))
+    with pytest.raises(InputError, match=r"hf download facebook/sam3 .*SAM License"):
+        find_models(folder, "sam3")
 
 
 def test_a_folder_without_numbers_is_no_model(models: Path) -> None:
@@ -186,22 +190,22 @@ def test_a_folder_without_numbers_is_no_model(models: Path) -> None:
 
 def test_two_of_a_kind_are_refused(models: Path) -> None:
     weights(models / "sam2-large", "sam2")
-    with pytest.raises(InputError, match="2 networks of one kind"):
+    with pytest.raises(InputError, match="2 folders of SAM 2"):
         find_models(models)
 
 
 def test_missing_extra_says_how_to_install(models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtra, match=r"need torch\. Install with: pip install 'anther\[segmentation\]'"):
+    with pytest.raises(MissingExtra, match=r"needs torch\. Install with: pip install 'anther\[segmentation\]'"):
         find_models(models)
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, networks: Any) -> list[Any]:
     """Let `networks` be what is loaded from the weights; return the list of loadings."""
     loaded = []
-    module = type(sys)("anther.masks.networks")
+    module = type(sys)("anther.masks.grounded_sam2")
     module.GroundedSam2 = type("Loader", (), {"load": lambda *a, **k: loaded.append(k) or networks})  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "anther.masks.networks", module)
+    monkeypatch.setitem(sys.modules, "anther.masks.grounded_sam2", module)
     return loaded
 
 

@@ -15,7 +15,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="needs the extra anther[segmentation]")
 transformers = pytest.importorskip("transformers", reason="needs the extra anther[segmentation]")
 
-from made_networks import SIDE, save_tiny_networks  # noqa: E402
+from made_networks import SIDE, save_tiny_grounded_sam2, save_tiny_sam3  # noqa: E402
 from PIL import Image  # noqa: E402
 from safetensors.torch import load_file, save_file  # noqa: E402
 
@@ -23,16 +23,10 @@ from anther.capture import Capture  # noqa: E402
 from anther.errors import InputError  # noqa: E402
 from anther.geometry import Intrinsics, look_at  # noqa: E402
 from anther.masks import FLOWER, PLANT  # noqa: E402
-from anther.masks.grounded_sam2 import Params, segment  # noqa: E402
-from anther.masks.networks import (  # noqa: E402
-    IMAGENET_MEAN,
-    IMAGENET_STD,
-    GroundedSam2,
-    chosen_boxes,
-    full_size,
-    normalised,
-    words_of_tokens,
-)
+from anther.masks.by_words import Params, segment  # noqa: E402
+from anther.masks.grounded_sam2 import SAM2_MEAN, SAM2_STD, GroundedSam2, chosen_boxes, words_of_tokens  # noqa: E402
+from anther.masks.networks import full_size, normalised  # noqa: E402
+from anther.masks.sam3 import SAM3_MEAN, TEXT_LENGTH, Sam3  # noqa: E402
 from anther.masks.weights import find_models  # noqa: E402
 
 CPU = torch.device("cpu")
@@ -50,12 +44,12 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return save_tiny_networks(tmp_path_factory.mktemp("models"))
+    return save_tiny_sam3(save_tiny_grounded_sam2(tmp_path_factory.mktemp("models")))
 
 
 @pytest.fixture(scope="module")
 def networks(models: Path) -> GroundedSam2:
-    return GroundedSam2.load(find_models(models), device="auto", score=0.0, most_boxes=5)
+    return GroundedSam2.load(find_models(models), device="auto", score=0.0, most=5)
 
 
 @pytest.fixture(scope="module")
@@ -104,16 +98,16 @@ def test_no_boxes() -> None:
 
 @pytest.mark.parametrize("side", [32, 160], ids=["smaller", "larger"])
 def test_images_are_prepared_as_pillow_would(images: Any, side: int) -> None:
-    ours = normalised(images, (side, side), CPU).numpy().transpose(0, 2, 3, 1)
+    ours = normalised(images, (side, side), CPU, SAM2_MEAN, SAM2_STD).numpy().transpose(0, 2, 3, 1)
     other = [np.asarray(Image.fromarray(i).resize((side, side), Image.Resampling.BILINEAR)) / 255 for i in images]
-    other = (np.stack(other) - IMAGENET_MEAN) / IMAGENET_STD
-    one_grey_level = 1 / 255 / min(IMAGENET_STD)  # Pillow rounds once more, between rows and columns
+    other = (np.stack(other) - SAM2_MEAN) / SAM2_STD
+    one_grey_level = 1 / 255 / min(SAM2_STD)  # Pillow rounds once more, between rows and columns
     assert np.abs(ours - other).max() < 1.01 * one_grey_level
 
 
 def test_masks_return_to_the_images_size_as_opencv_would_do_it() -> None:
     logits = np.random.default_rng(1).normal(size=(2, 16, 16)).astype(np.float32)
-    masks = full_size(torch.tensor(logits)[:, None], (HEIGHT, WIDTH)).numpy()[:, 0]
+    masks = full_size(torch.tensor(logits), (HEIGHT, WIDTH))
     other = np.stack([cv2.resize(part, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR) for part in logits])
     assert masks.shape == (2, HEIGHT, WIDTH)
     sure = np.abs(other) > 1e-4
@@ -140,7 +134,7 @@ class KnownOutliner:
 
 
 def test_boxes_go_to_the_outliner_and_masks_come_back_in_image_pixels(networks: GroundedSam2, images: Any) -> None:
-    known = GroundedSam2(SimpleNamespace(device=CPU), None, None, KnownOutliner(), score=0.1, most_boxes=50)
+    known = GroundedSam2(SimpleNamespace(device=CPU), None, None, KnownOutliner(), score=0.1, most=50)
     boxes = [torch.tensor([[10.0, 6.0, 50.0, 30.0]] * 17), torch.zeros((0, 4)), torch.tensor([[0.0, 0.0, 80.0, 48.0]])]
     masks = known.outlines(images, boxes)
     assert [m.shape for m in masks] == [(17, HEIGHT, WIDTH), (0, HEIGHT, WIDTH), (1, HEIGHT, WIDTH)]
@@ -158,7 +152,7 @@ def test_boxes_agree_with_the_official_decoding(networks: GroundedSam2, models: 
         transformers.AutoTokenizer.from_pretrained(folder),
     )
     network = transformers.GroundingDinoForObjectDetection.from_pretrained(folder)
-    every = GroundedSam2.load(find_models(models), device="cpu", score=0.0, most_boxes=900).boxes(images, WORDS)
+    every = GroundedSam2.load(find_models(models), device="cpu", score=0.0, most=900).boxes(images, WORDS)
     for image, (ours, _) in zip(images, every, strict=True):
         asked = processor(images=[image], text=" ".join(WORDS), return_tensors="pt")
         with torch.inference_mode():
@@ -181,28 +175,53 @@ def test_masks_agree_with_the_whole_network_run_on_one_image(networks: GroundedS
     for image, corners, masks in zip(images, boxes, ours, strict=True):
         with torch.inference_mode():
             answer = whole(
-                pixel_values=normalised(image[None], (SIDE, SIDE), CPU),
+                pixel_values=normalised(image[None], (SIDE, SIDE), CPU, SAM2_MEAN, SAM2_STD),
                 input_boxes=(corners * scale)[None],
                 multimask_output=False,
             )
-        other = full_size(answer.pred_masks[0], (HEIGHT, WIDTH))[:, 0].numpy()
+        other = full_size(answer.pred_masks[0, :, 0], (HEIGHT, WIDTH))
         assert (other != masks).mean() < 1e-3
         assert 0.01 < masks.mean() < 0.99
 
 
-def test_the_whole_chain_from_a_folder_of_weights(models: Path, tmp_path: Path, images: Any) -> None:
+def test_sam3_agrees_with_the_whole_network_run_on_one_image(models: Path, images: Any) -> None:
+    """Here a batch is encoded once for all words; the decoding is written anew."""
+    ours = Sam3.load(find_models(models, "sam3"), device="cpu", score=0.2, most=4).find(images, WORDS)
+    whole = transformers.Sam3Model.from_pretrained(models / "sam3").eval()
+    tokenizer = transformers.AutoTokenizer.from_pretrained(models / "sam3")
+    for image, (masks, word) in zip(images, ours, strict=True):
+        assert len(masks) == len(word) > 0
+        for k, words in enumerate(("leaves", "stem", "flower")):
+            text = tokenizer([words], padding="max_length", max_length=TEXT_LENGTH, return_tensors="pt")
+            with torch.inference_mode():
+                answer = whole(pixel_values=normalised(image[None], (56, 56), CPU, SAM3_MEAN, SAM3_MEAN), **text)
+            score = (answer.pred_logits[0].sigmoid() * answer.presence_logits[0].sigmoid()).numpy()
+            best = [q for q in np.argsort(-score)[:4] if score[q] >= 0.2]
+            other = [
+                cv2.resize(answer.pred_masks[0, q].sigmoid().numpy(), (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+                for q in best
+            ]
+            assert (word == k).sum() == len(best)
+            if best:
+                assert ((np.stack(other) > 0.5) != masks[word == k]).mean() < 2e-3
+
+
+@pytest.mark.parametrize("method", ["grounded-sam2", "sam3"])
+def test_the_whole_chain_from_a_folder_of_weights(models: Path, tmp_path: Path, images: Any, method: Any) -> None:
     poses = np.stack([look_at([1.0, 0.1 * k, 0.3], [0, 0, 0]) for k in range(3)])
     camera = Intrinsics(width=WIDTH, height=HEIGHT, fx=60, fy=60, cx=39.5, cy=23.5)
     capture, told = Capture(np.ones(images.shape[:3]), camera, poses, images), []
-    params = Params(score=0.0, most_boxes=6)
-    masks = segment(capture, models, params, cache=tmp_path, progress=lambda *done: told.append(done))
+    params = Params(score=0.0, most=6)
+    masks = segment(capture, models, params, method=method, cache=tmp_path, progress=lambda *done: told.append(done))
     assert masks.labels.shape == (3, HEIGHT, WIDTH)
     assert set(np.unique(masks.labels)) <= {0, PLANT, FLOWER}
     assert (masks.labels > 0).any(axis=(1, 2)).all()
+    assert masks.source == {"grounded-sam2": "Grounding DINO and SAM 2", "sam3": "SAM 3"}[method]
     assert told[-1] == (3, 3)
-    batched = segment(capture, models, Params(score=0.0, most_boxes=6, batch=3, device="cpu"))
+    batched = segment(capture, models, Params(score=0.0, most=6, batch=3, device="cpu"), method=method)
     assert (batched.labels != masks.labels).mean() < 2e-3  # sums in another order
-    np.testing.assert_array_equal(segment(capture, models, params, cache=tmp_path).labels, masks.labels)
+    kept = segment(capture, models, params, method=method, cache=tmp_path)
+    np.testing.assert_array_equal(kept.labels, masks.labels)
 
 
 def test_too_many_words_are_refused(networks: GroundedSam2, images: Any) -> None:
@@ -213,7 +232,7 @@ def test_too_many_words_are_refused(networks: GroundedSam2, images: Any) -> None
 def test_a_device_that_is_not_there(models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(InputError, match="a GPU that torch sees"):
-        GroundedSam2.load(find_models(models), device="cuda", score=0.2, most_boxes=5)
+        GroundedSam2.load(find_models(models), device="cuda", score=0.2, most=5)
 
 
 def test_too_little_gpu_memory_is_said(networks: GroundedSam2, images: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,7 +244,7 @@ def test_too_little_gpu_memory_is_said(networks: GroundedSam2, images: Any, monk
         networks.find(images, WORDS)
 
 
-@pytest.mark.parametrize("part", ["grounding-dino", "sam2"])
+@pytest.mark.parametrize("part", ["grounding-dino", "sam2", "sam3"])
 @pytest.mark.parametrize("damage", ["cut", "other", "lacking"])
 def test_weights_that_are_no_good_are_refused(models: Path, tmp_path: Path, part: str, damage: str) -> None:
     shutil.copytree(models, tmp_path / "models")
@@ -236,7 +255,8 @@ def test_weights_that_are_no_good_are_refused(models: Path, tmp_path: Path, part
         save_file({"something": torch.zeros(3)}, path, metadata={"format": "pt"})
     else:
         numbers = load_file(path)
-        del numbers[next(n for n in sorted(numbers) if "mask_decoder" in n or "encoder.layers.0" in n)]
+        del numbers[next(n for n in sorted(numbers) if "mask_decoder" in n or "decoder.layers.0" in n)]
         save_file(numbers, path, metadata={"format": "pt"})
+    kind, method = (Sam3, "sam3") if part == "sam3" else (GroundedSam2, "grounded-sam2")
     with pytest.raises(InputError, match=rf"{part}.*[Dd]ownload"):
-        GroundedSam2.load(find_models(tmp_path / "models"), device="cpu", score=0.2, most_boxes=5)
+        kind.load(find_models(tmp_path / "models", method), device="cpu", score=0.2, most=5)

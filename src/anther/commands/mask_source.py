@@ -1,4 +1,4 @@
-"""The choice between the masks of colour and geometry and those of the paper's networks."""
+"""The choice between the masks of colour and geometry and those of pretrained networks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from anther.pipeline import FindMasks, Params
     from anther.runs import Advance
 
-MaskSource = Literal["colour", "grounded-sam2"]
+MaskSource = Literal["colour", "grounded-sam2", "sam3"]
 
 
 def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | None) -> FindMasks | None:
@@ -30,12 +30,13 @@ def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | 
     """
     if source == "colour":
         return None
-    from anther.masks import grounded_sam2
+    from anther.masks import by_words, without_ground
     from anther.masks.weights import find_models
 
-    find_models(models)
+    find_models(models, source)
 
     def find(capture: Capture, workspace: Box | None, progress: Advance) -> Masks:
-        return grounded_sam2.segment(capture, models, params.grounded_sam2, cache=cache, progress=progress)
+        seen = by_words.segment(capture, models, params.by_words, method=source, cache=cache, progress=progress)
+        return without_ground(seen, capture, workspace, params.masks)
 
     return find

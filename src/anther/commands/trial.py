@@ -32,9 +32,9 @@ class Args:
     views: int = 30
     """How many RGB-D views the arm takes."""
     masks: MaskSource = "colour"
-    """What finds plant and flowers: colour and geometry, or Grounding DINO and SAM 2 (docs/masks.md)."""
+    """What finds plant and flowers: colour and geometry, Grounding DINO and SAM 2, or SAM 3 (docs/masks.md)."""
     models: Path = Path("models")
-    """Folder with the weights for grounded-sam2."""
+    """Folder with the weights of the networks."""
     out: Path | None = None
     """Run folder; by default runs/PLANT-SEED-VIEWPOINT."""
     restart_from: str | None = None

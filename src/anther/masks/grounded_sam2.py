@@ -1,162 +1,157 @@
-"""The paper's masks: Grounding DINO finds boxes for words, SAM 2 outlines what they hold. Dimensions: V views,
-B of them at a time, K found in a view, H x W pixels.
+"""Grounding DINO finds boxes for words, SAM 2 outlines what they hold. Import it late: torch takes seconds.
 
-Needs the extra anther[segmentation] and weights on disk (docs/masks.md). The networks see single images: pot and soil
-that they take along are for geometry to remove.
+Dimensions: B images, H x W pixels, Q queries of the detector, T text tokens, K boxes in an image.
 """
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import numpy as np
+import torch
+import transformers
 from numpy.typing import NDArray
+from torch import Tensor
 
-from anther.capture import Capture
-from anther.checks import check_range
-from anther.errors import InputError, StageFailure, bad_input
-from anther.masks import FLOWER, PLANT, Masks
-from anther.masks.weights import Models, find_models
+from anther.errors import bad_input
+from anther.masks.networks import (
+    chosen_device,
+    full_size,
+    load_network,
+    load_part,
+    normalised,
+    sides,
+    told_when_memory_is_full,
+)
 
-SOURCE = "Grounding DINO and SAM 2"
+SAM2_MEAN, SAM2_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of red, green, blue, 0..1: ImageNet's, which SAM 2's image processor uses."""
+
+SPECIAL_TOKENS, PHRASE_ENDS = (101, 102, 1012, 1029), (1012, 1029)
+"""BERT's [CLS] [SEP] . ? in Grounding DINO's vocabulary; transformers has the same numbers in its model code."""
+
+_BOXES_AT_A_TIME = 16  # bounds the memory of masks at full size: 59 MB at 1280 x 720
 
 
-@dataclass(frozen=True, slots=True)
-class Params:
-    """What is looked for, and when it counts as found.
+class GroundedSam2:
+    """Both networks, ready to run.
 
     Attributes:
-        plant, flower: words whose objects become plant, or flower; lower case, each ending in "." (that is how
-            Grounding DINO tells them apart). The paper uses "leaves".
-        score: least score of a box, 0..1. 0.25 is the default of Grounding DINO's authors' demonstration code.
-        most_boxes: of the best boxes in a view to outline; bounds time and memory.
-        least_pixels: with fewer plant pixels in all views together there is no plant.
-        batch: views at a time; None means 4 on a GPU, 1 on a CPU.
-        device: auto takes the GPU when there is one.
+        device: where they run.
     """
 
-    plant: tuple[str, ...] = ("leaves.", "stem.")
-    flower: tuple[str, ...] = ("flower.",)
-    score: float = 0.25
-    most_boxes: int = 64
-    least_pixels: int = 200
-    batch: int | None = None
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    def __init__(
+        self, detector: Any, tokenizer: Any, processor: Any, outliner: Any, *, score: float, most: int
+    ) -> None:
+        self.device = torch.device(detector.device)
+        self._detector, self._tokenizer, self._processor = detector, tokenizer, processor
+        self._outliner = outliner
+        self._score, self._most = score, most
 
-    def __post_init__(self) -> None:
-        check_range("box score", self.score, 0, 1)
-        check_range("most boxes", self.most_boxes, 1, 900)
-        check_range("batch", self.batch or 1, 1, 64)
-        if not self.plant:
-            raise bad_input("plant words", given="none", allowed="one or more", do="For example: leaves. stem.")
-        for words in (*self.plant, *self.flower):
-            if words != words.lower() or not words[:-1].strip() or words[-1] != "." or set(".?") & set(words[:-1]):
-                raise bad_input(
-                    "words", given=f"'{words}'", allowed="lower case, one '.' at the end", do="As 'leaves.'."
-                )
+    @classmethod
+    def load(cls, folders: Sequence[Path], *, device: str, score: float, most: int) -> GroundedSam2:
+        """Read both networks.
 
+        Args:
+            folders: of Grounding DINO and of SAM 2.
+            device: "auto", "cpu" or "cuda".
+            score: least score of a box, 0..1.
+            most: so many of the best boxes in an image.
 
-class Networks(Protocol):
-    """What finds objects by words in images."""
+        Raises:
+            InputError: no such device; a file is missing, damaged, or does not fit the network.
+        """
+        grounding_dino, sam2 = folders
+        where = chosen_device(device)
+        return cls(
+            load_network(transformers.AutoModelForZeroShotObjectDetection, grounding_dino, where),
+            load_part(transformers.AutoTokenizer, grounding_dino),
+            load_part(transformers.GroundingDinoImageProcessorPil, grounding_dino),
+            load_network(transformers.Sam2Model, sam2, where),
+            score=score,
+            most=most,
+        )
 
     def find(self, images: NDArray[Any], words: Sequence[str]) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-        """Return for each image (B, H, W, 3) its masks (K, H, W) bool and (K,) which of the words each fits."""
-        ...
+        """Return for each image (B, H, W, 3) uint8 its masks (K, H, W) bool and (K,) which of the words each fits.
+
+        Raises:
+            InputError: the words are too many for the detector, or the batch too large for the GPU's memory.
+        """
+        with told_when_memory_is_full(len(images)):
+            boxes = self.boxes(images, words)
+            masks = self.outlines(images, [corners for corners, _ in boxes])
+        return [(mask, word.cpu().numpy()) for mask, (_, word) in zip(masks, boxes, strict=True)]
+
+    @torch.inference_mode()
+    def boxes(self, images: NDArray[Any], words: Sequence[str]) -> list[tuple[Tensor, Tensor]]:
+        """Return for each image (B, H, W, 3) its boxes (K, 4) x0 y0 x1 y1 [px] and (K,) which words each fits."""
+        text = self._tokenizer([" ".join(words)] * len(images), return_tensors="pt").to(self.device)
+        word_of_token = words_of_tokens(text.input_ids[0].cpu())
+        if int(word_of_token.max()) + 1 != len(words) or len(word_of_token) > self._detector.config.max_text_len:
+            raise bad_input(
+                "words",
+                given=f"{len(words)} words, {len(word_of_token)} tokens",
+                allowed=f"at most {self._detector.config.max_text_len} tokens, at least one in each",
+                do="Use fewer or plainer words.",
+            )
+        seen = self._processor(images=list(images), return_tensors="pt").to(self.device)
+        answer = self._detector(**seen, **text)
+        return [
+            chosen_boxes(logits, boxes, word_of_token, size=images.shape[1:3], score=self._score, most=self._most)
+            for logits, boxes in zip(answer.logits, answer.pred_boxes, strict=True)
+        ]
+
+    @torch.inference_mode()
+    def outlines(self, images: NDArray[Any], boxes: Sequence[Tensor]) -> list[NDArray[np.bool_]]:
+        """Return for each image (B, H, W, 3) the mask (K, H, W) of the object in each of its boxes (K, 4) [px]."""
+        height, width = images.shape[1:3]
+        masks = [np.zeros((len(corners), height, width), dtype=bool) for corners in boxes]
+        if not any(map(len, boxes)):
+            return masks
+        side = sides(self._outliner.config.prompt_encoder_config.image_size)
+        features = self._outliner.get_image_embeddings(normalised(images, side, self.device, SAM2_MEAN, SAM2_STD))
+        scale = torch.tensor([side[1] / width, side[0] / height] * 2, device=self.device)
+        for image, corners in enumerate(boxes):
+            here = [feature[image : image + 1] for feature in features]
+            for start in range(0, len(corners), _BOXES_AT_A_TIME):
+                part = slice(start, start + _BOXES_AT_A_TIME)
+                answer = self._outliner(
+                    image_embeddings=here, input_boxes=(corners[part] * scale)[None], multimask_output=False
+                )
+                masks[image][part] = full_size(answer.pred_masks[0, :, 0], (height, width))
+        return masks
 
 
-def segment(
-    capture: Capture,
-    models: Path,
-    params: Params | None = None,
-    *,
-    cache: Path | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Masks:
-    """Return the plant and flower pixels of every view, as the networks see them.
+def words_of_tokens(ids: Tensor) -> Tensor:
+    """Return which of the words each token (T,) belongs to; -1 for [CLS], [SEP] and the dots that end the words."""
+    word = torch.cumsum(torch.isin(ids, torch.tensor(PHRASE_ENDS)), 0)
+    return torch.where(torch.isin(ids, torch.tensor(SPECIAL_TOKENS)), -1, word)
+
+
+def chosen_boxes(
+    logits: Tensor, boxes: Tensor, word_of_token: Tensor, *, size: tuple[int, ...], score: float, most: int
+) -> tuple[Tensor, Tensor]:
+    """Return the best boxes (K, 4) x0 y0 x1 y1 [px] of one image and (K,) which words each fits best.
+
+    A box fits words as well as its best token among theirs; the detector's own decoding joins the tokens of several
+    words into one phrase instead ("leaves stem"), which would leave the label open.
 
     Args:
-        capture: the views; colour is needed.
-        models: folder that holds Grounding DINO and SAM 2 (`weights.find_models`).
-        params: see `Params`.
-        cache: folder that keeps the result; a second call with the same images, weights and parameters reads it.
-        progress: called with (views done, V).
-
-    Raises:
-        MissingExtra: torch or transformers is not installed.
-        InputError: no colour, weights missing or not usable, no such device.
-        StageFailure: `no_plant_found` when the networks find next to nothing.
+        logits: (Q, >= T) of each query for each token.
+        boxes: (Q, 4) centre x, y, width, height as shares of the image.
+        word_of_token: (T,) see `words_of_tokens`.
+        size: height, width of the image [px].
+        score: least score, 0..1.
+        most: at most so many.
     """
-    params = params or Params()
-    if capture.rgb is None:
-        raise bad_input("masks", given="a capture without colour", allowed="colour images", do="Use --masks colour.")
-    folders = find_models(models)
-    kept = None if cache is None else cache / f"{_key(capture.rgb, folders, params)}.npz"
-    masks = None if kept is None else _read(kept)
-    if masks is None:
-        from anther.masks.networks import GroundedSam2  # noqa: PLC0415  torch is an extra, and takes seconds
-
-        networks = GroundedSam2.load(folders, device=params.device, score=params.score, most_boxes=params.most_boxes)
-        batch = params.batch or (4 if networks.device.type == "cuda" else 1)
-        masks = Masks(label_views(capture.rgb, networks, params, batch=batch, progress=progress), SOURCE)
-        if kept is not None:
-            with suppress(OSError):  # a capture on a read-only disk is segmented anew each time
-                masks.save(kept)
-    found = int((masks.labels > 0).sum())
-    if found < params.least_pixels:
-        raise StageFailure(
-            "no_plant_found",
-            f"masks: {SOURCE} found {found} pixels of {' '.join((*params.plant, *params.flower))} in {capture.views} "
-            f"views; at least {params.least_pixels} are needed. Try other words or a score below {params.score:g}.",
-        )
-    return masks
-
-
-def label_views(
-    rgb: NDArray[Any],
-    networks: Networks,
-    params: Params,
-    *,
-    batch: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-) -> NDArray[np.uint8]:
-    """Return the labels (V, H, W) of images (V, H, W, 3): what each of the words found, in `paint`'s order."""
-    words = (*params.plant, *params.flower)
-    label_of = np.array([PLANT] * len(params.plant) + [FLOWER] * len(params.flower), dtype=np.uint8)
-    labels = np.zeros(rgb.shape[:3], dtype=np.uint8)
-    for start in range(0, len(rgb), batch):
-        for view, (masks, word) in enumerate(networks.find(rgb[start : start + batch], words), start):
-            paint(labels[view], masks, label_of[word])
-        if progress is not None:
-            progress(min(start + batch, len(rgb)), len(rgb))
-    return labels
-
-
-def paint(image: NDArray[np.uint8], masks: NDArray[np.bool_], labels: NDArray[np.uint8]) -> None:
-    """Write labels (K,) into `image` (H, W) where masks (K, H, W) are set, the smallest mask on top.
-
-    So a flower lies on the leaf behind it, and a flower's mask that ran over the whole plant lies below its leaves.
-    """
-    for k in np.argsort(-masks.sum(axis=(1, 2)), kind="stable"):
-        image[masks[k]] = labels[k]
-
-
-def _key(rgb: NDArray[Any], models: Models, params: Params) -> str:
-    """Return a name for the masks of these images by these weights with these parameters."""
-    settings = {
-        name: value for name, value in asdict(params).items() if name not in ("batch", "device", "least_pixels")
-    }
-    digest = hashlib.blake2b(f"{settings} {rgb.shape} {models.fingerprint()}".encode(), digest_size=8)
-    digest.update(np.ascontiguousarray(rgb).data)
-    return f"grounded-sam2-{digest.hexdigest()}"
-
-
-def _read(path: Path) -> Masks | None:
-    """Return the kept masks; None when there are none, or when the file is damaged."""
-    with suppress(InputError):
-        return Masks.load(path)
-    return None
+    chance = logits[:, : len(word_of_token)].sigmoid()
+    of_words = [chance[:, word_of_token == k].amax(dim=1) for k in range(int(word_of_token.max()) + 1)]
+    best, word = torch.stack(of_words, dim=1).max(dim=1)
+    kept = torch.argsort(best, descending=True, stable=True)[:most]
+    kept = kept[best[kept] >= score]
+    centre, half = boxes[kept, :2], boxes[kept, 2:] / 2
+    corners = torch.cat([centre - half, centre + half], dim=1).clamp(0, 1)
+    return corners * corners.new_tensor([size[1], size[0]] * 2), word[kept]
