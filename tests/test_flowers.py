@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from anther.cloud import Cloud
-from anther.flowers import Flowers, find_flowers
+from anther.flowers import Flowers, find_flowers, flower_centres
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
-from anther.stem import Stem, find_stem
+from anther.stem import TRUSS, Stem, find_stem
 
 Z = np.linspace(0, 0.5, 51)
 SKELETON = Skeleton(
@@ -55,8 +55,26 @@ def test_a_blade_is_less_likely_to_carry_a_flower() -> None:
     width = np.full(53, 0.003)
     width[52] = 0.02
     leafy = Skeleton(SKELETON.nodes, SKELETON.parent, SKELETON.radius, width=width)
-    found = find_flowers(cloud_of(flower([0.031, 0, 0.4])), leafy, STEM)
+    found = find_flowers(cloud_of(flower([0.031, 0, 0.4])), leafy, find_stem(leafy))
     assert list(found.attachment) == [51]
+
+
+def test_a_pedicel_in_the_skeleton_does_not_carry_its_flower_itself() -> None:
+    cloud = cloud_of(flower([0.02, 0, 0.395], size=0.01))
+    stalk = Skeleton(
+        np.concatenate([np.c_[0 * Z, 0 * Z, Z], [[0.008, 0, 0.4], [0.015, 0, 0.399]]]),
+        np.r_[np.arange(-1, 50), 40, 51],
+        np.full(53, 0.003),
+    )
+    stem = find_stem(stalk, flowers_at=flower_centres(cloud))
+    assert list(stem.organ[51:]) == [TRUSS, TRUSS]
+    assert list(find_flowers(cloud, stalk, stem).attachment) == [40]
+
+
+def test_centres_are_those_of_the_flowers() -> None:
+    centre = [0.05, 0, 0.4]
+    assert flower_centres(cloud_of(flower(centre))) == pytest.approx(np.array([centre]), abs=0.002)
+    assert flower_centres(cloud_of()).shape == (0, 3)
 
 
 def test_specks_and_far_clusters_are_left_out() -> None:

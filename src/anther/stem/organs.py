@@ -5,8 +5,8 @@ Three observations tell organs apart, whatever the plant and its size:
 - An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
   it; a blade is broader than the stem and many times broader than thick.
 - Nothing grows out of a blade: the axes of a plant are a connected part of the tree that holds the root.
-- A limb that carries flowers and no leaf is a truss. One that carries neither and is short is a spur: a stump, or an
-  error of the skeleton.
+- A limb ends in leaves or flowers. One that carries flowers and no leaf is a truss; one that carries neither is
+  itself a narrow leaf, a stump or an error of the skeleton, and counts as leaf.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: 
         skeleton: the tree; without widths no leaf can be told from a branch.
         main: nodes of the main stem.
         flowers_at: (F, 3) centres of flowers [m]; F may be 0.
-        params: what is slender, how far a flower reaches, how long a spur is.
+        params: what is slender, how far a flower reaches, how long a bare limb may be.
     """
     breadth = _relative_breadth(skeleton, main)
     bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < params.truss_breadth, params.flower_reach)
@@ -44,9 +44,9 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: 
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     is_truss = _sum_below(skeleton.parent, params.leaf_per_flower * bears - length * ((organ == LEAF) & ~beside)) > 0
     is_truss &= _sum_below(skeleton.parent, bears) > 0
-    is_spur = _sum_below(skeleton.parent, organ == LEAF) == 0
-    is_spur &= longest_way(skeleton.parent, length) <= params.spur * stem_breadth(skeleton, main)
-    return _limbs_named(skeleton.parent, organ, is_truss, is_spur)
+    is_bare = _sum_below(skeleton.parent, organ == LEAF) == 0
+    is_bare &= longest_way(skeleton.parent, length) <= params.bare * stem_breadth(skeleton, main)
+    return _limbs_named(skeleton.parent, organ, is_truss, is_bare)
 
 
 def stem_breadth(skeleton: Skeleton, main: NDArray[Any]) -> float:
@@ -101,9 +101,9 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, flat_blade: fl
 
 
 def _limbs_named(
-    parent: NDArray[Any], organ: NDArray[np.uint8], is_truss: NDArray[np.bool_], is_spur: NDArray[np.bool_]
+    parent: NDArray[Any], organ: NDArray[np.uint8], is_truss: NDArray[np.bool_], is_bare: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    """Return the organs with limbs that are trusses or spurs (then leaf) named so from their first node on."""
+    """Return the organs with limbs that are trusses, or bare and then leaf, named so from their first node on."""
     organ = organ.copy()
     side = np.bincount(parent[1:], weights=organ[1:] != STEM, minlength=len(parent))
     for j in range(1, len(parent)):
@@ -115,7 +115,7 @@ def _limbs_named(
             organ[j] = below
         elif begins and is_truss[j]:
             organ[j] = TRUSS
-        elif begins and is_spur[j]:
+        elif begins and is_bare[j]:
             organ[j] = LEAF
     return organ
 

@@ -28,7 +28,9 @@ class Params:
         flower_reach: and only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts:
             pollination), a few millimetres of flower, and half the distance between nodes.
         leaf_per_flower: a limb is a truss when it bears more flowers than it has leaf, at so much length a flower [m].
-        spur: a limb that bears nothing is no limb unless longer than this, relative to the stem's half width.
+        bare: a limb that bears nothing is no branch unless longer than this, relative to the stem's half width (a
+            leafless tree has such branches).
+        spur: nor does it count as attached to the stem when it is shorter than this, likewise.
     """
 
     alpha: float = 2.0
@@ -47,4 +49,5 @@ class Params:
     truss_breadth: float = 2.0
     flower_reach: float = 0.03
     leaf_per_flower: float = 0.02
+    bare: float = 20.0
     spur: float = 3.0
