@@ -20,7 +20,7 @@ SECTORS = 8
 
 _ENOUGH = 40_000  # more points than this make the node statistics no better
 
-FITTED = (2.31, 0.89, -1.38, -3.11, -0.83)
+FITTED = (-4.5, 0.25, 4.95, 4.04, 0.8)
 """Constant and weights of `node_support` in the log-odds: `python experiments/confidence.py --fit`."""
 
 
@@ -45,11 +45,10 @@ def logit(share: ArrayLike) -> Array:
 
 
 def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array, points: Array) -> Array:
-    """Return what the cloud says of every node, (J, 4): larger is better except where noted.
+    """Return what the cloud says of every node, (J, 4), each 0 .. 1 and larger for a better one.
 
-    Columns: the share of SECTORS around the node that hold points; the logarithm of breadth over thickness (bad); the
-    scatter of the surface about one radius, as a share of it (bad); the logarithm of the distance to the nearest
-    points over the radius, 0 to log 10 (bad, a bridge).
+    Columns: the share of SECTORS around the node that hold points; thickness over breadth; how sharply the surface
+    lies at one radius, exp(-2 scatter / radius); radius over the distance to the nearest points, 1 but on a bridge.
 
     Args:
         nodes: (J, 3) [m].
@@ -75,9 +74,9 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array
     np.minimum.at(gap, owner, distance)
     columns = (
         held.mean(axis=1),
-        np.log(np.maximum(width / radius, 1)),
-        np.minimum(spread / radius, 3),
-        np.log(np.clip(gap / radius, 1, 10)),
+        np.minimum(radius / width, 1),
+        np.exp(-2 * spread / radius),
+        np.minimum(radius / np.maximum(gap, 1e-9), 1),
     )
     return np.stack([_along(column, parent) for column in columns], axis=1)
 

@@ -1,4 +1,4 @@
-"""How sure the main stem is: what supports its nodes, and how good the best other path is. J nodes, S stem samples."""
+"""How sure the main stem is, and how good the best path that leaves it. J nodes, S stem samples."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import path_gain, subtree_best
 from anther.skeleton.support import logit, probability
 
-FITTED = (0.0, 1.0, 1.0, -1.0)
+FITTED = (0.9, 1.2, 0.4)
 """Constant and weights of `stem_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
 
 DOUBTFUL = 0.6
@@ -23,7 +23,7 @@ SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
 plant's size); it leans from the vertical by less than this [degrees]."""
 
 STRETCH = 0.12
-"""Length of the stretch whose support is the weakest, as a share of the stem."""
+"""Length of the stretches that are judged, as a share of the stem."""
 
 
 def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
@@ -37,17 +37,18 @@ def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
 
 
 def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
-    """Return (3,): log-odds of the nodes' mean confidence and of the weakest stretch's, and the strongest rivalry.
+    """Return (2,): log-odds of the nodes' mean confidence over the stem's top and over its weakest stretch.
+
+    Most wrong stems are right up to their top, where they run on into a leaf or a truss.
 
     Args:
         skeleton: with its confidence.
         node_ids: (S,) the stem, root first.
     """
     assert skeleton.confidence is not None
-    along = skeleton.confidence[node_ids]
-    window = max(int(STRETCH * len(along)), 1)
-    stretches = np.convolve(along, np.ones(window) / window, mode="valid")
-    return np.array([logit(along.mean()), logit(stretches.min()), rivalry(skeleton, node_ids)[-1]])
+    window = max(int(STRETCH * len(node_ids)), 1)
+    stretches = np.convolve(skeleton.confidence[node_ids], np.ones(window) / window, mode="valid")
+    return logit(stretches[[-1, int(np.argmin(stretches))]])
 
 
 def rivalry(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
