@@ -244,8 +244,16 @@ def test_too_little_gpu_memory_is_said(networks: GroundedSam2, images: Any, monk
         networks.find(images, WORDS)
 
 
-@pytest.mark.parametrize("part", ["grounding-dino", "sam2", "sam3"])
-@pytest.mark.parametrize("damage", ["cut", "other", "lacking"])
+@pytest.mark.parametrize(
+    ("part", "damage"),
+    [
+        ("grounding-dino", "cut"),
+        ("grounding-dino", "lacking"),
+        ("sam2", "lacking"),
+        ("sam2", "other"),
+        ("sam3", "lacking"),
+    ],
+)
 def test_weights_that_are_no_good_are_refused(models: Path, tmp_path: Path, part: str, damage: str) -> None:
     shutil.copytree(models, tmp_path / "models")
     path = tmp_path / "models" / part / "model.safetensors"

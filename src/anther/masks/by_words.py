@@ -29,8 +29,9 @@ class Params:
     """What is looked for, and when it counts as found.
 
     Attributes:
-        plant, flower: words whose objects become plant, or flower; lower case, each ending in "." (that is how
-            Grounding DINO tells them apart). The paper uses "leaves".
+        plant: words whose objects become plant; lower case, each ending in "." (that is how Grounding DINO tells them
+            apart). The paper uses "leaves".
+        flower: words whose objects become flower.
         score: least score of a find, 0..1. transformers' decoding has 0.25 for Grounding DINO, 0.3 for SAM 3.
         most: so many of the best finds in a view; bounds time and memory.
         least_pixels: with fewer plant pixels in all views together there is no plant.
