@@ -3,14 +3,16 @@
 Labelled clouds (read from --data): 93 scans of tomato seedlings (trackplant3d_tomato1a), a 26-day tomato
 (salk_tomato_D26), a maize (gavriel_maize). Clouds with a published skeleton graph: two tomatoes and a maize of
 Pheno4D. One parameter set for all. Beside Anther, in the same run: plain Lee thinning with the paper's tree, stem and
-grasp rule and none of Anther's steps, at two resolutions; and pc-skeletor with the same rules, when --pc-skeletor names
-a Python that has it. docs/real_plants.md shows the results and says what each number means.
+grasp rule and none of Anther's steps, at two resolutions; and pc-skeletor and skeletor with the same rules, when
+--pc-skeletor and --skeletor name a Python that has them. docs/real_plants.md shows the results and says what each
+number means.
 
-Keys of the --json file, without a prefix Anther's, then with plain_, plain_fine_ and pc_skeletor_:
+Keys of the --json file, without a prefix Anther's, then with plain_, plain_fine_, pc_skeletor_ and skeletor_:
 trackplant_grasp_on_stem and all_grasp_on_stem (share of plants whose grasp is on the stem system), stem_on_label (share
 of the main stem's length on it, mean over plants), stem_on_label_95 (share of plants with 95 % or more), stem_reach,
-covered, stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants; and
-<scan>_precision_<1v|3v>, <scan>_recall_<1v|3v> against the published graphs.
+stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants, and on the six
+clouds without labels others_reached and others_single_trees; for Anther alone <scan>_precision_<1v|3v> and
+<scan>_recall_<1v|3v> against the published graphs.
 """
 
 from __future__ import annotations
@@ -18,95 +20,133 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-from collections import Counter
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from real.answers import Answer, Method, Seen, anther, asked
-from real.contraction import PcSkeletor
-from real.judge import Outcome, Tolerance, agreement, judge
-from real.pictures import draw_below, draw_methods, draw_references, draw_seen, save
+from real.judge import Outcome, Tolerance, agreement, judge, reached
+from real.peer_process import WORKERS, Peer
+from real.pictures import Shown, draw_below, draw_methods, draw_references, draw_seen, save
 from real.plain_thinning import FINE, plain_thinning
-from real.plants import LABELLED, UNLABELLED, Labelled, labelled_plants, references
+from real.plants import LABELLED, Labelled, Reference, labelled_plants, references, unlabelled
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from anther.cloud import Cloud
 from anther.files import write_json
-from anther.formats.clouds import read_cloud
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 ENOUGH = 0.95
 """Share of the main stem that must lie on the stem system."""
-SHOWN = ("167_tomato1_control1_plant1_D00", "213_tomato1_drought_plant1_D02", "259_tomato1_heat_plant2_D05", *LABELLED)
-"""Plants drawn with all methods: the first, middle and last seedling, and the other two; by place, not by result."""
+SHOWN = (
+    "167_tomato1_control1_plant1_D00",
+    "213_tomato1_drought_plant1_D02",
+    "259_tomato1_heat_plant2_D05",
+    *LABELLED,
+    "sice_robot_cloud0",
+)
+"""Plants drawn with all methods: the first, middle and last seedling, the two others with labels, the robot's."""
 MOST_BELOW = 2
+"""So many of the plants whose main stem leaves the stem system are drawn."""
 
 Outcomes = dict[str, list[Outcome]]
 
 
-def run(plants: list[Labelled], methods: dict[str, Method], console: Console, figures: Path | None) -> Outcomes:
-    """Return every method's outcomes on the labelled plants; draw some of the plants."""
-    outcomes: Outcomes = {name: [] for name in ("anther", *methods)}
-    shown: list[tuple[Labelled, dict[str, Answer | str]]] = []
-    below: list[tuple[Labelled, Seen]] = []
-    for plant in track(plants, "labelled plants", console=console):
-        seen = anther(plant.cloud)
+@dataclass(eq=False)
+class Run:
+    """What a run has found so far.
+
+    Attributes:
+        outcomes: by method, on the labelled plants.
+        others: by method, on the six other clouds: (share of points reached, is a single tree).
+        agreements: precision and recall against the published graphs.
+        shown: plants drawn with all methods.
+        below: labelled plants whose main stem leaves the stem system.
+        references, seen: what is drawn of the others.
+    """
+
+    outcomes: Outcomes = field(default_factory=lambda: defaultdict(list))
+    others: dict[str, list[tuple[float, bool]]] = field(default_factory=lambda: defaultdict(list))
+    agreements: dict[str, float] = field(default_factory=dict)
+    shown: list[Shown] = field(default_factory=list)
+    below: list[tuple[Labelled, Seen]] = field(default_factory=list)
+    references: list[tuple[Reference, Seen]] = field(default_factory=list)
+    seen: dict[str, Seen] = field(default_factory=dict)
+
+    def add_labelled(self, plant: Labelled, methods: dict[str, Method]) -> None:
+        """Run all methods on a labelled plant."""
+        seen, answers = all_answers(plant.cloud, methods)
         tolerance = Tolerance(seen.skeleton.nodes[seen.stem.node_ids], seen.skeleton.radius[seen.stem.node_ids])
-        answers = {"anther": seen.answer, **{name: asked(method, plant.cloud) for name, method in methods.items()}}
         for name, answer in answers.items():
-            outcomes[name].append(judge(plant, answer, tolerance))
+            self.outcomes[name].append(judge(plant, answer, tolerance))
         if plant.name in SHOWN:
-            shown.append((plant, answers))
-        if outcomes["anther"][-1].stem_share < ENOUGH:
-            below.append((plant, seen))
-    if figures is not None:
-        save(draw_methods(shown), figures / "real_plants_methods.png")
-        if below:
-            save(draw_below(below[:MOST_BELOW]), figures / "real_plants_below.png")
-    return outcomes
+            self.shown.append(Shown(plant.name, plant.cloud, answers, plant.is_stem))
+        if self.outcomes["anther"][-1].stem_share < ENOUGH:
+            self.below.append((plant, seen))
+
+    def add_other(self, name: str, cloud: Cloud, methods: dict[str, Method]) -> Seen:
+        """Run all methods on a plant without labels."""
+        seen, answers = all_answers(cloud, methods)
+        for method, answer in answers.items():
+            self.others[method].append((reached(cloud, answer), isinstance(answer, Answer) and answer.is_tree))
+        if name in SHOWN:
+            self.shown.append(Shown(name, cloud, answers))
+        return seen
+
+    def add_reference(self, plant: Reference, methods: dict[str, Method]) -> None:
+        """Run all methods on a plant with a published graph; compare Anther's skeleton with it."""
+        seen = self.add_other(plant.name, plant.cloud, methods)
+        self.references.append((plant, seen))
+        for name, value in agreement(plant, seen.answer).items():
+            self.agreements[f"{plant.name}_{name}"] = value
+
+    def draw(self, folder: Path) -> None:
+        """Write the pictures."""
+        save(draw_methods(self.shown), folder / "real_plants_methods.png")
+        save(draw_references(self.references), folder / "real_plants_references.png")
+        if self.below:
+            save(draw_below(self.below[:MOST_BELOW]), folder / "real_plants_below.png")
+        for name, seen in self.seen.items():
+            save(draw_seen(seen, name), folder / f"real_plants_{name}.png")
+
+    def metrics(self) -> dict[str, float]:
+        """Return the numbers of the results contract; a method without an answer has missed everything."""
+        found: dict[str, float] = {}
+        for method, row in self.rows().items():
+            found |= {("" if method == "anther" else f"{method}_") + name: value for name, value in row.items()}
+        return found | self.agreements
+
+    def rows(self) -> dict[str, dict[str, float]]:
+        """Return the numbers by method."""
+        return {name: _of_method(outcomes, self.others[name]) for name, outcomes in self.outcomes.items()}
 
 
-def against_references(folder: Path, figures: Path | None) -> dict[str, float]:
-    """Return precision and recall against the published graphs; draw both."""
-    seen = [(plant, anther(plant.cloud)) for plant in references(folder)]
-    if figures is not None:
-        save(draw_references(seen), figures / "real_plants_references.png")
-    return {f"{plant.name}_{name}": value for plant, s in seen for name, value in agreement(plant, s.answer).items()}
+def all_answers(cloud: Cloud, methods: dict[str, Method]) -> tuple[Seen, dict[str, Answer | str]]:
+    """Return what Anther sees, and every method's answer."""
+    seen = anther(cloud)
+    return seen, {"anther": seen.answer, **{name: asked(method, cloud) for name, method in methods.items()}}
 
 
-def draw_unlabelled(folder: Path, figures: Path) -> None:
-    """Draw the plants nobody has labelled."""
-    for name in UNLABELLED:
-        seen = anther(read_cloud(folder / f"{name}.npz"))
-        save(draw_seen(seen, name), figures / f"real_plants_{name}.png")
-
-
-def metrics(outcomes: Outcomes) -> dict[str, float]:
-    """Return the numbers of the results contract; a method without an answer has missed everything."""
-    found: dict[str, float] = {}
-    for method, of_plants in outcomes.items():
-        prefix = "" if method == "anther" else f"{method}_"
-        found |= {prefix + name: value for name, value in _of_method(of_plants).items()}
-    return found
-
-
-def _of_method(outcomes: list[Outcome]) -> dict[str, float]:
+def _of_method(outcomes: list[Outcome], others: list[tuple[float, bool]]) -> dict[str, float]:
     return {
         "trackplant_grasp_on_stem": _mean([o.grasp_on_stem for o in outcomes if "tomato1" in o.plant]),
         "all_grasp_on_stem": _mean([o.grasp_on_stem for o in outcomes]),
         "stem_on_label": _mean([o.stem_share for o in outcomes]),
         "stem_on_label_95": _mean([o.stem_share >= ENOUGH for o in outcomes]),
         "stem_reach": _mean([o.stem_reach for o in outcomes]),
-        "covered": _mean([o.covered for o in outcomes]),
         "stem_distance_median_mm": float(np.nanmedian([o.distance for o in outcomes])) * 1e3,
         "single_trees": _mean([o.is_tree for o in outcomes]),
         "tips_per_leaf": float(np.nanmedian([o.tips_per_leaf for o in outcomes])),
         "seconds_median": float(np.nanmedian([o.seconds for o in outcomes])),
         "no_answer": sum(o.failure is not None for o in outcomes),
         "plants": len(outcomes),
+        "others_reached": _mean([share for share, _ in others]),
+        "others_single_trees": _mean([is_tree for _, is_tree in others]),
     }
 
 
@@ -116,38 +156,47 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--figures", type=Path, help="write the pictures into this folder")
-    parser.add_argument("--pc-skeletor", type=Path, metavar="PYTHON", help="a Python that has pc-skeletor")
+    for name in WORKERS:
+        parser.add_argument(
+            f"--{name.replace('_', '-')}", type=Path, metavar="PYTHON", help=f"a Python that has {name}"
+        )
     parser.add_argument("--quick", action="store_true", help="every eighth seedling only")
     parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
     args = parser.parse_args()
-    console = Console()
+    console, found = Console(), Run()
     methods: dict[str, Method] = {"plain": plain_thinning, "plain_fine": partial(plain_thinning, resolution=FINE)}
     with contextlib.ExitStack() as stack:
-        if args.pc_skeletor:
-            methods["pc_skeletor"] = stack.enter_context(contextlib.closing(PcSkeletor(args.pc_skeletor)))
-        outcomes = run(list(labelled_plants(args.data, 8 if args.quick else 1)), methods, console, args.figures)
-    agreements = against_references(args.data, args.figures)
+        for name in WORKERS:
+            if python := getattr(args, name):
+                methods[name] = stack.enter_context(contextlib.closing(Peer(name, python)))
+        plants = list(labelled_plants(args.data, 8 if args.quick else 1))
+        for plant in track(plants, "labelled plants", console=console):
+            found.add_labelled(plant, methods)
+        for plant in track(list(references(args.data)), "published graphs", console=console):
+            found.add_reference(plant, methods)
+        for name, cloud in track(list(unlabelled(args.data)), "without labels", console=console):
+            found.seen[name] = found.add_other(name, cloud, methods)
+    _print(console, found)
     if args.figures:
-        draw_unlabelled(args.data, args.figures)
-    _print(console, outcomes, agreements)
+        found.draw(args.figures)
     if args.json:
-        write_json(args.json, metrics(outcomes) | agreements)
+        write_json(args.json, found.metrics())
 
 
-def _print(console: Console, outcomes: Outcomes, agreements: dict[str, float]) -> None:
-    table = Table("metric", *outcomes)
-    rows = {method: _of_method(of_plants) for method, of_plants in outcomes.items()}
+def _print(console: Console, found: Run) -> None:
+    rows = found.rows()
+    table = Table("metric", *rows)
     for name in rows["anther"]:
         table.add_row(name, *(f"{row[name]:.4g}" for row in rows.values()))
     console.print(table)
-    for name, value in agreements.items():
+    for name, value in found.agreements.items():
         console.print(f"{name}: {value:.2f}", highlight=False)
-    for o in outcomes["anther"]:
+    for o in found.outcomes["anther"]:
         if not o.grasp_on_stem or o.stem_share < ENOUGH:
             grasp = "" if o.grasp_on_stem else "grasp off the stem; "
             console.print(f"{o.plant}: {grasp}{o.stem_share:.0%} of the main stem on stem points", highlight=False)
-    for method, of_plants in outcomes.items():
-        for reason, count in Counter(o.failure for o in of_plants if o.failure).items():
+    for method, outcomes in found.outcomes.items():
+        for reason, count in Counter(o.failure for o in outcomes if o.failure).items():
             console.print(f"{method}: no answer on {count} plants: {reason}", highlight=False)
 
 

@@ -14,7 +14,7 @@ from anther.geometry import Array
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 from real.answers import Answer, NoAnswer, asked
-from real.judge import Tolerance, judge, sampled
+from real.judge import Tolerance, judge, reached, sampled
 from real.paper_rule import core_stem
 from real.plain_thinning import plain_thinning
 from real.plants import Labelled
@@ -85,7 +85,15 @@ def test_a_stem_drawn_through_the_leaf_is_judged_off_the_stem() -> None:
     assert outcome.stem_share < 0.1
     assert outcome.is_tree
     assert outcome.tips_per_leaf == 2
-    assert outcome.covered == pytest.approx(1, abs=0.01)
+
+
+def test_what_a_dropped_leaf_costs() -> None:
+    plant = labelled(np.random.default_rng(0))
+    nodes, edges, _ = small_tree()
+    whole, stem = Answer(nodes, edges, edges, nodes[0], 0.0), Answer(nodes, edges[:30], edges[:30], nodes[0], 0.0)
+    assert reached(plant.cloud, whole) == 1
+    assert 0.6 < reached(plant.cloud, stem) < 0.8
+    assert reached(plant.cloud, "died") == 0
 
 
 def test_no_answer_counts_as_missed() -> None:

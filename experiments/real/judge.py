@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anther.cloud import Cloud
 from anther.geometry import Array
 from real.answers import Answer
 from real.plants import Labelled, Reference, nearest, plant_size
@@ -17,6 +18,9 @@ STEPS = 400
 """A centreline is sampled every plant size / STEPS."""
 TOLERANCES = (1, 3)
 """Tolerances of precision and recall against published graphs, in 200ths of the plant's diagonal (facts: peers)."""
+
+REACH = 0.05
+"""A point farther than this share of the plant's size from the skeleton belongs to a part that was dropped."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,6 @@ class Outcome:
         grasp_on_stem: the point nearest to the grasp is labelled stem, and not farther than two stem radii.
         stem_share: share of the main stem's length within two stem radii of points labelled stem.
         stem_reach: share of the height of the points labelled stem that the main stem's height covers.
-        covered: share of the points labelled stem within 3/200 of the plant's size of the skeleton's largest piece.
         distance: median distance from the main stem to the nearest point labelled stem [m].
         is_tree: one piece, no cycles.
         pieces: how many pieces the skeleton has.
@@ -41,7 +44,6 @@ class Outcome:
     grasp_on_stem: bool = False
     stem_share: float = 0.0
     stem_reach: float = 0.0
-    covered: float = 0.0
     distance: float = np.nan
     is_tree: bool = False
     pieces: int = 0
@@ -73,7 +75,6 @@ def judge(plant: Labelled, answer: Answer | str, tolerance: Tolerance) -> Outcom
         return Outcome(plant.name, failure=answer)
     size, stem_points = plant_size(plant.cloud.points), plant.stem_points
     line = sampled(answer.nodes, answer.stem, size / STEPS)
-    body = sampled(answer.nodes, _largest_piece(answer), size / STEPS)
     away = nearest(stem_points, line)
     gap, at = KDTree(plant.cloud.points).query(answer.grasp)
     low, high = np.quantile(stem_points[:, 2], [0.005, 0.995])
@@ -82,7 +83,6 @@ def judge(plant: Labelled, answer: Answer | str, tolerance: Tolerance) -> Outcom
         grasp_on_stem=bool(plant.is_stem[at]) and float(gap) <= float(tolerance.at(answer.grasp)),
         stem_share=float(np.mean(away <= tolerance.at(line))),
         stem_reach=float(np.ptp(np.clip(line[:, 2], low, high)) / (high - low)),
-        covered=float(np.mean(nearest(body, stem_points) <= 3 * size / 200)),
         distance=float(np.median(away)),
         is_tree=answer.is_tree,
         pieces=answer.pieces,
@@ -103,6 +103,15 @@ def agreement(plant: Reference, answer: Answer) -> dict[str, float]:
         found[f"precision_{voxels}v"] = float(np.mean(precision <= limit))
         found[f"recall_{voxels}v"] = float(np.mean(recall <= limit))
     return found
+
+
+def reached(cloud: Cloud, answer: Answer | str) -> float:
+    """Return the share of the points that are within REACH plant sizes of the skeleton's largest piece."""
+    if isinstance(answer, str):
+        return 0.0
+    size = plant_size(cloud.points)
+    body = sampled(answer.nodes, _largest_piece(answer), size / STEPS)
+    return float(np.mean(nearest(body, cloud.points) <= REACH * size))
 
 
 def sampled(nodes: Array, edges: NDArray[Any], step: float) -> Array:

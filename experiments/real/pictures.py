@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,12 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
+from PIL import Image
 
 from anther.cloud import Cloud
 from anther.geometry import Array
-from anther.stem import Stem
+from anther.pictures.plant import BRANCH_COLOR, GRASP_COLOR, ORGAN_COLORS, STEM_COLOR
+from anther.stem import ORGAN_NAMES, STEM, Stem
 from real.answers import Answer, Seen
 from real.plants import Labelled, Reference
 
@@ -24,31 +27,41 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ORGANS = {0: ("main stem", "#7a3b12"), 1: ("branch", "#1f6fb2"), 2: ("truss", "#e0a100"), 3: ("leaf", "#2e8b57")}
-"""Name and colour by anther.stem's organ classes."""
-GRASP_COLOUR, PUBLISHED_COLOUR = "#c2389a", "#d62728"
+PUBLISHED_COLOUR = "#d62728"
 STEM_LABEL, LEAF_LABEL = "#a8875f", "#a5cdaa"
 MOST_POINTS = 25_000
 FRONT, SIDE = (0, 2), (1, 2)
-DPI = 80
+DPI, COLOURS = 110, 96
+mpl.rcParams["figure.dpi"] = DPI
 
 Sides = tuple[int, int]
 
 
-def draw_methods(shown: list[tuple[Labelled, dict[str, Answer | str]]]) -> Figure:
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A plant with what every method said of it; is_stem (N,) where its points are labelled."""
+
+    name: str
+    cloud: Cloud
+    answers: dict[str, Answer | str]
+    is_stem: NDArray[np.bool_] | None = None
+
+
+def draw_methods(plants: list[Shown]) -> Figure:
     """Return one row a plant, one column a method: its skeleton, main stem and grasp, or why there is none."""
-    methods = list(shown[0][1])
-    figure, axes = plt.subplots(len(shown), len(methods), figsize=(4 * len(methods), 3.4 * len(shown)), squeeze=False)
-    for row, (plant, answers) in zip(axes, shown, strict=True):
+    methods = list(plants[0].answers)
+    figure, axes = plt.subplots(len(plants), len(methods), figsize=(3 * len(methods), 3 * len(plants)), squeeze=False)
+    for row, plant in zip(axes, plants, strict=True):
         sides = _broad_side(plant.cloud.points)
-        for plot, (method, answer) in zip(row, answers.items(), strict=True):
-            _points(plot, plant.cloud, sides, np.where(plant.is_stem, STEM_LABEL, LEAF_LABEL))
+        colours = None if plant.is_stem is None else np.where(plant.is_stem, STEM_LABEL, LEAF_LABEL)
+        for plot, (method, answer) in zip(row, plant.answers.items(), strict=True):
+            _points(plot, plant.cloud, sides, colours)
             if isinstance(answer, str):
                 plot.text(0.5, 0.5, answer, transform=plot.transAxes, ha="center", wrap=True, fontsize=7)
             else:
-                _graph(plot, answer.nodes, answer.edges, sides, color=ORGANS[1][1], lw=0.7)
-                _graph(plot, answer.nodes, answer.stem, sides, color=ORGANS[0][1], lw=2.4)
-                plot.plot(*answer.grasp[list(sides)], "o", ms=9, mfc="none", mec=GRASP_COLOUR, mew=2)
+                _graph(plot, answer.nodes, answer.edges, sides, color=BRANCH_COLOR, lw=0.7)
+                _graph(plot, answer.nodes, answer.stem, sides, color=STEM_COLOR, lw=2.4)
+                plot.plot(*answer.grasp[list(sides)], "o", ms=9, mfc="none", mec=GRASP_COLOR, mew=2)
             _finish(plot, plant.cloud, sides, f"{method.replace('_', ' ')}: {plant.name}")
     figure.tight_layout()
     return figure
@@ -105,8 +118,10 @@ def draw_references(plants: list[tuple[Reference, Seen]]) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a picture and forget it."""
-    figure.savefig(path, dpi=DPI)
+    """Write a picture of few colours, which is a small file, and forget the figure."""
+    figure.canvas.draw()
+    pixels = np.asarray(figure.canvas.buffer_rgba())  # pyright: ignore[reportAttributeAccessIssue]
+    Image.fromarray(pixels).convert("RGB").quantize(COLOURS).save(path, optimize=True)
     plt.close(figure)
 
 
@@ -140,17 +155,17 @@ def _organs(plot: Axes, seen: Seen, sides: Sides) -> None:
     """Draw the skeleton by organ (an edge has that of its lower end), junctions on the stem, and the grasp."""
     nodes, edges = seen.skeleton.nodes, seen.skeleton.edges
     organ = seen.stem.organ[edges[:, 1]]
-    for kind, (_, colour) in ORGANS.items():
-        width = 3.0 if kind == 0 else 1.3
-        _graph(plot, nodes, edges[organ == kind], sides, color=colour, lw=width, zorder=4 if kind == 0 else 3)
+    for kind, colour in ORGAN_COLORS.items():
+        width = 3.0 if kind == STEM else 1.3
+        _graph(plot, nodes, edges[organ == kind], sides, color=colour, lw=width, zorder=4 if kind == STEM else 3)
     plot.plot(*nodes[0, list(sides)], "*", ms=12, color="black", zorder=6)
     joints = nodes[seen.stem.node_ids[seen.stem.attachments]]
-    plot.plot(*joints[:, list(sides)].T, "o", ms=3.5, mfc="white", mec=ORGANS[0][1], zorder=5)
+    plot.plot(*joints[:, list(sides)].T, "o", ms=3.5, mfc="white", mec=STEM_COLOR, zorder=5)
     tip, length = seen.grasp.point, 0.09 * np.ptp(seen.cloud.points, axis=0).max()
     start = (tip - length * seen.grasp.approach)[list(sides)]
-    arrow = {"arrowstyle": "-|>", "color": GRASP_COLOUR, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
+    arrow = {"arrowstyle": "-|>", "color": GRASP_COLOR, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
     plot.annotate("", xy=tuple(tip[list(sides)]), xytext=tuple(start), arrowprops=arrow, zorder=7)
-    plot.plot(*tip[list(sides)], "o", ms=9, mfc="none", mec=GRASP_COLOUR, mew=2, zorder=7)
+    plot.plot(*tip[list(sides)], "o", ms=9, mfc="none", mec=GRASP_COLOR, mew=2, zorder=7)
 
 
 def _finish(plot: Axes, cloud: Cloud, sides: Sides, title: str) -> None:
@@ -175,7 +190,7 @@ def _scale_bar(plot: Axes, extent: float) -> None:
 
 
 def _legend(stem: Stem) -> list[Line2D]:
-    there = [kind for kind in ORGANS if np.any(stem.organ == kind)]
-    lines = [Line2D([], [], color=ORGANS[k][1], lw=3 if k == 0 else 1.3, label=ORGANS[k][0]) for k in there]
-    grasp = Line2D([], [], marker="o", ls="", mfc="none", mec=GRASP_COLOUR, mew=2, ms=9, label="grasp, approach")
+    there = [kind for kind in ORGAN_COLORS if np.any(stem.organ == kind)]
+    lines = [Line2D([], [], color=ORGAN_COLORS[k], lw=3 if k == STEM else 1.3, label=ORGAN_NAMES[k]) for k in there]
+    grasp = Line2D([], [], marker="o", ls="", mfc="none", mec=GRASP_COLOR, mew=2, ms=9, label="grasp, approach")
     return [*lines, grasp, Line2D([], [], marker="*", ls="", color="black", ms=11, label="root")]

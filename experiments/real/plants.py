@@ -77,6 +77,12 @@ def references(folder: Path) -> Iterator[Reference]:
         yield Reference(name, read_cloud(folder / f"{name}.npz"), nodes * _METRES[unit], edges.astype(np.int64))
 
 
+def unlabelled(folder: Path) -> Iterator[tuple[str, Cloud]]:
+    """Yield (name, cloud) of the plants nobody has labelled."""
+    for name in UNLABELLED:
+        yield name, read_cloud(folder / f"{name}.npz")
+
+
 def plant_size(points: Array) -> float:
     """Return the diagonal of the bounding box [m]."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -1,6 +1,8 @@
-"""pc-skeletor (Meyer et al. 2023; Laplacian-based contraction of Cao et al. 2010) as a method, in its own environment.
+"""Peers that live in an environment of their own: a worker answers, main stem and grasp follow by the paper's rules.
 
-It gives a graph; main stem and grasp come from it by the paper's rules, as for plain thinning.
+pc-skeletor (Meyer et al. 2023): Laplacian-based contraction (Cao et al. 2010). skeletor (Schlegel et al.): wave fronts
+on a mesh. Both get the voxels of the largest cluster, 200 to the diagonal, as peers were compared before (facts:
+skeleton peers).
 """
 
 from __future__ import annotations
@@ -23,41 +25,37 @@ from real.paper_rule import core_stem
 from real.plain_thinning import FINE, depth, largest_cluster, occupancy
 from real.plants import plant_size
 
-WORKER = Path(__file__).with_name("contraction_worker.py")
-EXTENT = 1.6
-"""Its documented scale of a plant: its constants depend on units, and near the origin it deletes points."""
+WORKERS = {"pc_skeletor": "pc_skeletor_worker.py", "skeletor": "skeletor_worker.py"}
 
 
-class PcSkeletor:
-    """A running pc-skeletor; call it with a cloud. Ends with `close`.
+class Peer:
+    """A running peer; call it with a cloud. Ends with `close`.
 
     Args:
-        python: the Python that has pc-skeletor.
+        name: one of WORKERS.
+        python: the Python that has it.
 
     Raises:
-        InputError: pc-skeletor does not start there.
+        InputError: the peer does not start there.
     """
 
-    def __init__(self, python: Path) -> None:
-        self._python = python
+    def __init__(self, name: str, python: Path) -> None:
+        self._name, self._python = name, python
         self._worker = self._started()
 
     def __call__(self, cloud: Cloud) -> Answer:
-        """Return its answer on the voxels of the largest cluster (as peers were compared before).
+        """Return its answer on a plant.
 
         Raises:
             NoAnswer: it stops with an error, dies, or no stem is found.
         """
         voxel = plant_size(cloud.points) / FINE
         index = largest_cluster(cloud.points, voxel)
-        scale = EXTENT / np.ptp(index, axis=0).max()
-        low = index.min(axis=0)
-        found = self._asked((index - low) * scale + EXTENT)
+        found = self._asked(index)
         begin = time.process_time()
-        nodes = ((found["nodes"] - EXTENT) / scale + low) * voxel
-        radius = _radius(index, nodes / voxel) * voxel
-        stem, grasp = core_stem(nodes, found["edges"], radius)
-        return Answer(nodes, found["edges"], stem, grasp, float(found["seconds"]) + time.process_time() - begin)
+        nodes, edges = found["nodes"] * voxel, found["edges"]
+        stem, grasp = core_stem(nodes, edges, _depth_at(index, found["nodes"]) * voxel)
+        return Answer(nodes, edges, stem, grasp, float(found["seconds"]) + time.process_time() - begin)
 
     def close(self) -> None:
         """End it."""
@@ -65,36 +63,36 @@ class PcSkeletor:
         self._worker.wait()
 
     def _started(self) -> subprocess.Popen[str]:
-        command, pipe = [str(self._python), str(WORKER)], subprocess.PIPE
+        command, pipe = [str(self._python), str(Path(__file__).with_name(WORKERS[self._name]))], subprocess.PIPE
         worker = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
         if worker.stdout is None or worker.stdout.readline() != "ready\n":
             raise bad_input(
-                "--pc-skeletor",
+                f"Python with {self._name}",
                 given=str(self._python),
-                allowed="a Python in which 'import pc_skeletor' works",
+                allowed="one in which the peer can be imported",
                 do="docs/real_plants.md says how to install it.",
             )
         return worker
 
-    def _asked(self, points: Array) -> dict[str, Array]:
+    def _asked(self, index: NDArray[Any]) -> dict[str, Array]:
         assert self._worker.stdin is not None
         assert self._worker.stdout is not None
         with tempfile.TemporaryDirectory() as folder:
             source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
-            np.savez(source, points=points)
+            np.savez(source, index=index)
             print(source, target, sep="\t", file=self._worker.stdin, flush=True)
             if self._worker.stdout.readline() != "done\n":
                 self.close()
                 self._worker = self._started()
-                raise NoAnswer("pc-skeletor died")
+                raise NoAnswer("the peer died")
             with np.load(target) as stored:
                 found = dict(stored)
         if "failure" in found:
-            raise NoAnswer(f"pc-skeletor: {found['failure']}")
+            raise NoAnswer(str(found["failure"]))
         return found
 
 
-def _radius(index: NDArray[Any], nodes: Array) -> Array:
-    """Return (J,) the depth of the occupied voxel nearest to each node [voxels]."""
+def _depth_at(index: NDArray[Any], nodes: Array) -> Array:
+    """Return (J,) the depth of the occupied voxel nearest to each node [voxels]: the radius of the paper's score."""
     solid, low = occupancy(index)
     return depth(solid)[tuple((index - low).T)][KDTree(index).query(nodes)[1]]
