@@ -7,7 +7,7 @@ import pytest
 
 from anther.arm import sawyer
 from anther.arm.collision import CollisionWorld
-from anther.arm.views import Params, capture_time, cylinder_points, plan_views
+from anther.arm.views import Params, capture_time, cylinder_points, plan_views, reachable_views, visit_views
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box
 
@@ -92,3 +92,27 @@ def test_cylinder_points_lie_on_the_cylinder():
     on_wall, on_top = np.abs(radius - 0.25) < 1e-9, np.abs(points[:, 2] - 0.35) < 1e-9
     assert np.all(on_wall | on_top)
     assert REGION.contains(points - [0, 0, 1e-9]).mean() > 0.9
+
+
+def test_chosen_viewpoints_are_visited_in_the_order_asked_for(views):
+    points = reachable_views(REGION, [BENCH], COARSE)
+    chosen = [3, 0, 8, 5]
+    visited = visit_views(points, chosen, REGION, [BENCH], COARSE, in_order=True)
+    np.testing.assert_allclose(visited.azimuth, points.azimuth[chosen])
+    toward = points.T_world_cam[chosen, :3, 2]
+    np.testing.assert_allclose(visited.T_world_cam[:, :3, 2], toward, atol=1e-4)
+    free = visit_views(points, chosen, REGION, [BENCH], COARSE)
+    assert sorted(free.azimuth) == sorted(visited.azimuth)
+    assert capture_time(free) <= capture_time(visited)
+
+
+def test_views_spread_over_all_that_can_be_reached(views):
+    points = reachable_views(REGION, [BENCH], COARSE)
+    assert set(zip(views.azimuth, views.elevation, strict=True)) == {
+        (points.azimuth[i], points.elevation[i]) for i in points.spread(10)
+    }
+
+
+def test_views_stay_within_the_widest_azimuth():
+    narrow = Params(count=6, azimuth_step=30, distances=(0.6, 0.52), widest=45.0)
+    assert np.abs(plan_views(REGION, [BENCH], narrow).azimuth).max() <= 45

@@ -19,6 +19,8 @@ from anther.geometry import Array, Box, inverse, look_at
 
 FAST = MotionParams(velocity_share=0.85, acceleration_share=0.7)
 COLUMN = 30.0  # degrees of azimuth walked through together
+DETOUR = 2.0  # s that a motion is taken to last longer when the straight joint line is not free: measured, 1 to 4 s
+ROUNDS = 6  # of looking for an order without such motions
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,7 @@ class Params:
             0.48 m at 1280 x 720.
         elevations: of the camera above its target [degrees].
         azimuth_step: of the viewpoints tried [degrees].
+        widest: greatest azimuth, to either side of the arm [degrees].
         height_shares: at which share of the region's height each elevation aims.
         dwell: standing still for one image [s].
     """
@@ -39,12 +42,14 @@ class Params:
     distances: tuple[float, ...] = (0.65, 0.58, 0.52)
     elevations: tuple[float, ...] = (-5.0, 15.0, 35.0, 55.0)
     azimuth_step: float = 7.5
+    widest: float = 180.0
     height_shares: tuple[float, ...] = (0.4, 0.65, 0.45, 0.6)
     dwell: float = 0.2
 
     def __post_init__(self) -> None:
         check_range("views", self.count, 1, 500)
         check_range("azimuth step", self.azimuth_step, 1, 90, "degrees")
+        check_range("widest azimuth", self.widest, 0, 180, "degrees")
         check_range("nearest view", min(self.distances), 0.2, 2, "m")
 
 
@@ -154,10 +159,14 @@ def visit_views(
     *,
     start: ArrayLike = sawyer.READY,
     motion: MotionParams | None = None,
+    in_order: bool = False,
 ) -> Views:
-    """Return the chosen of the viewpoints in an order and with branches that keep the motion short."""
+    """Return the chosen of the viewpoints with branches, and unless `in_order` in an order, that keep the motion short.
+
+    The other arguments and what is raised are as in `plan_views`.
+    """
     planner = _planner(region, boxes, start, motion)
-    return _visit(viewpoints, list(chosen), planner, np.asarray(start, dtype=np.float64), params)
+    return _visit(viewpoints, list(chosen), planner, np.asarray(start, dtype=np.float64), params, in_order=in_order)
 
 
 def capture_time(views: Views) -> float:
@@ -186,10 +195,20 @@ def _planner(region: Box, boxes: Sequence[Box], start: ArrayLike, motion: Motion
     return planner
 
 
-def _visit(viewpoints: Viewpoints, chosen: list[int], planner: Planner, start: Array, params: Params) -> Views:
+def _visit(
+    viewpoints: Viewpoints,
+    chosen: list[int],
+    planner: Planner,
+    start: Array,
+    params: Params,
+    *,
+    in_order: bool = False,
+) -> Views:
     azimuth, elevation = viewpoints.azimuth, viewpoints.elevation
-    tour = _short_tour(start, [viewpoints.branches[i] for i in chosen], azimuth[chosen], elevation[chosen])
-    kept, motions = _motions(planner, start, [(chosen[i], q) for i, q in tour])
+    choices = [viewpoints.branches[i] for i in chosen]
+    tours = _tours(planner, start, choices, None if in_order else (azimuth[chosen], elevation[chosen]))
+    ways = [_motions(planner, start, [(chosen[i], q) for i, q in tour]) for tour in tours]
+    kept, motions = min(ways, key=lambda way: (-len(way[0]), sum(m.duration for m in way[1])))
     at = [i for i, _ in kept]
     joints = np.array([q for _, q in kept])
     T_world_cam = sawyer.forward(joints) @ viewpoints.T_flange_cam
@@ -199,6 +218,7 @@ def _visit(viewpoints: Viewpoints, chosen: list[int], planner: Planner, start: A
 def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -> Viewpoints:
     """Return the reachable views; each direction takes the first distance of the list at which it can be reached."""
     steps = np.arange(-180, 180, params.azimuth_step)
+    steps = steps[np.abs(steps) <= params.widest]
     grid = [(a, e, share) for e, share in zip(params.elevations, params.height_shares, strict=True) for a in steps]
     found: dict[int, Array] = {}
     for distance in params.distances:
@@ -248,7 +268,63 @@ def _spread(rays: Array, count: int) -> list[int]:
     return chosen
 
 
-def _short_tour(start: Array, choices: list[Array], azimuth: Array, elevation: Array) -> list[tuple[int, Array]]:
+class _Times:
+    """Least times [s] between joints, and what is known of straight joint lines that are not free."""
+
+    def __init__(self) -> None:
+        self.blocked: list[tuple[Array, Array]] = []
+
+    def __call__(self, a: Array, b: Array) -> Array:
+        """Return (A, B) times from rest to rest, each joint at its limits; `DETOUR` more where a line is blocked."""
+        far = np.abs(a[:, None] - b[None])
+        v, acc = sawyer.VELOCITY, sawyer.ACCELERATION
+        times = np.where(far > v**2 / acc, far / v + v / acc, 2 * np.sqrt(far / acc)).max(axis=2)
+        for one, other in self.blocked:
+            for p, q in ((one, other), (other, one)):
+                times[np.ix_((a == p).all(axis=1), (b == q).all(axis=1))] += DETOUR
+        return times
+
+    def along(self, start: Array, picks: list[Array]) -> float:
+        """Return the time [s] from `start` through all."""
+        stops = np.array([start, *picks])
+        return float(np.diagonal(self(stops[:-1], stops[1:])).sum())
+
+
+def _tours(
+    planner: Planner, start: Array, choices: list[Array], directions: tuple[Array, Array] | None
+) -> list[list[tuple[int, Array]]]:
+    """Return tours of (view, joints): the shortest if all straight joint lines were free, and one along free lines.
+
+    Lines are checked only when a tour uses them, and the tour is found again with what that taught (Bohlin and Kavraki
+    2000, lazy collision checking).
+
+    Args:
+        planner: knows what is free.
+        start: (7,) joints the arm comes from.
+        choices: per view the joints (C, 7) to choose from.
+        directions: azimuth and elevation (V,) of the views [degrees]; None keeps the order.
+    """
+    times, tours = _Times(), []
+    for _ in range(ROUNDS):
+        tours.append(
+            list(enumerate(_best_branches(start, choices, times)))
+            if directions is None
+            else _short_tour(start, choices, *directions, times)
+        )
+        stops = [start, *(q for _, q in tours[-1])]
+        lines = zip(stops[:-1], stops[1:], strict=True)
+        blocked = [line for line in lines if not planner.world.path_free(np.stack(line))]
+        new = [line for line in blocked if not any(np.array_equal(line, known) for known in times.blocked)]
+        if not new:
+            break
+        times.blocked += new
+    free = min(tours, key=lambda tour: times.along(start, [q for _, q in tour]))
+    return [tours[0]] if free is tours[0] else [tours[0], free]
+
+
+def _short_tour(
+    start: Array, choices: list[Array], azimuth: Array, elevation: Array, times: _Times
+) -> list[tuple[int, Array]]:
     """Return (view, joints) in an order and with branches that keep the motion short.
 
     From columns of azimuth walked up and down, either way round, the branches are chosen for the order (shortest path
@@ -257,29 +333,17 @@ def _short_tour(start: Array, choices: list[Array], azimuth: Array, elevation: A
     """
     column = np.round(azimuth / COLUMN).astype(int)
     serpentine = [int(i) for i in np.lexsort((elevation * (-1.0) ** column, column))]
-    tours = [_improved(start, choices, order) for order in (serpentine, serpentine[::-1])]
-    return min(tours, key=lambda tour: _length(start, [q for _, q in tour]))
+    tours = [_improved(start, choices, order, times) for order in (serpentine, serpentine[::-1])]
+    return min(tours, key=lambda tour: times.along(start, [q for _, q in tour]))
 
 
-def _improved(start: Array, choices: list[Array], order: list[int]) -> list[tuple[int, Array]]:
-    picks = _best_branches(start, [choices[v] for v in order])
+def _improved(start: Array, choices: list[Array], order: list[int], times: _Times) -> list[tuple[int, Array]]:
+    picks = _best_branches(start, [choices[v] for v in order], times)
     for _ in range(4):
         stops = np.array([start, *picks])
-        order = [order[i - 1] for i in _two_opt(_times(stops, stops))[1:]]
-        picks = _best_branches(start, [choices[v] for v in order])
+        order = [order[i - 1] for i in _two_opt(times(stops, stops))[1:]]
+        picks = _best_branches(start, [choices[v] for v in order], times)
     return list(zip(order, picks, strict=True))
-
-
-def _length(start: Array, picks: list[Array]) -> float:
-    stops = np.array([start, *picks])
-    return float(np.diagonal(_times(stops[:-1], stops[1:])).sum())
-
-
-def _times(a: Array, b: Array) -> Array:
-    """Return (A, B) least times [s] from rest to rest between joints, each joint at its limits."""
-    far = np.abs(a[:, None] - b[None])
-    v, acc = sawyer.VELOCITY, sawyer.ACCELERATION
-    return np.where(far > v**2 / acc, far / v + v / acc, 2 * np.sqrt(far / acc)).max(axis=2)
 
 
 def _two_opt(cost: Array) -> NDArray[Any]:
@@ -300,12 +364,12 @@ def _two_opt(cost: Array) -> NDArray[Any]:
     return order
 
 
-def _best_branches(start: Array, layers: list[Array]) -> list[Array]:
+def _best_branches(start: Array, layers: list[Array], times: _Times) -> list[Array]:
     """Return the joints of each layer (C, 7) on the shortest way from `start` through all."""
     total, came = np.zeros(1), []
     previous = start[None]
     for layer in layers:
-        reach = total[:, None] + _times(previous, layer)
+        reach = total[:, None] + times(previous, layer)
         came.append(reach.argmin(axis=0))
         total, previous = reach.min(axis=0), layer
     pick, joints = int(total.argmin()), []
