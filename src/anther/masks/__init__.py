@@ -22,13 +22,16 @@ from anther.errors import StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Box
 from anther.masks.cells import kinds
-from anther.masks.light import GREEN_NO_DEPTH
+from anther.masks.light import GREEN, GREEN_NO_DEPTH
 from anther.masks.survey import each_view, survey
 from anther.masks.voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
 
 SCHEMA = 1
+
+GROUND_BORDER = 0.6
+"""A patch without depth is no plant if its border with the ground is longer than this share of that with the plant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,27 +181,38 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
     def clear_view(view: int) -> None:
         depth, classes = capture.depth[view], seen.classes[view]
         kept[view] = clear(labels[view], depth, seen.cameras[view], seen.grid, classes, cells)
-        _drop_pixels_without_depth(kept[view], labels[view], depth)
+        _drop_pixels_without_depth(kept[view], labels[view], depth, classes)
 
     each_view(clear_view, capture.views)
     return Masks(kept, masks.source)
 
 
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:
-    """Return the labels with green patches without depth added where they hang together with plant pixels."""
-    patches = ((labels > 0) | (classes == GREEN_NO_DEPTH)).astype(np.uint8)
-    count, patch = cv2.connectedComponents(patches, connectivity=8)
-    holds_plant = np.zeros(count, dtype=bool)
-    holds_plant[np.unique(patch[labels > 0])] = True
-    labels[(classes == GREEN_NO_DEPTH) & holds_plant[patch]] = PLANT
+    """Return the labels with green patches without depth added where they border the plant and not green ground.
+
+    What is nearer than the sensor's least range has no depth, and neither has the stereo shadow beside a leaf: in
+    light without green that may be soil, as dark as a leaf.
+    """
+    ground = (labels == 0) & (classes == GREEN)
+    labels[_patches_of(classes == GREEN_NO_DEPTH, labels > 0, ground)] = PLANT
     return labels
 
 
-def _drop_pixels_without_depth(kept: NDArray[Any], labels: NDArray[Any], depth: NDArray[Any]) -> None:
-    """Drop pixels without depth (in place) around which more was dropped than kept."""
-    measured = depth > 0
-    dropped = (measured & (labels > 0) & (kept == 0)).astype(np.float32)
-    stayed = (measured & (kept > 0)).astype(np.float32)
-    window = (21, 21)
-    more = cv2.boxFilter(dropped, -1, window) > cv2.boxFilter(stayed, -1, window)
-    kept[~measured & more] = 0
+def _drop_pixels_without_depth(
+    kept: NDArray[Any], labels: NDArray[Any], depth: NDArray[Any], classes: NDArray[Any]
+) -> None:
+    """Drop patches without depth (in place) that are not green and border more of what was dropped than of the rest."""
+    blind = (labels > 0) & (depth <= 0) & (classes != GREEN_NO_DEPTH)
+    stayed = (kept > 0) & ~blind
+    kept[blind & ~_patches_of(blind, stayed, (labels > 0) & (kept == 0))] = 0
+
+
+def _patches_of(blind: NDArray[np.bool_], plant: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the connected patches of `blind` (H, W) that border `plant`, and `ground` much less."""
+    count, numbered = cv2.connectedComponents(blind.astype(np.uint8), connectivity=8)
+    patch, window = np.asarray(numbered, dtype=np.int32), np.ones((5, 5), np.uint8)
+    beside_plant, beside_ground = (
+        np.bincount(patch[blind & (cv2.dilate(part.astype(np.uint8), window) > 0)], minlength=count)
+        for part in (plant, ground)
+    )
+    return blind & ((beside_plant > 0) & (beside_ground <= GROUND_BORDER * beside_plant))[patch]

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from anther.capture import Capture
 from anther.masks.light import GREEN, WHITE, YELLOW
+from anther.masks.stakes import stake_cells
 from anther.masks.survey import Survey
 from anther.masks.voting import (
     BESIDE_FLOWER,
@@ -57,6 +58,8 @@ def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: in
     foot = seen.foot(likely, params)
     green = likely & (~below | foot)
     free = occupied & ~below & ~rim
+    if foot.any():  # else a straight brown line may be the stem itself
+        free &= ~stake_cells(free & (votes[GREEN - 1] <= 0.1 * total), params.voxel)
     petal_votes = votes[YELLOW - 1].astype(np.int32) + votes[WHITE - 1]
     seen_often = (petal_votes >= least_votes) & (votes[PETAL_VIEWS] >= least_views)
     petals = free & seen_often & (petal_votes >= params.petal_share * total)

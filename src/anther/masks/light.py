@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from anther.masks import Params
 
 OUTSIDE, OTHER, GREEN, YELLOW, WHITE, GREEN_NO_DEPTH = range(6)
-"""Colour class of a pixel. OUTSIDE: beyond the workspace or without depth (and not green). GREEN: like a leaf."""
+"""Colour class of a pixel. GREEN: like a leaf. OUTSIDE: beyond the workspace or without depth, and not green."""
 
 STEPS = 64
 """Steps of a table in each channel: 4 grey levels wide, just above the noise of a camera."""
