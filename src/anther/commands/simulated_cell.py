@@ -30,6 +30,9 @@ Species = Literal["tomato", "pepper"]
 USUAL_DISTANCE = 0.72
 """Of the pot's axis in front of the arm [m]: where facts: sawyer 6 tabulates what the arm can shake."""
 
+PRESETS = {"full": ViewParams(), "fast": ViewParams(count=8, widest=75.0)}
+"""How the views are sought. `fast` takes a quarter of the time: docs/views.md measures what that costs."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
@@ -100,7 +103,7 @@ def grow(species: Species, seed: int, viewpoint: float, distance: float) -> SimP
 
 
 def build(
-    species: Species, seed: int, viewpoint: float, views: int, *, distance: float = USUAL_DISTANCE
+    species: Species, seed: int, viewpoint: float, views: ViewParams, *, distance: float = USUAL_DISTANCE
 ) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`.
 
@@ -108,7 +111,7 @@ def build(
         StageFailure: "unreachable" when the arm reaches fewer than three views of the plant.
     """
     place = layout(distance)
-    planned = plan_views(place.region, place.solids, ViewParams(count=views))
+    planned = plan_views(place.region, place.solids, views)
     plant = grow(species, seed, viewpoint, distance)
     sight, camera, noise = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(3))
     scene = Scene.of_plant(plant)

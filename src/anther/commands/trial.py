@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -29,8 +29,10 @@ class Args:
     """Turn the plant about its pot's axis [degrees]."""
     distance: float = 0.72
     """Of the pot in front of the arm [m]."""
-    views: int = 30
-    """How many RGB-D views the arm takes."""
+    preset: Literal["full", "fast"] = "full"
+    """Views all around, or few views along a short way (docs/views.md says what that costs)."""
+    views: int | None = None
+    """How many RGB-D views the arm takes; by default what the preset says: 30, or 8 when fast."""
     masks: MaskSource = "colour"
     """What finds plant and flowers: colour and geometry, Grounding DINO and SAM 2, or SAM 3 (docs/masks.md)."""
     models: Path = Path("models")
@@ -59,7 +61,7 @@ def run(args: Args) -> int:
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
-    check_range("views", args.views, 3, 200)
+    check_range("views", 3 if args.views is None else args.views, 3, 200)
     check_range("distance", args.distance, 0.3, 3.0, "m")
     if args.restart_from in ("response", "report"):
         raise bad_input(
@@ -91,9 +93,11 @@ def run(args: Args) -> int:
 
 
 def _build(args: Args) -> SimulatedCell:
-    from anther.commands.simulated_cell import build
+    from anther.commands.simulated_cell import PRESETS, build
 
-    return build(args.plant, args.seed, args.viewpoint, args.views, distance=args.distance)
+    views = PRESETS[args.preset]
+    views = views if args.views is None else replace(views, count=args.views)
+    return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance)
 
 
 def _material(species: str) -> Material:

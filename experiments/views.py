@@ -1,0 +1,238 @@
+"""Number of views against quality: evenly spread views, next-best views, and the narrow views of the preset `fast`.
+
+    python experiments/views.py --json docs/results/views.json --figure docs/pictures/views.png
+
+Three tomatoes and five peppers, seeds 0 up. Of each plant, a pool of reachable views is taken once (1280 x 720, D455
+depth noise, arm and hand-eye errors), and all choices are made from it:
+- fixed: n views, each the farthest in direction from those before it, as `anther trial` takes them;
+- narrow: the same among the directions that `anther trial --preset fast` allows;
+- next_best: the first three of the fixed ones, then always the view of the pool that shows most unseen volume around
+  the stem as known so far (`anther.next_view`). The stem is found anew after 3, 5, 8 and 12 views.
+`skeleton_truth.py` says how plants are judged; visible flowers are those that any view of the pool shows. Finished
+plants are kept in --out and not run again.
+
+Keys of the --json file: CHOICE_COUNT_METRIC, the mean over the plants, and with _sd the standard deviation between
+plants. capture_s: motion by the planner's trajectories and stops; perception_s: processor time of masks to flowers, of
+the last views alone; gain_s: processor time of one choice of the next view.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from skeleton_truth import pooled, score, visible_flowers
+from view_figure import draw
+
+from anther import cloud as clouds
+from anther import flowers, masks, skeleton, stem
+from anther.arm import sawyer
+from anther.arm.views import Viewpoints, capture_time, reachable_views, visit_views
+from anther.capture import Capture
+from anther.cloud import Cloud
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout
+from anther.errors import AntherError
+from anther.files import read_json, write_json
+from anther.flowers import Flowers
+from anther.next_view import expected_new_volume
+from anther.sim.capture import capture_views, perturbed_hand_eye
+from anther.sim.plant import SimPlant
+from anther.skeleton import Skeleton
+from anther.stem import Stem
+
+POOL, FIRST = 60, 3
+COUNTS = {"fixed": (5, 8, 12, 20, 30), "narrow": (6, 8, 10, 12), "next_best": (5, 8, 12, 20)}
+PLANTS: list[tuple[Species, int]] = [*(("tomato", k) for k in range(3)), *(("pepper", k) for k in range(5))]
+METRICS = {
+    "stem_error_median_mm": "stem error, median [mm]",
+    "stem_error_p95_mm": "stem error, p95 [mm]",
+    "stem_covered": "true stem found",
+    "radius_error": "radius error",
+    "recall_5mm": "recall at 5 mm",
+    "precision_5mm": "precision at 5 mm",
+    "junction_f1": "junction F1",
+    "flower_recall": "flower recall",
+    "capture_s": "capture [s]",
+    "perception_s": "perception [s]",
+}
+PLACE = layout(USUAL_DISTANCE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pool:
+    """All views of one plant that may be chosen, in the order of the fixed choice, and which flowers they show."""
+
+    plant: SimPlant
+    capture: Capture
+    visible: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What perception made of some views, and the processor time it took [s]."""
+
+    cloud: Cloud
+    tree: Skeleton
+    main: Stem
+    found: Flowers
+    seconds: float
+
+
+def take_pool(plant: SimPlant, seed: int, viewpoints: Viewpoints, chosen: list[int]) -> Pool:
+    """Render views of the plant with the errors that `anther trial` has."""
+    joints = np.array([viewpoints.branches[i][0] for i in chosen])
+    sight, mounting = (np.random.default_rng([seed, 0, k]) for k in range(2))
+    T_flange_cam = perturbed_hand_eye(sawyer.T_FLANGE_CAM, mounting)
+    capture, truth = capture_views(plant, joints, sawyer.forward, T_flange_cam, sawyer.T_FLANGE_CAM, rng=sight)
+    return Pool(plant, capture, visible_flowers(plant, truth, capture.intrinsics))
+
+
+def directions(viewpoints: Viewpoints) -> tuple[list[int], list[int]]:
+    """Return the viewpoints in the order of the fixed and of the narrow choice."""
+    narrow = reachable_views(PLACE.region, PLACE.solids, PRESETS["fast"])
+    grid = list(zip(viewpoints.azimuth, viewpoints.elevation, strict=True))
+    among = [grid.index((narrow.azimuth[i], narrow.elevation[i])) for i in narrow.spread(max(COUNTS["narrow"]))]
+    return viewpoints.spread(POOL), among
+
+
+def part(capture: Capture, views: list[int]) -> Capture:
+    """Return some views of a capture."""
+    assert capture.rgb is not None
+    return Capture(capture.depth[views], capture.intrinsics, capture.T_world_cam[views], capture.rgb[views])
+
+
+def perceive(capture: Capture) -> Seen:
+    """Run masks, cloud, skeleton, stem and flowers."""
+    begin = time.process_time()
+    labels = masks.segment(capture, PLACE.workspace)
+    cloud = clouds.fuse(capture, labels, PLACE.workspace)
+    tree = skeleton.skeletonize(cloud)
+    main = stem.find_stem(tree, flowers_at=flowers.flower_centres(cloud))
+    found = flowers.find_flowers(cloud, tree, main)
+    return Seen(cloud, tree, main, found, time.process_time() - begin)
+
+
+def judged(pool: Pool, seen: Seen) -> dict[str, float]:
+    """Return the metrics of one reconstruction."""
+    table = pooled([score(pool.plant, pool.visible, seen.tree, seen.main, seen.found)])
+    kept = {name: float(table[name]) for name in METRICS if name in table}
+    return {**kept, "perception_s": seen.seconds}
+
+
+def prefixes(name: str, pool: Pool, order: list[int], counts: tuple[int, ...]) -> dict[str, dict[str, Any]]:
+    """Judge the first views of an order, for every count."""
+    return {
+        f"{name}_{n}": {**judged(pool, perceive(part(pool.capture, order[:n]))), "views": order[:n]} for n in counts
+    }
+
+
+def next_best(pool: Pool, counts: tuple[int, ...]) -> dict[str, dict[str, Any]]:
+    """Choose views one by one by the unseen volume they are expected to show; judge at every count."""
+    views, rows, seconds = list(range(FIRST)), {}, []
+    seen = perceive(part(pool.capture, views))
+    while len(views) < max(counts):
+        begin = time.process_time()
+        views.append(_next(pool, seen, views))
+        seconds.append(time.process_time() - begin)
+        if len(views) in counts:
+            seen = perceive(part(pool.capture, views))
+            chosen = {"views": list(views), "gain_s": float(np.mean(seconds))}
+            rows[f"next_best_{len(views)}"] = {**judged(pool, seen), **chosen}
+    return rows
+
+
+def _next(pool: Pool, seen: Seen, views: list[int]) -> int:
+    """Return the view of the pool to take next; poses are as registered with the stem, else the arm's own."""
+    assert seen.cloud.T_world_cam is not None
+    capture, registered = part(pool.capture, views), seen.cloud.T_world_cam
+    poses = np.concatenate([registered, capture.T_world_cam[len(registered) :]])
+    rest = [i for i in range(POOL) if i not in views]
+    stem_nodes = seen.tree.nodes[seen.main.node_ids]
+    gain = expected_new_volume(replace(capture, T_world_cam=poses), stem_nodes, pool.capture.T_world_cam[rest])
+    return rest[int(np.argmax(gain))]
+
+
+def one_plant(species: Species, seed: int, viewpoints: Viewpoints, counts: dict[str, Any], out: Path) -> Any:
+    """Return the rows of one plant, from --out when it was run before; "views" are numbers of viewpoints."""
+    file = out / f"{species}-{seed}.json"
+    if not file.exists():
+        fixed, narrow = directions(viewpoints)
+        chosen = [*fixed, *(i for i in narrow if i not in fixed)]
+        pool = take_pool(grow(species, seed, 0.0, USUAL_DISTANCE), seed, viewpoints, chosen)
+        rows = prefixes("fixed", pool, list(range(POOL)), counts["fixed"])
+        rows |= prefixes("narrow", pool, [chosen.index(i) for i in narrow], counts["narrow"])
+        rows |= next_best(pool, counts["next_best"])
+        for name, row in rows.items():
+            row["views"] = [chosen[i] for i in row["views"]]
+            if name.startswith("next_best"):
+                row["capture_s"] = _capture_seconds(viewpoints, row["views"], in_order=True)
+        write_json(file, rows)
+    return read_json(file)
+
+
+def _capture_seconds(viewpoints: Viewpoints, chosen: list[int], *, in_order: bool = False) -> float:
+    return capture_time(visit_views(viewpoints, chosen, PLACE.region, PLACE.solids, in_order=in_order))
+
+
+def metrics(plants: list[dict[str, dict[str, Any]]]) -> dict[str, float]:
+    """Return means and standard deviations over the plants."""
+    table: dict[str, float] = {}
+    for choice in plants[0]:
+        for name in [*METRICS, "gain_s"]:
+            values = [rows[choice][name] for rows in plants if name in rows.get(choice, {})]
+            if values:
+                table[f"{choice}_{name}"] = float(np.mean(values))
+                table[f"{choice}_{name}_sd"] = float(np.std(values))
+    return {**table, "plants": len(plants)}
+
+
+def show(table: dict[str, float], choices: list[str], console: Console) -> None:
+    """Print one line a choice: means, with the standard deviation between plants."""
+    shown = Table("views", *METRICS.values())
+    for choice in choices:
+        pairs = [(table.get(f"{choice}_{name}"), table.get(f"{choice}_{name}_sd")) for name in METRICS]
+        shown.add_row(choice, *("" if mean is None else f"{mean:.2f} ± {sd:.2f}" for mean, sd in pairs))
+    console.print(shown)
+
+
+def main() -> None:
+    """Run the plants that are not there yet, print the table, write --json and --figure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--quick", action="store_true", help="one plant of each species, 8 views")
+    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
+    parser.add_argument("--out", type=Path, default=Path("runs/views"), help="where finished plants are kept")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    counts = {name: some[1:2] for name, some in COUNTS.items()} if args.quick else COUNTS
+    viewpoints = reachable_views(PLACE.region, PLACE.solids)
+    rows = []
+    for species, seed in track(PLANTS[:4:3] if args.quick else PLANTS, "plants", console=console):
+        try:
+            rows.append(one_plant(species, seed + args.seed, viewpoints, counts, args.out))
+        except AntherError as error:
+            console.print(f"{species} {seed}: {error}")
+    for name in [name for name in rows[0] if "capture_s" not in rows[0][name]]:
+        seconds = _capture_seconds(viewpoints, rows[0][name]["views"])
+        for row in rows:
+            row[name]["capture_s"] = seconds
+    table = metrics(rows)
+    show(table, list(rows[0]), console)
+    if args.json:
+        write_json(args.json, table)
+    if args.figure:
+        draw(rows, METRICS).savefig(args.figure, dpi=90)
+
+
+if __name__ == "__main__":
+    main()
