@@ -13,7 +13,8 @@ from scipy.spatial import KDTree
 
 from anther.capture import Capture
 from anther.cloud import Cloud, Params, fuse
-from anther.cloud.fusion import attached_points, occupied_cells, supported_pixels
+from anther.cloud.fusion import attached_points, occupied_cells
+from anther.cloud.pixels import supported_pixels
 from anther.cloud.ply import read_ply, write_ply
 from anther.commands.convert_kinect import read_kinect
 from anther.errors import InputError, StageFailure

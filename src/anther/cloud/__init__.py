@@ -14,27 +14,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
 
 from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_range, check_transform
 from anther.cloud import registration
-from anther.cloud.fusion import (
-    ViewPoints,
-    agreeing_points,
-    attached_points,
-    fuse_voxels,
-    occupied_cells,
-    supported_pixels,
-)
+from anther.cloud.fusion import ViewPoints, agreeing_points, attached_points, fuse_voxels, occupied_cells
+from anther.cloud.pixels import pixel_normals, supported_pixels
+from anther.cloud.plausibility import cloud_doubts, refuse_ground, view_doubts
 from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Array, Box, transform_points
 from anther.masks import BACKGROUND, Masks
 
-SCHEMA = 1
+SCHEMA = 2
+
+MARGIN = 0.05
+"""Pixels this far outside the workspace still take part in the registration [m]: a pose may be off by a few cm."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
@@ -55,7 +52,6 @@ class Params:
         gap: parts closer than this to the rest belong to it [m].
         far_gap: large parts belong to the plant up to this distance [m] (a real plant's cloud has gaps of 5 cm).
         far_share: least share of the plant's points that such a large part has.
-        normal_neighbours: number of points a normal is fitted to.
         obstacle_voxel: spacing of the obstacle points [m].
         least_points: with fewer points there is no plant.
     """
@@ -69,7 +65,6 @@ class Params:
     gap: float = 0.012
     far_gap: float = 0.05
     far_share: float = 0.002
-    normal_neighbours: int = 20
     obstacle_voxel: float = 0.01
     least_points: int = 200
 
@@ -92,6 +87,10 @@ class Cloud:
         obstacles: (M, 3) coarse points [m] of pot, soil and bench.
         T_world_cam: (V, 4, 4) camera poses after registration, or None for an imported cloud.
         notes: what the stage wants the user to know (warnings, registration declined, ...).
+        view_agreement: (V,) share of each view's points that lie on a surface other views see, 0..1, after
+            registration; NaN where too little is seen to tell; None without registration.
+        view_used: (V,) bool, false for views left out because the others contradict their pose; None if imported.
+        footprint: median width of a pixel at the plant [m]; None if imported.
     """
 
     points: Array
@@ -101,6 +100,9 @@ class Cloud:
     obstacles: Array = field(default_factory=lambda: np.zeros((0, 3)))
     T_world_cam: Array | None = None
     notes: tuple[str, ...] = ()
+    view_agreement: Array | None = None
+    view_used: NDArray[np.bool_] | None = None
+    footprint: float | None = None
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -112,6 +114,11 @@ class Cloud:
             object.__setattr__(self, "colors", check_array("colors", self.colors, (n, 3), dtype="uint8"))
         labels = np.ones(n, dtype=np.uint8) if self.labels is None else self.labels
         object.__setattr__(self, "labels", check_array("labels", labels, (n,), dtype="uint8"))
+        if self.view_agreement is not None:
+            agreement = check_array("view_agreement", self.view_agreement, (None,), finite=False)
+            object.__setattr__(self, "view_agreement", agreement)
+        if self.view_used is not None:
+            object.__setattr__(self, "view_used", check_array("view_used", self.view_used, (None,), dtype="bool"))
         if self.T_world_cam is not None:
             object.__setattr__(
                 self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, len(self.T_world_cam))
@@ -128,6 +135,9 @@ class Cloud:
             obstacles=self.obstacles,
             T_world_cam=self.T_world_cam,
             notes=json.dumps(self.notes),
+            view_agreement=self.view_agreement,
+            view_used=self.view_used,
+            footprint=self.footprint,
         )
 
     @classmethod
@@ -147,6 +157,9 @@ class Cloud:
             obstacles=rest["obstacles"],
             T_world_cam=rest.get("T_world_cam"),
             notes=tuple(json.loads(str(rest["notes"]))),
+            view_agreement=rest.get("view_agreement"),
+            view_used=rest.get("view_used"),
+            footprint=float(rest["footprint"]) if "footprint" in rest else None,
         )
 
 
@@ -174,55 +187,76 @@ def fuse(
     box = workspace or viewed_box(capture)
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
-    pixels = _in_threads(lambda v: _plant_pixels(capture, labels, v, params), capture.views)
-    _require(sum(len(p.points) for p in pixels), params, "pixels with depth within the masks")
+    pixels = _in_threads(lambda v: _plant_pixels(capture, labels, box, v, params), capture.views)
+    _require(sum(len(p.points) for p in pixels), params, "pixels with depth within the masks, within the workspace")
     report()
-    poses, notes = _registered(pixels, capture.T_world_cam, params)
+    notes = (*_unseen_views(pixels), *view_doubts(capture.depth, labels))
+    poses, pixels, found = _registered(pixels, capture.T_world_cam, params)
     report()
     fused = fuse_voxels(pixels, poses, box, params.voxel)
     _require(len(fused.points), params, "points within the workspace")
-    fused = fused.only(agreeing_points(fused.points, capture.depth, capture.intrinsics, poses, params.seen_through))
+    used = np.ones(capture.views, dtype=bool) if found is None else found.used
+    seen = [capture.depth[v] for v in np.flatnonzero(used)]
+    fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used], params.seen_through))
     report()
-    fused = fused.only(attached_points(fused.points, params.gap, params.far_gap, params.far_share))
+    refuse_ground(fused.points, box)
+    kept = attached_points(fused.points, params.gap, params.far_gap, params.far_share)
+    notes += cloud_doubts(fused.points, kept, box)
+    fused = fused.only(kept)
     _require(len(fused.points), params, "points that hang together")
     report()
-    obstacles = _background_cells(capture, labels, poses, box, plant=fused.points, voxel=params.obstacle_voxel)
+    obstacles = _background_cells(
+        capture, labels, poses, box, plant=fused.points, voxel=params.obstacle_voxel, used=np.flatnonzero(used)
+    )
     report()
     return Cloud(
         fused.points,
-        _normals(fused.points, fused.towards_camera, params.normal_neighbours),
+        fused.normals,
         fused.colors if capture.rgb is not None else None,
         fused.labels,
         obstacles,
         poses,
-        (*notes, *_unseen_views(pixels)),
+        (*(found.notes if found else ()), *notes),
+        view_agreement=None if found is None else found.agreement,
+        view_used=used,
+        footprint=float(np.median(np.concatenate([p.points[:, 2] for p in pixels]))) / capture.intrinsics.fx,
     )
 
 
-def _plant_pixels(capture: Capture, labels: NDArray[Any], view: int, params: Params) -> ViewPoints:
-    """Return one view's plant pixels as camera-frame points, flying pixels left out."""
+def _plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, view: int, params: Params) -> ViewPoints:
+    """Return one view's plant pixels as camera-frame points, flying pixels and what is far from the box left out."""
     depth = capture.depth[view]
     keep = supported_pixels(
         depth, labels[view] != BACKGROUND, params.edge_window, params.edge_support, params.edge_depth
     )
     rows = np.flatnonzero(keep)
-    colors = None if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
-    return ViewPoints(capture.intrinsics.back_project(depth, keep), labels[view].ravel()[rows], colors)
+    colors = np.zeros((len(rows), 3), np.uint8) if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
+    points = capture.intrinsics.back_project(depth, keep)
+    normals = pixel_normals(depth, keep, capture.intrinsics, params.edge_depth)
+    near = Box(box.lower - MARGIN, box.upper + MARGIN).contains(transform_points(capture.T_world_cam[view], points))
+    return ViewPoints(points, normals, labels[view].ravel()[rows], colors).only(near)
 
 
-def _registered(pixels: list[ViewPoints], given: Array, params: Params) -> tuple[Array, tuple[str, ...]]:
+def _registered(
+    pixels: list[ViewPoints], given: Array, params: Params
+) -> tuple[Array, list[ViewPoints], registration.Registration | None]:
+    """Return the poses, the pixels freed of the sensor's bias (none of views to leave out), and the registration."""
     if params.registration is None:
-        return given, ()
-    result = registration.register([p.points for p in pixels], given, params.registration)
-    return result.T_world_cam, result.notes
+        return given, pixels, None
+    found = registration.register([p.points for p in pixels], given, params.registration)
+
+    def corrected(view: int) -> ViewPoints:
+        return pixels[view].unbiased(found.reach) if found.used[view] else pixels[view].only(np.array([], dtype=int))
+
+    return found.T_world_cam, _in_threads(corrected, len(pixels)), found
 
 
 def _background_cells(
-    capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float
+    capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float, used: NDArray[Any]
 ) -> Array:
     """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
     points, views, step = [], [], max(1, round(capture.intrinsics.fx / 160))
-    for v in range(capture.views):
+    for v in used:
         depth = np.where(labels[v] == BACKGROUND, capture.depth[v], 0)
         thin = np.zeros_like(depth)
         thin[::step, ::step] = depth[::step, ::step]
@@ -231,17 +265,6 @@ def _background_cells(
         points.append(world)
         views.append(np.full(len(world), v))
     return occupied_cells(np.concatenate(points), np.concatenate(views), plant, voxel)
-
-
-def _normals(points: Array, towards_camera: Array, neighbours: int) -> Array:
-    """Return unit normals, turned to the side the points were seen from."""
-    cloud = small_gicp.PointCloud(points)
-    small_gicp.estimate_normals(cloud, num_neighbors=neighbours, num_threads=2)
-    normals = cloud.normals()[:, :3].copy()
-    flip = np.einsum("ni,ni->n", normals, towards_camera) < 0
-    normals[flip] *= -1
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 0.5, normals / np.maximum(length, 1e-9), towards_camera)
 
 
 def _require(count: int, params: Params, what: str) -> None:

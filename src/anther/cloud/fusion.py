@@ -1,10 +1,12 @@
-"""The steps that make one clean cloud of many views: pixel support, voxel fusion, agreement, attachment.
+"""The steps that make one clean cloud of many views: voxel fusion, agreement, attachment, obstacles.
 
 Dimensions: V views, H x W pixels, N points.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,8 +16,12 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.spatial import KDTree
 
+from anther.cloud.pixels import slant
+from anther.cloud.voxels import voxel_groups
 from anther.geometry import Array, Box, Intrinsics, inverse, transform_points
 from anther.masks import FLOWER, PLANT
+
+THREADS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,13 +30,24 @@ class ViewPoints:
 
     Attributes:
         points: (N, 3) in the camera frame [m].
+        normals: (N, 3) unit, towards the camera, in its frame.
         labels: (N,) uint8.
-        colors: (N, 3) uint8, or None.
+        colors: (N, 3) uint8; zeros without colour.
     """
 
     points: Array
+    normals: NDArray[Any]
     labels: NDArray[Any]
-    colors: NDArray[Any] | None
+    colors: NDArray[Any]
+
+    def only(self, keep: NDArray[Any]) -> ViewPoints:
+        """Return the points chosen by a mask (N,) or by indices."""
+        return ViewPoints(self.points[keep], self.normals[keep], self.labels[keep], self.colors[keep])
+
+    def unbiased(self, reach: float) -> ViewPoints:
+        """Return the same with slanted surfaces moved back along the rays; see `matching.Estimate`."""
+        factor = 1 + reach * slant(self.points, self.normals)
+        return ViewPoints(self.points * factor[:, None], self.normals, self.labels, self.colors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,92 +56,47 @@ class Fused:
 
     Attributes:
         points: (N, 3) world [m].
+        normals: (N, 3) unit, to the side the points were seen from.
         labels: (N,) uint8, by majority.
         colors: (N, 3) uint8, the mean; zeros without colour.
-        towards_camera: (N, 3) unit vectors, the mean direction to the cameras.
     """
 
     points: Array
+    normals: Array
     labels: NDArray[Any]
     colors: NDArray[Any]
-    towards_camera: Array
 
     def only(self, keep: NDArray[np.bool_]) -> Fused:
         """Return the points for which `keep` (N,) is true."""
-        return Fused(self.points[keep], self.labels[keep], self.colors[keep], self.towards_camera[keep])
-
-
-def supported_pixels(
-    depth: NDArray[Any], mask: NDArray[np.bool_], window: int, support: int, tolerance: float
-) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) of `mask` whose depth is shared by enough of their neighbours.
-
-    A flying pixel hangs between two surfaces and few neighbours share its depth; a pixel of a petiole has the
-    petiole's other pixels. A gradient filter would drop both (facts: perception, a 15 mm edge filter eats petioles).
-
-    Args:
-        depth: (H, W) [m].
-        mask: (H, W).
-        window: half-width of the neighbourhood [px].
-        support: least number of pixels in it, itself included, at its depth.
-        tolerance: how far their depth may differ at 0.5 m [m]; it grows with z squared, as stereo noise does.
-    """
-    return _supported(depth, mask, window, support, tolerance / 0.25)
-
-
-@numba.njit(nogil=True, cache=True)
-def _supported(depth, mask, window, support, tolerance):
-    height, width = depth.shape
-    keep = np.zeros(depth.shape, dtype=np.bool_)
-    for v in range(height):
-        for u in range(width):
-            z = depth[v, u]
-            if not mask[v, u] or z <= 0:
-                continue
-            count = 0
-            for j in range(max(0, v - window), min(height, v + window + 1)):
-                for i in range(max(0, u - window), min(width, u + window + 1)):
-                    if depth[j, i] > 0 and abs(depth[j, i] - z) <= tolerance * z * z:
-                        count += 1
-            keep[v, u] = count >= support
-    return keep
+        return Fused(self.points[keep], self.normals[keep], self.labels[keep], self.colors[keep])
 
 
 def fuse_voxels(pixels: list[ViewPoints], poses: Array, box: Box, voxel: float) -> Fused:
-    """Return the mean point, label and colour of every occupied voxel within the box."""
+    """Return the mean point, normal, label and colour of every occupied voxel within the box."""
     world = [transform_points(T, p.points) for T, p in zip(poses, pixels, strict=True)]
-    points = np.concatenate(world)
-    towards = np.concatenate([T[:3, 3] - w for T, w in zip(poses, world, strict=True)])
-    labels = np.concatenate([p.labels for p in pixels])
-    colors = np.concatenate([np.zeros((len(p.points), 3)) if p.colors is None else p.colors for p in pixels])
-    inside = box.contains(points)
-    points, towards, labels, colors = points[inside], towards[inside], labels[inside], colors[inside]
-    if len(points) == 0:
-        return Fused(points, labels, colors.astype(np.uint8), towards)
-    group, count = _voxel_groups(points, box.lower, voxel)
+    inside = [box.contains(w) for w in world]
 
-    def mean(values: Array) -> Array:
+    def gathered(columns: list[NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([c[k] for c, k in zip(columns, inside, strict=True)])
+
+    points = gathered(world)
+    normals = gathered([p.normals @ T[:3, :3].T for T, p in zip(poses, pixels, strict=True)])
+    labels, colors = gathered([p.labels for p in pixels]), gathered([p.colors for p in pixels])
+    group, count = voxel_groups(points, voxel)
+
+    def mean(values: NDArray[Any]) -> Array:
         sums = [np.bincount(group, weights=column, minlength=len(count)) for column in values.T]
         return np.stack(sums, axis=1) / count[:, None]
 
     petals = np.bincount(group, weights=labels == FLOWER, minlength=len(count)) / count
-    direction = mean(towards)
-    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    facing = mean(normals)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
     majority = np.where(petals >= 0.5, FLOWER, PLANT).astype(np.uint8)
-    return Fused(mean(points), majority, np.round(mean(colors)).astype(np.uint8), direction)
-
-
-def _voxel_groups(points: Array, lower: Array, voxel: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return each point's voxel number (N,) and the number of points of every voxel."""
-    cell = np.floor((points - lower) / voxel).astype(np.int64)
-    size = cell.max(axis=0) + 1
-    key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
-    _, group, count = np.unique(key, return_inverse=True, return_counts=True)
-    return group, count
+    return Fused(mean(points), facing, majority, np.round(mean(colors)).astype(np.uint8))
 
 
 def agreeing_points(
-    points: Array, depth: NDArray[Any], intrinsics: Intrinsics, poses: Array, seen_through: float
+    points: Array, depth: Sequence[NDArray[Any]], intrinsics: Intrinsics, poses: Array, seen_through: float
 ) -> NDArray[np.bool_]:
     """Return which points (N,) the views do not contradict.
 
@@ -134,8 +106,18 @@ def agreeing_points(
     """
     k = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
     balance = np.zeros(len(points), dtype=np.int64)
-    for view, T in zip(depth, inverse(poses), strict=True):
-        _add_agreement(points, view, k, np.ascontiguousarray(T), seen_through, balance)
+    cameras = np.ascontiguousarray(inverse(poses))
+
+    def judge(part: slice) -> None:
+        for view, T in zip(depth, cameras, strict=True):
+            _add_agreement(points[part], view, k, T, seen_through, balance[part])
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(
+            pool.map(
+                judge, [slice(i * len(points) // THREADS, (i + 1) * len(points) // THREADS) for i in range(THREADS)]
+            )
+        )
     return balance >= 0
 
 

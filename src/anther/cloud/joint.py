@@ -1,0 +1,110 @@
+"""All views' poses at once: Gauss-Newton on robust distances, held back by what is known of the arm.
+
+Unknown are a small correction of each pose, in its camera's frame, and one bias of the sensor: a stereo camera's
+matching window lets the nearest depth within it win, so a slanted surface is seen too near, by the window's reach times
+the slant (`Estimate.reach`). Views from different sides disagree about it, which tells it from the poses.
+Dimensions: V views, P pairs.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from anther.cloud.matching import Estimate, Sample
+from anther.geometry import Array, inverse, small_transform
+
+
+def prior_information(views: int, own: tuple[float, float], common: tuple[float, float], reach: float) -> Array:
+    """Return the (6V + 1, 6V + 1) inverse covariance of the unknowns.
+
+    Args:
+        views: V.
+        own: standard deviations [rad], [m] per axis of each view's pose.
+        common: of the error that all views share in the camera frame, which is what a hand-eye calibration leaves.
+        reach: standard deviation of the window's reach about zero [rad].
+    """
+
+    def variances(sigmas: tuple[float, float]) -> Array:
+        return np.diag(np.repeat(np.square(sigmas), 3))
+
+    covariance = np.kron(np.eye(views), variances(own)) + np.kron(np.ones((views, views)), variances(common))
+    information = np.zeros((6 * views + 1, 6 * views + 1))
+    information[:-1, :-1] = np.linalg.inv(covariance)
+    information[-1, -1] = reach**-2
+    return information
+
+
+def step(
+    sample: Sample,
+    at: Estimate,
+    given: Array,
+    pairs: NDArray[np.int64],
+    *,
+    information: Array,
+    scale: float,
+    weight: float,
+    reach_fixed: bool = False,
+) -> Estimate:
+    """Return the estimate after one Gauss-Newton step.
+
+    Args:
+        sample: the points.
+        at: the estimate before.
+        given: (V, 4, 4) poses the prior is about.
+        pairs: (P, 2) from `match`.
+        information: from `prior_information`.
+        scale: of the Welsch weights [m].
+        weight: inverse variance of one pair's distance [1/m^2].
+        reach_fixed: only the poses may change.
+    """
+    hessian, gradient = np.zeros_like(information), np.zeros(len(information))
+    world, normals = sample.world(at)
+    points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
+    _accumulate(pairs, points, along, sample.view, world, normals, at.poses, scale, hessian, gradient)
+    error = inverse(given) @ at.poses
+    turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
+    moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
+    free = slice(-1) if reach_fixed else slice(None)
+    change = np.zeros(len(information))
+    change[free] = np.linalg.solve(
+        (weight * hessian + information)[free, free], -(weight * gradient + information @ moved)[free]
+    )
+    poses = [T @ small_transform(d[:3], d[3:]) for T, d in zip(at.poses, change[:-1].reshape(-1, 6), strict=True)]
+    return Estimate(np.stack(poses), at.reach + change[-1])
+
+
+@numba.njit(nogil=True, cache=True)
+def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessian, gradient):
+    """Add the pairs' Welsch-weighted normal equations; weight exp(-(r / scale)^2), Welsch (Holland 1977)."""
+    last = len(gradient) - 1
+    row, index = np.empty(13), np.empty(13, dtype=np.int64)
+    m = np.empty(3)
+    index[12] = last
+    for p in range(pairs.shape[0]):
+        n = normals[pairs[p, 0]] + normals[pairs[p, 1]]
+        n /= np.sqrt(n @ n)
+        r = n @ (world[pairs[p, 0]] - world[pairs[p, 1]])
+        w = np.exp(-(r * r) / (scale * scale))
+        row[12] = 0.0
+        for side in range(2):
+            i = pairs[p, side]
+            sign = 1.0 - 2.0 * side
+            for c in range(3):
+                m[c] = 0.0
+                for e in range(3):
+                    m[c] += sign * poses[view[i], e, c] * n[e]
+            base = 6 * side
+            row[base] = points[i, 1] * m[2] - points[i, 2] * m[1]
+            row[base + 1] = points[i, 2] * m[0] - points[i, 0] * m[2]
+            row[base + 2] = points[i, 0] * m[1] - points[i, 1] * m[0]
+            row[base + 3 : base + 6] = m
+            row[12] += along[i] @ m
+            for k in range(6):
+                index[base + k] = 6 * view[i] + k
+        for k in range(13):
+            gradient[index[k]] += w * r * row[k]
+            for q in range(13):
+                hessian[index[k], index[q]] += w * row[k] * row[q]
