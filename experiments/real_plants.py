@@ -11,8 +11,9 @@ Keys of the --json file, without a prefix Anther's, then with plain_, plain_fine
 trackplant_grasp_on_stem and all_grasp_on_stem (share of plants whose grasp is on the stem system), stem_on_label (share
 of the main stem's length on it, mean over plants), stem_on_label_95 (share of plants with 95 % or more), stem_reach,
 stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants, and on the six
-clouds without labels others_reached and others_single_trees; for Anther alone <scan>_precision_<1v|3v> and
-<scan>_recall_<1v|3v> against the published graphs.
+clouds without labels others_reached and others_single_trees. For Anther alone: radius_over_points (the main stem's
+radius over the distance of its labelled points; 1 is right), and against the published graphs <scan>_precision_<1v|3v>
+and <scan>_recall_<1v|3v>.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from typing import Any
 
 import numpy as np
 from real.answers import Answer, Method, Seen, anther, asked
-from real.judge import Outcome, Tolerance, agreement, judge, reached
+from real.judge import Outcome, Tolerance, agreement, judge, radius_over_points, reached
 from real.peer_process import WORKERS, Peer
 from real.pictures import Shown, draw_below, draw_methods, draw_references, draw_seen, save
 from real.plain_thinning import FINE, plain_thinning
@@ -65,6 +66,7 @@ class Run:
         outcomes: by method, on the labelled plants.
         others: by method, on the six other clouds: (share of points reached, is a single tree).
         agreements: precision and recall against the published graphs.
+        radius_ratios: Anther's stem radius over the distance of the stem's points, by labelled plant.
         shown: plants drawn with all methods.
         below: labelled plants whose main stem leaves the stem system.
         references, seen: what is drawn of the others.
@@ -73,6 +75,7 @@ class Run:
     outcomes: Outcomes = field(default_factory=lambda: defaultdict(list))
     others: dict[str, list[tuple[float, bool]]] = field(default_factory=lambda: defaultdict(list))
     agreements: dict[str, float] = field(default_factory=dict)
+    radius_ratios: list[float] = field(default_factory=list)
     shown: list[Shown] = field(default_factory=list)
     below: list[tuple[Labelled, Seen]] = field(default_factory=list)
     references: list[tuple[Reference, Seen]] = field(default_factory=list)
@@ -84,6 +87,7 @@ class Run:
         tolerance = Tolerance(seen.skeleton.nodes[seen.stem.node_ids], seen.skeleton.radius[seen.stem.node_ids])
         for name, answer in answers.items():
             self.outcomes[name].append(judge(plant, answer, tolerance))
+        self.radius_ratios.append(radius_over_points(plant, seen))
         if plant.name in SHOWN:
             self.shown.append(Shown(plant.name, plant.cloud, answers, plant.is_stem))
         if self.outcomes["anther"][-1].stem_share < ENOUGH:
@@ -119,7 +123,11 @@ class Run:
         found: dict[str, float] = {}
         for method, row in self.rows().items():
             found |= {("" if method == "anther" else f"{method}_") + name: value for name, value in row.items()}
-        return found | self.agreements
+        return found | self.for_anther_alone()
+
+    def for_anther_alone(self) -> dict[str, float]:
+        """Return what has no like for the other methods."""
+        return {"radius_over_points": float(np.median(self.radius_ratios))} | self.agreements
 
     def rows(self) -> dict[str, dict[str, float]]:
         """Return the numbers by method."""
@@ -160,18 +168,20 @@ def main() -> None:
         parser.add_argument(
             f"--{name.replace('_', '-')}", type=Path, metavar="PYTHON", help=f"a Python that has {name}"
         )
+    parser.add_argument("--peers-every", type=int, default=1, metavar="N", help="peers see every Nth seedling only")
     parser.add_argument("--quick", action="store_true", help="every eighth seedling only")
     parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
     args = parser.parse_args()
     console, found = Console(), Run()
-    methods: dict[str, Method] = {"plain": plain_thinning, "plain_fine": partial(plain_thinning, resolution=FINE)}
+    wanted = [(name, python) for name in WORKERS if (python := getattr(args, name))]
+    plain: dict[str, Method] = {"plain": plain_thinning, "plain_fine": partial(plain_thinning, resolution=FINE)}
     with contextlib.ExitStack() as stack:
-        for name in WORKERS:
-            if python := getattr(args, name):
-                methods[name] = stack.enter_context(contextlib.closing(Peer(name, python)))
+        peers = {name: stack.enter_context(contextlib.closing(Peer(name, python))) for name, python in wanted}
+        methods = {**plain, **peers}
         plants = list(labelled_plants(args.data, 8 if args.quick else 1))
-        for plant in track(plants, "labelled plants", console=console):
-            found.add_labelled(plant, methods)
+        for k, plant in enumerate(track(plants, "labelled plants", console=console)):
+            every = k % args.peers_every == 0 or plant.name in SHOWN
+            found.add_labelled(plant, methods if every else plain)
         for plant in track(list(references(args.data)), "published graphs", console=console):
             found.add_reference(plant, methods)
         for name, cloud in track(list(unlabelled(args.data)), "without labels", console=console):
@@ -189,7 +199,7 @@ def _print(console: Console, found: Run) -> None:
     for name in rows["anther"]:
         table.add_row(name, *(f"{row[name]:.4g}" for row in rows.values()))
     console.print(table)
-    for name, value in found.agreements.items():
+    for name, value in found.for_anther_alone().items():
         console.print(f"{name}: {value:.2f}", highlight=False)
     for o in found.outcomes["anther"]:
         if not o.grasp_on_stem or o.stem_share < ENOUGH:

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from anther.cloud import Cloud
 from anther.geometry import Array
-from real.answers import Answer
+from real.answers import Answer, Seen
 from real.plants import Labelled, Reference, nearest, plant_size
 
 STEPS = 400
@@ -89,6 +89,18 @@ def judge(plant: Labelled, answer: Answer | str, tolerance: Tolerance) -> Outcom
         tips_per_leaf=(answer.tips - 1) / plant.leaves if plant.leaves else np.nan,
         seconds=answer.seconds,
     )
+
+
+def radius_over_points(plant: Labelled, seen: Seen) -> float:
+    """Return the main stem's radius over the distance of its points from it, median over points; 1 is right.
+
+    The points are those labelled stem to which no other part of the skeleton is nearer.
+    """
+    at = np.asarray(KDTree(seen.skeleton.nodes).query(plant.stem_points)[1])
+    own = np.isin(at, seen.stem.node_ids)
+    step = plant_size(plant.cloud.points) / STEPS / 4
+    away = nearest(sampled(seen.answer.nodes, seen.answer.stem, step), plant.stem_points[own])
+    return float(np.median(seen.skeleton.radius[at[own]]) / np.median(away))
 
 
 def agreement(plant: Reference, answer: Answer) -> dict[str, float]:

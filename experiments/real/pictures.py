@@ -96,8 +96,8 @@ def draw_below(plants: list[tuple[Labelled, Seen]]) -> Figure:
             _finish(plot, plant.cloud, sides, plant.name)
     labels = (("labelled stem", STEM_LABEL), ("labelled leaf", LEAF_LABEL))
     dots = [Line2D([], [], marker="o", ls="", color=colour, label=name) for name, colour in labels]
-    figure.legend(handles=[*dots, *_legend(plants[0][1].stem)], loc="lower center", ncols=8, frameon=False)
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
+    figure.legend(handles=[*dots, *_legend(plants[0][1].stem)], loc="lower center", ncols=4, frameon=False)
+    figure.tight_layout(rect=(0, 0.1, 1, 1))
     return figure
 
 
