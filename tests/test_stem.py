@@ -107,12 +107,18 @@ def test_a_branch_with_a_flower_and_leaves_is_a_branch() -> None:
 
 
 def test_a_spur_is_neither_branch_nor_attachment() -> None:
-    skeleton = drawn(
-        line([0, 0, 0], [0, 0, 0.3]), [[0, 0, 0.15], [0.005, 0, 0.15], [0.01, 0, 0.15]], radius=[0.004, 0.003]
-    )
+    spur = [[0, 0, 0.15], [0.005, 0, 0.15], [0.01, 0, 0.15]]
+    limb, twig = line([0, 0, 0.2], [0.1, 0, 0.25]), line([0.1, 0, 0.25], [0.2, 0, 0.25])
+    skeleton = leafy(line([0, 0, 0], [0, 0, 0.4], 40), spur, limb, blade=twig)
     stem = find_stem(skeleton)
-    assert not np.any(stem.organ == BRANCH)
-    assert len(stem.attachments) == 0
+    assert np.all(stem.organ[np.isclose(skeleton.nodes[:, 2], 0.15) & (skeleton.nodes[:, 0] > 0)] == LEAF)
+    assert skeleton.nodes[stem.node_ids[stem.attachments], 2] == pytest.approx([0.2])
+
+
+def test_a_leafless_plant_has_branches() -> None:
+    plain = drawn(line([0, 0, 0], [0, 0, 0.4], 40), line([0, 0, 0.2], [0.1, 0, 0.25]), radius=[0.004, 0.002])
+    skeleton = Skeleton(plain.nodes, plain.parent, plain.radius, width=plain.radius)
+    assert np.all(find_stem(skeleton).organ[skeleton.nodes[:, 0] > 0] == BRANCH)
 
 
 def leafy(*lines: list[list[float]], blade: list[list[float]]) -> Skeleton:

@@ -5,8 +5,8 @@ Three observations tell organs apart, whatever the plant and its size:
 - An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
   it; a blade is broader than the stem and many times broader than thick.
 - Nothing grows out of a blade: the axes of a plant are a connected part of the tree that holds the root.
-- A limb ends in leaves or flowers. One that carries flowers and no leaf is a truss; one that carries neither is
-  itself a narrow leaf, a stump or an error of the skeleton, and counts as leaf.
+- A limb of a leafy plant ends in leaves or flowers. One that carries flowers and no leaf is a truss; one that carries
+  neither is itself a narrow leaf, a stump or an error of the skeleton, and counts as leaf.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: 
         skeleton: the tree; without widths no leaf can be told from a branch.
         main: nodes of the main stem.
         flowers_at: (F, 3) centres of flowers [m]; F may be 0.
-        params: what is slender, how far a flower reaches, how long a bare limb may be.
+        params: what is slender, and how far a flower reaches.
     """
     breadth = _relative_breadth(skeleton, main)
     bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < params.truss_breadth, params.flower_reach)
@@ -44,8 +44,8 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: 
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     is_truss = _sum_below(skeleton.parent, params.leaf_per_flower * bears - length * ((organ == LEAF) & ~beside)) > 0
     is_truss &= _sum_below(skeleton.parent, bears) > 0
-    is_bare = _sum_below(skeleton.parent, organ == LEAF) == 0
-    is_bare &= longest_way(skeleton.parent, length) <= params.bare * stem_breadth(skeleton, main)
+    is_bare = (organ == BRANCH) & (_sum_below(skeleton.parent, organ == LEAF) == 0)
+    is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
     return _limbs_named(skeleton.parent, organ, is_truss, is_bare)
 
 
@@ -90,7 +90,9 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, flat_blade: fl
     """
     if skeleton.width is None:
         return np.ones(len(breadth), dtype=bool)
-    slender = np.clip(-np.log(np.maximum(breadth, skeleton.width / (flat_blade * skeleton.radius))), -1, 1)
+    flatness = skeleton.width / skeleton.radius
+    flatness = flatness / (flat_blade * np.median(flatness[main]))
+    slender = np.clip(-np.log(np.maximum(breadth, flatness)), -1, 1)
     gain = edge_lengths(skeleton.nodes, skeleton.parent) * slender
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):

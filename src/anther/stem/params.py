@@ -22,15 +22,14 @@ class Params:
         fork_share: a branch forks the stem when it is at least this share as thick as the stem beyond it and rises at
             least this share as high,
         fork_angle: and on the whole leans from the vertical by less than this [degrees].
-        flat_blade: a section broader than thick by this factor is as likely blade as axis.
-        axis_breadth: so is one broader than the main stem by this factor.
+        flat_blade: a section flatter than the main stem's by this factor is as likely blade as axis; how flat a round
+            stem looks tells what noise and one-sided views do to sections.
+        axis_breadth: so is a section broader than the main stem's by this factor.
         truss_breadth: only a node not broader than this, relative to the stem, bears flowers: pedicels broaden a truss.
         flower_reach: and only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts:
             pollination), a few millimetres of flower, and half the distance between nodes.
         leaf_per_flower: a limb is a truss when it bears more flowers than it has leaf, at so much length a flower [m].
-        bare: a limb that bears nothing is no branch unless longer than this, relative to the stem's half width (a
-            leafless tree has such branches).
-        spur: nor does it count as attached to the stem when it is shorter than this, likewise.
+        spur: a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width.
     """
 
     alpha: float = 2.0
@@ -44,10 +43,9 @@ class Params:
     shortest: float = 0.05
     fork_share: float = 0.5
     fork_angle: float = 50.0
-    flat_blade: float = 2.0
+    flat_blade: float = 1.5
     axis_breadth: float = 1.2
     truss_breadth: float = 2.0
     flower_reach: float = 0.03
     leaf_per_flower: float = 0.02
-    bare: float = 20.0
     spur: float = 3.0
