@@ -22,7 +22,8 @@ from anther.errors import StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Box
 from anther.masks.cells import kinds
-from anther.masks.light import GREEN, GREEN_NO_DEPTH
+from anther.masks.images import labels_of_image
+from anther.masks.light import GREEN, GREEN_NO_DEPTH, Light, green_rule
 from anther.masks.survey import each_view, survey
 from anther.masks.voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
@@ -58,6 +59,9 @@ class Params:
         brown_extent: greatest second extent of such a part [m]: stems and fruits are slender, walls are not.
         petal_contrast: where the light holds no green, petals are at least this much brighter than leaves.
         least_part: flowers are looked for beside green parts of at least this many cells.
+        least_shade: without depth, what is darker than this share of lit leaves is not looked at.
+        least_patch, petal_patch: without depth, least share of the image that a green patch has, greatest share that a
+            petal patch has.
         least_pixels: with fewer plant pixels in all views together there is no plant.
     """
 
@@ -81,6 +85,9 @@ class Params:
     brown_extent: float = 0.08
     petal_contrast: float = 2.0
     least_part: int = 20
+    least_shade: float = 0.25
+    least_patch: float = 2e-5
+    petal_patch: float = 1e-3
     least_pixels: int = 200
 
     def __post_init__(self) -> None:
@@ -142,14 +149,8 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         labels[view] = _add_pixels_without_depth(found, classes)
 
     each_view(label_view, capture.views)
-    found = int((labels > 0).sum())
-    if found < params.least_pixels:
-        lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
-        raise StageFailure(
-            "no_plant_found",
-            f"masks: {found} plant pixels in {capture.views} views; at least {params.least_pixels} are needed. "
-            f"Is the plant within x, y, z = {lower} .. {lower + size} m?",
-        )
+    lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
+    _require_plant(labels, params, f"Is the plant within x, y, z = {lower} .. {lower + size} m?")
     return Masks(labels, seen.source)
 
 
@@ -185,6 +186,39 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
 
     each_view(clear_view, capture.views)
     return Masks(kept, masks.source)
+
+
+def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
+    """Return the plant and flower pixels of colour images (V, H, W, 3) uint8 without depth or poses.
+
+    Colour alone cannot tell plants behind from the plant in front, nor a green pot from leaves.
+
+    Raises:
+        StageFailure: `no_plant_found` when the images show too little green, or the light holds none.
+    """
+    params = params or Params()
+    images = check_array("images", rgb, (None, None, None, 3), dtype="uint8")
+    light = Light.on(images, params.green)
+    labels = np.zeros(images.shape[:3], dtype=np.uint8)
+    if light.holds_green:
+        rule = green_rule(light, params)
+
+        def label_image(view: int) -> None:
+            labels[view] = labels_of_image(images[view], rule, light.leaf, params)
+
+        each_view(label_image, len(images))
+    _require_plant(labels, params, "Is it green, and the light not that of red grow lamps?")
+    return Masks(labels, "colour")
+
+
+def _require_plant(labels: NDArray[Any], params: Params, question: str) -> None:
+    found = int((labels > 0).sum())
+    if found < params.least_pixels:
+        raise StageFailure(
+            "no_plant_found",
+            f"masks: {found} plant pixels in {len(labels)} views; at least {params.least_pixels} are needed. "
+            f"{question}",
+        )
 
 
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:

@@ -29,9 +29,9 @@ TERRACOTTA, BLACK_PLASTIC, WHITE_FILM = (178, 98, 66), (42, 42, 45), (236, 238, 
 BAMBOO, STRING_WHITE = (196, 164, 110), (228, 226, 214)
 
 DAYLIGHT: Matrix = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-WARM: Matrix = ((1.3, 0, 0), (0, 0.95, 0), (0, 0, 0.5))
-"""A camera balanced for daylight under lamps of about 3500 K (an estimate)."""
-COLD: Matrix = ((0.65, 0, 0), (0, 0.95, 0), (0, 0, 1.35))
+WARM: Matrix = ((1.5, 0, 0), (0, 1, 0), (0, 0, 0.33))
+"""A camera balanced for daylight under lamps of about 3000 K (an estimate)."""
+COLD: Matrix = ((0.5, 0, 0), (0, 0.95, 0), (0, 0, 1.5))
 """A camera balanced for lamps under a blue sky (an estimate)."""
 DIM: Matrix = ((0.12, 0, 0), (0, 0.12, 0), (0, 0, 0.12))
 """Three stops too dark: a third of full scale where daylight gives white."""
