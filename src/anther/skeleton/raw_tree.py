@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order
+from scipy.spatial import KDTree
 
 from anther.geometry import Array
+from anther.skeleton.voxel_solid import Voxels
 
 Parents = NDArray[Any]
 
@@ -24,16 +26,40 @@ class RawTree:
         parent: (J,) parent[0] = -1, parent[j] < j.
         thickness: (J,) inscribed radius of the solid [m]: a stem's radius, a blade's half thickness.
         width: (J,) lateral half extent [m]: a stem's radius, a blade's half width.
+        flatness: (J,) planarity of what is around: 0 on a stem, 1 on a blade.
     """
 
     nodes: Array
     parent: Parents
     thickness: Array
     width: Array
+    flatness: Array
 
     def taking(self, parent: Parents, order: NDArray[Any]) -> RawTree:
         """Return the nodes in `order` under new parents."""
-        return RawTree(self.nodes[order], parent, self.thickness[order], self.width[order])
+        return RawTree(self.nodes[order], parent, self.thickness[order], self.width[order], self.flatness[order])
+
+
+def with_extents(nodes: Array, parent: Parents, voxels: Voxels) -> RawTree:
+    """Return the tree with thickness, width and flatness of the voxels that are nearest to each node."""
+    distance, nearest = map(np.asarray, KDTree(nodes).query(voxels.points))
+    count = np.maximum(np.bincount(nearest, minlength=len(nodes)), 1)
+    thickness = np.full(len(nodes), voxels.voxel)
+    np.maximum.at(thickness, nearest, voxels.thickness)
+    spread = np.sqrt(np.bincount(nearest, weights=distance**2, minlength=len(nodes)) / count)
+    flatness = np.bincount(nearest, weights=voxels.flatness, minlength=len(nodes)) / count
+    return RawTree(nodes, parent, thickness, np.maximum(spread, thickness), _along(parent, flatness))
+
+
+def _along(parent: Parents, values: Array, rounds: int = 4) -> Array:
+    """Return the values (J,) averaged with those of the neighbours on the tree, so many times."""
+    child, above = np.arange(1, len(parent)), parent[1:]
+    neighbours = 1 + np.bincount(above, minlength=len(parent)) + (parent >= 0)
+    for _ in range(rounds):
+        total = values + np.bincount(above, weights=values[child], minlength=len(parent))
+        total[1:] += values[above]
+        values = total / neighbours
+    return values
 
 
 def edge_lengths(nodes: Array, parent: Parents) -> Array:
@@ -117,6 +143,55 @@ def without_spurs(tree: RawTree, *, per_width: float, at_least: float) -> RawTre
     for chain in chains(tree.parent, length)[1:]:
         if length[chain[1:]].sum() <= max(per_width * tree.width[chain[0]], at_least):
             keep[chain[1:]] = False
+    return _kept(tree, keep)
+
+
+def without_veins(tree: RawTree, wood: float) -> RawTree:
+    """Return the tree without side branches that begin on a blade and hold less than `wood` [m] of stem or petiole."""
+    length = edge_lengths(tree.nodes, tree.parent)
+    woody = length * np.clip((_FLATTEST - tree.flatness) / 0.2, 0, 1)
+    keep = np.ones(len(tree.parent), dtype=bool)
+    for chain in chains(tree.parent, woody + 0.01 * length)[1:]:
+        if np.mean(tree.flatness[chain[:_BEGINNING]]) > _BLADE and woody[chain[1:]].sum() < wood:
+            keep[chain[1:]] = False
+    return _kept(tree, keep)
+
+
+def parted(tree: RawTree, gain: Array) -> RawTree:
+    """Return the tree with each side branch leaving where it comes out of what carries it.
+
+    Shortest paths run side by side within a stem before they part, or never part.
+    """
+    parent, keep = tree.parent.copy(), np.ones(len(tree.parent), dtype=bool)
+    same_as, home = np.arange(len(parent)), np.zeros(len(parent), dtype=np.int64)
+    first, *others = chains(tree.parent, gain)
+    hosts = [first]
+    for chain in others:
+        host = hosts[home[same_as[chain[0]]]]
+        distance, nearest = map(np.asarray, KDTree(tree.nodes[host]).query(tree.nodes[chain[1:]]))
+        within = distance <= _OUT * tree.thickness[host[nearest]]
+        inside = len(within) if within.all() else int(np.argmin(within))
+        keep[chain[1 : 1 + inside]] = False
+        same_as[chain[1 : 1 + inside]] = host[nearest[:inside]]
+        rest = chain[1 + inside :]
+        if len(rest):
+            parent[rest[0]] = same_as[chain[inside]]
+            home[rest] = len(hosts)
+            hosts.append(rest)
+    links = np.stack([parent, np.arange(len(parent))], axis=1)[keep & (parent >= 0)]
+    return tree.taking(*rooted(links, len(parent), 0))
+
+
+_OUT = 1.3
+"""A branch is out of its carrier where it is farther from the middle than this times the inscribed radius."""
+
+_FLATTEST = 0.75
+_BLADE, _BEGINNING = 0.65, 4
+"""A branch begins on a blade when the mean flatness of so many first nodes exceeds this."""
+
+
+def _kept(tree: RawTree, keep: NDArray[np.bool_]) -> RawTree:
+    """Return the kept nodes whose ancestors are all kept."""
     for node in range(1, len(keep)):
         keep[node] &= keep[tree.parent[node]]
     return tree.taking(*subset(tree.parent, keep))

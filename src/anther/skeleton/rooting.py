@@ -18,7 +18,7 @@ def stem_gain(tree: RawTree) -> Array:
     """Return (J,) the path gain (P10) by inscribed radius and roundness: a blade is thin however wide it is."""
     roundness = np.minimum(tree.thickness / tree.width, 1)
     gain = path_gain(tree.nodes, tree.parent, tree.thickness, alpha=_ALPHA, v_bias=_V_BIAS)
-    return gain * roundness
+    return gain * roundness * (1.1 - tree.flatness)
 
 
 def find_root(tree: RawTree, candidates: int = 60) -> int:
@@ -34,6 +34,7 @@ def find_root(tree: RawTree, candidates: int = 60) -> int:
     """
     degree = np.bincount(tree.parent[1:], minlength=len(tree.nodes))
     degree[1:] += 1
+    degree[0] = 1  # where the tree was rooted so far may be the root, whatever leaves there
     z = tree.nodes[:, 2]
     extent = max(float(np.linalg.norm(np.ptp(tree.nodes, axis=0))), 1e-12)
     tips = np.flatnonzero((degree == 1) & (z <= z.min() + _LOW * np.ptp(z)))
@@ -53,4 +54,27 @@ def root_score(tree: RawTree, root: int) -> float:
     path = chains(other.parent, gain)[0]
     length = np.linalg.norm(step[path[1:]], axis=1)
     first = path[1:][np.cumsum(length) <= max(_BEGINNING * float(length.sum()), length[0])]
-    return float(gain[path].sum() * np.mean(rising[first] * other.thickness[first]))
+    return float(gain[path].sum() * np.mean(rising[first] * other.thickness[first]) ** 0.5)
+
+
+_SOIL_REACH = 0.05
+"""The stem goes on straight, unseen, for at most this long down to the soil, and soil so far aside counts [m]."""
+_FEWEST_CELLS = 5
+_STEEPEST = 0.7
+"""Cosine of the greatest angle from the vertical at which a stem is taken to go on straight."""
+
+
+def distance_to_soil(base: Array, upward: Array, obstacles: Array) -> float:
+    """Return how far straight below its lowest seen point the stem meets the soil [m]; 0 if it cannot be told.
+
+    Args:
+        base: (3,) the stem's lowest point seen [m].
+        upward: (3,) unit vector of the stem there.
+        obstacles: (M, 3) points of pot and soil [m].
+    """
+    aside = np.linalg.norm(obstacles[:, :2] - base[:2], axis=1)
+    below = base[2] - obstacles[:, 2]
+    soil = below[(aside <= _SOIL_REACH) & (np.abs(below) <= _SOIL_REACH)]
+    if len(soil) < _FEWEST_CELLS or upward[2] < _STEEPEST:
+        return 0.0
+    return max(float(np.median(soil)) / float(upward[2]), 0.0)

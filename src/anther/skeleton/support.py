@@ -20,7 +20,7 @@ SECTORS = 8
 
 _ENOUGH = 40_000  # more points than this make the node statistics no better
 
-FITTED = (-4.5, 0.25, 4.95, 4.04, 0.8)
+FITTED = (-4.5, 1.0, 4.5, 4.5)
 """Constant and weights of `node_support` in the log-odds: `python experiments/confidence.py --fit`."""
 
 
@@ -45,10 +45,10 @@ def logit(share: ArrayLike) -> Array:
 
 
 def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array, points: Array) -> Array:
-    """Return what the cloud says of every node, (J, 4), each 0 .. 1 and larger for a better one.
+    """Return what the cloud says of every node, (J, 3), each 0 .. 1, larger for a better one, 0 without points.
 
     Columns: the share of SECTORS around the node that hold points; thickness over breadth; how sharply the surface
-    lies at one radius, exp(-2 scatter / radius); radius over the distance to the nearest points, 1 but on a bridge.
+    lies at one radius, exp(-2 scatter / radius).
 
     Args:
         nodes: (J, 3) [m].
@@ -57,7 +57,7 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array
         points: (N, 3) the cloud [m].
     """
     points = points[:: max(len(points) // _ENOUGH, 1)]
-    distance, owner = map(np.asarray, KDTree(nodes).query(points))
+    owner = np.asarray(KDTree(nodes).query(points)[1])
     tangent = _tangents(nodes, parent)
     one, two = _across(tangent)
     offset = points - nodes[owner]
@@ -68,15 +68,12 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, width: Array
     sector = np.floor((np.arctan2(y, x) / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
     held = np.zeros((len(nodes), SECTORS), dtype=bool)
     held[owner[near], sector[near]] = True
-    count = np.maximum(np.bincount(owner[near], minlength=len(nodes)), 1)
-    spread = np.bincount(owner[near], np.abs(away - radius[owner])[near], minlength=len(nodes)) / count
-    gap = np.full(len(nodes), np.inf)
-    np.minimum.at(gap, owner, distance)
+    count = np.bincount(owner[near], minlength=len(nodes))
+    spread = np.bincount(owner[near], np.abs(away - radius[owner])[near], minlength=len(nodes)) / np.maximum(count, 1)
     columns = (
         held.mean(axis=1),
-        np.minimum(radius / width, 1),
-        np.exp(-2 * spread / radius),
-        np.minimum(radius / np.maximum(gap, 1e-9), 1),
+        np.where(count > 0, np.minimum(radius / width, 1), 0.0),
+        np.where(count > 0, np.exp(-2 * spread / radius), 0.0),
     )
     return np.stack([_along(column, parent) for column in columns], axis=1)
 

@@ -16,32 +16,26 @@ from skimage.morphology import skeletonize as thin
 
 from anther.geometry import Array
 from anther.skeleton.bridging import bridges
-from anther.skeleton.raw_tree import RawTree, rooted
-from anther.skeleton.voxel_solid import components
+from anther.skeleton.raw_tree import RawTree, rooted, with_extents
+from anther.skeleton.voxel_solid import Voxels, components
 
 _NEIGHBOURS = 12
 _LONGEST_LINK = 3.0
 _FAR = 4.0
 
 
-def thinned_tree(points: Array, thickness: Array, edges: NDArray[Any], voxel: float) -> RawTree:
-    """Return a tree of the voxels that Lee's thinning leaves, rooted anywhere.
-
-    Args:
-        points: (N, 3) centres of occupied voxels [m].
-        thickness: (N,) distance to the nearest empty voxel [m].
-        edges: (E, 2) links that join all voxels into one piece.
-        voxel: edge length [m].
-    """
-    index = np.rint((points - points.min(axis=0)) / voxel).astype(np.int64)
+def thinned_tree(voxels: Voxels) -> RawTree:
+    """Return a tree of the voxels that Lee's thinning leaves, rooted anywhere."""
+    index = np.rint((voxels.points - voxels.points.min(axis=0)) / voxels.voxel).astype(np.int64)
+    edges = voxels.edges
     touching = edges[np.abs(index[edges[:, 0]] - index[edges[:, 1]]).max(axis=1) <= 1]
     line = np.flatnonzero(medial_line(index, touching))
-    nodes, radius = points[line], thickness[line]
-    links = knn_links(nodes, _LONGEST_LINK * voxel)
+    nodes, radius = voxels.points[line], voxels.thickness[line]
+    links = knn_links(nodes, _LONGEST_LINK * voxels.voxel)
     links = spanning_tree(len(nodes), links, link_costs(nodes, radius, links))
     links = np.concatenate([links, bridges(nodes, components(len(nodes), links), np.inf)])
     parent, order = rooted(links, len(nodes), 0)
-    return RawTree(nodes[order], parent, radius[order], _widths(points, nodes, radius)[order])
+    return with_extents(nodes[order], parent, voxels)
 
 
 def medial_line(index: NDArray[Any], touching: NDArray[Any]) -> NDArray[np.bool_]:
@@ -115,11 +109,3 @@ def _wider(index: NDArray[Any]) -> NDArray[Any]:
     if not len(line):
         line = index.mean(axis=0)[None]
     return np.unique(np.asarray(KDTree(index).query(line)[1]))
-
-
-def _widths(points: Array, nodes: Array, radius: Array) -> Array:
-    """Return (M,) half width of the organ around each node: the spread of the voxels nearest to it."""
-    distance, nearest = map(np.asarray, KDTree(nodes).query(points))
-    count = np.maximum(np.bincount(nearest, minlength=len(nodes)), 1)
-    spread = np.sqrt(np.bincount(nearest, weights=distance**2, minlength=len(nodes)) / count)
-    return np.maximum(spread, radius)

@@ -45,6 +45,27 @@ class VoxelSolid:
         return self.origin + self.index * self.voxel
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Voxels:
+    """Occupied voxels joined into one piece, and what the plant looks like around each.
+
+    Attributes:
+        points: (N, 3) centres [m].
+        edges: (E, 2) links: neighbours, and bridges across gaps.
+        voxel: edge length [m].
+        thickness: (N,) distance to the nearest empty voxel [m].
+        flatness: (N,) 0 on a stem or petiole, 1 on a blade.
+        off_middle: (N,) distance to the middle of the surroundings, as a share of their reach.
+    """
+
+    points: Array
+    edges: NDArray[Any]
+    voxel: float
+    thickness: Array
+    flatness: Array
+    off_middle: Array
+
+
 def point_spacing(points: Array) -> float:
     """Return the typical distance between neighbouring points [m] (median over a sample)."""
     sample = points[:: max(1, len(points) // 2000)]
