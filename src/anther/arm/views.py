@@ -272,16 +272,18 @@ class _Times:
     """Least times [s] between joints, and what is known of straight joint lines that are not free."""
 
     def __init__(self) -> None:
-        self.blocked: list[tuple[Array, Array]] = []
+        self.blocked: list[Array] = []
 
     def __call__(self, a: Array, b: Array) -> Array:
         """Return (A, B) times from rest to rest, each joint at its limits; `DETOUR` more where a line is blocked."""
         far = np.abs(a[:, None] - b[None])
         v, acc = sawyer.VELOCITY, sawyer.ACCELERATION
         times = np.where(far > v**2 / acc, far / v + v / acc, 2 * np.sqrt(far / acc)).max(axis=2)
-        for one, other in self.blocked:
-            for p, q in ((one, other), (other, one)):
-                times[np.ix_((a == p).all(axis=1), (b == q).all(axis=1))] += DETOUR
+        for line in self.blocked:
+            for p, q in (line, line[::-1]):
+                rows = (a == p).all(axis=1)
+                if rows.any():
+                    times[np.ix_(rows, (b == q).all(axis=1))] += DETOUR
         return times
 
     def along(self, start: Array, picks: list[Array]) -> float:
@@ -304,7 +306,7 @@ def _tours(
         choices: per view the joints (C, 7) to choose from.
         directions: azimuth and elevation (V,) of the views [degrees]; None keeps the order.
     """
-    times, tours = _Times(), []
+    times, tours, checked = _Times(), [], set[bytes]()
     for _ in range(ROUNDS):
         tours.append(
             list(enumerate(_best_branches(start, choices, times)))
@@ -312,12 +314,12 @@ def _tours(
             else _short_tour(start, choices, *directions, times)
         )
         stops = [start, *(q for _, q in tours[-1])]
-        lines = zip(stops[:-1], stops[1:], strict=True)
-        blocked = [line for line in lines if not planner.world.path_free(np.stack(line))]
-        new = [line for line in blocked if not any(np.array_equal(line, known) for known in times.blocked)]
-        if not new:
+        lines = [line for line in np.stack([stops[:-1], stops[1:]], axis=1) if line.tobytes() not in checked]
+        checked |= {line.tobytes() for line in lines}
+        blocked = [line for line in lines if not planner.world.path_free(line)]
+        if not blocked:
             break
-        times.blocked += new
+        times.blocked += blocked
     free = min(tours, key=lambda tour: times.along(start, [q for _, q in tour]))
     return [tours[0]] if free is tours[0] else [tours[0], free]
 
@@ -341,8 +343,10 @@ def _improved(start: Array, choices: list[Array], order: list[int], times: _Time
     picks = _best_branches(start, [choices[v] for v in order], times)
     for _ in range(4):
         stops = np.array([start, *picks])
-        order = [order[i - 1] for i in _two_opt(times(stops, stops))[1:]]
-        picks = _best_branches(start, [choices[v] for v in order], times)
+        shorter = [order[i - 1] for i in _two_opt(times(stops, stops))[1:]]
+        if shorter == order:
+            break
+        order, picks = shorter, _best_branches(start, [choices[v] for v in shorter], times)
     return list(zip(order, picks, strict=True))
 
 
