@@ -12,9 +12,9 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 
 BASE = {"errors", "checks", "files", "geometry", "__init__"}
 ORDER = [
-    "capture", "calibration", "masks", "cloud", "skeleton", "stem", "next_view", "flowers", "grasp", "elastic_rod", "plant",
-    "vibration", "devices", "safety", "oscillation", "execution", "flower_tracking", "response", "identification",
-    "pipeline",
+    "capture", "calibration", "masks", "cloud", "skeleton", "stem", "next_view", "flowers", "grasp", "elastic_rod",
+    "plant", "vibration", "devices", "safety", "oscillation", "execution", "flower_tracking", "response",
+    "identification", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)
 OUTSIDE = {"sim", "drivers", "commands", "cli", "arm"}
