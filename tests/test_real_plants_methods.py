@@ -52,6 +52,15 @@ def test_core_stem_is_the_upright_path_and_the_grasp_its_longest_part() -> None:
     assert grasp == pytest.approx([0, 0, 0.1])
 
 
+def test_core_stem_ends_where_the_path_leaves_the_vertical() -> None:
+    limb = np.array([[0.01 * k, 0, 0.2] for k in range(1, 20)])
+    nodes = np.concatenate([STEM[:21], limb, [[0, 0.01, 0.2]]])
+    edges = np.array([*chain(0, 40), (20, 40)])
+    stem, grasp = core_stem(nodes, edges, np.full(len(nodes), RADIUS))
+    assert set(stem.ravel()) == set(range(21))
+    assert grasp == pytest.approx([0, 0, 0.1])
+
+
 def test_core_stem_of_a_forest_is_in_its_largest_tree() -> None:
     nodes, edges, radius = small_tree()
     more = np.concatenate([nodes, [[1, 1, -1], [1, 1, 2]]])

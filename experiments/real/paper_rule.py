@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,9 @@ def core_stem(nodes: Array, edges: NDArray[Any], radius: Array) -> tuple[NDArray
     """Return (edges of the core stem (T, 2), grasp point (3,)).
 
     Of a forest the largest tree is used, rooted at its lowest node. Where the paper leaves a choice open, the kinder
-    one is taken: segments between junctions keep the skeleton's shape instead of becoming chords.
+    one is taken: segments between junctions keep the skeleton's shape instead of becoming chords, and what is left after
+    removing segments that leave the vertical is its longest unbroken run (all that is left: worse on stem and grasp; what
+    comes before the first such segment: often nothing).
 
     Args:
         nodes: (J, 3) [m].
@@ -36,11 +38,12 @@ def core_stem(nodes: Array, edges: NDArray[Any], radius: Array) -> tuple[NDArray
         NoAnswer: no segment is within 45 degrees of the vertical.
     """
     segments = _best_path(nodes, _segments(*_rooted(nodes, edges)), radius)
-    upright = [segment for segment in segments if _lean(nodes, segment) <= LEAN]
-    if not upright:
+    runs = [list(run) for upright, run in groupby(segments, lambda s: _lean(nodes, s) <= LEAN) if upright]
+    if not runs:
         raise NoAnswer("no stem: every segment of the best path leaves the vertical")
-    links = [pair for segment in upright for pair in pairwise(segment)]
-    return np.array(links), _midpoint(nodes[max(upright, key=lambda s: _length(nodes, s))])
+    core = max(runs, key=lambda run: sum(_length(nodes, s) for s in run))
+    links = [pair for segment in core for pair in pairwise(segment)]
+    return np.array(links), _midpoint(nodes[max(core, key=lambda s: _length(nodes, s))])
 
 
 def _rooted(nodes: Array, edges: NDArray[Any]) -> tuple[Path, Path]:
