@@ -25,9 +25,9 @@ def core_stem(nodes: Array, edges: NDArray[Any], radius: Array) -> tuple[NDArray
     """Return (edges of the core stem (T, 2), grasp point (3,)).
 
     Of a forest the largest tree is used, rooted at its lowest node. Where the paper leaves a choice open, the kinder
-    one is taken: segments between junctions keep the skeleton's shape instead of becoming chords, and what is left after
-    removing segments that leave the vertical is its longest unbroken run (all that is left: worse on stem and grasp; what
-    comes before the first such segment: often nothing).
+    one is taken: segments between junctions keep the skeleton's shape instead of becoming chords, and of what is left
+    after removing segments that leave the vertical the core stem is the longest unbroken run. (All that is left does
+    worse on stem and grasp; what comes before the first such segment is often nothing.)
 
     Args:
         nodes: (J, 3) [m].

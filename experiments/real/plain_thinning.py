@@ -25,8 +25,9 @@ from real.plants import plant_size
 
 KIND, FINE = 80, 200
 """Voxels along the plant's diagonal. KIND: about the best for this method of 60, 80, 100, 120, 150, 200, 300 on every
-seventh scan (its stems are two to three voxels thick; finer voxels leave the hollow stems of a scan hollow, and thinning
-makes a cage of them). FINE: what peers were compared at before (facts: skeleton peers). The paper says "high-resolution".
+seventh scan (stems are two to three voxels thick; finer voxels leave the hollow stems of a scan hollow, and thinning
+makes a cage of them). FINE: what peers were compared at before (facts: skeleton peers); the paper says
+"high-resolution".
 """
 NEAR = 3.5
 """Two voxels within so many edges are in one cluster (facts: skeleton peers)."""
