@@ -27,6 +27,7 @@ STEPS = 64
 _DARK = 30  # sum of the channels below which a pixel has no colour
 _GAINS = (0.5, 2.0)  # range of the white-balance gains
 _NO_GREEN = 0.5  # least green of the light relative to its strongest channel
+_LEAF_SHADE = 0.25  # darker than this share of the brightest green: a black cloth, or too deep in shade to count
 _SMOOTHING = 1.5  # of learned densities [steps]
 
 
@@ -73,12 +74,15 @@ class Light:
         """
         sample = rgb[:, ::16, ::16].reshape(-1, 3).astype(np.float64)
         lit = sample[sample.sum(axis=1) >= _DARK]
-        gains = lamp = np.ones(3)
-        for _ in range(3):
-            grey = lit[_excess_green(lit * gains) < green]
-            lamp = np.power(np.mean(grey**6, axis=0), 1 / 6) + 1e-9 if len(grey) else np.ones(3)
+        gains, lamp, grey = np.ones(3), np.ones(3), lit
+        for _ in range(4):
+            if len(grey):
+                lamp = np.power(np.mean(grey**6, axis=0), 1 / 6) + 1e-9
             gains = np.clip(lamp.mean() / lamp, *_GAINS)
+            grey = lit[_excess_green(lit * gains) < green]
         leaves = (lit * gains).max(axis=1)[_excess_green(lit * gains) > green]
+        if len(leaves):
+            leaves = leaves[leaves > _LEAF_SHADE * np.percentile(leaves, 99)]
         return cls(
             gains=(float(gains[0]), float(gains[1]), float(gains[2])),
             leaf=float(np.percentile(leaves, 90)) if len(leaves) else 128.0,

@@ -1,0 +1,53 @@
+"""Pictures of masks for docs/masks.md: one view per light, and the real Arabidopsis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.masks import FLOWER, PLANT, Masks
+
+GREEN, MAGENTA = (60, 220, 60), (230, 40, 230)
+
+
+def overlaid(rgb: NDArray[Any], labels: NDArray[Any]) -> NDArray[Any]:
+    """Return an image (H, W, 3) beside itself darkened, with plant in green and flowers in magenta."""
+    out = rgb // 2
+    for label, colour in ((PLANT, GREEN), (FLOWER, MAGENTA)):
+        out[labels == label] = (0.4 * rgb[labels == label] + 0.6 * np.array(colour)).astype(np.uint8)
+    return np.hstack([rgb, out])
+
+
+def light_sheet(path: Path, shown: dict[Any, NDArray[Any]]) -> None:
+    """Draw the pictures of each (species, light)."""
+    tiles = []
+    for (species, light), pair in shown.items():
+        left, right = np.hsplit(pair, 2)
+        tile = cv2.resize(np.hstack([left[:, 240:1040], right[:, 240:1040]]), (400, 180), interpolation=cv2.INTER_AREA)
+        cv2.putText(tile, f"{species}, {light}".replace("_", " "), (6, 14), 0, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
+        tiles.append(tile)
+    _write(path, tiles, columns=4)
+
+
+def arabidopsis_sheet(path: Path, rgb: NDArray[Any], found: Masks) -> None:
+    """Draw a strip about the plant of each view, image beside overlay."""
+    tiles = []
+    for image, labels in zip(rgb, found.labels, strict=True):
+        middle = int(np.median(np.nonzero(labels)[1]))
+        cut = slice(max(0, middle - 150), max(0, middle - 150) + 300)
+        pair = overlaid(image[:, cut], labels[:, cut])
+        tiles.append(cv2.resize(pair, (200, 360), interpolation=cv2.INTER_AREA))
+    _write(path, tiles, columns=7)
+
+
+def _write(path: Path, tiles: list[NDArray[Any]], columns: int) -> None:
+    """Write tiles in rows as a PNG of 64 colours per channel step, small enough for the documentation."""
+    blank = [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    rows = [np.hstack((tiles + blank)[i : i + columns]) for i in range(0, len(tiles), columns)]
+    sheet = np.vstack(rows) // 16 * 16
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), sheet[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
