@@ -7,21 +7,29 @@ from collections.abc import Callable
 import numpy as np
 
 from anther.arm import sawyer
-from anther.devices import ArmRecord, Frame, GripperState, JointTrajectory, Robot, SafetyLimits
+from anther.arm.outline import outline
+from anther.devices import ArmRecord, ArmSample, Frame, GripperState, JointTrajectory, Robot, SafetyLimits, Watch
 from anther.geometry import Array, Box, Intrinsics, transform
 from anther.grasp import Grasp
 
 LIMITS = SafetyLimits(
     forward=sawyer.forward,
+    outline=outline,
     joint_lower=sawyer.LOWER,
     joint_upper=sawyer.UPPER,
     joint_speed=sawyer.VELOCITY,
+    joint_acceleration=sawyer.ACCELERATION,
     workspace=Box(np.array([-1.0, -1.2, -0.5]), np.array([1.2, 1.2, 1.5])),
 )
 
 
 class FakeArm:
-    """Follows perfectly. `fault` is called before each motion and may raise; `done` counts finished motions."""
+    """Follows perfectly. `fault` is called before each motion and may raise; `done` counts finished motions.
+
+    A motion that is stopped on the way leaves the arm at the last sample that was seen. `force` is what it feels [N].
+    """
+
+    force = 0.0
 
     def __init__(self, joints: Array = sawyer.NEUTRAL, fault: Callable[[int], None] = lambda _: None) -> None:
         self.now, self.clock, self.done, self.held, self.fault = np.array(joints), 0.0, 0, 0, fault
@@ -29,10 +37,14 @@ class FakeArm:
     def joints(self) -> Array:
         return self.now.copy()
 
-    def follow(self, trajectory: JointTrajectory) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
         self.fault(self.done)
-        times = self.clock + trajectory.times
-        self.now, self.clock, self.done = trajectory.positions[-1].copy(), float(times[-1]), self.done + 1
+        times = self.clock + 0.01 + trajectory.times
+        for time, q in zip(times, trajectory.positions, strict=True):
+            self.now, self.clock = q.copy(), float(time)
+            if watch:
+                watch(ArmSample(self.clock, q, q, self.force))
+        self.done += 1
         return ArmRecord(times, trajectory.positions, trajectory.positions)
 
     def hold(self) -> None:
@@ -62,9 +74,11 @@ class FakeCamera:
 
     def __init__(self) -> None:
         self.rates: list[float] = []
+        self.reads = 0
 
     def read(self) -> Frame:
-        return self._frame(0.0)
+        self.reads += 1
+        return self._frame(self.reads / 30)
 
     def start(self, rate: float) -> None:
         self.rates.append(rate)

@@ -19,7 +19,9 @@ class SmallPlanner:
 
     def move(self, q_from: Any, q_to: Any) -> JointTrajectory:
         q_from, q_to = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
-        duration = max(float(np.max(1.875 * np.abs(q_to - q_from) / (0.4 * sawyer.VELOCITY))), 0.1)
+        way = np.abs(q_to - q_from)
+        slow, gentle = 1.875 * way / (0.4 * sawyer.VELOCITY), np.sqrt(5.8 * way / (0.4 * sawyer.ACCELERATION))
+        duration = max(float(slow.max()), float(gentle.max()), 0.1)
         t = np.linspace(0, duration, int(duration * RATE) + 2)
         s = t / duration
         shape, rate = 10 * s**3 - 15 * s**4 + 6 * s**5, (30 * s**2 - 60 * s**3 + 30 * s**4) / duration

@@ -1,18 +1,25 @@
-"""One conformance test that every machine behind the seam passes: the simulated cell's and a fake."""
+"""One conformance test that every machine behind the seam passes: simulated, fake, replayed, guarded, about to fail."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from fake_robot import fake_robot
+from fake_robot import LIMITS, fake_robot
 from small_planner import SmallPlanner
 from straight_plant import straight_plant
 
 from anther.arm import sawyer
-from anther.devices import JointTrajectory, Robot, SafetyLimits
+from anther.arm.outline import outline
+from anther.capture import Capture
+from anther.devices import Arm, ArmSample, Camera, DeviceError, Gripper, JointTrajectory, Robot, SafetyLimits
+from anther.drivers.replay import ReplayCamera
 from anther.errors import InputError
-from anther.geometry import Box
+from anther.geometry import Box, Intrinsics
+from anther.safety import guard
 from anther.sim.cell import Cell
+from anther.sim.faults import Fault, with_faults
 from anther.sim.robot import robot_of
 
 
@@ -20,9 +27,44 @@ def simulated() -> Robot:
     return robot_of(Cell(straight_plant()))
 
 
-@pytest.fixture(params=[fake_robot, simulated], ids=["fake", "simulated"])
+def guarded() -> Robot:
+    return guard(fake_robot(), LIMITS)
+
+
+def not_yet_faulty() -> Robot:
+    robot = fake_robot()
+    for kind in ("arm stops", "gripper jam", "frames lost"):
+        robot = with_faults(robot, Fault(kind, at=1000))
+    return robot
+
+
+def replayed() -> Camera:
+    depth, rgb = np.ones((12, 6, 8), np.float32), np.zeros((12, 6, 8, 3), np.uint8)
+    poses = np.tile(np.eye(4), (12, 1, 1))
+    return ReplayCamera(Capture(depth, Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5), poses, rgb))
+
+
+ROBOTS = {"fake": fake_robot, "simulated": simulated, "guarded": guarded, "not yet faulty": not_yet_faulty}
+
+
+@pytest.fixture(params=ROBOTS)
 def robot(request: pytest.FixtureRequest) -> Robot:
-    return request.param()
+    return ROBOTS[request.param]()
+
+
+@pytest.fixture(params=[*ROBOTS, "replayed"])
+def camera(request: pytest.FixtureRequest) -> Camera:
+    if request.param == "replayed":
+        return replayed()
+    side = ROBOTS[request.param]().side_camera
+    assert side is not None
+    return side
+
+
+@pytest.mark.parametrize("protocol", [Arm, Gripper, Camera])
+def test_a_protocol_has_five_methods_at_most(protocol: type) -> None:
+    methods = {name for name in vars(protocol) if not name.startswith("_")}
+    assert 2 <= len(methods) <= 5
 
 
 def test_arm_goes_where_it_is_told_and_says_so(robot: Robot) -> None:
@@ -38,6 +80,35 @@ def test_arm_goes_where_it_is_told_and_says_so(robot: Robot) -> None:
     assert again.times[0] >= record.times[-1]
 
 
+def test_arm_shows_its_readings_on_the_way(robot: Robot) -> None:
+    start, seen = robot.arm.joints(), list[ArmSample]()
+    record = robot.arm.follow(SmallPlanner().move(start, start + 0.05), seen.append)
+    times = np.array([s.time for s in seen])
+    assert np.all(np.diff(times) > 0)
+    assert np.diff(times).max() <= 0.0201
+    assert times[-1] == pytest.approx(record.times[-1], abs=0.02)
+    assert seen[-1].commanded == pytest.approx(record.commanded[-1], abs=1e-3)
+    assert max(np.abs(s.measured - s.commanded).max() for s in seen) < 0.02
+    assert all(s.force < 0.1 or np.isnan(s.force) for s in seen)
+
+
+@pytest.mark.parametrize("error", [DeviceError("enough"), KeyboardInterrupt()])
+def test_arm_stops_where_its_watcher_raises(robot: Robot, error: BaseException) -> None:
+    start = robot.arm.joints()
+    path = SmallPlanner().move(start, start + 0.2)
+
+    def watch(sample: ArmSample) -> None:
+        if np.abs(sample.measured - start).max() > 0.1:
+            raise error
+
+    with pytest.raises(type(error)):
+        robot.arm.follow(path, watch)
+    stopped = robot.arm.joints()
+    assert np.abs(stopped - start).max() == pytest.approx(0.1, abs=0.04)
+    robot.arm.hold()
+    assert robot.arm.joints() == pytest.approx(stopped, abs=2e-3)
+
+
 def test_arm_holds_where_it_is(robot: Robot) -> None:
     before = robot.arm.joints()
     robot.arm.hold()
@@ -51,9 +122,7 @@ def test_gripper_opens_and_reports(robot: Robot) -> None:
     assert robot.gripper.state() == state
 
 
-def test_camera_reads_and_records_frames_of_its_size(robot: Robot) -> None:
-    camera = robot.side_camera
-    assert camera is not None
+def test_camera_reads_and_records_frames_of_its_size(camera: Camera) -> None:
     size = (camera.intrinsics.height, camera.intrinsics.width)
     frame = camera.read()
     assert frame.rgb.shape == (*size, 3)
@@ -61,10 +130,28 @@ def test_camera_reads_and_records_frames_of_its_size(robot: Robot) -> None:
     assert frame.depth.shape == size
     assert frame.depth.dtype == np.float32
     camera.start(20.0)
+    frames = camera.stop()
+    assert all(f.depth.shape == size for f in frames)
+
+
+def test_camera_records_while_the_arm_moves(robot: Robot) -> None:
+    camera = robot.side_camera
+    assert camera is not None
+    camera.start(20.0)
     robot.arm.follow(SmallPlanner().move(robot.arm.joints(), robot.arm.joints() + 0.02))
     frames = camera.stop()
     assert len(frames) >= 4
     assert np.all(np.diff([f.time for f in frames]) > 0)
+
+
+def test_a_replay_ends() -> None:
+    camera = replayed()
+    times = [camera.read().time for _ in range(5)]
+    assert np.all(np.diff(times) > 0)
+    camera.start(30.0)
+    assert len(camera.stop()) == 7
+    with pytest.raises(DeviceError, match="all 12 views"):
+        camera.read()
 
 
 def test_a_trajectory_must_be_timed() -> None:
@@ -77,7 +164,13 @@ def test_a_trajectory_must_be_timed() -> None:
 def test_limits_with_an_empty_range_are_refused() -> None:
     box = Box(-np.ones(3), np.ones(3))
     with pytest.raises(InputError, match="empty range"):
-        SafetyLimits(sawyer.forward, sawyer.UPPER, sawyer.LOWER, sawyer.VELOCITY, box)
+        SafetyLimits(sawyer.forward, outline, sawyer.UPPER, sawyer.LOWER, sawyer.VELOCITY, sawyer.ACCELERATION, box)
+
+
+@pytest.mark.parametrize("changes", [{"contact_force": np.inf}, {"shake_duration": 1e6}, {"tracking": np.nan}])
+def test_a_limit_cannot_be_switched_off(changes: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=next(iter(changes))):
+        replace(LIMITS, **changes)
 
 
 def test_simulated_gripper_refuses_more_than_its_stroke() -> None:

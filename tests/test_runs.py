@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from anther.errors import InputError
+from anther.errors import InputError, StageFailure
+from anther.files import read_json
 from anther.runs import Run
 
 
@@ -56,3 +60,49 @@ def test_what_is_tried_again_is_computed_again(tmp_path) -> None:
 def test_unknown_stage_is_refused(tmp_path) -> None:
     with pytest.raises(InputError, match="got 'skelton'; allowed: capture, masks"):
         Run(tmp_path, restart_from="skelton")
+
+
+def test_a_run_says_where_it_is(tmp_path) -> None:
+    def fail(_) -> Note:
+        assert read_json(tmp_path / "progress.json")["failure"] == "interrupted"  # true if the process were killed now
+        raise StageFailure("no_stem_found", "nothing upright")
+
+    with Run(tmp_path, quiet=True) as run:
+        run.stage("masks", Note.load, lambda _: Note("masks"))
+        assert read_json(tmp_path / "progress.json") == {"stage": "masks", "failure": None, "message": "done"}
+        with pytest.raises(StageFailure):
+            run.stage("stem", Note.load, fail)
+    assert read_json(tmp_path / "progress.json") == {
+        "stage": "stem",
+        "failure": "no_stem_found",
+        "message": "nothing upright",
+    }
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from anther.runs import Run
+from test_runs import Note
+with Run(Path(sys.argv[1]), quiet=True) as run:
+    run.stage("masks", Note.load, lambda _: Note("old masks"))
+    run.stage("skeleton", Note.load, lambda _: os.kill(os.getpid(), signal.SIGKILL))
+"""
+
+
+def test_a_killed_run_is_gone_on_with(tmp_path) -> None:
+    killed = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], cwd=Path(__file__).parent, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert read_json(tmp_path / "progress.json")["failure"] == "interrupted"
+    assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
+    first, second, seconds = work(tmp_path, "new", restart_from="where-it-stopped")
+    assert (first, second) == ("old masks", "old masks, new skeleton")
+    assert set(seconds) == {"skeleton"}
+
+
+@pytest.mark.parametrize("content", [None, "{", "[]", "{}"])
+def test_nothing_to_go_on_with_is_refused(tmp_path, content: str | None) -> None:
+    if content is not None:
+        (tmp_path / "progress.json").write_text(content)
+    with pytest.raises(InputError, match="does not say where it stopped"):
+        Run(tmp_path, restart_from="where-it-stopped")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range
-from anther.errors import AntherError, bad_input
+from anther.errors import StageFailure, bad_input
 from anther.geometry import Array, Box, Intrinsics
 
 
@@ -38,10 +38,40 @@ class JointTrajectory:
                 "trajectory times", given=f"{n} samples", allowed="two or more, from 0, increasing", do="Resample."
             )
 
+    @classmethod
+    def standstill(cls, joints: Array, duration: float) -> JointTrajectory:
+        """Return the trajectory of an arm that waits at joints (7,) for `duration` [s]."""
+        return cls(np.array([0.0, duration]), np.tile(joints, (2, 1)), np.zeros((2, 7)))
+
     @property
     def duration(self) -> float:
         """[s]"""
         return float(self.times[-1])
+
+    def backwards(self) -> JointTrajectory:
+        """Return the same path from its end to its start."""
+        return JointTrajectory(self.duration - self.times[::-1], self.positions[::-1], -self.velocities[::-1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmSample:
+    """One reading of an arm that is following a trajectory.
+
+    Attributes:
+        time: when the joints were read [s], on the robot's clock.
+        commanded, measured: (7,) joint angles [rad].
+        force: size of the force that the world exerts on arm and gripper [N]; NaN if the arm cannot tell. A Sawyer
+            estimates it from its joint torques (endpoint_state, wrench; facts: sawyer 5).
+    """
+
+    time: float
+    commanded: Array
+    measured: Array
+    force: float = float("nan")
+
+
+Watch = Callable[[ArmSample], None]
+"""Sees every reading of an arm that is moving; the arm stops when it raises."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +93,12 @@ class ArmRecord:
         object.__setattr__(self, "commanded", check_array("commanded joints", self.commanded, (n, 7)))
         object.__setattr__(self, "measured", check_array("measured joints", self.measured, (n, 7)))
 
+    @classmethod
+    def of(cls, samples: Sequence[ArmSample]) -> ArmRecord:
+        """Return the record that a watcher's samples make."""
+        joints = np.array([(s.commanded, s.measured) for s in samples]).reshape(-1, 2, 7)
+        return cls(np.array([s.time for s in samples], dtype=float), joints[:, 0], joints[:, 1])
+
 
 @dataclass(frozen=True, slots=True)
 class GripperState:
@@ -82,8 +118,11 @@ class Frame:
     depth: NDArray[Any]
 
 
-class DeviceError(AntherError):
-    """A machine refused a command or stopped."""
+class DeviceError(StageFailure):
+    """A machine refused a command, stopped, or does not tell where it is. Its kind is "device_fault"."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__("device_fault", message)
 
 
 class Arm(Protocol):
@@ -93,8 +132,13 @@ class Arm(Protocol):
         """Return the measured joint angles (7,) [rad]."""
         ...
 
-    def follow(self, trajectory: JointTrajectory) -> ArmRecord:
-        """Follow a trajectory that starts at the present joints; return when it has ended.
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+        """Follow a trajectory, cubic between its samples, that starts at the present joints; return when it has ended.
+
+        Args:
+            trajectory: the motion.
+            watch: called with every reading on the way, at least 50 times a second. When it raises, or anything else
+                does (Ctrl-C), the arm stops where it is, holds, and the error goes on to the caller.
 
         Raises:
             DeviceError: the arm refused or stopped on the way; it holds where it is.
@@ -131,7 +175,11 @@ class Camera(Protocol):
         ...
 
     def read(self) -> Frame:
-        """Return one frame taken now."""
+        """Return one frame taken now.
+
+        Raises:
+            DeviceError: the frame was lost.
+        """
         ...
 
     def start(self, rate: float) -> None:
@@ -139,7 +187,11 @@ class Camera(Protocol):
         ...
 
     def stop(self) -> list[Frame]:
-        """End the recording and return its frames in order of time; a device may keep only part of a long one."""
+        """End the recording and return its frames in order of time; a device may keep only part of a long one.
+
+        Raises:
+            DeviceError: all of them were lost.
+        """
         ...
 
 
@@ -162,44 +214,83 @@ class Robot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SafetyLimits:
-    """What no command may exceed, whoever gives it. `anther.safety` checks every command against them.
+    """What no command may exceed, whoever gives it. `anther.safety` holds every command and reading against them.
+
+    T samples, S balls.
 
     Attributes:
         forward: the arm's kinematics, joints (T, 7) [rad] -> flange poses (T, 4, 4) in the world.
+        outline: where arm and tool are, joints (T, 7) -> balls (T, S, 4): centre in the world and radius [m].
         joint_lower, joint_upper: (7,) the arm's range [rad].
         joint_speed: (7,) [rad/s].
-        joint_margin: kept from either end of the range [rad].
+        joint_acceleration: (7,) [rad/s^2].
         workspace: where the flange may be, world [m].
-        keep_out: boxes the flange must not enter: pot, bench.
-        flange_speed: [m/s]. The SDK's default for straight motions is 0.6 (facts: sawyer 1); joint motions are faster.
-        shake_speed: largest amplitude x 2 pi frequency of a shake [m/s].
-        shake_duration: [s]; plants are shaken at most 5 s a visit (facts: pollination 1d).
+        keep_out: boxes that no part of arm and tool may enter: pot, bench.
+        joint_margin: kept from either end of the range [rad].
         start_tolerance: largest gap between the present joints and a trajectory's start [rad].
+        flange_speed: [m/s]. The SDK's default for straight motions is 0.6 (facts: sawyer 1); joint motions are faster.
+        contact_force: with which arm and tool may press on anything [N]. Our estimate: a stem that is shaken pulls
+            with about 0.3 N in simulation, and what a Sawyer makes of its joint torques is good to a few newtons.
+        tracking: largest gap between commanded and measured joints on the way [rad]; the SDK's action server has the
+            same default (facts: sawyer 5).
+        stale_after: joints that read the same for so long although the command moves on are not believed [s].
+        shake_speed, shake_acceleration: largest amplitude x 2 pi frequency [m/s], and x (2 pi frequency)^2 [m/s^2], of
+            a shake. At 12 m/s^2 a Sawyer is at its own limits (facts: sawyer 6: 11.6 mm at 5 Hz, 2.9 mm at 10 Hz).
+        shake_duration: [s]; plants are shaken at most 5 s a visit (facts: pollination 1d).
+        stroke: largest opening of the gripper [m] (facts: sawyer 3).
+        grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).
+        grip_tolerance: pads that stop further than this from where they were sent, with nothing between them, are
+            jammed [m].
     """
 
     forward: Callable[[Array], Array]
+    outline: Callable[[Array], Array]
     joint_lower: Array
     joint_upper: Array
     joint_speed: Array
+    joint_acceleration: Array
     workspace: Box
+    keep_out: tuple[Box, ...] = ()
     joint_margin: float = 0.02
-    keep_out: tuple[Box, ...] = field(default=())
-    flange_speed: float = 1.5
-    shake_speed: float = 0.5
-    shake_duration: float = 5.0
     start_tolerance: float = 0.05
+    flange_speed: float = 1.5
+    contact_force: float = 10.0
+    tracking: float = 0.2
+    stale_after: float = 0.1
+    shake_speed: float = 0.5
+    shake_acceleration: float = 12.0
+    shake_duration: float = 5.0
+    stroke: float = 0.0417
+    grip_force: float = 20.0
+    grip_tolerance: float = 0.003
 
     def __post_init__(self) -> None:
-        for name in ("joint_lower", "joint_upper", "joint_speed"):
+        for name in ("joint_lower", "joint_upper", "joint_speed", "joint_acceleration"):
             object.__setattr__(self, name, check_array(name, getattr(self, name), (7,)))
-        if np.any(self.joint_lower + 2 * self.joint_margin >= self.joint_upper) or np.any(self.joint_speed <= 0):
+        empty = np.any(self.joint_lower + 2 * self.joint_margin >= self.joint_upper)
+        if empty or np.any(self.joint_speed <= 0) or np.any(self.joint_acceleration <= 0):
             raise bad_input(
                 "safety limits",
                 given="an empty range",
-                allowed="lower + 2 margin < upper, speed > 0",
+                allowed="lower + 2 margin < upper; speed and acceleration > 0",
                 do="Check units.",
             )
-        check_range("joint margin", self.joint_margin, 0, 1, "rad")
-        check_range("flange speed limit", self.flange_speed, 1e-3, 3, "m/s")
-        check_range("shake speed limit", self.shake_speed, 1e-4, 3, "m/s")
-        check_range("shake duration limit", self.shake_duration, 0.01, 60, "s")
+        for name, (lower, upper, unit) in _RANGES.items():
+            check_range(name, getattr(self, name), lower, upper, unit)
+
+
+_RANGES = {
+    "joint_margin": (0.0, 1.0, "rad"),
+    "start_tolerance": (1e-4, 0.2, "rad"),
+    "flange_speed": (1e-3, 3.0, "m/s"),
+    "contact_force": (0.1, 150.0, "N"),
+    "tracking": (1e-3, 0.5, "rad"),
+    "stale_after": (0.01, 1.0, "s"),
+    "shake_speed": (1e-4, 3.0, "m/s"),
+    "shake_acceleration": (1e-3, 500.0, "m/s^2"),
+    "shake_duration": (0.01, 60.0, "s"),
+    "stroke": (1e-3, 0.2, "m"),
+    "grip_force": (0.1, 100.0, "N"),
+    "grip_tolerance": (1e-4, 0.02, "m"),
+}
+"""What a limit itself may be set to. Nobody switches a limit off: these are wide, but not infinite."""

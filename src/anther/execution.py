@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,19 +13,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range
-from anther.devices import ArmRecord, Frame, Gripper, GripperState, JointTrajectory, Robot, SafetyLimits
+from anther.devices import (
+    ArmRecord,
+    ArmSample,
+    DeviceError,
+    Frame,
+    Gripper,
+    GripperState,
+    JointTrajectory,
+    Robot,
+    SafetyLimits,
+    Watch,
+)
 from anther.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import alias
-from anther.safety import GuardedArm, check_shake
+from anther.safety import check_shake, guard
 
 Progress = Callable[[int, int], None]
 """Called with (phases done, phases in all)."""
 
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
 SCHEMA = 1
+_KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
 class Shake(Protocol):
@@ -110,7 +122,8 @@ class Trial:
         phases: (P,) names of the phases begun, in order, out of `PHASES`.
         phase_times: (P, 2) begin and end of each [s], on the robot's clock. Only the arm tells the time, so a phase of
             the gripper fills what lies between two motions.
-        shake_times: (T,) [s], on the robot's clock; empty if it never shook.
+        shake_times: (T,) [s], on the robot's clock; empty if it never shook. Of a shake that was cut short, what the
+            arm's readings showed of it.
         commanded, measured: (T, 7) joints during the shake [rad].
         gripper: the state after closing, after the shake and after release: (opening [m], force [N], held) rows (G, 3).
         frame_times: (N,) when the side camera's frames were taken [s].
@@ -180,6 +193,10 @@ def execute(
     Whatever goes wrong, Ctrl-C included, the arm holds, the gripper opens, the arm retreats along the approach where it
     still can, and the returned trial says what was done and why it stopped. Nothing is raised, so that no record is
     lost: look at `Trial.finished`, `failure` and `stop_reason`. After "nothing_grasped" another grasp may be tried.
+    A side camera that fails stops nothing: the shake is done, and the trial is a "device_fault" that says so.
+
+    It may start anywhere, also with the gripper closed on a plant, as an earlier process may have left it when it was
+    killed: the gripper opens first, and the planner draws the arm back.
 
     Args:
         planner: of motions that start where the arm is.
@@ -189,23 +206,13 @@ def execute(
         params: of the approach and the grip.
         progress: called before each phase.
     """
-    work = _Work(planner, shake, replace(robot, arm=GuardedArm(robot.arm, limits)), params, progress)
+    work = _Work(planner, shake, guard(robot, limits), params, progress)
     try:
         check_shake(shake.amplitude, shake.frequency, shake.duration, limits)
         _forward(work)
         _back(work)
-    except StageFailure as failure:
-        work.stop_reason, work.failure = str(failure), failure.kind
-        _retire(work)
-    except InputError as refused:  # by the safety limits
-        work.stop_reason, work.failure = str(refused), "limits_exceeded"
-        _retire(work)
-    except AntherError as error:
-        work.stop_reason, work.failure = str(error), "device_fault"
-        _retire(work)
     except (Exception, KeyboardInterrupt) as error:
-        work.stop_reason = f"{type(error).__name__}: {error}"
-        work.failure = "interrupted" if isinstance(error, KeyboardInterrupt) else "device_fault"
+        work.fail(error)
         _retire(work)
     return work.trial()
 
@@ -221,10 +228,10 @@ class _Work:
     progress: Progress | None
     marks: list[tuple[str, float, float]] = field(default_factory=list)
     grips: list[GripperState] = field(default_factory=list)
-    shaken: tuple[Array, Array, Array] = (np.zeros(0), np.zeros((0, 7)), np.zeros((0, 7)))
+    shaken: ArmRecord = field(default_factory=lambda: ArmRecord.of([]))
     frames: tuple[Frame, ...] = ()
     clock: float = 0.0
-    line_in: bool = False
+    in_plant: bool = False
     stop_reason: str = "finished"
     failure: FailureKind | None = None
 
@@ -238,9 +245,18 @@ class _Work:
         finally:
             self.marks[-1] = (name, self.marks[-1][1], self.clock)
 
-    def follow(self, trajectory: JointTrajectory) -> ArmRecord:
+    def fail(self, error: BaseException) -> None:
+        """Note what went wrong; of several things the first one names the failure."""
+        reason = str(error) if isinstance(error, AntherError) else f"{type(error).__name__}: {error}"
+        if self.stop_reason != "finished":
+            self.stop_reason += f"; then: {reason}"
+            return
+        kind = error.kind if isinstance(error, StageFailure) else _KINDS.get(type(error), "device_fault")
+        self.stop_reason, self.failure = reason, kind
+
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
         """Follow; what passed on the clock since the last motion was the previous phase's."""
-        record = self.robot.arm.follow(trajectory)
+        record = self.robot.arm.follow(trajectory, watch)
         name = self.marks[-1][0]
         if len(self.marks) > 1:
             before = self.marks[-2]
@@ -254,7 +270,9 @@ class _Work:
         return Trial(
             tuple(name for name, _, _ in self.marks),
             np.array([(a, b) for _, a, b in self.marks], dtype=float).reshape(-1, 2),
-            *self.shaken,
+            self.shaken.times,
+            self.shaken.commanded,
+            self.shaken.measured,
             grips,
             np.array([f.time for f in self.frames]),
             self.stop_reason,
@@ -274,27 +292,47 @@ def _forward(work: _Work) -> None:
         outward = work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
         work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
     with work.phase("approach"):
-        work.line_in = True
-        work.follow(reversed_path(outward))
+        work.in_plant = True
+        work.follow(outward.backwards())
     with work.phase("close"):
         work.grips.append(_close(work.robot.gripper, grasp, params))
-        work.follow(standstill(arm.joints(), params.settle))
+        work.follow(JointTrajectory.standstill(arm.joints(), params.settle))
     with work.phase("shake"):
         _shake(work, grasp.joints)
         work.grips.append(work.robot.gripper.state())
 
 
 def _shake(work: _Work, joints: NDArray[Any]) -> None:
-    plan, camera = work.plan, work.robot.side_camera
+    plan, seen = work.plan, list[ArmSample]()
     trajectory = work.planner.shake(joints, plan.direction, plan.amplitude, plan.frequency, plan.duration)
-    if camera:
-        camera.start(choose_rate(plan.frequency, work.params.rates))
+    with _filmed(work):
+        try:
+            work.shaken = work.follow(trajectory, seen.append)
+        except BaseException:
+            work.shaken = ArmRecord.of(seen)
+            raise
+
+
+@contextmanager
+def _filmed(work: _Work) -> Iterator[None]:
+    """Record with the side camera, if there is one; what goes wrong with it is noted and stops nothing."""
+    camera = work.robot.side_camera
+    if camera is None:
+        yield
+        return
     try:
-        record = work.follow(trajectory)
-        work.shaken = (record.times, record.commanded, record.measured)
+        camera.start(choose_rate(work.plan.frequency, work.params.rates))
+    except DeviceError as error:
+        work.fail(error)
+    try:
+        yield
     finally:
-        if camera:
+        try:
             work.frames = tuple(camera.stop())
+            if not work.frames:
+                raise DeviceError("the side camera returned no frame of the shake.")
+        except DeviceError as error:
+            work.fail(error)
 
 
 def _back(work: _Work) -> None:
@@ -303,18 +341,24 @@ def _back(work: _Work) -> None:
     with work.phase("retreat"):
         back = work.plan.grasp.pregrasp(work.params.stand_off)
         work.follow(work.planner.line(work.robot.arm.joints(), back, work.params.approach_speed))
+    work.in_plant = False
 
 
 def _retire(work: _Work) -> None:
-    """Hold, open, and leave the plant by the way the gripper came, each as far as the machines still obey."""
-    steps: Sequence[Callable[[], Any]] = (work.robot.arm.hold, lambda: work.robot.gripper.move(work.params.opening))
-    leave = (lambda: _back(work),) if work.line_in and "retreat" not in [m[0] for m in work.marks] else ()
-    for step in (*steps, *leave):
+    """Hold, open, and leave the plant by the way the gripper came: only if the arm held and the pads opened."""
+
+    def done(step: Callable[[], Any]) -> bool:
         try:
             step()
-        except Exception as error:
-            work.stop_reason += f"; then: {error}"
-            break
+        except (Exception, KeyboardInterrupt) as error:
+            work.fail(error)
+            return False
+        return True
+
+    held = done(work.robot.arm.hold)
+    opened = done(lambda: work.robot.gripper.move(work.params.opening))
+    if held and opened and work.in_plant:
+        done(lambda: _back(work))
 
 
 def _close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
@@ -340,17 +384,6 @@ def _close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
             "branch_or_leaf_grasped", f"the gripper holds something too thick: {found}; {expected}. Try the next grasp."
         )
     return state
-
-
-def standstill(joints: Array, duration: float) -> JointTrajectory:
-    """Return the trajectory of an arm that waits at joints (7,) for `duration` [s]."""
-    return JointTrajectory(np.array([0.0, duration]), np.tile(joints, (2, 1)), np.zeros((2, 7)))
-
-
-def reversed_path(trajectory: JointTrajectory) -> JointTrajectory:
-    """Return the same path backwards."""
-    times = trajectory.duration - trajectory.times[::-1]
-    return JointTrajectory(times, trajectory.positions[::-1], -trajectory.velocities[::-1])
 
 
 def choose_rate(frequency: float, rates: Sequence[float]) -> float:

@@ -10,7 +10,8 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from anther.errors import bad_input
+from anther.errors import FailureKind, InputError, StageFailure, bad_input
+from anther.files import read_json, write_json
 
 FILES = {
     "capture": "01_capture",
@@ -27,6 +28,13 @@ FILES = {
     "report": "10_report.html",
 }
 """Stage -> file in the run folder, in the order the stages run."""
+
+PROGRESS = "progress.json"
+"""The stage a run is in. It is written before the stage begins, so that it is true also of a process that was killed:
+{stage, failure, message}, failure null once the stage is done."""
+
+WHERE_IT_STOPPED = "where-it-stopped"
+"""Restart from the stage in which the earlier process ended."""
 
 Advance = Callable[[int, int], None]
 """Progress of one stage: (steps done, steps in all)."""
@@ -46,21 +54,23 @@ class Run:
 
     Args:
         folder: the run's folder; it is made.
-        restart_from: a stage name; results of earlier stages are read from the folder instead of computed.
+        restart_from: a stage name, or "where-it-stopped"; results of earlier stages are read from the folder instead
+            of computed.
         quiet: draw nothing.
 
     Attributes:
         seconds: stage -> time it took [s]; stages that were read back are absent.
 
     Raises:
-        InputError: unknown stage to restart from.
+        InputError: unknown stage to restart from, or no earlier run in the folder to go on with.
     """
 
     def __init__(self, folder: Path, *, restart_from: str | None = None, quiet: bool = False) -> None:
+        if restart_from == WHERE_IT_STOPPED:
+            restart_from = stage_under_way(Path(folder))
         if restart_from is not None and restart_from not in FILES:
-            raise bad_input(
-                "restart-from", given=f"'{restart_from}'", allowed=", ".join(FILES), do="Name one of these stages."
-            )
+            allowed = ", ".join((*FILES, WHERE_IT_STOPPED))
+            raise bad_input("restart-from", given=f"'{restart_from}'", allowed=allowed, do="Name one of these stages.")
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.seconds: dict[str, float] = {}
@@ -98,8 +108,14 @@ class Run:
         if self._restart_from is not None and order.index(name) < order.index(self._restart_from):
             return load(self.path(name))
         self._restart_from = None  # once one stage is new, so is all that follows, also what is tried again
-        result = self.timed(name, compute)
+        self._note(name, "interrupted", f"the process ended during the {name}; go on with --restart-from '{name}'")
+        try:
+            result = self.timed(name, compute)
+        except StageFailure as failure:
+            self._note(name, failure.kind, str(failure))
+            raise
         save(result, self.path(name))
+        self._note(name, None, "done")
         return result
 
     def timed(self, name: str, compute: Callable[[Advance], Result]) -> Result:
@@ -110,3 +126,23 @@ class Run:
         self.seconds[name] = time.perf_counter() - start
         self._bars.update(bar, completed=1, total=1)
         return value
+
+    def _note(self, stage: str, failure: FailureKind | None, message: str) -> None:
+        write_json(self.folder / PROGRESS, {"stage": stage, "failure": failure, "message": message})
+
+
+def stage_under_way(folder: Path) -> str:
+    """Return the stage that a run was in last: the one in which its process ended, if it was interrupted.
+
+    Raises:
+        InputError: the folder holds no run that could be gone on with.
+    """
+    try:
+        return str(read_json(folder / PROGRESS)["stage"])
+    except (InputError, KeyError, TypeError) as error:
+        raise bad_input(
+            "restart-from",
+            given=f"'{WHERE_IT_STOPPED}' in {folder}, which does not say where it stopped",
+            allowed=f"a run folder with {PROGRESS}",
+            do="Name a stage.",
+        ) from error

@@ -10,6 +10,7 @@ import numpy as np
 
 from anther import pipeline
 from anther.arm import sawyer
+from anther.arm.outline import outline
 from anther.arm.planner import Planner
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, capture_time, plan_views
@@ -42,6 +43,7 @@ class Layout:
         workspace: box the plant stands in.
         region: what the views look at.
         solids: bench, and the side camera's body and arm: where nothing may ever go.
+        pot: a box well within any pot of the crop, from the bench to just under the rim. Planners see the true pot.
         arm_space: where the flange may be.
         T_world_side_camera: a second camera beside the bench, where flowers usually are; put there by hand, calibrated.
     """
@@ -49,6 +51,7 @@ class Layout:
     workspace: Box
     region: Box
     solids: tuple[Box, ...]
+    pot: Box
     arm_space: Box
     T_world_side_camera: Array
 
@@ -66,6 +69,7 @@ def layout(distance: float) -> Layout:
         workspace=box((-0.40, -0.40, -0.48), (0.40, 0.40, 0.52)),
         region=box((-0.25, -0.25, -0.30), (0.25, 0.25, 0.45)),
         solids=(bench, side_camera),
+        pot=box((-0.06, -0.06, -0.48), (0.06, 0.06, -0.32)),
         arm_space=Box(np.array([-0.6, -1.1, -0.47]), np.array([1.2, 1.1, 1.4])),
         T_world_side_camera=look_at(axis + np.array([0.02, -0.52, 0.17]), axis + np.array([0.0, 0.0, 0.15])),
     )
@@ -135,11 +139,13 @@ def build(
             workspace=place.workspace,
             limits=SafetyLimits(
                 forward=sawyer.forward,
+                outline=outline,
                 joint_lower=sawyer.LOWER,
                 joint_upper=sawyer.UPPER,
                 joint_speed=sawyer.VELOCITY,
+                joint_acceleration=sawyer.ACCELERATION,
                 workspace=place.arm_space,
-                keep_out=place.solids,
+                keep_out=(*place.solids, place.pot),
             ),
         ),
     )

@@ -40,7 +40,7 @@ class Args:
     out: Path | None = None
     """Run folder; by default runs/PLANT-SEED-VIEWPOINT."""
     restart_from: str | None = None
-    """Read the results of earlier stages from the run folder and go on from this stage."""
+    """Read the results of earlier stages from the run folder and go on from this stage, or 'where-it-stopped'."""
     overwrite: bool = False
     """Replace the results of an earlier run in the same folder."""
     history: Path = Path("runs/history.sqlite")
@@ -58,11 +58,15 @@ def run(args: Args) -> int:
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
     from anther.pipeline import pollinate
+    from anther.runs import WHERE_IT_STOPPED, stage_under_way
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
     check_range("views", 3 if args.views is None else args.views, 3, 200)
     check_range("distance", args.distance, 0.3, 3.0, "m")
+    out = args.out or Path("runs") / f"{args.plant}-{args.seed}-{args.viewpoint:g}"
+    if args.restart_from == WHERE_IT_STOPPED and stage_under_way(out) in ("response", "report"):
+        args = replace(args, restart_from="execution")
     if args.restart_from in ("response", "report"):
         raise bad_input(
             "restart-from",
@@ -71,7 +75,6 @@ def run(args: Args) -> int:
             do="The simulated world and its video are not kept: restart from execution.",
         )
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
-    out = args.out or Path("runs") / f"{args.plant}-{args.seed}-{args.viewpoint:g}"
     cell = done = verdict = failure = None
     with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
         try:

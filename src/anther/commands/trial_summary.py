@@ -23,7 +23,7 @@ def summarise(
 ) -> dict[str, Any]:
     """Return trial.json: flat, units in the names, null for what was not reached or cannot be measured."""
     return {
-        **_verdict(verdict, failure),
+        **_verdict(done, verdict, failure),
         **_planned(done),
         **_measured(done),
         **_true(verdict),
@@ -32,14 +32,19 @@ def summarise(
     }
 
 
-def _verdict(verdict: Verdict | None, failure: StageFailure | None) -> dict[str, Any]:
-    if verdict is None:
+STOPPED = ("device_fault", "interrupted", "limits_exceeded")
+"""Ends of an execution that say more than what the judge then found between the pads."""
+
+
+def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure | None) -> dict[str, Any]:
+    if done is None or verdict is None:
         kind, message = (None, None) if failure is None else (failure.kind, str(failure))
         return {"success": False, "failure": kind, "message": message, "organ_grasped": None}
+    stopped = done.trial.failure in STOPPED
     return {
-        "success": verdict.success,
-        "failure": verdict.failure,
-        "message": verdict.reason,
+        "success": verdict.success and not stopped,
+        "failure": done.trial.failure if stopped else verdict.failure,
+        "message": done.trial.stop_reason if stopped else verdict.reason,
         "organ_grasped": verdict.organ_grasped or None,
     }
 

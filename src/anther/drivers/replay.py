@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from anther.capture import Capture
-from anther.devices import Frame
+from anther.devices import DeviceError, Frame
 from anther.errors import InputError
 from anther.geometry import Intrinsics
 
@@ -37,10 +37,10 @@ class ReplayCamera:
         """Return the next view.
 
         Raises:
-            InputError: all views have been given.
+            DeviceError: all views have been given.
         """
         if self._next >= self._capture.views:
-            raise InputError(f"replay: all {self._capture.views} views have been read. Open the capture again.")
+            raise DeviceError(f"replay: all {self._capture.views} views have been read. Open the capture again.")
         frame = self._frame(self._next)
         self._next += 1
         return frame

@@ -134,17 +134,19 @@ class Cell:
         """Force of either finger on what is between them [N]."""
         return float(abs(self.data.actuator_force[21]) / 2)
 
-    def run(self, joints: Array, velocities: Array, openings: Array) -> Array:
+    def run(self, joints: Array, velocities: Array, openings: Array, accelerations: Array | None = None) -> Array:
         """Advance one timestep per row of joint references; return the measured joints.
 
         Args:
             joints, velocities: (N, 7) references [rad], [rad/s].
             openings: (N,) commanded distance between the pads [m].
+            accelerations: (N, 7) references [rad/s^2]; None takes the differences of the velocities.
 
         Returns:
             (N, 7) measured joints after each step [rad].
         """
-        accelerations = np.diff(velocities, axis=0, append=velocities[-1:]) / self.params.timestep
+        if accelerations is None:
+            accelerations = np.diff(velocities, axis=0, append=velocities[-1:]) / self.params.timestep
         measured = np.empty_like(joints)
         for i, row in enumerate(zip(joints, velocities, accelerations, openings, strict=True)):
             self._step(*row)

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
+import mujoco as mujoco_module
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.arm import sawyer
-from anther.devices import ArmRecord, Frame, GripperState, JointTrajectory, Robot
+from anther.devices import ArmRecord, ArmSample, Frame, GripperState, JointTrajectory, Robot, Watch
 from anther.errors import bad_input
 from anther.geometry import Array, Intrinsics, look_at
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.cell import Cell
 from anther.sim.depth_noise import noisy_depth
 from anther.sim.render import Scene, d455
+
+mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
+
+CYCLE = 0.01  # s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)
 
 
 class SimArm:
@@ -28,21 +34,46 @@ class SimArm:
         """Return the measured joint angles (7,) [rad]."""
         return self.cell.joints
 
-    def follow(self, trajectory: JointTrajectory) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
         """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s."""
         dt = self.cell.params.timestep
         curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
         t = np.minimum(dt * np.arange(1.0, round((trajectory.duration + 0.1) / dt) + 1), trajectory.duration)
         q, v = curve(t), curve(t, 1)
         v[t >= trajectory.duration] = 0
-        start = self.cell.time
-        measured = self.cell.run(q, v, np.full(len(t), self.cell.grip_command))
+        a = np.diff(v, axis=0, append=v[-1:]) / dt
+        openings = np.full(len(t), self.cell.grip_command)
+        start, measured = self.cell.time, np.empty_like(q)
+        try:
+            for first in range(0, len(t), round(CYCLE / dt)):
+                rows = slice(first, first + round(CYCLE / dt))
+                measured[rows] = self.cell.run(q[rows], v[rows], openings[rows], a[rows])
+                if watch:
+                    watch(ArmSample(self.cell.time, q[rows][-1], measured[rows][-1], contact_force(self.cell)))
+        except BaseException:
+            self.hold()
+            raise
         return ArmRecord(start + dt * np.arange(1.0, len(t) + 1), q, measured)
 
     def hold(self) -> None:
         """Stop and hold the present position for 0.1 s."""
         q = np.tile(self.cell.joints, (round(0.1 / self.cell.params.timestep), 1))
         self.cell.run(q, np.zeros_like(q), np.full(len(q), self.cell.grip_command))
+
+
+def contact_force(cell: Cell) -> float:
+    """Return the size of the force that plant, pot and bench exert on arm and gripper now [N].
+
+    It is the sum over all contacts as vectors: what the two pads do to a stem between them cancels, as it would in a
+    sensor at the wrist.
+    """
+    total, force = np.zeros(3), np.zeros(6)
+    for i in range(cell.data.ncon):
+        contact = cell.data.contact[i]
+        mujoco.mj_contactForce(cell.model, cell.data, i, force)
+        scenery_first = cell.model.geom(contact.geom[0]).name.startswith(("segment_", "pot", "bench"))
+        total += (1 if scenery_first else -1) * contact.frame.reshape(3, 3).T @ force[:3]
+    return float(np.linalg.norm(total))
 
 
 class SimGripper:

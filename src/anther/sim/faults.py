@@ -1,0 +1,174 @@
+"""Machines that fail on purpose: wrappers round arm, gripper and camera, one seeded fault at a time."""
+
+from __future__ import annotations
+
+import os
+import signal
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from anther.devices import (
+    Arm,
+    ArmRecord,
+    ArmSample,
+    Camera,
+    DeviceError,
+    Frame,
+    Gripper,
+    GripperState,
+    JointTrajectory,
+    Robot,
+    Watch,
+)
+from anther.geometry import Array, Intrinsics
+
+Kind = Literal[
+    "command rejected",
+    "arm stops",
+    "stale joints",
+    "pushed",
+    "gripper jam",
+    "frames lost",
+    "ctrl-c",
+    "kill -9",
+]
+"""What can go wrong. "pushed" is a hand, or anything else the arm runs into."""
+
+PUSH = 60.0  # N, a firm push by hand, our choice
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault.
+
+    Attributes:
+        kind: what goes wrong.
+        at: in which command of the device it is for, counted from 0 (recordings and reads for a camera).
+        share: how far that motion has come, or how much of a recording is kept, 0 to 1.
+        lasting: whether it stays; otherwise the next command works again.
+    """
+
+    kind: Kind
+    at: int = 0
+    share: float = 0.5
+    lasting: bool = False
+
+    def strikes(self, count: int) -> bool:
+        """Return whether command number `count` is struck."""
+        return count == self.at or (self.lasting and count > self.at)
+
+
+def with_faults(robot: Robot, fault: Fault) -> Robot:
+    """Return the machines, of which one has the fault. Put the guard round the result, not inside."""
+    match fault.kind:
+        case "gripper jam":
+            return replace(robot, gripper=FaultyGripper(robot.gripper, fault))
+        case "frames lost":
+            side = robot.side_camera and FaultyCamera(robot.side_camera, fault)
+            return replace(robot, wrist_camera=FaultyCamera(robot.wrist_camera, fault), side_camera=side)
+        case _:
+            return replace(robot, arm=FaultyArm(robot.arm, fault))
+
+
+class FaultyArm:
+    """An arm with a fault in one of its motions."""
+
+    def __init__(self, arm: Arm, fault: Fault) -> None:
+        self._arm, self._fault = arm, fault
+        self._count = 0
+        self._frozen: Array | None = None
+
+    def joints(self) -> Array:
+        """Return the measured joints (7,) [rad]; stale ones are those of the moment they froze."""
+        return self._arm.joints() if self._frozen is None else self._frozen
+
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+        """Follow, unless the fault says otherwise."""
+        fault, count = self._fault, self._count
+        self._count += 1
+        if not fault.strikes(count):
+            self._frozen = None
+            return self._arm.follow(trajectory, watch)
+        if fault.kind == "command rejected":
+            raise DeviceError("the arm rejected the command: it is not enabled.")
+        if count > fault.at and fault.kind == "arm stops":
+            raise DeviceError("the arm rejected the command: it stopped and was not reset.")
+        begun: list[float] = []
+
+        def disturbed(sample: ArmSample) -> None:
+            begun.append(sample.time)
+            if sample.time - begun[0] >= fault.share * trajectory.duration or count > fault.at:
+                sample = self._strike(sample)
+            if watch:
+                watch(sample)
+
+        return self._arm.follow(trajectory, disturbed)
+
+    def hold(self) -> None:
+        """Stop and hold the present position."""
+        self._arm.hold()
+
+    def _strike(self, sample: ArmSample) -> ArmSample:
+        match self._fault.kind:
+            case "arm stops":
+                raise DeviceError("the arm stopped on the way: a joint reports an error.")
+            case "pushed":
+                return replace(sample, force=np.nan_to_num(sample.force) + PUSH)
+            case "ctrl-c":
+                signal.raise_signal(signal.SIGINT)
+            case "kill -9":
+                os.kill(os.getpid(), signal.SIGKILL)
+            case "stale joints":
+                self._frozen = sample.measured if self._frozen is None else self._frozen
+                return replace(sample, measured=self._frozen)
+        return sample
+
+
+class FaultyGripper:
+    """A gripper whose pads stay where they are in one of its moves, and say nothing of it."""
+
+    def __init__(self, gripper: Gripper, fault: Fault) -> None:
+        self._gripper, self._fault = gripper, fault
+        self._count = 0
+
+    def move(self, opening: float) -> GripperState:
+        """Move, or stay."""
+        self._count += 1
+        return self.state() if self._fault.strikes(self._count - 1) else self._gripper.move(opening)
+
+    def state(self) -> GripperState:
+        """Return the present state."""
+        return self._gripper.state()
+
+
+class FaultyCamera:
+    """A camera that loses frames: a read fails, and of a recording only a share comes back."""
+
+    def __init__(self, camera: Camera, fault: Fault) -> None:
+        self._camera, self._fault = camera, fault
+        self._reads = self._recordings = 0
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Of every frame."""
+        return self._camera.intrinsics
+
+    def read(self) -> Frame:
+        """Return a frame, or lose it."""
+        self._reads += 1
+        frame = self._camera.read()
+        if self._fault.strikes(self._reads - 1):
+            raise DeviceError("the frame was lost on the cable.")
+        return frame
+
+    def start(self, rate: float) -> None:
+        """Begin to record."""
+        self._camera.start(rate)
+
+    def stop(self) -> list[Frame]:
+        """Return the recording, or the first share of it."""
+        self._recordings += 1
+        frames = self._camera.stop()
+        return frames[: int(self._fault.share * len(frames))] if self._fault.strikes(self._recordings - 1) else frames

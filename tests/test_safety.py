@@ -1,0 +1,404 @@
+"""The guard: every limit refuses what breaks it, nothing gets past, and readings that are wrong stop the arm."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fake_robot import LIMITS, FakeArm, FakeCamera, FakeGripper, fake_robot, horizontal_grasp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_planner import SmallPlanner, solve
+from test_execution import Plan
+
+from anther.arm import sawyer
+from anther.arm.outline import outline
+from anther.devices import ArmSample, DeviceError, Frame, GripperState, JointTrajectory, SafetyLimits
+from anther.errors import StageFailure
+from anther.execution import execute
+from anther.geometry import Array, Box
+from anther.safety import AT_REST, GuardedArm, GuardedCamera, GuardedGripper, check_shake, check_trajectory, guard
+
+
+def path(goal: Array, *, seconds: float = 5.0, start: Array = sawyer.NEUTRAL, samples: int = 100) -> JointTrajectory:
+    """Return a joint line with a quintic time law, at rest at both ends."""
+    s = np.linspace(0, 1, samples)[:, None]
+    rise, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / seconds
+    return JointTrajectory(seconds * s[:, 0], start + rise * (goal - start), rate * (goal - start))
+
+
+def turned(joint: int, angle: float) -> Array:
+    return sawyer.NEUTRAL + angle * np.eye(7)[joint]
+
+
+def in_place(amplitude: float, frequency: float) -> JointTrajectory:
+    """Return a trajectory whose samples stand still while the curve between them does not."""
+    t = np.linspace(0, 2, int(2 * frequency) + 1)
+    v = np.zeros((len(t), 7))
+    v[1:-1, 6] = amplitude * frequency
+    return JointTrajectory(t, np.tile(sawyer.NEUTRAL, (len(t), 1)), v)
+
+
+def around(*corners: float) -> Box:
+    """Return a box by its lower and its upper corner, both counted from the flange at neutral [m]."""
+    return Box(HERE + corners[:3], HERE + corners[3:])
+
+
+HERE = sawyer.forward(sawyer.NEUTRAL)[:3, 3]
+ELBOW_BOX = Box(np.array([0.25, -0.15, 0.25]), np.array([0.45, 0.25, 0.6]))
+SOUND = path(turned(0, 0.4))
+BAD: dict[str, tuple[JointTrajectory, SafetyLimits]] = {
+    "start of the path": (path(sawyer.NEUTRAL, start=sawyer.NEUTRAL + 0.2), LIMITS),
+    "joint 1: .* beyond its range": (path(turned(1, 4.0), seconds=30), LIMITS),
+    "joint 3: .* beyond its range": (path(turned(3, sawyer.UPPER[3] - 0.01 - sawyer.NEUTRAL[3])), LIMITS),
+    "speed of joint 0": (path(turned(0, 1.0), seconds=0.6), replace(LIMITS, joint_acceleration=np.full(7, 1e3))),
+    "acceleration of joint 6": (path(turned(6, 0.15), seconds=0.2), LIMITS),
+    "speed of joint 6": (in_place(2.0, 20.0), LIMITS),
+    "speed at the ends": (replace(SOUND, velocities=SOUND.velocities + 0.1), LIMITS),
+    "length of the motion": (path(turned(0, 0.1), seconds=130.0), LIMITS),
+    "workspace": (path(turned(0, 1.1)), replace(LIMITS, workspace=Box(HERE - 0.3, HERE + 0.3))),
+    "keep-out": (path(turned(0, 0.5)), replace(LIMITS, keep_out=(around(-0.1, 0.15, -0.1, 0.3, 0.3, 0.3),))),
+    "keep-out box": (path(turned(0, 0.5)), replace(LIMITS, keep_out=(ELBOW_BOX,))),
+    "flange speed": (path(turned(0, 0.8), seconds=1.5), replace(LIMITS, flange_speed=0.3)),
+}
+
+
+@pytest.mark.parametrize("message", BAD)
+def test_each_limit_refuses_and_the_arm_holds(message: str) -> None:
+    trajectory, limits = BAD[message]
+    arm = FakeArm()
+    with pytest.raises(StageFailure, match=message) as failure:
+        GuardedArm(arm, limits).follow(trajectory)
+    assert failure.value.kind == "limits_exceeded"
+    assert (arm.done, arm.held) == (0, 1)
+    assert np.array_equal(arm.now, sawyer.NEUTRAL)
+
+
+def test_a_sound_path_passes_and_returns() -> None:
+    arm = FakeArm()
+    guarded = GuardedArm(arm, LIMITS)
+    guarded.follow(SOUND)
+    guarded.follow(SOUND.backwards())
+    guarded.follow(JointTrajectory.standstill(guarded.joints(), 0.5))
+    assert (arm.done, arm.held) == (3, 0)
+    assert arm.now == pytest.approx(sawyer.NEUTRAL)
+
+
+def test_the_elbow_is_kept_out_though_the_flange_is_far_away() -> None:
+    flange = sawyer.forward(path(turned(0, 0.5)).positions)[:, :3, 3]
+    assert not ELBOW_BOX.contains(flange).any()
+
+
+def test_outline_balls_are_the_planner_s_shapes() -> None:
+    q = np.random.default_rng(0).uniform(sawyer.LOWER, sawyer.UPPER, (5, 7))
+    balls = outline(q)
+    assert balls.shape == (5, balls.shape[1], 4)
+    tip = sawyer.forward(q) @ [0, sawyer.STROKE / 2, sawyer.TIP_Z, 1]
+    to_tip = np.linalg.norm(balls[..., :3] - tip[:, None, :3], axis=-1) - balls[..., 3]
+    assert np.all(to_tip.min(axis=1) < 0.012)
+    elbow = sawyer.link_poses(q)[:, 3, :3, 3]
+    assert np.all((np.linalg.norm(balls[..., :3] - elbow[:, None], axis=-1) < balls[..., 3]).any(axis=1))
+    assert np.linalg.norm(balls[..., :3], axis=-1).max() < 1.5
+
+
+# Random trajectories. Most are wild; some are a sound one with one number changed.
+
+NUMBERS = st.one_of(st.floats(-6, 6), st.floats(allow_nan=True, allow_infinity=True), st.floats(-0.02, 0.02))
+
+
+@st.composite
+def spoilt(draw: st.DrawFn) -> tuple[str, JointTrajectory]:
+    """Return the sound path with one of its arrays changed at one place after it was made, behind its back."""
+    arrays = {name: np.array(getattr(SOUND, name)) for name in ("times", "positions", "velocities")}
+    trajectory = JointTrajectory(**arrays)
+    name = draw(st.sampled_from(sorted(arrays)))
+    row = draw(st.integers(0, len(SOUND.times) - 1))
+    where = (row,) if name == "times" else (row, draw(st.integers(0, 6)))
+    arrays[name][where] = draw(NUMBERS)
+    return name, trajectory
+
+
+def broken(trajectory: JointTrajectory, present: Array, limits: SafetyLimits) -> bool:
+    """Return whether any sample breaks a limit: an oracle without interpolation, sample by sample."""
+    t, q, v = trajectory.times, trajectory.positions, trajectory.velocities
+    if not (np.isfinite(t).all() and np.isfinite(q).all() and np.isfinite(v).all()) or np.any(np.diff(t) <= 0):
+        return True
+    place = sawyer.forward(q)[:, :3, 3]
+    return bool(
+        np.abs(q[0] - present).max() > limits.start_tolerance
+        or np.abs(v[[0, -1]]).max() > AT_REST
+        or np.any(q < limits.joint_lower + limits.joint_margin)
+        or np.any(q > limits.joint_upper - limits.joint_margin)
+        or np.any(np.abs(v) > limits.joint_speed)
+        or np.any(np.abs(np.diff(q, axis=0)) > limits.joint_speed * np.diff(t)[:, None] * (1 + 1e-9) + 1e-12)
+        or not limits.workspace.contains(place).all()
+        or any((box.contains(place)).any() for box in limits.keep_out)
+    )
+
+
+NARROW = replace(
+    LIMITS,
+    workspace=around(-0.15, -0.05, -0.1, 0.05, 0.4, 0.1),
+    keep_out=(around(-0.05, 0.2, 0.02, 0.05, 0.4, 0.3),),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(case=spoilt())
+def test_no_spoilt_trajectory_gets_through(case: tuple[str, JointTrajectory]) -> None:
+    arm = FakeArm()
+    must_refuse = broken(case[1], sawyer.NEUTRAL, LIMITS)
+    try:
+        GuardedArm(arm, LIMITS).follow(case[1])
+    except StageFailure:
+        assert (arm.done, arm.held) == (0, 1)
+    else:
+        assert not must_refuse
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    goal=st.lists(st.floats(-1.5, 1.5), min_size=7, max_size=7),
+    offset=st.floats(-0.1, 0.1),
+    seconds=st.floats(0.2, 6),
+    samples=st.integers(2, 60),
+)
+def test_no_random_trajectory_that_breaks_a_limit_gets_through(
+    goal: list[float], offset: float, seconds: float, samples: int
+) -> None:
+    start = sawyer.NEUTRAL + offset
+    trajectory = path(start + np.array(goal), start=start, seconds=seconds, samples=samples)
+    arm = FakeArm()
+    must_refuse = broken(trajectory, sawyer.NEUTRAL, NARROW)
+    try:
+        GuardedArm(arm, NARROW).follow(trajectory)
+    except StageFailure:
+        assert arm.done == 0
+    else:
+        assert not must_refuse
+
+
+def test_what_was_checked_is_what_is_commanded() -> None:
+    positions = np.array(SOUND.positions)
+    trajectory = JointTrajectory(SOUND.times, positions, SOUND.velocities)
+
+    def spoil(_: int) -> None:  # between check and command, as another thread might
+        positions[50] += 1.0
+
+    arm = FakeArm(fault=spoil)
+    record = GuardedArm(arm, LIMITS).follow(trajectory)
+    assert np.array_equal(record.commanded, SOUND.positions)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ((0.05, 10.0, 1.0), "amplitude x 2 pi frequency"),
+        ((0.002, 20.0, 1.0), r"amplitude x \(2 pi frequency\)\^2"),
+        ((0.005, 5.0, 5.01), "shake duration"),
+        ((-0.001, 5.0, 1.0), "allowed: a number > 0"),
+        ((0.001, float("nan"), 1.0), "allowed: a number > 0"),
+        ((0.001, 5.0, float("inf")), "allowed: a number > 0"),
+    ],
+)
+def test_a_shake_over_the_limits_is_refused(numbers: tuple[float, float, float], message: str) -> None:
+    with pytest.raises(StageFailure, match=message):
+        check_shake(*numbers, LIMITS)
+
+
+@given(amplitude=st.floats(1e-5, 0.2), frequency=st.floats(0.1, 60), duration=st.floats(0.1, 20))
+def test_no_shake_passes_that_breaks_a_limit(amplitude: float, frequency: float, duration: float) -> None:
+    omega = 2 * np.pi * frequency
+    too_much = max(
+        amplitude * omega / LIMITS.shake_speed,
+        amplitude * omega**2 / LIMITS.shake_acceleration,
+        duration / LIMITS.shake_duration,
+    )
+    try:
+        check_shake(amplitude, frequency, duration, LIMITS)
+    except StageFailure:
+        assert too_much > 1
+    else:
+        assert too_much <= 1 + 1e-6
+
+
+# What the arm says on its way.
+
+
+def readings(change: Callable[[int, ArmSample], ArmSample]) -> FakeArm:
+    """Return an arm whose n-th reading is changed."""
+
+    class Changed(FakeArm):
+        count = 0
+
+        def follow(self, trajectory, watch=None):
+            def changed(sample: ArmSample) -> None:
+                self.count += 1
+                watch(change(self.count, sample))
+
+            return super().follow(trajectory, changed)
+
+    return Changed()
+
+
+FROZEN = ArmSample(0.0, sawyer.NEUTRAL, sawyer.NEUTRAL)
+READINGS: dict[str, Callable[[int, ArmSample], ArmSample]] = {
+    "contact force": lambda n, s: replace(s, force=LIMITS.contact_force + 1 if n > 40 else 0.0),
+    "does not follow": lambda n, s: replace(s, measured=s.measured + (0.25 if n > 40 else 0.0)),
+    "does not follow: nan": lambda n, s: replace(s, measured=s.measured * (np.nan if n > 40 else 1)),
+    "stale: the joints read the same": lambda n, s: replace(s, measured=FROZEN.measured if n > 5 else s.measured),
+    "stale: the clock": lambda n, s: replace(s, time=min(s.time, 1.0)),
+    "stale: the clock of the readings stands at -0.": lambda n, s: replace(s, time=s.time - (2.0 if n > 30 else 0.0)),
+}
+
+
+@pytest.mark.parametrize("message", READINGS)
+def test_a_bad_reading_stops_the_arm_on_its_way(message: str) -> None:
+    arm = readings(READINGS[message])
+    guarded = GuardedArm(arm, replace(LIMITS, tracking=0.2))
+    with pytest.raises(StageFailure, match=message) as failure:
+        guarded.follow(SOUND)
+    assert failure.value.kind == ("collision" if message == "contact force" else "device_fault")
+    assert (arm.done, arm.held) == (0, 1)
+    travelled = float(np.abs(arm.now - sawyer.NEUTRAL).max())
+    assert travelled < 0.35
+    if "stale" in message:
+        with pytest.raises(DeviceError, match="stale"):
+            guarded.follow(JointTrajectory.standstill(arm.now, 0.1))
+
+
+def test_an_arm_that_feels_nothing_is_not_stopped_for_it() -> None:
+    arm = readings(lambda _, s: replace(s, force=float("nan")))
+    GuardedArm(arm, LIMITS).follow(SOUND)
+    assert arm.done == 1
+
+
+def test_a_stale_reading_between_two_motions_is_found() -> None:
+    arm = FakeArm()
+    guarded = GuardedArm(arm, LIMITS)
+    guarded.follow(SOUND)
+    arm.joints = lambda: sawyer.NEUTRAL  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="stale or the arm was moved"):
+        guarded.follow(SOUND)
+    assert arm.done == 1
+    arm.joints = lambda: np.full(7, np.nan)  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="NaN"):
+        guarded.joints()
+
+
+# Gripper and camera.
+
+
+@pytest.mark.parametrize("opening", [-0.001, 0.06, float("nan"), float("inf")])
+def test_the_gripper_is_not_sent_beyond_its_stroke(opening: float) -> None:
+    gripper = FakeGripper()
+    with pytest.raises(StageFailure, match="gripper opening") as failure:
+        GuardedGripper(gripper, LIMITS).move(opening)
+    assert failure.value.kind == "limits_exceeded"
+    assert gripper.commands == []
+
+
+def test_a_gripper_that_would_crush_opens() -> None:
+    gripper = FakeGripper(0.008)
+    with pytest.raises(StageFailure, match="grip force: got 8 N; the pads were opened"):
+        GuardedGripper(gripper, replace(LIMITS, grip_force=5.0)).move(0.006)
+    assert gripper.opening == LIMITS.stroke
+
+
+@pytest.mark.parametrize("opening", [0.006, 0.04])
+def test_a_gripper_that_does_not_move_is_jammed(opening: float) -> None:
+    class Stuck(FakeGripper):
+        def move(self, opening: float) -> GripperState:
+            return GripperState(0.02, 0.0, False)
+
+        def state(self) -> GripperState:
+            return GripperState(0.02, 0.0, False)
+
+    with pytest.raises(DeviceError, match="jammed"):
+        GuardedGripper(Stuck(), LIMITS).move(opening)
+
+
+def test_a_gripper_that_reads_nonsense_is_a_fault() -> None:
+    gripper = FakeGripper()
+    gripper.state = lambda: GripperState(float("nan"), 0.0, False)  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="gripper reads nan"):
+        GuardedGripper(gripper, LIMITS).state()
+
+
+@pytest.mark.parametrize(("losses", "lost"), [(2, False), (3, True)])
+def test_a_lost_frame_is_asked_for_again(losses: int, lost: bool) -> None:
+    class Losing(FakeCamera):
+        def read(self) -> Frame:
+            frame = super().read()
+            if self.reads <= losses:
+                raise DeviceError("no frame")
+            return frame
+
+    camera = GuardedCamera(Losing())
+    if lost:
+        with pytest.raises(DeviceError, match="no frame in 3 tries"):
+            camera.read()
+    else:
+        assert camera.read().time == pytest.approx(0.1)
+
+
+def test_half_frames_and_frames_from_the_past_are_dropped() -> None:
+    camera = FakeCamera()
+    whole = camera.read()
+    half = replace(whole, depth=whole.depth[:2])
+    camera.stop = lambda: [whole, half, whole, replace(whole, time=1.0)]  # type: ignore[method-assign]
+    assert [f.time for f in GuardedCamera(camera).stop()] == [whole.time, 1.0]
+
+
+# Nothing else can reach the device.
+
+
+def test_every_command_of_a_trial_comes_through_the_guard() -> None:
+    callers: set[str] = set()
+
+    def note() -> None:
+        frame = inspect.stack()[2]
+        callers.add(frame.filename.rsplit("/", 1)[-1])
+
+    class Arm(FakeArm):
+        def follow(self, trajectory, watch=None):
+            note()
+            if self.done == 3:
+                self.done = 10
+                raise DeviceError("stopped")
+            return super().follow(trajectory, watch)
+
+        def hold(self) -> None:
+            note()
+            super().hold()
+
+    class Gripper(FakeGripper):
+        def move(self, opening: float) -> GripperState:
+            note()
+            return super().move(opening)
+
+    arm = Arm()
+    point = np.array([0.72, 0.0, -0.08])
+    grasp = horizontal_grasp(point, np.zeros(7))
+    grasp = horizontal_grasp(point, solve(grasp.T_world_flange))
+    trial = execute(SmallPlanner(), Plan(grasp=grasp), fake_robot(arm, Gripper()), LIMITS)
+    assert trial.failure == "device_fault"
+    assert trial.phases[-1] == "retreat"
+    assert callers == {"safety.py"}
+
+
+def test_a_guarded_robot_shows_no_bare_machine() -> None:
+    robot = guard(fake_robot(), LIMITS)
+    for machine in (robot.arm, robot.gripper, robot.wrist_camera, robot.side_camera):
+        public = [getattr(machine, name) for name in dir(machine) if not name.startswith("_")]
+        assert not any(isinstance(value, FakeArm | FakeGripper | FakeCamera) for value in public)
+    assert guard(robot, replace(LIMITS, flange_speed=3.0)) is robot
+
+
+def test_check_is_the_same_for_whoever_asks() -> None:
+    check_trajectory(SOUND, sawyer.NEUTRAL, LIMITS)
+    with pytest.raises(StageFailure, match="start of the path"):
+        check_trajectory(SOUND, sawyer.NEUTRAL + 0.06, LIMITS)
