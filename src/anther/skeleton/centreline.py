@@ -60,8 +60,9 @@ def resample(tree: RawTree, gain: Array, spacing: float) -> Curves:
     for chain in others:
         host = made[home[chain[0]]]
         at = host[_attachment(tree.nodes[chain], nodes[host])]
-        line = np.concatenate([nodes[at][None], tree.nodes[chain[1:]]])
-        new, thick = _even(_smooth(line), tree.thickness[chain], spacing)
+        rest = chain[1 + _BENT :] if len(chain) > 3 + _BENT else chain[1:]
+        line = np.concatenate([nodes[at][None], tree.nodes[rest]])
+        new, thick = _even(_smooth(line), tree.thickness[[rest[0], *rest]], spacing)
         home[chain[1:]] = len(made) if len(new) else home[chain[0]]
         if len(new):
             made.append(np.concatenate([[at], np.arange(len(nodes), len(nodes) + len(new) - 1)]))
@@ -105,24 +106,29 @@ def beginning(curves: Curves) -> Array:
     return rise / max(float(np.linalg.norm(rise)), 1e-12)
 
 
-def _attachment(line: Array, host: Array) -> int:
-    """Return which host node a side chain leaves: where the line through its first nodes meets the host.
+_BENT, _STRAIGHT = 2, 10
+"""The first nodes of a side branch, bent towards the quick way down the stem, and the next ones, which point to where
+it leaves (measured on simulated captures: junctions within 10 mm rise from 0.80 to 0.91, and lie 0.3 mm too high, not
+2.7 mm too low)."""
 
-    The first separate band of an acute petiole lies above the axil, by up to the distance it then has from the
-    stem; farther than twice that distance is not believed.
-    """
-    near = np.linalg.norm(host - line[0], axis=1)
-    if len(line) < 4:
-        return int(np.argmin(near))
-    begin = line[1]
-    direction = line[min(5, len(line) - 1)] - begin
-    direction /= max(np.linalg.norm(direction), 1e-12)
-    offset = host - begin
-    along = offset @ direction
-    aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
-    reach = 2 * np.linalg.norm(offset, axis=1).min() + near.min()
-    allowed = (near <= max(reach, near.min())) & (along <= 0)
-    return int(np.argmin(np.where(allowed, aside, np.inf))) if allowed.any() else int(np.argmin(near))
+_BEYOND = 2.5
+"""A host node farther than this times the nearest is not believed."""
+
+
+def _attachment(line: Array, host: Array) -> int:
+    """Return which node of a host (H, 3) a side chain (M, 3) leaves: where the line of its beginning meets the host."""
+    offset = host - line[min(1, len(line) - 1)]
+    away = np.linalg.norm(offset, axis=1)
+    straight = line[1 + _BENT : 1 + _BENT + _STRAIGHT]
+    if len(straight) < 3:
+        return int(np.argmin(away))
+    middle = straight.mean(axis=0)
+    direction = np.linalg.svd(straight - middle)[2][0]
+    direction *= np.sign(direction @ (straight[-1] - straight[0])) or 1
+    along = (host - middle) @ direction
+    aside = np.linalg.norm(host - middle - along[:, None] * direction, axis=1)
+    allowed = (away <= _BEYOND * away.min()) & (along <= 0)
+    return int(np.argmin(np.where(allowed, aside, np.inf))) if allowed.any() else int(np.argmin(away))
 
 
 def _even(line: Array, values: Array, spacing: float, fewest: int = 0) -> tuple[Array, Array]:
