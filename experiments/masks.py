@@ -208,9 +208,10 @@ def main() -> None:
 
 
 def _print(console: Console, rows: dict[tuple[Species, str], dict[str, float]]) -> None:
-    table = Table("plant", "light", *next(iter(rows.values())))
+    short = ("IoU", "+depth", "petal R", "petal P", "found", "soil", "other", "s", "cpu s")
+    table = Table("plant", "light", *short, box=None)
     for (species, name), row in rows.items():
-        table.add_row(species, name, *(f"{value:.4f}" if value < 1 else f"{value:.2f}" for value in row.values()))
+        table.add_row(species, name, *(f"{value:.3f}" for value in row.values()))
     console.print(table)
 
 

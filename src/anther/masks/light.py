@@ -97,8 +97,8 @@ def green_rule(light: Light, params: Params) -> ColourRule:
     colour = np.stack([r, g, b], axis=-1)
     high, total = colour.max(axis=-1), colour.sum(axis=-1)
     saturation = (high - colour.min(axis=-1)) / high
-    yellow_value = np.clip(params.yellow_gain * light.leaf, 40, 200)
-    white_value = np.clip(params.white_gain * light.leaf, 80, 220)
+    yellow_value = np.clip(params.yellow_gain * light.leaf, 20, 200)
+    white_value = np.clip(params.white_gain * light.leaf, 40, 220)
     table = np.where(_excess_green(colour) >= params.green, GREEN, OTHER)
     table[(saturation <= params.white_saturation) & (high >= white_value)] = WHITE
     yellow = (r >= 0.9 * g) & (g >= 0.58 * r) & (high >= yellow_value)
