@@ -51,6 +51,16 @@ def _white(capture: Capture, rng: np.random.Generator) -> NDArray[np.float32]:
     return rng.standard_normal(capture.depth.shape, dtype=np.float32)
 
 
+def hidden_foot(capture: Capture, _: np.random.Generator, share: float = 0.4) -> Capture:
+    """Return the capture with the lower share of every image hidden, as by a neighbour's pot."""
+    depth, hidden = capture.depth.copy(), round(share * capture.intrinsics.height)
+    depth[:, -hidden:] = 0
+    rgb = None if capture.rgb is None else capture.rgb.copy()
+    if rgb is not None:
+        rgb[:, -hidden:] = 60
+    return replace(capture, depth=depth, rgb=rgb)
+
+
 def loose_poses(capture: Capture, rng: np.random.Generator, angle: float = 0.6, shift: float = 0.005) -> Capture:
     """Return the capture with every pose off by `angle` [deg] and `shift` [m], standard deviations per axis."""
     errors = rng.normal(size=(2, capture.views, 3)) * np.array([np.radians(angle), shift])[:, None, None]
@@ -73,6 +83,7 @@ DEGRADATIONS: dict[str, Degradation] = {
     "half resolution": half_resolution,
     "noisy depth": noisy_depth,
     "lost depth": lost_depth,
+    "hidden foot": hidden_foot,
     "loose poses": loose_poses,
     "wrong pose": wrong_pose,
 }

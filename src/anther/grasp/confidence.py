@@ -10,7 +10,7 @@ from anther.skeleton.support import logit, probability
 from anther.stem import Stem
 from anther.stem.confidence import rivalry
 
-FITTED = (5.36, 1.16, -12.08, -1.17, -4.27)
+FITTED = (3.0, 0.8, 0.8, -12.0, -4.0)
 """Constant and weights of `place_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
 
 WINDOW = 0.015
@@ -27,11 +27,12 @@ def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | Non
 
 
 def place_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:
-    """Return (K, 4): log-odds of the support there, rivalry up to there, share of the height, whether above a fork."""
+    """Return (K, 4): log-odds of the confidence there and of the whole stem's, rivalry, whether above a fork."""
     assert skeleton.confidence is not None
     along = skeleton.confidence[stem.node_ids]
     near = np.exp(-0.5 * ((stem.arc_length - arcs[:, None]) / WINDOW) ** 2)
     support = near @ along / np.maximum(near.sum(axis=1), 1e-12)
     contested = np.interp(arcs, stem.arc_length, rivalry(skeleton, stem.node_ids))
     above = arcs > stem.arc_length[stem.fork] + 1e-9
-    return np.stack([logit(support), contested, arcs / stem.arc_length[-1], above], axis=1)
+    whole = np.full(len(arcs), logit(along.mean()))
+    return np.stack([logit(support), whole, contested, above], axis=1)

@@ -12,7 +12,7 @@ from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import path_gain, subtree_best
 from anther.skeleton.support import logit, probability
 
-FITTED = (0.9, 1.2, 0.4)
+FITTED = (3.6, 0.4, 0.6, -11.0, 1.0)
 """Constant and weights of `stem_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
 
 DOUBTFUL = 0.6
@@ -22,8 +22,8 @@ SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
 """A second stem stands so far from the first, its foot lies so low, and it is followed so far up (shares of the
 plant's size); it leans from the vertical by less than this [degrees]."""
 
-STRETCH = 0.12
-"""Length of the stretches that are judged, as a share of the stem."""
+TOP = 0.12
+"""Share of the stem that counts as its top."""
 
 
 def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
@@ -37,18 +37,23 @@ def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
 
 
 def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
-    """Return (2,): log-odds of the nodes' mean confidence over the stem's top and over its weakest stretch.
+    """Return (4,): log-odds of the confidence over the stem and over its top, the top's bend, the stem's height.
 
-    Most wrong stems are right up to their top, where they run on into a leaf or a truss.
+    Most wrong stems are right up to their top, where they run on into a leaf or a truss. The bend is the mean turn from
+    one node to the next [rad]; the height is the logarithm of the stem's share of the plant's.
 
     Args:
         skeleton: with its confidence.
         node_ids: (S,) the stem, root first.
     """
     assert skeleton.confidence is not None
-    window = max(int(STRETCH * len(node_ids)), 1)
-    stretches = np.convolve(skeleton.confidence[node_ids], np.ones(window) / window, mode="valid")
-    return logit(stretches[[-1, int(np.argmin(stretches))]])
+    along, nodes = skeleton.confidence[node_ids], skeleton.nodes[node_ids]
+    top = max(int(TOP * len(node_ids)), 2)
+    steps = np.diff(nodes[-top - 2 :], axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    bend = np.linalg.norm(np.diff(steps, axis=0), axis=1).mean() if len(steps) > 1 else 0.0
+    height = np.ptp(nodes[:, 2]) / np.ptp(skeleton.nodes[:, 2])
+    return np.array([logit(along.mean()), logit(along[-top:].mean()), bend, np.log(max(height, 0.01))])
 
 
 def rivalry(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
@@ -82,11 +87,9 @@ def doubt(confidence: float | None, what: str = "main stem") -> tuple[str, ...]:
 def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
     """Return a warning when the tree comes down to the soil a second time: two plants have grown into each other.
 
-    What comes down must be upright, as surely an organ's axis as not, and half as thick as the stem's foot: a drooping
-    leaf is none of these all the way down.
+    What comes down must be upright over its last piece and half as thick as the stem's foot: drooping leaves are not
+    (measured: no false alarm on 56 views of ten single plants).
     """
-    if skeleton.confidence is None:
-        return ()
     nodes, root = skeleton.nodes, skeleton.nodes[0]
     size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
     thick = float(np.median(skeleton.radius[node_ids[: max(len(node_ids) // 4, 3)]]))
@@ -97,7 +100,7 @@ def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
         down = path[np.linalg.norm(nodes[path] - nodes[tip], axis=1) <= SECOND_LENGTH * size]
         rise = nodes[down[0]] - nodes[tip]
         upright = rise[2] >= np.cos(np.radians(SECOND_LEAN)) * max(SECOND_LENGTH * size * 0.8, np.linalg.norm(rise))
-        if upright and skeleton.confidence[down].mean() >= 0.5 and np.median(skeleton.radius[down]) >= 0.5 * thick:
+        if upright and np.median(skeleton.radius[down]) >= 0.5 * thick:
             x, y = nodes[tip, :2]
             return (f"main stem: a second stem seems to stand at x, y = {x:.2f}, {y:.2f} m: two plants in one?",)
     return ()
