@@ -38,7 +38,7 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: 
     """
     breadth = _relative_breadth(skeleton, main)
     bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < params.truss_breadth, params.flower_reach)
-    axis = _axes(skeleton, main, breadth / params.axis_breadth, params.flat_blade)
+    axis = _axes(skeleton, main, breadth, params)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
@@ -81,18 +81,17 @@ def _flower_bearers(
     return bears, beside
 
 
-def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, flat_blade: float) -> NDArray[np.bool_]:
+def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, params: Params) -> NDArray[np.bool_]:
     """Return (J,) which nodes lie on an axis: the rooted part of the tree with the most evidence of being slender.
 
-    Every edge gives its length times a number from -1 (blade) to 1 (axis): the logarithm of how much narrower it is
-    than the stem, or than a flat section, whichever says less. The rooted part with the largest sum is found from the
-    tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
+    Every edge gives its length times a number from -1 (blade) to 1 (axis), the lesser of two: the logarithm of how
+    much narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum
+    is found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
     """
     if skeleton.width is None:
         return np.ones(len(breadth), dtype=bool)
-    flatness = skeleton.width / skeleton.radius
-    flatness = flatness / (flat_blade * np.median(flatness[main]))
-    slender = np.clip(-np.log(np.maximum(breadth, flatness)), -1, 1)
+    narrow = np.log(params.axis_breadth / breadth)
+    slender = np.clip(np.minimum(narrow, _roundness(skeleton, main, params)), -1, 1)
     gain = edge_lengths(skeleton.nodes, skeleton.parent) * slender
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):
@@ -100,6 +99,15 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, flat_blade: fl
     for j in range(1, len(gain)):
         axis[j] |= axis[skeleton.parent[j]] and gain[j] > 0
     return axis
+
+
+def _roundness(skeleton: Skeleton, main: NDArray[Any], params: Params) -> Array:
+    """Return (J,) evidence against a blade: by the planarity of the surroundings, else by the section's flatness."""
+    if skeleton.flatness is not None:
+        return (params.planar_blade - skeleton.flatness) / params.planar_doubt
+    assert skeleton.width is not None
+    flatness = skeleton.width / skeleton.radius
+    return np.log(params.flat_blade * np.median(flatness[main]) / flatness)
 
 
 def _limbs_named(

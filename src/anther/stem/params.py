@@ -22,8 +22,10 @@ class Params:
         fork_share: a branch forks the stem when it is at least this share as thick as the stem beyond it and rises at
             least this share as high,
         fork_angle: and on the whole leans from the vertical by less than this [degrees].
-        flat_blade: a section flatter than the main stem's by this factor is as likely blade as axis; how flat a round
-            stem looks tells what noise and one-sided views do to sections.
+        planar_blade: where the skeleton's flatness (planarity of the surroundings) is this, blade is as likely as axis,
+        planar_doubt: and where it is so much less, there is no doubt (both read off the development plants).
+        flat_blade: without that, a section flatter than the main stem's by this factor is as likely blade; how flat a
+            round stem looks tells what noise and one-sided views do to sections.
         axis_breadth: so is a section broader than the main stem's by this factor.
         truss_breadth: only a node not broader than this, relative to the stem, bears flowers: pedicels broaden a truss.
         flower_reach: and only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts:
@@ -43,9 +45,11 @@ class Params:
     shortest: float = 0.05
     fork_share: float = 0.5
     fork_angle: float = 50.0
+    planar_blade: float = 0.65
+    planar_doubt: float = 0.25
     flat_blade: float = 1.5
-    axis_breadth: float = 1.2
-    truss_breadth: float = 2.0
+    axis_breadth: float = 2.0
+    truss_breadth: float = 4.0
     flower_reach: float = 0.03
     leaf_per_flower: float = 0.02
     spur: float = 3.0
