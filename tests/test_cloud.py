@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import tracemalloc
 from functools import cache
 from pathlib import Path
 
@@ -9,12 +10,14 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
 from anther.capture import Capture
 from anther.cloud import Cloud, Params, fuse
-from anther.cloud.fusion import attached_points, occupied_cells
-from anther.cloud.pixels import supported_pixels
+from anther.cloud.clusters import attached_points, clusters
+from anther.cloud.fusion import occupied_cells
+from anther.cloud.pixels import pixel_normals, supported_pixels
 from anther.cloud.ply import read_ply, write_ply
 from anther.commands.convert_kinect import read_kinect
 from anther.errors import InputError, StageFailure
@@ -150,11 +153,17 @@ def test_round_trip(tmp_path: Path) -> None:
         obstacles=rng.normal(size=(7, 3)),
         T_world_cam=np.stack([look_at([1, 0, i], [0, 0, 0]) for i in range(3)]),
         notes=("one thing", "änother"),
+        view_agreement=np.array([0.9, np.nan, 0.8]),
+        view_used=np.array([True, True, False]),
+        footprint=0.0009,
     )
     cloud.save(tmp_path / "03_cloud.ply")
     again = Cloud.load(tmp_path / "03_cloud.ply")
     for name in ("points", "normals", "colors", "labels", "obstacles", "T_world_cam"):
         assert np.array_equal(getattr(again, name), getattr(cloud, name)), name
+    for name in ("view_agreement", "view_used"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(cloud, name))
+    assert again.footprint == cloud.footprint
     assert again.notes == cloud.notes
     common = trimesh.load(tmp_path / "03_cloud.ply")
     np.testing.assert_allclose(common.vertices, cloud.points)  # type: ignore[union-attr]
@@ -206,6 +215,67 @@ def test_gaps_are_bridged_and_specks_are_dropped() -> None:
     keep = attached_points(np.concatenate([stem, top, speck, far]), gap=0.012, far_gap=0.05, far_share=0.002)
     assert keep[:8000].all()
     assert not keep[8000:].any()
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), gap=st.floats(0.01, 0.3), flat=st.floats(0.01, 1))
+def test_clusters_are_those_of_dbscan_with_one_sample(seed: int, gap: float, flat: float) -> None:
+    """DBSCAN with min_samples = 1 joins all pairs within eps; the reference looks at every pair."""
+    points = np.random.default_rng(seed).normal(size=(150, 3)) * [1, 0.4, flat] * 0.5
+    near = np.linalg.norm(points[:, None] - points, axis=2) <= gap
+    reference = csgraph.connected_components(near, directed=False)[1]
+    found = clusters(points, gap)
+    assert len(set(zip(found, reference, strict=True))) == found.max() + 1 == reference.max() + 1
+
+
+def test_a_point_a_kilometre_away_costs_no_memory() -> None:
+    capture, _, masks, _ = seen()
+    depth, labels = capture.depth[:3].copy(), masks.labels[:3].copy()
+    depth[1, 100:104, 100:104], labels[1, 100:104, 100:104] = 1000.0, PLANT  # 16 pixels support each other
+    far = Capture(depth, capture.intrinsics, capture.T_world_cam[:3])
+    tracemalloc.start()
+    cloud = fuse(far, Masks(labels, "x"), WORKSPACE, Params(voxel=0.004))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1e9
+    assert WORKSPACE.contains(cloud.points).all()
+
+
+def test_normals_are_those_of_the_surface() -> None:
+    """A sphere's normals point from its centre."""
+    camera, centre, radius = d455(), np.array([0.02, 0.01, 0.6]), 0.08
+    ray = camera.rays()
+    b, c = ray @ centre, centre @ centre - radius**2
+    root = b**2 - (ray**2).sum(axis=2) * c
+    mask = root > 0
+    depth = np.where(mask, (b - np.sqrt(np.maximum(root, 0))) / (ray**2).sum(axis=2), 0).astype(np.float32)
+    normals = pixel_normals(depth, mask, camera, 0.003)
+    points = camera.back_project(depth, mask)
+    true = (points - centre) / radius
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    assert ((normals * points).sum(axis=1) < 0).all()
+    inner = (true * points).sum(axis=1) / np.linalg.norm(points, axis=1) < -0.5  # not at the rim
+    angle = np.rad2deg(np.arccos(np.clip((normals * true).sum(axis=1), -1, 1)))
+    assert np.percentile(angle[inner], 95) < 6
+
+
+def test_the_pixel_filter_keeps_petioles_that_an_edge_filter_eats() -> None:
+    """Shares are measured in experiments/registration.py; here only their order."""
+    capture, truth, masks, _ = seen()
+    flying, petioles = np.zeros(2), np.zeros(2)
+    for v in range(2):
+        depth, masked = capture.depth[v], (masks.labels[v] > 0) & (capture.depth[v] > 0)
+        near = np.stack([np.roll(truth.depth[v], (i, j), (0, 1)) for i in range(-2, 3) for j in range(-2, 3)])
+        flies = masked & (np.abs(near - depth).min(axis=0) > 0.01)
+        petiole = masked & ~flies & np.isin(truth.organ[v], (Organ.PETIOLE, Organ.RACHIS))
+        keep = supported_pixels(depth, masked, 2, 5, 0.003)
+        around = np.stack([np.roll(depth, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        smooth = np.where(around > 0, np.abs(around - depth), 0).max(axis=0) <= 0.015
+        flying += [(flies & ~keep).sum(), flies.sum()]
+        petioles += [(petiole & keep).sum() / petiole.sum(), (petiole & smooth).sum() / petiole.sum()]
+    assert flying[0] > 0.5 * flying[1]
+    assert petioles[0] > 0.95 * 2
+    assert petioles[0] > petioles[1] + 0.2
 
 
 def test_obstacles_need_two_views_and_company() -> None:

@@ -1,8 +1,12 @@
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
+from anther.cloud.pixels import slant
 from anther.cloud.registration import Params, register
 from anther.geometry import Array, inverse, look_at, small_transform, transform_points
 
@@ -57,6 +61,14 @@ def perturbed(poses: Array, rng: np.random.Generator, degrees: float = 0.2, shif
     )
 
 
+def small_normals(cloud: Array) -> Array:
+    """Return normals fitted to 20 neighbours, towards the camera."""
+    _, near = KDTree(cloud).query(cloud, 20)
+    spread = cloud[near] - cloud[near].mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", spread, spread))[1][:, :, 0]
+    return np.where(np.einsum("ni,ni->n", normals, cloud)[:, None] > 0, -normals, normals)
+
+
 def displacement(found: Array, true: Array, clouds: list[Array]) -> float:
     """RMS displacement of the points [m]."""
     moved = [transform_points(a, c) - transform_points(b, c) for a, b, c in zip(found, true, clouds, strict=True)]
@@ -89,6 +101,95 @@ def test_true_poses_stay_where_they_are() -> None:
     clouds, true = views_of(rng)
     result = register(clouds, true)
     assert displacement(result.T_world_cam, true, clouds) < 0.0004
+
+
+def test_exact_poses_of_noisy_views_are_kept_as_they_are() -> None:
+    clouds, true = views_of(np.random.default_rng(3), noise=0.0006)
+    result = register(clouds, true)
+    assert not result.accepted
+    assert np.array_equal(result.T_world_cam, true)
+    assert "registration declined" in result.notes[0]
+
+
+def test_a_flat_wall_is_declined_or_harmless() -> None:
+    rng = np.random.default_rng(11)
+    poses = np.stack([look_at([1, y, 0], [0, y, 0]) for y in np.linspace(-0.1, 0.1, 5)])
+    wall = np.column_stack([rng.normal(0, 0.0005, 20000), rng.uniform(-0.3, 0.3, (20000, 2))])
+    clouds = [transform_points(inverse(T), wall) for T in poses]
+    given = perturbed(poses, rng)
+    result = register(clouds, given)
+    assert displacement(result.T_world_cam, poses, clouds) <= 1.05 * displacement(given, poses, clouds)
+
+
+def test_too_little_overlap_keeps_the_arms_poses() -> None:
+    rng = np.random.default_rng(12)
+    clouds, true = views_of(rng, count=5)
+    given = perturbed(true, rng)
+    slices = [
+        c[np.abs(transform_points(T, c)[:, 2] - 0.1 * k + 0.2) < 0.02]
+        for k, (T, c) in enumerate(zip(true, clouds, strict=True))
+    ]
+    result = register(slices, given)
+    assert not result.accepted
+    assert np.array_equal(result.T_world_cam, given)
+
+
+@pytest.mark.parametrize("shift", [0.01, 0.03])
+def test_a_wrong_pose_is_found_and_corrected(shift: float) -> None:
+    rng = np.random.default_rng(13)
+    clouds, true = views_of(rng)
+    given = perturbed(true, rng)
+    given[5] = given[5] @ small_transform([0, 0, 0], shift * np.array([0.6, 0.0, 0.8]))
+    result = register(clouds, given)
+    assert result.used.all()
+    assert displacement(result.T_world_cam[5:6], true[5:6], clouds[5:6]) < 0.002
+    assert [note for note in result.notes if "view 5: its pose was off by" in note]
+    assert result.agreement.min() > 0.8
+
+
+def test_a_view_that_fits_nowhere_is_left_out_and_named() -> None:
+    rng = np.random.default_rng(14)
+    clouds, true = views_of(rng)
+    given = perturbed(true, rng)
+    given[5] = given[5] @ small_transform([0, 0, 1.2], [0, 0, 0])  # another pose by far, whatever it looks at
+    result = register(clouds, given)
+    assert result.used.tolist() == [v != 5 for v in range(12)]
+    assert np.array_equal(result.T_world_cam[5], given[5])
+    assert [note for note in result.notes if "view 5 is left out" in note]
+    rest = result.used
+    some = [clouds[v] for v in np.flatnonzero(rest)]
+    assert displacement(result.T_world_cam[rest], true[rest], some) < 0.5 * displacement(given[rest], true[rest], some)
+
+
+def test_good_views_agree_and_none_is_called_wrong() -> None:
+    rng = np.random.default_rng(15)
+    clouds, true = views_of(rng)
+    result = register(clouds, perturbed(true, rng))
+    assert result.used.all()
+    assert result.agreement.min() > 0.8
+    assert not [note for note in result.notes if "left out" in note]
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.0025])
+def test_the_bias_of_slanted_surfaces_is_seen(reach: float) -> None:
+    """Depths are shortened as a matching window does; its reach is found roughly, and not where there is none."""
+    rng = np.random.default_rng(16)
+    clouds, true = views_of(rng, count=8)
+    short = [c * (1 - reach * slant(c, small_normals(c)))[:, None] for c in clouds]
+    found = register(short, perturbed(true, rng)).reach
+    assert found < 0.0007 if reach == 0 else reach / 2 < found < 2 * reach
+
+
+@pytest.mark.parametrize("method", ["ICP", "PLANE_ICP", "GICP"])
+def test_the_sequential_way_aligns_each_view_with_those_before(method: Literal["ICP", "PLANE_ICP", "GICP"]) -> None:
+    rng = np.random.default_rng(17)
+    clouds, true = views_of(rng, count=4)
+    given = perturbed(true, rng)
+    result = register(clouds, given, Params(method=method))
+    assert np.array_equal(result.T_world_cam[0], given[0])
+    against_first = inverse(true[0]) @ true[1] - inverse(result.T_world_cam[0]) @ result.T_world_cam[1]
+    before = inverse(true[0]) @ true[1] - inverse(given[0]) @ given[1]
+    assert np.linalg.norm(against_first[:3, 3]) < np.linalg.norm(before[:3, 3])
 
 
 def test_views_of_different_things_keep_the_arms_poses() -> None:

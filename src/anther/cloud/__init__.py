@@ -1,7 +1,8 @@
 """Cloud: one coloured, labelled point cloud of the plant in the world frame. N points, M obstacle points.
 
-Masked depth is freed of flying pixels, the views are registered jointly (`registration.py`), fused in voxels, checked
-against what other views see, and reduced to the plant (`fusion.py`). What is not plant becomes coarse obstacles.
+Masked depth is freed of flying pixels (`pixels.py`), the views are registered jointly (`registration.py`), fused in
+voxels, checked against what other views see (`fusion.py`), and reduced to the plant (`clusters.py`). What is not plant
+becomes coarse obstacles.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from numpy.typing import NDArray
 from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_range, check_transform
 from anther.cloud import registration
-from anther.cloud.fusion import ViewPoints, agreeing_points, attached_points, fuse_voxels, occupied_cells
+from anther.cloud.clusters import attached_points
+from anther.cloud.fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
 from anther.cloud.pixels import pixel_normals, supported_pixels
-from anther.cloud.plausibility import cloud_doubts, refuse_ground, view_doubts
+from anther.cloud.plausibility import cloud_doubts, coverage_doubts, refuse_ground, view_doubts
 from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, write_npz
@@ -187,7 +189,7 @@ def fuse(
     box = workspace or viewed_box(capture)
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
-    pixels = _in_threads(lambda v: _plant_pixels(capture, labels, box, v, params), capture.views)
+    pixels = plant_pixels(capture, labels, box, params)
     _require(sum(len(p.points) for p in pixels), params, "pixels with depth within the masks, within the workspace")
     report()
     notes = (*_unseen_views(pixels), *view_doubts(capture.depth, labels))
@@ -201,7 +203,7 @@ def fuse(
     report()
     refuse_ground(fused.points, box)
     kept = attached_points(fused.points, params.gap, params.far_gap, params.far_share)
-    notes += cloud_doubts(fused.points, kept, box)
+    notes += cloud_doubts(fused.points, kept, box) + coverage_doubts(fused.points[kept].mean(axis=0), poses[used])
     fused = fused.only(kept)
     _require(len(fused.points), params, "points that hang together")
     report()
@@ -221,6 +223,18 @@ def fuse(
         view_used=used,
         footprint=float(np.median(np.concatenate([p.points[:, 2] for p in pixels]))) / capture.intrinsics.fx,
     )
+
+
+def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, params: Params) -> list[ViewPoints]:
+    """Return every view's plant pixels as points of its camera frame, flying pixels left out.
+
+    Args:
+        capture: the views.
+        labels: (V, H, W) of the masks.
+        box: the workspace [m]; pixels more than `MARGIN` outside are left out.
+        params: see `Params`.
+    """
+    return _in_threads(lambda v: _plant_pixels(capture, labels, box, v, params), capture.views)
 
 
 def _plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, view: int, params: Params) -> ViewPoints:

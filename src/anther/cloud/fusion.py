@@ -1,4 +1,4 @@
-"""The steps that make one clean cloud of many views: voxel fusion, agreement, attachment, obstacles.
+"""The steps that make one clean cloud of many views: voxel fusion, agreement, obstacles.
 
 Dimensions: V views, H x W pixels, N points.
 """
@@ -13,8 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.spatial import KDTree
+from scipy import ndimage
 
 from anther.cloud.pixels import slant
 from anther.cloud.voxels import voxel_groups
@@ -140,39 +139,6 @@ def _add_agreement(points, depth, k, T, seen_through, balance):
                 contradicts = contradicts and seen > z + seen_through
                 supports = supports or (seen > 0 and abs(seen - z) < seen_through / 2)
         balance[n] += int(supports) - int(contradicts)
-
-
-def attached_points(points: Array, gap: float, far_gap: float, far_share: float) -> NDArray[np.bool_]:
-    """Return which points (N,) belong to the plant: the largest part and what is attached to it, near or large.
-
-    The strict largest cluster would lose most of a real plant, whose cloud has gaps (facts: skeleton_peers, trap 3).
-
-    Args:
-        points: (N, 3) [m].
-        gap: points closer than this are connected, and any part this close to the plant belongs to it [m].
-        far_gap: parts with at least `far_share` of all points belong to it up to this distance [m].
-        far_share: 0..1.
-    """
-    cells, cell_of = np.unique(np.floor(points / (gap / 2)).astype(np.int64), axis=0, return_inverse=True)
-    centres = (cells + 0.5) * (gap / 2)
-    pairs = KDTree(centres).query_pairs(gap, output_type="ndarray")
-    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
-    _, part = sparse.csgraph.connected_components(graph, directed=False)
-    size = np.bincount(part[cell_of])
-    keep = np.zeros(len(size), dtype=bool)
-    keep[np.argmax(size)] = True
-    while True:
-        rest = np.flatnonzero(~keep[part])
-        if len(rest) == 0:
-            break
-        distance, _ = KDTree(centres[keep[part]]).query(centres[rest], distance_upper_bound=far_gap)
-        nearest = np.full(len(size), np.inf)
-        np.minimum.at(nearest, part[rest], distance)
-        joins = ~keep & (nearest < far_gap) & (size >= far_share * len(points))
-        if not joins.any():
-            break
-        keep |= joins
-    return keep[part[cell_of]]
 
 
 def occupied_cells(points: Array, views: NDArray[Any], plant: Array, voxel: float) -> Array:

@@ -8,6 +8,8 @@ Dimensions: V views, P pairs.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -37,34 +39,35 @@ def prior_information(views: int, own: tuple[float, float], common: tuple[float,
     return information
 
 
-def step(
-    sample: Sample,
-    at: Estimate,
-    given: Array,
-    pairs: NDArray[np.int64],
-    *,
-    information: Array,
-    scale: float,
-    weight: float,
-    reach_fixed: bool = False,
-) -> Estimate:
-    """Return the estimate after one Gauss-Newton step.
+class Problem(NamedTuple):
+    """What a Gauss-Newton step needs besides the estimate.
 
-    Args:
+    Attributes:
         sample: the points.
-        at: the estimate before.
-        given: (V, 4, 4) poses the prior is about.
         pairs: (P, 2) from `match`.
+        given: (V, 4, 4) poses the prior is about.
         information: from `prior_information`.
         scale: of the Welsch weights [m].
         weight: inverse variance of one pair's distance [1/m^2].
-        reach_fixed: only the poses may change.
     """
+
+    sample: Sample
+    pairs: NDArray[np.int64]
+    given: Array
+    information: Array
+    scale: float
+    weight: float
+
+
+def step(problem: Problem, at: Estimate, *, reach_fixed: bool = False) -> Estimate:
+    """Return the estimate after one Gauss-Newton step; with `reach_fixed` only the poses change."""
+    sample, information, weight = problem.sample, problem.information, problem.weight
     hessian, gradient = np.zeros_like(information), np.zeros(len(information))
     world, normals = sample.world(at)
     points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
-    _accumulate(pairs, points, along, sample.view, world, normals, at.poses, scale, hessian, gradient)
-    error = inverse(given) @ at.poses
+    _accumulate(problem.pairs, points, along, sample.view, world, normals, at.poses, problem.scale, hessian, gradient)
+    hessian += hessian.T - np.diag(np.diag(hessian))
+    error = inverse(problem.given) @ at.poses
     turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
     moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
     free = slice(-1) if reach_fixed else slice(None)
@@ -78,7 +81,10 @@ def step(
 
 @numba.njit(nogil=True, cache=True)
 def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessian, gradient):
-    """Add the pairs' Welsch-weighted normal equations; weight exp(-(r / scale)^2), Welsch (Holland 1977)."""
+    """Add the pairs' Welsch-weighted normal equations; weight exp(-(r / scale)^2), Welsch (Holland 1977).
+
+    Of each two symmetric entries of the Hessian only one is added.
+    """
     last = len(gradient) - 1
     row, index = np.empty(13), np.empty(13, dtype=np.int64)
     m = np.empty(3)
@@ -106,5 +112,5 @@ def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessia
                 index[base + k] = 6 * view[i] + k
         for k in range(13):
             gradient[index[k]] += w * r * row[k]
-            for q in range(13):
+            for q in range(k, 13):
                 hessian[index[k], index[q]] += w * row[k] * row[q]

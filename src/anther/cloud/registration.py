@@ -161,7 +161,8 @@ def _without_contradictions(
     start[far] = placed.poses[far]
     if len(wrong) > 0 or far.any():
         kept = used[sample.view]
-        found = _aligned(sample.only(kept), start, source[kept], params) or found
+        found = _refined(sample.only(kept), placed, start, source[kept], params)
+        found.poses[~used] = given[~used]
         agrees = agreement(sample, found, views)
     return _Checked(found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far))
 
@@ -193,39 +194,51 @@ def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np
 
 
 def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
+    """Return the estimate, or None where views share no surface."""
     if params.method != "joint":
         return Estimate(chain(sample, given, params.method, params.match_distances[0]))
-    return _jointly(sample, given, source, params)
+    half = (len(params.match_distances) + 1) // 2
+    first, last = params.match_distances[:half], params.match_distances[half:]
+    at = _jointly(sample, Estimate(given), given, source, first, params, reach_fixed=False)
+    if at is None:
+        return None
+    at = Estimate(at.poses, max(0.0, at.reach) / ATTENUATION)
+    return _jointly(sample, at, given, source, last, params, reach_fixed=True)
 
 
-def _jointly(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
-    """Return the joint estimate: the window's reach is estimated in the first half of the rounds, then kept."""
+def _refined(sample: Sample, at: Estimate, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate:
+    """Return the joint estimate from a start that is nearly right; the sequential ways have nothing to refine."""
+    if params.method != "joint":
+        return at
+    last = params.match_distances[-2:]
+    return _jointly(sample, at, given, source, last, params, reach_fixed=True) or at
+
+
+def _jointly(
+    sample: Sample,
+    at: Estimate,
+    given: Array,
+    source: NDArray[np.bool_],
+    distances: tuple[float, ...],
+    params: Params,
+    *,
+    reach_fixed: bool,
+) -> Estimate | None:
+    """Return the estimate after one round for each distance: match, then two Gauss-Newton steps."""
     information = joint.prior_information(
         len(given),
         (params.rotation_sigma, params.translation_sigma),
         (params.hand_eye_rotation_sigma, params.hand_eye_translation_sigma),
         params.reach_sigma,
     )
-    at, weight = Estimate(given), 1 / (params.point_sigma**2 * params.points_per_constraint)
-    half = (len(params.match_distances) + 1) // 2
-    for number, distance in enumerate(params.match_distances):
+    weight = 1 / (params.point_sigma**2 * params.points_per_constraint)
+    for distance in distances:
         pairs = _match(sample, at, source, distance, params)
         if len(pairs) == 0:
             return None
-        if number == half:
-            at = Estimate(at.poses, max(0.0, at.reach) / ATTENUATION)
-        scale = max(params.point_sigma, distance / 3)
+        problem = joint.Problem(sample, pairs, given, information, max(params.point_sigma, distance / 3), weight)
         for _ in range(2):
-            at = joint.step(
-                sample,
-                at,
-                given,
-                pairs,
-                information=information,
-                scale=scale,
-                weight=weight,
-                reach_fixed=number >= half,
-            )
+            at = joint.step(problem, at, reach_fixed=reach_fixed)
     return at
 
 

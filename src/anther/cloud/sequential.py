@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import small_gicp
 
 from anther.cloud.matching import THREADS, Estimate, Sample
-from anther.geometry import Array, transform_points
+from anther.geometry import Array
 
 NEIGHBOURS = 12
 TIGHT = {"rotation_epsilon": 1e-5, "translation_epsilon": 1e-6}
@@ -26,19 +28,35 @@ def chain(sample: Sample, given: Array, method: str, distance: float) -> Array:
     for view in np.unique(sample.view)[1:]:
         before = sample.view < view
         placed, _ = sample.only(before).world(Estimate(poses))
-        poses[view] = align(placed, sample.points[sample.view == view], poses[view], method, distance)
+        source = sample.points[sample.view == view]
+        poses[view] = align(Target.of(placed), source, poses[view], method, distance)
     return poses
 
 
-def align(target: Array, source_cam: Array, T_world_cam: Array, method: str, distance: float) -> Array:
-    """Return T_world_cam (4, 4) under which source_cam (M, 3) lies on target (N, 3), starting from the one given."""
-    fixed, moving = (
-        small_gicp.PointCloud(np.ascontiguousarray(p)) for p in (target, transform_points(T_world_cam, source_cam))
-    )
-    for cloud in (fixed, moving):
-        small_gicp.estimate_normals_covariances(cloud, num_neighbors=NEIGHBOURS, num_threads=THREADS)
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Points with normals and covariances, and their search tree."""
+
+    cloud: small_gicp.PointCloud
+    tree: small_gicp.KdTree
+
+    @classmethod
+    def of(cls, points: Array) -> Target:
+        """Prepare world points (N, 3) [m]."""
+        cloud = _with_covariances(points)
+        return cls(cloud, small_gicp.KdTree(cloud, num_threads=THREADS))
+
+
+def align(target: Target, source_cam: Array, T_world_cam: Array, method: str, distance: float) -> Array:
+    """Return T_world_cam (4, 4) under which source_cam (M, 3) lies on the target, starting from the one given."""
     result = small_gicp.align(
-        fixed, moving, small_gicp.KdTree(fixed, num_threads=THREADS), registration_type=method,
+        target.cloud, _with_covariances(source_cam), target.tree, T_world_cam, registration_type=method,
         max_correspondence_distance=distance, num_threads=THREADS, max_iterations=60, **TIGHT,
     )  # fmt: skip
-    return np.asarray(result.T_target_source) @ T_world_cam
+    return np.asarray(result.T_target_source)
+
+
+def _with_covariances(points: Array) -> small_gicp.PointCloud:
+    cloud = small_gicp.PointCloud(np.ascontiguousarray(points))
+    small_gicp.estimate_normals_covariances(cloud, num_neighbors=NEIGHBOURS, num_threads=THREADS)
+    return cloud

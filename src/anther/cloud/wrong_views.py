@@ -9,7 +9,7 @@ import small_gicp
 from numpy.typing import NDArray
 
 from anther.cloud.matching import THREADS, Estimate, Sample, replaced
-from anther.cloud.sequential import align
+from anther.cloud.sequential import Target, align
 from anther.geometry import Array
 
 NEAR = 0.02
@@ -24,7 +24,7 @@ ALIKE = float(np.cos(np.deg2rad(40)))
 LEAST_JUDGED = 50
 """Fewer points than this cannot tell whether a view agrees."""
 
-THINNED = 3
+THINNED = 4
 """One point in so many is judged, against the same share of the others'."""
 
 STEP = 0.01
@@ -50,13 +50,12 @@ def placed_anew(sample: Sample, at: Estimate, view: int, search: float) -> Array
     points, _ = sample.world(at)
     own = sample.view == view
     others = points[~own]
-    shifts = _best_shifts(points[own], others, search, most=4)
-    unbiased, tried = sample.unbiased(at.reach)[own], []
-    for shift in shifts:
+    target, unbiased, tried = Target.of(others), sample.unbiased(at.reach)[own], []
+    for shift in _best_shifts(points[own], target.tree, search, most=3):
         pose = at.poses[view].copy()
         pose[:3, 3] += shift
-        for distance in (2 * STEP, STEP, STEP / 2):
-            pose = align(others, unbiased, pose, "PLANE_ICP", distance)
+        for distance in (2 * STEP, STEP / 2):
+            pose = align(target, unbiased, pose, "PLANE_ICP", distance)
         tried.append((np.nan_to_num(agreement(sample, replaced(at, view, pose), [view])[0]), pose))
     return max(tried, key=lambda found: found[0])[1]
 
@@ -74,12 +73,11 @@ def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
     return float(agrees[judged].mean())
 
 
-def _best_shifts(source: Array, target: Array, search: float, most: int) -> Array:
+def _best_shifts(source: Array, target: small_gicp.KdTree, search: float, most: int) -> Array:
     """Return the shifts (most, 3) [m] that bring the source points closest to the target's."""
-    few = source[:: max(1, len(source) // 200)]
+    few = source[:: max(1, len(source) // 100)]
     steps = np.arange(-search, search + STEP / 2, STEP)
     shifts = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-    tree = small_gicp.KdTree(np.ascontiguousarray(target), num_threads=THREADS)
-    _, squared = tree.batch_knn_search((few + shifts[:, None]).reshape(-1, 3), 1, num_threads=THREADS)
+    _, squared = target.batch_knn_search((few + shifts[:, None]).reshape(-1, 3), 1, num_threads=THREADS)
     score = np.exp(-squared.reshape(len(shifts), -1) / (STEP / 2) ** 2).mean(axis=1)
     return shifts[np.argsort(-score)[:most]]

@@ -1,0 +1,237 @@
+"""Registration against the truth: the arm's poses, the paper's sequential ICP, and all views jointly.
+
+    python experiments/registration.py --figures docs/pictures --json docs/results/registration.json
+
+Plants and views are those of `skeletons.py` (the ten plants; --development takes ten others). One rendering serves
+three errors of the robot: as in facts: perception (pose 0.2 deg and 1.5 mm per axis, hand-eye 0.2 deg and 1 mm), poses
+twice as bad, hand-eye twice as bad. The displacement is the RMS, over all pixels that truly show the plant, of the
+distance between where the estimated and where the true pose puts the pixel's true point; nothing is taken off. Beside
+it, "shape" is the same after the common rigid motion that fits best is removed: what makes stems double.
+
+Then the pixel filter, on the same views: which pixels within the masks it drops. A pixel flies if no true surface
+within 2 px lies within 10 mm of its depth.
+
+Keys of the --json file: <method>_<error>_rms_mm (mean over plants), _worst_mm, _shape_mm, _s (median wall seconds);
+<error> is usual, poses or hand_eye; reach_px (estimated reach of the matching window, median), accepted;
+<filter>_flying_removed, _petioles_kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from skeletons import take
+
+from anther import cloud, masks
+from anther.arm import sawyer
+from anther.capture import Capture
+from anther.cloud.pixels import supported_pixels
+from anther.cloud.registration import Params, register
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, layout
+from anther.files import replacing, write_json
+from anther.geometry import Array, inverse, small_transform, transform_points
+from anther.sim.capture import CaptureTruth, perturbed_hand_eye
+from anther.sim.plant import Organ
+
+TEN: list[tuple[Species, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
+DEVELOPMENT: list[tuple[Species, int]] = [
+    *(("tomato", 10 + k) for k in range(4)),
+    *(("pepper", 10 + k) for k in range(6)),
+]
+METHODS = {
+    "kinematics": None,
+    "icp": Params(method="ICP"),
+    "plane_icp": Params(method="PLANE_ICP"),
+    "gicp": Params(method="GICP"),
+    "joint": Params(),
+}
+ERRORS = {"usual": (1.0, 1.0), "poses": (2.0, 1.0), "hand_eye": (1.0, 2.0)}
+"""Factors on the error of the poses and of the hand-eye calibration."""
+
+GRADIENT = 0.015
+"""Of the plain edge filter [m]: a pixel goes if the depths around it differ by more."""
+
+
+class Outcome(NamedTuple):
+    """RMS displacement [mm], the same without the common rigid motion [mm], wall time [s]; reach [px], accepted."""
+
+    rms: float
+    shape: float
+    seconds: float
+    reach: float = np.nan
+    accepted: bool = False
+
+
+def believed_poses(truth: CaptureTruth, rng: np.random.Generator, poses: float, hand_eye: float) -> Array:
+    """Return what a robot with such errors would believe of the poses (V, 4, 4) at which the views were taken."""
+    T_true = perturbed_hand_eye(
+        sawyer.T_FLANGE_CAM, rng, rotation=hand_eye * np.radians(0.2), translation=hand_eye * 0.001
+    )
+    turn, shift = rng.normal(size=(2, len(truth.T_world_cam), 3))
+    errors = np.stack(
+        [small_transform(poses * np.radians(0.2) * a, poses * 0.0015 * b) for a, b in zip(turn, shift, strict=True)]
+    )
+    return truth.T_world_cam @ inverse(T_true) @ inverse(errors) @ sawyer.T_FLANGE_CAM
+
+
+def displacement(found: Array, truth: CaptureTruth, points: list[Array]) -> tuple[float, float]:
+    """Return the RMS displacement [mm] of the points, as it is and without the best common rigid motion."""
+    at = np.concatenate([transform_points(T, p) for T, p in zip(truth.T_world_cam, points, strict=True)])
+    moved = np.concatenate([transform_points(T, p) for T, p in zip(found, points, strict=True)]) - at
+    x, y, z = (at - at.mean(axis=0)).T
+    zero, one = np.zeros(len(at)), np.ones(len(at))
+    turns = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 1, 0)
+    motions = np.concatenate([turns, one[:, None, None] * np.eye(3)], axis=2).reshape(-1, 6)
+    rest = moved.ravel() - motions @ np.linalg.lstsq(motions, moved.ravel())[0]
+    return 1e3 * float(np.sqrt(3 * np.mean(moved**2))), 1e3 * float(np.sqrt(3 * np.mean(rest**2)))
+
+
+def true_points(capture: Capture, truth: CaptureTruth, step: int = 7) -> list[Array]:
+    """Return per view every few of the true plant points in its camera frame [m]."""
+    return [
+        capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::step]
+        for d, o in zip(truth.depth, truth.organ, strict=True)
+    ]
+
+
+def register_all(
+    capture: Capture, truth: CaptureTruth, labels: NDArray[Any], rng: np.random.Generator
+) -> dict[tuple[str, str], Outcome]:
+    """Return the outcome of every method under every error."""
+    box, points, outcomes = layout(USUAL_DISTANCE).workspace, true_points(capture, truth), {}
+    for error, factors in ERRORS.items():
+        given = believed_poses(truth, rng, *factors)
+        seen = Capture(capture.depth, capture.intrinsics, given, capture.rgb)
+        pixels = [p.points for p in cloud.plant_pixels(seen, labels, box, cloud.Params())]
+        for method, params in METHODS.items():
+            begin = time.perf_counter()
+            found = register(pixels, given, params) if params else None
+            seconds = time.perf_counter() - begin
+            rms, shape = displacement(found.T_world_cam if found else given, truth, points)
+            reach = found.reach * capture.intrinsics.fx if found else np.nan
+            outcomes[method, error] = Outcome(rms, shape, seconds, reach, bool(found and found.accepted))
+    return outcomes
+
+
+def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -> dict[str, tuple[float, float]]:
+    """Return for each filter the share of flying pixels it removes and of petiole pixels it keeps."""
+    params, counts = cloud.Params(), {name: np.zeros(4) for name in ("none", "gradient", "support")}
+    for view, depth in enumerate(capture.depth):
+        masked = (labels[view] > 0) & (depth > 0)
+        flies = masked & ~_on_surface(depth, truth.depth[view])
+        petiole = masked & ~flies & np.isin(truth.organ[view], (Organ.PETIOLE, Organ.RACHIS))
+        keeps = {
+            "none": masked,
+            "gradient": masked & (_range(depth) <= GRADIENT),
+            "support": supported_pixels(
+                depth, masked, params.edge_window, params.edge_support, params.edge_depth
+            ),
+        }  # fmt: skip
+        for name, keep in keeps.items():
+            counts[name] += [(flies & ~keep).sum(), flies.sum(), (petiole & keep).sum(), petiole.sum()]
+    return {name: (float(a / max(b, 1)), float(c / max(d, 1))) for name, (a, b, c, d) in counts.items()}
+
+
+def _on_surface(depth: NDArray[Any], exact: NDArray[Any]) -> NDArray[np.bool_]:
+    found = np.zeros(depth.shape, dtype=bool)
+    for dv in range(-2, 3):
+        for du in range(-2, 3):
+            found |= np.abs(np.roll(exact, (dv, du), axis=(0, 1)) - depth) < 0.01
+    return found
+
+
+def _range(depth: NDArray[Any]) -> NDArray[Any]:
+    """Return (H, W) the greatest difference of depth [m] between a pixel and its eight neighbours that read one."""
+    around = [np.roll(depth, (dv, du), axis=(0, 1)) for dv in (-1, 0, 1) for du in (-1, 0, 1)]
+    return np.max([np.where(a > 0, np.abs(a - depth), 0) for a in around], axis=0)
+
+
+def metrics(
+    outcomes: list[dict[tuple[str, str], Outcome]], filters: list[dict[str, tuple[float, float]]]
+) -> dict[str, float]:
+    """Return the flat table."""
+    table: dict[str, float] = {}
+    for method, error in outcomes[0]:
+        rows = [o[method, error] for o in outcomes]
+        table[f"{method}_{error}_rms_mm"] = float(np.mean([r.rms for r in rows]))
+        table[f"{method}_{error}_worst_mm"] = max(r.rms for r in rows)
+        table[f"{method}_{error}_shape_mm"] = float(np.mean([r.shape for r in rows]))
+        table[f"{method}_{error}_s"] = float(np.median([r.seconds for r in rows]))
+    joint = [o["joint", error] for o in outcomes for error in ERRORS]
+    table["reach_px"] = float(np.median([r.reach for r in joint]))
+    table["accepted"] = float(np.mean([r.accepted for r in joint]))
+    for name in filters[0]:
+        table[f"{name}_flying_removed"], table[f"{name}_petioles_kept"] = np.mean([f[name] for f in filters], axis=0)
+    return {name: float(value) for name, value in table.items()}
+
+
+def draw(outcomes: list[dict[tuple[str, str], Outcome]], file: Path) -> None:
+    """Draw every plant's displacement, method beside method."""
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    for plot, error in zip(figure.subplots(1, len(ERRORS), sharey=True), ERRORS, strict=True):
+        for column, method in enumerate(METHODS):
+            values = [o[method, error].rms for o in outcomes]
+            spread = np.linspace(-0.25, 0.25, len(values)) if len(values) > 1 else [0.0]
+            plot.plot(column + np.array(spread), values, "o", markersize=4, alpha=0.8)
+        plot.axhline(1.2, color="0.5", linestyle=":")
+        plot.set_xticks(range(len(METHODS)), [m.replace("_", " ") for m in METHODS], rotation=35, ha="right")
+        plot.set_title(
+            {"usual": "usual errors", "poses": "poses twice as bad", "hand_eye": "hand-eye twice as bad"}[error]
+        )
+        plot.set_yscale("log")
+        plot.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
+        plot.grid(axis="y", alpha=0.3)
+    figure.axes[0].set_ylabel("RMS displacement [mm]")
+    with replacing(file) as temporary:
+        figure.savefig(temporary, dpi=130, format="png")
+
+
+def show(console: Console, table: dict[str, float]) -> None:
+    """Print the table."""
+    for error in ERRORS:
+        rows = Table("method", "RMS [mm]", "worst [mm]", "shape [mm]", "time [s]", title=f"error: {error}")
+        for method in METHODS:
+            of = [table[f"{method}_{error}_{key}"] for key in ("rms_mm", "worst_mm", "shape_mm", "s")]
+            rows.add_row(method, *(f"{value:.2f}" for value in of))
+        console.print(rows)
+    for key in [k for k in table if k.endswith(("_removed", "_kept", "reach_px", "accepted"))]:
+        console.print(f"{key}: {table[key]:.3f}", highlight=False)
+
+
+def main() -> None:
+    """Run, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="write the metrics here")
+    parser.add_argument("--figures", type=Path, help="write registration.png into this folder")
+    parser.add_argument("--quick", action="store_true", help="two plants only")
+    parser.add_argument("--development", action="store_true", help="other plants, on which parameters were chosen")
+    parser.add_argument("--seed", type=int, default=0, help="of the robot's errors")
+    args = parser.parse_args()
+    plants = DEVELOPMENT if args.development else TEN
+    plants = [plants[0], plants[-1]] if args.quick else plants
+    outcomes, filters, console = [], [], Console()
+    with Progress(console=console) as progress:
+        for number, (species, seed) in enumerate(progress.track(plants, description="plants")):
+            _, capture, truth = take(species, seed)
+            labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace).labels
+            outcomes.append(register_all(capture, truth, labels, np.random.default_rng([args.seed, number])))
+            filters.append(filter_pixels(capture, truth, labels))
+    table = metrics(outcomes, filters)
+    show(console, table)
+    if args.figures:
+        draw(outcomes, args.figures / "registration.png")
+    if args.json:
+        write_json(args.json, table)
+
+
+if __name__ == "__main__":
+    main()
