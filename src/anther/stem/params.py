@@ -48,7 +48,7 @@ class Params:
     planar_blade: float = 0.65
     planar_doubt: float = 0.25
     flat_blade: float = 1.5
-    axis_breadth: float = 2.0
+    axis_breadth: float = 1.75
     truss_breadth: float = 4.0
     flower_reach: float = 0.03
     leaf_per_flower: float = 0.02
