@@ -81,13 +81,15 @@ def foot_cells(plant: NDArray[np.bool_], below: NDArray[np.bool_], voxel: float,
         voxel, margin: as in `ground_cells`.
     """
     top = below.sum(axis=2)[:, :, None]
-    levels = np.arange(below.shape[2])[None, None, :]
-    standing = (plant & (levels >= top) & (levels < top + 2)).any(axis=2).astype(np.uint8)
-    _, parts, stats, _ = cv2.connectedComponentsWithStats(standing, connectivity=8)
+    above = np.minimum(top + np.arange(2), below.shape[2] - 1)
+    standing = np.any(np.take_along_axis(plant & ~below, above, axis=2), axis=2)
+    _, parts, stats, _ = cv2.connectedComponentsWithStats(np.asarray(standing, dtype=np.uint8), connectivity=8)
     narrow = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= STEM_EXTENT / voxel
     narrow[0] = False
-    depth = 1 + int(margin / voxel)
-    return narrow[parts][:, :, None] & (levels < top) & (levels >= np.maximum(top - depth, 0))
+    foot = np.zeros_like(below)
+    carried = np.maximum(top - 1 - np.arange(1 + int(margin / voxel)), 0)
+    np.put_along_axis(foot, carried, narrow[parts][:, :, None], axis=2)
+    return foot & below
 
 
 def _slabs(solid: NDArray[np.bool_], voxel: float) -> list[tuple[int, NDArray[np.uint8]]]:

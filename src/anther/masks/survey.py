@@ -36,6 +36,7 @@ class Survey:
         cameras: (V, 16) see `camera_numbers`.
         classes: (V, H, W) uint8, see `light.OUTSIDE` and what follows.
         votes: (LAYERS, X, Y, Z) uint16, or (1, X, Y, Z) without colour.
+        total: (X, Y, Z) votes of every colour.
         below: (X, Y, Z) cells that are ground, whatever their colour.
         rim: (X, Y, Z) cells about a pot's wall and rim, where only what is green is plant.
         source: what told plant from the rest, for `Masks.source`.
@@ -45,18 +46,14 @@ class Survey:
     cameras: Array
     classes: NDArray[Any]
     votes: NDArray[Any]
+    total: NDArray[Any]
     below: NDArray[np.bool_]
     rim: NDArray[np.bool_]
     source: str
 
-    @property
-    def total(self) -> NDArray[np.int32]:
-        """Votes of every colour in each cell (X, Y, Z)."""
-        return self.votes[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
-
     def foot(self, plant: NDArray[np.bool_], params: Params) -> NDArray[np.bool_]:
         """Return the ground cells (X, Y, Z) that hold the foot of a stem of `plant` (X, Y, Z)."""
-        return foot_cells(plant & ~self.below, self.below, params.voxel, params.ground_margin)
+        return foot_cells(plant, self.below, params.voxel, params.ground_margin)
 
 
 def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
@@ -68,15 +65,14 @@ def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
         rule = green_rule(light, params) if light.holds_green else _learned(capture, grid, params)
     cameras = np.stack([camera_numbers(T, capture.intrinsics) for T in capture.T_world_cam])
     classes, votes = _votes(capture, grid, cameras, rule)
+    total = votes[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
     if rule is None or rule.learned:
-        seen = votes[:PETAL_VIEWS].sum(axis=0, dtype=np.int32) >= 2
-        below, rim = _ground(seen, params, params.bare_ground_radius, rings=False)
+        below, rim = _ground(total >= 2, params, params.bare_ground_radius, rings=False)
     else:
-        total = votes[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
         bare = (total >= 5) & (votes[GREEN - 1] <= 0.1 * total)
         below, rim = _ground(bare, params, params.ground_radius, rings=True)
     source = "geometry" if rule is None else "geometry; light without green" if rule.learned else "colour and geometry"
-    return Survey(grid, cameras, classes, votes, below, rim, source)
+    return Survey(grid, cameras, classes, votes, total, below, rim, source)
 
 
 def each_view(work: Callable[[int], object], views: int) -> None:
