@@ -23,6 +23,7 @@ SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 SEARCHES = 3  # for a path, each with half the step of the one before
+NEAR = 0.01  # rad, on shorter paths TOPP-RA may find no grid
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
 
 
@@ -170,6 +171,8 @@ class Planner:
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         path = self._path(start, goal)
+        if np.abs(goal - start).max() < NEAR and len(path) == 2:
+            return timing.along_line(np.linspace(start, goal, 5), NEAR, self.params.approach_speed)
         shares = self.params.velocity_share, self.params.acceleration_share
         motion = timing.fastest(self.world.scene, path, *shares)
         within = timing.limit_share(motion) <= 1.05 * max(shares)

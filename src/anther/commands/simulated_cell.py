@@ -75,6 +75,20 @@ def layout(distance: float) -> Layout:
     )
 
 
+def safety_limits(place: Layout) -> SafetyLimits:
+    """Return what no command of a Sawyer in this cell may exceed."""
+    return SafetyLimits(
+        forward=sawyer.forward,
+        outline=outline,
+        joint_lower=sawyer.LOWER,
+        joint_upper=sawyer.UPPER,
+        joint_speed=sawyer.VELOCITY,
+        joint_acceleration=sawyer.ACCELERATION,
+        workspace=place.arm_space,
+        keep_out=(*place.solids, place.pot),
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCell:
     """A plant, its robot, and the world that both live in.
@@ -137,16 +151,7 @@ def build(
             plan_around=lambda cloud: Planner(cloud.points, cloud.obstacles, place.solids),
             robot=robot,
             workspace=place.workspace,
-            limits=SafetyLimits(
-                forward=sawyer.forward,
-                outline=outline,
-                joint_lower=sawyer.LOWER,
-                joint_upper=sawyer.UPPER,
-                joint_speed=sawyer.VELOCITY,
-                joint_acceleration=sawyer.ACCELERATION,
-                workspace=place.arm_space,
-                keep_out=(*place.solids, place.pot),
-            ),
+            limits=safety_limits(place),
         ),
     )
 

@@ -158,10 +158,9 @@ class FaultyCamera:
     def read(self) -> Frame:
         """Return a frame, or lose it."""
         self._reads += 1
-        frame = self._camera.read()
         if self._fault.strikes(self._reads - 1):
             raise DeviceError("the frame was lost on the cable.")
-        return frame
+        return self._camera.read()
 
     def start(self, rate: float) -> None:
         """Begin to record."""

@@ -1,0 +1,397 @@
+"""Random faults of arm, gripper and camera, Ctrl-C and kill -9: does each end safely, on record, and can it go on?
+
+    python experiments/faults.py --json docs/results/faults.json [--quick] [--jobs 2]
+
+The plan is made once (tomato 10, from views to shake plan, in OUT/base) and read back for every fault. A fault then
+hits the execution in a MuJoCo cell, or, one in twenty, the camera while the views are taken; one in fifty kills the
+process with SIGKILL. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the time, the others
+the whole plant.
+
+docs/execution.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never sees.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from anther import pipeline
+from anther.arm import sawyer
+from anther.arm.planner import Planner
+from anther.capture import Capture
+from anther.cloud import Cloud
+from anther.commands.simulated_cell import PRESETS, build, grow, layout, safety_limits
+from anther.devices import Arm, ArmRecord, DeviceError, Frame, JointTrajectory, Robot, SafetyLimits, Watch
+from anther.drivers.replay import ReplayCamera
+from anther.errors import InputError, StageFailure
+from anther.execution import Params, Trial, execute
+from anther.files import read_json, write_json
+from anther.geometry import Array, Intrinsics
+from anther.plant import TOMATO
+from anther.runs import Run
+from anther.safety import GuardedCamera
+from anther.sim.cell import BENCH, POT, Cell, mujoco
+from anther.sim.faults import Fault, FaultyCamera, Kind, with_faults
+from anther.sim.plant import Organ, SimPlant
+from anther.sim.robot import SimArm, SimGripper
+from anther.vibration import ShakePlan
+
+SPECIES, SEED, DISTANCE = "tomato", 10, 0.72
+FEWEST_VIEWS = 3
+MOTIONS = (0, 1, 2, 3, 4)  # of a trial: reach, approach, settle, shake, retreat
+EXPECTED = {"pushed": "collision", "ctrl-c": "interrupted", "kill -9": "interrupted"}  # others: device_fault
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault, and where it strikes: `views` while they are taken, else the execution."""
+
+    number: int
+    fault: Fault
+    views: bool = False
+    whole_plant: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of it: why it was not safe, what is wrong with the record, why it could not go on; "" is good."""
+
+    case: Case
+    unsafe: str
+    record: str
+    continued: str
+    force: float
+
+
+def draw(number: int, seed: int) -> Case:
+    """Return case `number` of a seed."""
+    rng = np.random.default_rng([seed, number])
+    lasting, share = bool(rng.random() < 0.3), float(rng.uniform(0, 0.8))
+    if number % 50 == 7:
+        return Case(number, Fault("kill -9", int(rng.choice(MOTIONS)), share))
+    if number % 20 == 13:
+        return Case(number, Fault("frames lost", int(rng.integers(0, 30)), share, lasting), views=True)
+    kinds: list[Kind] = [k for k in get_args(Kind) if k != "kill -9"]
+    kind = kinds[rng.integers(len(kinds))]
+    # an arm that stands still (2) cannot be stale; a gripper is told to open, close, release
+    at = {"stale joints": (0, 1, 3, 4), "gripper jam": (0, 1, 2), "frames lost": (0,)}.get(kind, MOTIONS)
+    return Case(number, Fault(kind, int(rng.choice(at)), share, lasting), whole_plant=number % 10 == 3)
+
+
+def prepare(base: Path) -> None:
+    """Make the stored results of a run up to the shake plan: a whole trial whose arm rejects every command."""
+    if (base / "09_trial.npz").exists():
+        return
+    cell = build(SPECIES, SEED, 0.0, PRESETS["full"], distance=DISTANCE).robot_side
+    dead = with_faults(cell.robot, Fault("command rejected", lasting=True))
+    with Run(base) as run:
+        pipeline.pollinate(replace(cell, robot=dead), TOMATO, run, pipeline.Params())
+
+
+@cache
+def planned(base: Path) -> tuple[Planner, ShakePlan, SafetyLimits]:
+    """Return what every execution needs, read back from the base run."""
+    cloud = Cloud.load(base / "03_cloud.ply")
+    planner = Planner(cloud.points, cloud.obstacles, layout(DISTANCE).solids)
+    return planner, ShakePlan.load(base / "08_shake_plan.json"), safety_limits(layout(DISTANCE))
+
+
+@cache
+def plant(whole: bool) -> SimPlant:
+    """Return the plant, or its main stem alone."""
+    grown = grow(SPECIES, SEED, 0.0, DISTANCE)
+    if whole:
+        return grown
+    stem = grown.organ == Organ.STEM
+    arrays = {k: v[stem] for k, v in vars_of(grown).items() if len(v) == len(stem)}
+    arrays["parent"] = np.where(arrays["parent"] < 0, -1, (np.cumsum(stem) - 1)[arrays["parent"]])
+    bare = {"flower_segment": np.zeros(0, int), "flower_position": np.zeros((0, 3))}
+    return replace(grown, **arrays, **bare, vertex_segment=np.full(len(grown.vertices), -1))
+
+
+def vars_of(grown: SimPlant) -> dict[str, Array]:
+    """Return the per-segment arrays by name."""
+    names = "start end radius_start radius_end parent organ youngs density damping_ratio lump_mass lump_centre"
+    return {name: getattr(grown, name) for name in names.split()}
+
+
+class ClockCamera:
+    """A camera that sees nothing, on the cell's clock: no response is measured here."""
+
+    intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell, self.begun = cell, (0.0, 0.0)
+
+    def read(self) -> Frame:
+        """Return a blank frame."""
+        return Frame(self.cell.time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
+
+    def start(self, rate: float) -> None:
+        """Begin."""
+        self.begun = (self.cell.time, rate)
+
+    def stop(self) -> list[Frame]:
+        """Return blank frames at the rate asked for."""
+        start, rate = self.begun
+        return [replace(self.read(), time=t) for t in np.arange(start, self.cell.time, 1 / rate)] if rate else []
+
+
+class Kept(SimArm):
+    """The simulated arm; its world's state is on disk at every reading, as the real world outlives a killed process."""
+
+    def __init__(self, cell: Cell, path: Path) -> None:
+        super().__init__(cell)
+        mode = "r+" if path.exists() else "w+"
+        self.state = np.memmap(path, np.float64, mode, shape=(len(_state(cell)),))
+
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+        """Follow, and keep the state before anyone else may end the process."""
+
+        def keep(sample: Any) -> None:
+            self.state[:] = _state(self.cell)
+            if watch:
+                watch(sample)
+
+        return super().follow(trajectory, keep)
+
+
+def _state(cell: Cell) -> Array:
+    return np.concatenate([[cell.time], cell.data.qpos, cell.data.qvel, cell.data.ctrl])
+
+
+def left_behind(cell: Cell, path: Path) -> None:
+    """Put a cell into the state that a killed process left; the servos hold their last command."""
+    time, *rest = np.fromfile(path)
+    n, v = cell.model.nq, cell.model.nv
+    cell.data.time = time
+    cell.data.qpos[:], cell.data.qvel[:], cell.data.ctrl[:] = rest[:n], rest[n : n + v], rest[n + v :]
+    mujoco.mj_forward(cell.model, cell.data)
+
+
+def machines(cell: Cell, arm: Arm | None = None) -> Robot:
+    """Return the bare machines of a cell."""
+    return Robot(arm or SimArm(cell), SimGripper(cell), ClockCamera(cell), ClockCamera(cell), np.eye(4))
+
+
+def run_once(base: Path, folder: Path, robot: Robot, *, restart_from: str | None = None) -> Trial:
+    """Execute the plan as a run does: the plan and the trial end up in the folder."""
+    planner, plan, limits = planned(base)
+    with Run(folder, restart_from=restart_from, quiet=True) as run:
+        shake = run.stage("shake plan", ShakePlan.load, lambda _: plan)
+        return run.stage("execution", Trial.load, lambda _: execute(planner, shake, robot, limits))
+
+
+def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str:
+    """Return what is not safe about how a cell was left, by its own log; "" if nothing is.
+
+    Whole log: joints within range and speed, flange within the workspace, pot and bench untouched, no part of the robot
+    but the pads pressing on the plant beyond the contact force, the pads never beyond the grip force. End: left alone
+    for half a second the arm stands still; the pads are open and, where the arm can still move and had gone in, it is
+    back at the stand-off; or the pads are closed and the arm is where it took the stem, so nothing was torn.
+    """
+    log = cell.log()
+    speed = np.abs(np.diff(log.joints, axis=0)) / np.diff(log.times)[:, None]
+    flange = sawyer.forward(log.joints)[:, :3, 3]
+    pads = log.contact_pad <= 1
+    end = np.tile(cell.arm_command, (500, 1))
+    drift = np.abs(np.diff(cell.run(end, 0 * end, np.full(500, cell.grip_command))[-100::99], axis=0)).max()
+    away = float(np.linalg.norm(cell.flange_pose()[:3, 3] - plan.grasp.T_world_flange[:3, 3]))
+    went_in = float(np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1).min()) < 0.1
+    is_open = cell.opening > 0.04
+    arm_obeys = case.fault.kind not in {"kill -9", "stale joints"} and not case.fault.lasting
+    found = {
+        "joint range": bool(np.any((log.joints < limits.joint_lower) | (log.joints > limits.joint_upper))),
+        "joint speed": bool(np.any(speed > 1.02 * limits.joint_speed)),
+        "workspace": not bool(limits.workspace.contains(flange).all()),
+        "pot or bench": bool(np.isin(log.contact_other, (POT, BENCH)).any()),
+        "contact force": peak(log.contact_sample[~pads], log.contact_force[~pads]) > limits.contact_force,
+        "grip force": peak(log.contact_sample[pads], log.contact_force[pads]) > 2 * limits.grip_force,
+        "arm moves": bool(drift > 1e-3),
+        "torn": not is_open and went_in and away > 0.03,
+        "not open": not is_open and case.fault.kind not in ("gripper jam", "kill -9"),
+        "not back": is_open and went_in and arm_obeys and away < Params().stand_off - 0.01,
+    }
+    return ", ".join(name for name, bad in found.items() if bad)
+
+
+def peak(samples: Array, forces: Array) -> float:
+    """Return the largest sum of forces in any one sample [N]."""
+    return float(np.bincount(samples, forces).max()) if len(samples) else 0.0
+
+
+def bad_record(folder: Path, case: Case) -> str:
+    """Return what is wrong with the record of a fault, read back from disk; "" if it names the failure."""
+    wanted = EXPECTED.get(case.fault.kind, "device_fault")
+    try:
+        if case.fault.kind == "kill -9":
+            noted = read_json(folder / "progress.json")
+            good = noted["stage"] == "execution" and noted["failure"] == wanted and noted["message"]
+            return "" if good else f"progress.json says {noted}"
+        trial = Trial.load(folder / "09_trial.npz")
+    except (InputError, KeyError) as error:
+        return str(error)
+    no_effect = case.fault.kind == "gripper jam" and case.fault.at == 0 and not case.fault.lasting  # it was open
+    partial = case.fault.kind == "frames lost" and len(trial.frame_times) > 0
+    if trial.finished:
+        return "" if no_effect or partial else "the trial says that it finished"
+    return "" if trial.failure == wanted else f"{trial.failure}: {trial.stop_reason}"
+
+
+def in_execution(case: Case, base: Path, folder: Path) -> Outcome:
+    """Let a fault strike an execution; then clear it and go on in the same world."""
+    limits, plan = planned(base)[2], planned(base)[1]
+    cell = Cell(plant(case.whole_plant), sawyer.READY)
+    if case.fault.kind == "kill -9":
+        words = ["--worker", str(case.number), "--kill-at", json.dumps(asdict(case.fault)), "--out", str(folder)]
+        done = subprocess.run([sys.executable, __file__, *words, "--base", str(base)], capture_output=True, check=False)
+        if done.returncode != -signal.SIGKILL:
+            return Outcome(case, "", f"exit {done.returncode}: {done.stderr.decode()[-300:]}", "", 0.0)
+        left_behind(cell, folder / "world.bin")
+    else:
+        run_once(base, folder, with_faults(machines(cell), case.fault))
+    log = cell.log()
+    others = log.contact_pad == 2
+    force = peak(log.contact_sample[others], log.contact_force[others])
+    record, why = bad_record(folder, case), unsafe(cell, limits, plan, case)
+    killed = case.fault.kind == "kill -9"
+    again = run_once(base, folder, machines(cell), restart_from="where-it-stopped" if killed else "execution")
+    after = unsafe(cell, limits, plan, replace(case, fault=replace(case.fault, lasting=False, kind="ctrl-c")))
+    return Outcome(case, why, record, after if again.finished else again.stop_reason, force)
+
+
+def worker(fault: Fault, base: Path, folder: Path) -> None:
+    """Execute with a fault that kills this process."""
+    folder.mkdir(parents=True, exist_ok=True)
+    cell = Cell(plant(False), sawyer.READY)
+    run_once(base, folder, with_faults(machines(cell, Kept(cell, folder / "world.bin")), fault))
+
+
+def while_seeing(case: Case, base: Path, folder: Path) -> Outcome:
+    """Let the wrist camera lose frames while the views are taken; then take them again with a whole camera.
+
+    The arm is not moved before the grasp is planned, so what is checked is the record and that the run goes on.
+    """
+    stored = Capture.load(base / "01_capture")
+    record = ""
+    try:
+        see(stored, case.fault, folder)
+        lost = read_json(folder / "lost.json")
+        if case.fault.lasting != bool(lost):
+            record = f"{len(lost)} frames noted as lost"
+    except StageFailure as failure:
+        noted = read_json(folder / "progress.json")
+        record = "" if noted["failure"] == failure.kind else f"progress.json says {noted}"
+    try:
+        see(stored, None, folder)
+    except StageFailure as failure:
+        return Outcome(case, "", record, str(failure), 0.0)
+    return Outcome(case, "", record, "", 0.0)
+
+
+def see(stored: Capture, fault: Fault | None, folder: Path) -> None:
+    """Read all views from a camera, with a fault if one is given, and perceive the plant if any were lost."""
+    replay = ReplayCamera(stored)
+    camera = GuardedCamera(FaultyCamera(replay, fault) if fault else replay)
+
+    def take(_: Any) -> Capture:
+        frames, lost = {}, []
+        for view in range(stored.views):
+            try:
+                frames[view] = camera.read()
+            except DeviceError as error:
+                lost.append(f"view {view}: {error}")
+        write_json(folder / "lost.json", lost)
+        if len(frames) < FEWEST_VIEWS:
+            raise DeviceError(f"{len(lost)} of {stored.views} views were lost; allowed: all but {FEWEST_VIEWS}.")
+        return subset(stored, list(frames))
+
+    with Run(folder, quiet=True) as run:
+        capture = run.stage("capture", Capture.load, take)
+        if fault and capture.views < stored.views:
+            pipeline.perceive(capture, layout(DISTANCE).workspace, run, pipeline.Params())
+
+
+def subset(capture: Capture, views: list[int]) -> Capture:
+    """Return some views of a capture."""
+    pick: Callable[[Any], Any] = lambda a: None if a is None else a[views]  # noqa: E731
+    names = ("depth", "T_world_cam", "rgb", "joints")
+    return replace(capture, **{name: pick(getattr(capture, name)) for name in names})
+
+
+def one(case: Case, base: Path, out: Path) -> Outcome:
+    """Run one case in its own folder."""
+    folder = out / f"{case.number:03d}"
+    folder.mkdir(parents=True, exist_ok=True)
+    return while_seeing(case, base, folder) if case.views else in_execution(case, base, folder)
+
+
+def summary(outcomes: list[Outcome]) -> dict[str, float]:
+    """Print a table and return the metrics."""
+    table = Table("fault", "struck", "safe ends", "records lost", "gone on")
+    metrics: dict[str, float] = {}
+    names = [o.case.fault.kind + (" (views)" if o.case.views else "") for o in outcomes]
+    for name in ["", *sorted(set(names))]:
+        some = [o for o, n in zip(outcomes, names, strict=True) if name in ("", n)]
+        counts = {
+            "faults": len(some),
+            "safe_ends": sum(not o.unsafe for o in some),
+            "records_lost": sum(bool(o.record) for o in some),
+            "continued": sum(not o.continued for o in some),
+        }
+        table.add_row(name or "all", *map(str, counts.values()))
+        prefix = "".join(c if c.isalnum() else "_" for c in name).strip("_")
+        metrics |= {f"{prefix}_{key}".strip("_"): value for key, value in counts.items()}
+    Console().print(table)
+    for o in outcomes:
+        if o.unsafe or o.record or o.continued:
+            print(f"{o.case}: unsafe: {o.unsafe or '-'}; record: {o.record or '-'}; goes on: {o.continued or 'yes'}")
+    metrics["whole_plant_faults"] = sum(o.case.whole_plant for o in outcomes)
+    metrics["largest_contact_force_n"] = max(o.force for o in outcomes)
+    return metrics
+
+
+def main() -> None:
+    """Draw the faults, let them strike, and write a flat table of metrics."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="20 faults instead of 200")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
+    parser.add_argument("--out", type=Path, default=Path("runs/faults"))
+    parser.add_argument("--base", type=Path, help="the stored run; by default OUT/base, made when missing")
+    parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--kill-at", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    base = args.base or args.out / "base"
+    if args.worker is not None:
+        worker(Fault(**json.loads(args.kill_at)), base, args.out)
+        return
+    prepare(base)
+    numbers = args.only or range(20 if args.quick else 200)
+    cases = [draw(number, args.seed) for number in numbers]
+    with ProcessPoolExecutor(args.jobs) as pool:
+        futures = [pool.submit(one, case, base, args.out) for case in cases]
+        metrics = summary([future.result() for future in track(futures, "faults")])
+    print(json.dumps(metrics, indent=2))
+    if args.json:
+        write_json(args.json, metrics)
+
+
+if __name__ == "__main__":
+    main()
