@@ -21,7 +21,7 @@ from anther.skeleton import geodesics
 from anther.skeleton.bridging import bridges, without_specks
 from anther.skeleton.centreline import beginning, centred, extended, resample
 from anther.skeleton.geodesics import geodesic_tree
-from anther.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
+from anther.skeleton.raw_tree import RawTree, middled, parted, rerooted, with_extents, without_spurs, without_veins
 from anther.skeleton.rooting import distance_to_soil, find_root, stem_gain
 from anther.skeleton.support import node_confidence
 from anther.skeleton.surroundings import surroundings
@@ -240,10 +240,10 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> RawTree:
     source = int(np.argmin(voxels.points[:, 2]))
     tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
     base = tree.nodes[find_root(tree)]
-    if np.linalg.norm(base - voxels.points[source]) <= _SAME_PLACE * voxels.voxel:
-        return tree
-    source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
-    return _pruned(geodesic_tree(voxels, source, params.geodesic), voxels, params)
+    if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
+        source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
+        tree = _pruned(geodesic_tree(voxels, source, params.geodesic), voxels, params)
+    return middled(tree, voxels)
 
 
 def _pruned(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:

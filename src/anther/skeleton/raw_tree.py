@@ -51,6 +51,18 @@ def with_extents(nodes: Array, parent: Parents, voxels: Voxels) -> RawTree:
     return RawTree(nodes, parent, thickness, np.maximum(spread, thickness), _along(parent, flatness))
 
 
+def middled(tree: RawTree, voxels: Voxels, rounds: int = 2) -> RawTree:
+    """Return the tree with its nodes on blades in the middle of the voxels nearest to them."""
+    nodes = tree.nodes
+    for _ in range(rounds):
+        nearest = np.asarray(KDTree(nodes).query(voxels.points)[1])
+        count = np.maximum(np.bincount(nearest, minlength=len(nodes)), 1)
+        offset = voxels.points - nodes[nearest]
+        step = [_along(tree.parent, np.bincount(nearest, column, len(nodes)) / count) for column in offset.T]
+        nodes = nodes + np.stack(step, axis=1) * np.clip(2 * tree.flatness - 1, 0, 1)[:, None]
+    return with_extents(nodes, tree.parent, voxels)
+
+
 def _along(parent: Parents, values: Array, rounds: int = 4) -> Array:
     """Return the values (J,) averaged with those of the neighbours on the tree, so many times."""
     child, above = np.arange(1, len(parent)), parent[1:]
