@@ -82,6 +82,7 @@ def test_normals_colours_labels_and_obstacles() -> None:
     np.testing.assert_allclose(np.linalg.norm(cloud.normals, axis=1), 1, atol=1e-6)
     green = cloud.colors[cloud.labels == PLANT].astype(float)
     assert (green[:, 1] > green[:, 2]).mean() > 0.9
+    assert cloud.labels is not None
     assert set(np.unique(cloud.labels)) <= {PLANT, FLOWER}
     # Pot and bench stand below the soil (z = -0.30 m); no obstacle hangs in the plant.
     assert len(cloud.obstacles) > 200
@@ -91,6 +92,7 @@ def test_normals_colours_labels_and_obstacles() -> None:
 def test_registration_can_be_switched_off() -> None:
     capture, _, masks, _ = seen()
     cloud = fuse(capture, masks, WORKSPACE, Params(registration=None, voxel=0.004))
+    assert cloud.T_world_cam is not None
     assert np.array_equal(cloud.T_world_cam, capture.T_world_cam)
 
 
