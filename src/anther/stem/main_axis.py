@@ -57,9 +57,10 @@ def path_score(skeleton: Skeleton, params: Params) -> Array:
 def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Params) -> int:
     """Return how many nodes of the path belong to the stem (P11).
 
-    Every step is stem-like or not: whether it turns from the growth axis (root to here), thins, or broadens to a blade.
-    The stem ends where the length that is stem-like, less `doubt` times the length that is not, is largest, so that
-    a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
+    A step is stem-like unless it turns from the growth axis (root to here), thins, or is broader than the stem below:
+    a stem does not broaden upward. The stem ends where the length that is stem-like, less `doubt` times the length
+    that is not, is largest, so that a leaf that touches the stem does not end it, but the blade after which nothing
+    stem-like comes does.
     """
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -73,17 +74,16 @@ def _stem_like(skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float
     """Return (S - 1,) whether each step of the path looks like stem, over the window ahead of it."""
     nodes, radius = skeleton.nodes[path], skeleton.radius[path]
     width = radius if skeleton.width is None else skeleton.width[path]
-    flatness = width / radius
     ahead = np.minimum(np.searchsorted(arc, arc + window), len(path) - 1)
+    coming = [slice(i, max(ahead[i], i + 1) + 1) for i in range(len(path) - 1)]
+    breadth = np.array([np.median(width[there]) for there in coming])
+    narrowest = np.minimum.accumulate(breadth)
     like = np.ones(len(path) - 1, dtype=bool)
     for i in np.flatnonzero(arc[:-1] >= window):
-        coming = slice(i, max(ahead[i], i + 1) + 1)
-        turned = _angle(nodes[i] - nodes[0], nodes[coming][-1] - nodes[i]) > params.turn
-        thin = np.median(radius[coming]) < params.thinnest * np.median(radius[: i + 1])
-        usual = params.broadest * np.median(flatness[: i + 1])  # noise and one-sided views flatten stems as well
-        flat = np.median(flatness[coming]) > max(params.flattest, usual)
-        flat = flat and np.median(width[coming]) > params.broadest * np.median(width[: i + 1])
-        like[i] = not (turned or thin or flat)
+        turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > params.turn
+        thin = np.median(radius[coming[i]]) < params.thinnest * np.median(radius[: i + 1])
+        broad = breadth[i] > max(params.broadest * narrowest[i], np.median(width[: i + 1]))
+        like[i] = not (turned or thin or broad)
     return like
 
 

@@ -14,8 +14,8 @@ class Params:
         v_bias: weight of verticality in S.
         turn: a step that turns from the growth axis by more than this is not stem-like [degrees].
         window: length over which a step is judged (share of the plant's size).
-        flattest: nor is a blade: a step broader than thick by more than this factor,
-        broadest: and broader, and flatter, than the median so far by more than this factor.
+        broadest: nor is a step broader than the narrowest below it by more than this factor, and than most below it: a
+            stem does not broaden upward, a leaf does after the neck at its base.
         thinnest: nor one thinner than this share of the median radius so far.
         doubt: how much a length that is not stem-like counts against one that is.
         shortest: a shorter stem is not believed (share of the plant's size).
@@ -38,8 +38,7 @@ class Params:
     v_bias: float = 1.0
     turn: float = 45.0
     window: float = 0.06
-    flattest: float = 1.6
-    broadest: float = 1.4
+    broadest: float = 1.5
     thinnest: float = 0.35
     doubt: float = 2.0
     shortest: float = 0.05
