@@ -147,11 +147,12 @@ def test_a_wrong_pose_is_found_and_corrected(shift: float) -> None:
     assert result.agreement.min() > 0.8
 
 
-def test_a_view_that_fits_nowhere_is_left_out_and_named() -> None:
+@pytest.mark.parametrize("wrong", [small_transform([0, 0, 1.2], [0, 0, 0]), small_transform([0, 0, 0], [0.6, 0, 0])])
+def test_a_view_that_fits_nowhere_is_left_out_and_named(wrong: Array) -> None:
     rng = np.random.default_rng(14)
     clouds, true = views_of(rng)
     given = perturbed(true, rng)
-    given[5] = given[5] @ small_transform([0, 0, 1.2], [0, 0, 0])  # another pose by far, whatever it looks at
+    given[5] = given[5] @ wrong
     result = register(clouds, given)
     assert result.used.tolist() == [v != 5 for v in range(12)]
     assert np.array_equal(result.T_world_cam[5], given[5])

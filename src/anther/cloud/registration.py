@@ -23,8 +23,7 @@ from anther.geometry import Array
 
 ATTENUATION = 1 / 3
 """Estimated over true reach of the matching window. Noise in the normals draws the estimate to zero (errors in
-variables). Measured on simulated captures: 1.4 px are estimated as 0.41 to 0.50, none as 0.0."""
-
+variables). Measured on simulated captures: 1.4 px are estimated as 0.41 to 0.50."""
 
 UNEXPLAINED = 1.75
 """A view that moved this many times farther than the arm's error explains, and than the median view, is named."""
@@ -90,7 +89,7 @@ class Registration:
         distance_before, distance_after: median distance of held-out points to other views' surfaces [m].
         reach: of the camera's matching window, see `matching.Estimate` [rad].
         agreement: (V,) share of a view's points that lie on a surface seen by others, of those near any; NaN where
-            there are too few to tell.
+            the view has too few points to tell.
         used: (V,) whether a view's pose can be trusted; the others should be left out.
         notes: what the user should know.
     """

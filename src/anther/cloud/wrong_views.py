@@ -34,7 +34,7 @@ STEP = 0.01
 def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
     """Return for each of `views` the share of its points that lie on a surface other views see, of those near any.
 
-    NaN where fewer than `LEAST_JUDGED` points are near what others see.
+    0 where a view has points enough but hardly any near what others see; NaN where it has too few to tell.
     """
     sample = sample.only(np.arange(len(sample.view)) % THINNED == 0)
     points, normals = sample.world(at)
@@ -65,7 +65,7 @@ def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
     near, squared = tree.batch_knn_search(points[own], 6, num_threads=THREADS)
     judged = squared[:, 0] < NEAR**2
     if judged.sum() < LEAST_JUDGED:
-        return np.nan
+        return 0.0 if own.sum() >= 2 * LEAST_JUDGED else np.nan
     n = normals[~own][near]
     apart = np.abs(np.einsum("nki,nki->nk", n, points[own][:, None] - points[~own][near]))
     alike = np.abs(np.einsum("nki,ni->nk", n, normals[own])) > ALIKE
