@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from straight_plant import straight_plant
 from test_execution import GRASP, PLANNER, Plan
 
 from anther.arm import sawyer
+from anther.commands.trial_summary import _verdict
 from anther.devices import ArmSample, DeviceError
 from anther.errors import FailureKind, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
@@ -153,3 +156,22 @@ def test_the_simulated_arm_feels_what_it_runs_into() -> None:
     touched = log.times[log.contact_sample[log.contact_force > 0].min()]
     assert cell.time - touched < 0.4
     assert np.abs(cell.joints - felt[-1].measured).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("execution", "told"),
+    [
+        ("interrupted", "interrupted"),
+        ("device_fault", "device_fault"),
+        ("nothing_grasped", "slipped"),
+        (None, "slipped"),
+    ],
+)
+def test_trial_json_names_the_fault_rather_than_what_the_judge_found(execution: str | None, told: str) -> None:
+    done: Any = SimpleNamespace(trial=SimpleNamespace(failure=execution, stop_reason="the cable"))
+    verdict: Any = SimpleNamespace(success=False, failure="slipped", reason="it slipped", organ_grasped="stem")
+    summary = _verdict(done, verdict, None)
+    assert summary["failure"] == told
+    assert summary["message"] == ("it slipped" if told == "slipped" else "the cable")
+    held: Any = SimpleNamespace(success=True, failure=None, reason="", organ_grasped="stem")
+    assert _verdict(done, held, None)["success"] == (told == "slipped")

@@ -18,6 +18,7 @@ from anther.capture import Capture
 from anther.devices import SafetyLimits
 from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
+from anther.safety import guard
 from anther.sim import cell as world
 from anther.sim.capture import CameraErrors, capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
@@ -141,6 +142,7 @@ def build(
         seed=int(noise.integers(1 << 31)),
         scene=scene,
     )
+    limits = safety_limits(place)
     T_flange_cam_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
     return SimulatedCell(
         plant=plant,
@@ -149,9 +151,9 @@ def build(
         robot_side=pipeline.Cell(
             take_views=_views_of(scene, planned, T_flange_cam_true, sight),
             plan_around=lambda cloud: Planner(cloud.points, cloud.obstacles, place.solids),
-            robot=robot,
+            robot=guard(robot, limits),
             workspace=place.workspace,
-            limits=safety_limits(place),
+            limits=limits,
         ),
     )
 
