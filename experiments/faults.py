@@ -214,6 +214,7 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     went_in = float(np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1).min()) < 0.1
     is_open = cell.opening > 0.04
     arm_obeys = case.fault.kind not in {"kill -9", "stale joints"} and not case.fault.lasting
+    jammed = case.fault.kind == "gripper jam" and case.fault.lasting
     found = {
         "joint range": bool(np.any((log.joints < limits.joint_lower) | (log.joints > limits.joint_upper))),
         "joint speed": bool(np.any(speed > 1.02 * limits.joint_speed)),
@@ -223,7 +224,7 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
         "grip force": peak(log.contact_sample[pads], log.contact_force[pads]) > 2 * limits.grip_force,
         "arm moves": bool(drift > 1e-3),
         "torn": not is_open and went_in and away > 0.03,
-        "not open": not is_open and case.fault.kind not in ("gripper jam", "kill -9"),
+        "not open": not is_open and not (jammed or case.fault.kind == "kill -9"),
         "not back": is_open and went_in and arm_obeys and away < Params().stand_off - 0.01,
     }
     return ", ".join(name for name, bad in found.items() if bad)
