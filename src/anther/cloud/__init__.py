@@ -269,16 +269,19 @@ def _background_cells(
     capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float, used: NDArray[Any]
 ) -> Array:
     """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
-    points, views, step = [], [], max(1, round(capture.intrinsics.fx / 160))
-    for v in used:
-        depth = np.where(labels[v] == BACKGROUND, capture.depth[v], 0)
-        thin = np.zeros_like(depth)
-        thin[::step, ::step] = depth[::step, ::step]
-        world = transform_points(poses[v], capture.intrinsics.back_project(thin))
-        world = world[box.contains(world)]
-        points.append(world)
-        views.append(np.full(len(world), v))
-    return occupied_cells(np.concatenate(points), np.concatenate(views), plant, voxel)
+    step = max(1, round(capture.intrinsics.fx / 160))
+
+    def background(view: int) -> Array:
+        thin = np.zeros_like(capture.depth[view])
+        rows = np.s_[::step, ::step]
+        thin[rows] = np.where(labels[view][rows] == BACKGROUND, capture.depth[view][rows], 0)
+        world = transform_points(poses[view], capture.intrinsics.back_project(thin))
+        return world[box.contains(world)]
+
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        points = list(pool.map(background, used))
+    views = np.repeat(used, [len(p) for p in points])
+    return occupied_cells(np.concatenate(points), views, plant, voxel)
 
 
 def _require(count: int, params: Params, what: str) -> None:

@@ -8,6 +8,7 @@ Dimensions: V views, P pairs.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numba
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.cloud.matching import Estimate, Sample
+from anther.cloud.matching import THREADS, Estimate, Sample
 from anther.geometry import Array, inverse, small_transform
 
 
@@ -61,11 +62,8 @@ class Problem(NamedTuple):
 
 def step(problem: Problem, at: Estimate, *, reach_fixed: bool = False) -> Estimate:
     """Return the estimate after one Gauss-Newton step; with `reach_fixed` only the poses change."""
-    sample, information, weight = problem.sample, problem.information, problem.weight
-    hessian, gradient = np.zeros_like(information), np.zeros(len(information))
-    world, normals = sample.world(at)
-    points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
-    _accumulate(problem.pairs, points, along, sample.view, world, normals, at.poses, problem.scale, hessian, gradient)
+    information, weight = problem.information, problem.weight
+    hessian, gradient = _normal_equations(problem, at)
     hessian += hessian.T - np.diag(np.diag(hessian))
     error = inverse(problem.given) @ at.poses
     turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
@@ -77,6 +75,24 @@ def step(problem: Problem, at: Estimate, *, reach_fixed: bool = False) -> Estima
     )
     poses = [T @ small_transform(d[:3], d[3:]) for T, d in zip(at.poses, change[:-1].reshape(-1, 6), strict=True)]
     return Estimate(np.stack(poses), at.reach + change[-1])
+
+
+def _normal_equations(problem: Problem, at: Estimate) -> tuple[Array, Array]:
+    """Return the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient; threads share the pairs."""
+    sample, size = problem.sample, len(problem.information)
+    world, normals = sample.world(at)
+    points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
+    hessians, gradients = np.zeros((THREADS, size, size)), np.zeros((THREADS, size))
+
+    def accumulate(t: int) -> None:
+        pairs = problem.pairs[t::THREADS]
+        _accumulate(
+            pairs, points, along, sample.view, world, normals, at.poses, problem.scale, hessians[t], gradients[t]
+        )
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(accumulate, range(THREADS)))
+    return hessians.sum(axis=0), gradients.sum(axis=0)
 
 
 @numba.njit(nogil=True, cache=True)

@@ -131,6 +131,6 @@ def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
 
 def _thinned(points: Array, voxel: float, neighbours: int) -> tuple[Array, Array]:
     fine = small_gicp.voxelgrid_sampling(np.ascontiguousarray(points), voxel)
-    small_gicp.estimate_normals(fine, num_neighbors=neighbours)
+    small_gicp.estimate_normals(fine, num_neighbors=neighbours, num_threads=THREADS)
     p, n = fine.points()[:, :3], fine.normals()[:, :3]
     return p, np.where(np.einsum("ni,ni->n", n, p)[:, None] > 0, -n, n)

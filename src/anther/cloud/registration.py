@@ -162,6 +162,7 @@ def _without_contradictions(
         kept = used[sample.view]
         found = _refined(sample.only(kept), placed, start, source[kept], params)
         found.poses[~used] = given[~used]
+    if len(wrong) > 0:
         agrees = agreement(sample, found, views)
     return _Checked(found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far))
 

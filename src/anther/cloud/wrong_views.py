@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anther.cloud.matching import THREADS, Estimate, Sample, replaced
 from anther.cloud.sequential import Target, align
@@ -38,7 +40,8 @@ def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
     """
     sample = sample.only(np.arange(len(sample.view)) % THINNED == 0)
     points, normals = sample.world(at)
-    return np.array([_agreement(points, normals, sample.view == v) for v in views])
+    with ThreadPoolExecutor(THREADS) as pool:
+        return np.array(list(pool.map(lambda v: _agreement(points, normals, sample.view == v), views)))
 
 
 def placed_anew(sample: Sample, at: Estimate, view: int, search: float) -> Array:
@@ -61,15 +64,16 @@ def placed_anew(sample: Sample, at: Estimate, view: int, search: float) -> Array
 
 
 def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
-    tree = small_gicp.KdTree(np.ascontiguousarray(points[~own]), num_threads=THREADS)
-    near, squared = tree.batch_knn_search(points[own], 6, num_threads=THREADS)
-    judged = squared[:, 0] < NEAR**2
+    if own.all() or not own.any():
+        return np.nan
+    distance, near = KDTree(points[~own]).query(points[own], 6, distance_upper_bound=NEAR)
+    judged, near = distance[:, 0] < NEAR, np.minimum(near, (~own).sum() - 1)
     if judged.sum() < LEAST_JUDGED:
         return 0.0 if own.sum() >= 2 * LEAST_JUDGED else np.nan
     n = normals[~own][near]
     apart = np.abs(np.einsum("nki,nki->nk", n, points[own][:, None] - points[~own][near]))
     alike = np.abs(np.einsum("nki,ni->nk", n, normals[own])) > ALIKE
-    agrees = (alike & (apart < ON_SURFACE) & (squared < NEAR**2)).any(axis=1)
+    agrees = (alike & (apart < ON_SURFACE) & (distance < NEAR)).any(axis=1)
     return float(agrees[judged].mean())
 
 
