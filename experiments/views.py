@@ -215,7 +215,7 @@ def main() -> None:
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     console = Console()
-    counts = {name: (8,) for name in COUNTS} if args.quick else COUNTS
+    counts = dict.fromkeys(COUNTS, (8,)) if args.quick else COUNTS
     viewpoints = reachable_views(PLACE.region, PLACE.solids)
     rows = []
     plants: list[tuple[Species, int]] = [
