@@ -27,7 +27,7 @@ def light_sheet(path: Path, shown: dict[Any, NDArray[Any]]) -> None:
     tiles = []
     for (species, light), pair in shown.items():
         left, right = np.hsplit(pair, 2)
-        tile = cv2.resize(np.hstack([left[:, 240:1040], right[:, 240:1040]]), (400, 180), interpolation=cv2.INTER_AREA)
+        tile = cv2.resize(np.hstack([left[:, 240:1040], right[:, 240:1040]]), (340, 153), interpolation=cv2.INTER_AREA)
         cv2.putText(tile, f"{species}, {light}".replace("_", " "), (6, 14), 0, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(tile)
     _write(path, tiles, columns=4)
