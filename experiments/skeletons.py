@@ -156,13 +156,14 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="two plants of each species")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
+    parser.add_argument("--further", type=int, default=100, help="how many of the hundred further plants")
     parser.add_argument("--jobs", type=int, default=1, help="plants at a time; each uses two threads")
     parser.add_argument("--out", type=Path, default=Path("runs/skeletons"), help="where finished plants are kept")
     parser.add_argument("--figures", type=Path, help="write skeletons.png and skeletons_spread.png into this folder")
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     console = Console()
-    chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED]
+    chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED[: args.further]]
     chosen = [(species, seed + args.seed) for species, seed in chosen]
     with ProcessPoolExecutor(args.jobs) as pool:
         results = pool.map(partial(one_plant, out=args.out), chosen)
