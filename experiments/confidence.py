@@ -70,7 +70,7 @@ class Sample:
     Attributes:
         name: species, seed and degradation.
         skeleton, stem: as found.
-        support: (J, 4) evidence for each node.
+        support: (J, 2) evidence for each node.
         node_right: (J,) bool.
         stem_right: whether the stem is.
         arcs: (K,) places along the stem [m].
@@ -146,7 +146,7 @@ def photographed(species: Species, seed: int) -> Capture:
 def _sample(name: str, plant: SimPlant, cloud: Cloud) -> Sample:
     skeleton = skeletonize(cloud)
     stem = find_stem(skeleton, flowers_at=flower_centres(cloud))
-    assert skeleton.width is not None
+    assert skeleton.flatness is not None
     wood = cloud.points[cloud.labels != masks.FLOWER]
     main, axis, organs = (KDTree(true_samples(plant, of)[0]) for of in ((Organ.STEM,), AXIS, NODE_AXES))
     nodes, arcs = skeleton.nodes[stem.node_ids], np.arange(0.02, stem.arc_length[-1], PLACES)
@@ -160,7 +160,7 @@ def _sample(name: str, plant: SimPlant, cloud: Cloud) -> Sample:
         name=name,
         skeleton=skeleton,
         stem=stem,
-        support=node_support(skeleton.nodes, skeleton.parent, skeleton.radius, skeleton.width, wood),
+        support=node_support(skeleton.nodes, skeleton.parent, skeleton.radius, skeleton.flatness, wood),
         node_right=organs.query(skeleton.nodes)[0] <= NEAR,
         stem_right=bool(np.mean(axis.query(line)[0] <= NEAR) >= RIGHT_SHARE),
         arcs=arcs,
@@ -187,8 +187,8 @@ def fit(found: list[Sample]) -> dict[str, Array]:
 def logistic(evidence: Array, right: NDArray[np.bool_], ridge: float = 1.0) -> Array:
     """Return constant and weights of the logistic regression of `right` (n,) on `evidence` (n, k).
 
-    The weights of the standardised evidence have a penalty of `ridge` observations: a few wrong stems do not make
-    a certainty.
+    The weights of the standardised evidence are not negative, since larger is better for each, and have a penalty of
+    `ridge` observations: a few wrong stems do not make a certainty.
     """
     mean, spread = evidence.mean(axis=0), evidence.std(axis=0) + 1e-9
     design = np.column_stack([np.ones(len(evidence)), (evidence - mean) / spread])
@@ -198,7 +198,8 @@ def logistic(evidence: Array, right: NDArray[np.bool_], ridge: float = 1.0) -> A
         penalty = 0.5 * ridge * float(weights[1:] @ weights[1:])
         return float(np.logaddexp(0, -sign * (design @ weights)).sum() + penalty) / len(evidence)
 
-    weights = minimize(loss, np.zeros(design.shape[1])).x
+    bounds = [(None, None), *[(0, None)] * evidence.shape[1]]
+    weights = minimize(loss, np.zeros(len(bounds)), method="L-BFGS-B", bounds=bounds).x
     slopes = weights[1:] / spread
     return np.concatenate([[weights[0] - mean @ slopes], slopes])
 

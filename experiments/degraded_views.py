@@ -25,23 +25,23 @@ def taking(capture: Capture, views: NDArray[Any] | list[int]) -> Capture:
     return Capture(capture.depth[views], capture.intrinsics, capture.T_world_cam[views], rgb)
 
 
-def half_resolution(capture: Capture, _: np.random.Generator) -> Capture:
-    """Return every second pixel of every second row."""
-    k = capture.intrinsics
-    small = Intrinsics((k.width + 1) // 2, (k.height + 1) // 2, k.fx / 2, k.fy / 2, k.cx / 2, k.cy / 2)
-    rgb = None if capture.rgb is None else capture.rgb[:, ::2, ::2]
-    return Capture(capture.depth[:, ::2, ::2], small, capture.T_world_cam, rgb)
+def coarse(capture: Capture, _: np.random.Generator, step: int = 4) -> Capture:
+    """Return every `step`-th pixel of every `step`-th row."""
+    k, depth = capture.intrinsics, capture.depth[:, ::step, ::step]
+    small = Intrinsics(depth.shape[2], depth.shape[1], k.fx / step, k.fy / step, k.cx / step, k.cy / step)
+    rgb = None if capture.rgb is None else capture.rgb[:, ::step, ::step]
+    return Capture(depth, small, capture.T_world_cam, rgb)
 
 
-def noisy_depth(capture: Capture, rng: np.random.Generator, subpixel: float = 0.4) -> Capture:
-    """Return the capture with a disparity error of `subpixel` [px] more, five times the typical 0.08."""
+def noisy_depth(capture: Capture, rng: np.random.Generator, subpixel: float = 0.8) -> Capture:
+    """Return the capture with a disparity error of `subpixel` [px] more, ten times the typical 0.08."""
     noise = np.stack([cv2.GaussianBlur(white, (0, 0), 1.5) for white in _white(capture, rng)])
     noise *= subpixel / noise.std()
     depth = capture.depth + capture.depth**2 * noise / np.float32(capture.intrinsics.fx * BASELINE)
     return replace(capture, depth=np.maximum(depth, 0))
 
 
-def lost_depth(capture: Capture, rng: np.random.Generator, share: float = 0.4) -> Capture:
+def lost_depth(capture: Capture, rng: np.random.Generator, share: float = 0.7) -> Capture:
     """Return the capture with a share of the readings lost in patches, as in glare."""
     patches = np.stack([cv2.GaussianBlur(white, (0, 0), 6) for white in _white(capture, rng)])
     return replace(capture, depth=np.where(patches < np.quantile(patches[0], share), 0, capture.depth))
@@ -51,7 +51,7 @@ def _white(capture: Capture, rng: np.random.Generator) -> NDArray[np.float32]:
     return rng.standard_normal(capture.depth.shape, dtype=np.float32)
 
 
-def hidden_foot(capture: Capture, _: np.random.Generator, share: float = 0.4) -> Capture:
+def hidden_foot(capture: Capture, _: np.random.Generator, share: float = 0.5) -> Capture:
     """Return the capture with the lower share of every image hidden, as by a neighbour's pot."""
     depth, hidden = capture.depth.copy(), round(share * capture.intrinsics.height)
     depth[:, -hidden:] = 0
@@ -77,10 +77,10 @@ def wrong_pose(capture: Capture, rng: np.random.Generator, shift: float = 0.03) 
 
 
 DEGRADATIONS: dict[str, Degradation] = {
-    "six views": lambda capture, _: taking(capture, list(range(0, capture.views, 2))),
-    "three views": lambda capture, _: taking(capture, list(range(0, capture.views, 4))),
-    "one side": lambda capture, _: taking(capture, list(range(4))),
-    "half resolution": half_resolution,
+    "four views": lambda capture, _: taking(capture, list(range(0, capture.views, 3))),
+    "two views": lambda capture, _: taking(capture, list(range(2, capture.views, 6))),
+    "one side": lambda capture, _: taking(capture, list(range(3))),
+    "coarse": coarse,
     "noisy depth": noisy_depth,
     "lost depth": lost_depth,
     "hidden foot": hidden_foot,

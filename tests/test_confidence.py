@@ -28,11 +28,11 @@ def tube(length: float, radius: float) -> np.ndarray:
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1) + RNG.normal(0, 2e-4, (4000, 3))
 
 
-def line_confidence(points: np.ndarray, radius: float, width: float) -> np.ndarray:
+def line_confidence(points: np.ndarray, radius: float, flatness: float) -> np.ndarray:
     """Confidence of the nodes of a straight upright line of 0.3 m."""
     nodes = np.stack([np.zeros(51), np.zeros(51), np.linspace(0, 0.3, 51)], axis=1)
     parent = np.arange(-1, 50)
-    return node_confidence(nodes, parent, np.full(51, radius), np.full(51, width), points)
+    return node_confidence(nodes, parent, np.full(51, radius), np.full(51, flatness), points)
 
 
 def fork(thickness: float) -> tuple[Skeleton, np.ndarray]:
@@ -51,10 +51,10 @@ def fork(thickness: float) -> tuple[Skeleton, np.ndarray]:
 
 def test_a_tube_is_believed_and_neither_a_gap_nor_a_blade_nor_a_smear() -> None:
     points = tube(0.3, 0.005)
-    whole = line_confidence(points, 0.005, 0.005)
-    gap = line_confidence(points[np.abs(points[:, 2] - 0.15) > 0.04], 0.005, 0.005)
-    blade = line_confidence(points * [0.3, 6, 1], 0.0015, 0.03)
-    smear = line_confidence(points * RNG.uniform(0.1, 2, (len(points), 1)) ** [1, 1, 0], 0.005, 0.005)
+    whole = line_confidence(points, 0.005, 0.1)
+    gap = line_confidence(points[np.abs(points[:, 2] - 0.15) > 0.04], 0.005, 0.1)
+    blade = line_confidence(points * [0.3, 6, 1], 0.0015, 0.8)
+    smear = line_confidence(points * RNG.uniform(0.1, 2, (len(points), 1)) ** [1, 1, 0], 0.005, 0.1)
     assert np.median(whole) > 0.8
     assert gap[25] < 0.3 < gap[5]
     assert np.median(blade) < 0.3

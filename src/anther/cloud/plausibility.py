@@ -21,8 +21,8 @@ NEAR, COVERED = 0.4, 0.15
 """Something nearer than this share of the plant's distance blocks a view when it covers this share of the image."""
 EDGE, CUT = 0.004, 0.005
 """A plant is cut off when this share of its points lies so near the workspace's faces [m]."""
-ONE_SIDE = 100.0
-"""Views within so narrow an arc about the plant see it from one side [degrees]."""
+ONE_SIDE, FEW = 100.0, 4
+"""Views within so narrow an arc about the plant see it from one side [degrees]; fewer than so many are few."""
 SECOND, SECOND_SIZE = 0.03, 0.08
 """What is left out is worth a word when it has this share of all points and this diagonal [m]."""
 SLAB, GROUND_POINTS, GROUND_AREA = 0.01, 0.25, 0.2
@@ -54,7 +54,9 @@ def view_doubts(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
 
 
 def coverage_doubts(centre: Array, T_world_cam: Array) -> tuple[str, ...]:
-    """Return whether the cameras (V, 4, 4) stand on one side only of the plant's centre (3,) [m]."""
+    """Return whether the cameras (V, 4, 4) are few, or on one side only of the plant's centre (3,) [m]."""
+    if len(T_world_cam) < FEW:
+        return (f"only {len(T_world_cam)} views show the plant: how deep its organs are is half guessed",)
     away = T_world_cam[:, :2, 3] - centre[:2]
     azimuth = np.sort(np.degrees(np.arctan2(away[:, 1], away[:, 0])))
     arc = 360 - float(np.diff(azimuth, append=azimuth[0] + 360).max())

@@ -10,11 +10,8 @@ from anther.skeleton.support import logit, probability
 from anther.stem import Stem
 from anther.stem.confidence import rivalry
 
-FITTED = (3.0, 0.8, 0.8, -12.0, -4.0)
+FITTED = (-2.16, 1.70, 9.93, 5.09)
 """Constant and weights of `place_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
-
-WINDOW = 0.015
-"""Half length of the piece of stem whose support counts [m]: half of what the fingers need."""
 
 
 def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | None:
@@ -27,12 +24,12 @@ def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | Non
 
 
 def place_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:
-    """Return (K, 4): log-odds of the confidence there and of the whole stem's, rivalry, whether above a fork."""
+    """Return (K, 3), larger is better: log-odds of the stem's mean confidence, 0 less the rivalry, below a fork or not.
+
+    The confidence at the place itself adds nothing to that of the whole stem (measured).
+    """
     assert skeleton.confidence is not None
-    along = skeleton.confidence[stem.node_ids]
-    near = np.exp(-0.5 * ((stem.arc_length - arcs[:, None]) / WINDOW) ** 2)
-    support = near @ along / np.maximum(near.sum(axis=1), 1e-12)
+    whole = np.full(len(arcs), logit(skeleton.confidence[stem.node_ids].mean()))
     contested = np.interp(arcs, stem.arc_length, rivalry(skeleton, stem.node_ids))
-    above = arcs > stem.arc_length[stem.fork] + 1e-9
-    whole = np.full(len(arcs), logit(along.mean()))
-    return np.stack([logit(support), whole, contested, above], axis=1)
+    below = arcs <= stem.arc_length[stem.fork] + 1e-9
+    return np.stack([whole, -contested, below], axis=1)

@@ -205,8 +205,8 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     if hidden > 0:
         curves = extended(curves, hidden, spacing)
         notes = (*notes, f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil")
-    confidence = node_confidence(curves.nodes, curves.parent, curves.radius, curves.width, points)
     flatness = coarse.flatness[np.asarray(KDTree(coarse.nodes).query(curves.nodes)[1])]
+    confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness)
 
 

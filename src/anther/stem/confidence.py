@@ -12,10 +12,10 @@ from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import path_gain, subtree_best
 from anther.skeleton.support import logit, probability
 
-FITTED = (3.6, 0.4, 0.6, -11.0, 1.0)
+FITTED = (0.73, 1.03, 4.13)
 """Constant and weights of `stem_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
 
-DOUBTFUL = 0.6
+DOUBTFUL = 0.75
 """Below this confidence of stem or grasp the summaries warn."""
 
 SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
@@ -37,23 +37,21 @@ def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
 
 
 def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
-    """Return (4,): log-odds of the confidence over the stem and over its top, the top's bend, the stem's height.
+    """Return (2,), larger is better: the log-odds of the stem's mean confidence, and how straight its top is.
 
-    Most wrong stems are right up to their top, where they run on into a leaf or a truss. The bend is the mean turn from
-    one node to the next [rad]; the height is the logarithm of the stem's share of the plant's.
+    Straightness is 0 less the mean turn from one node to the next [rad]: most wrong stems are right up to their top,
+    where they run on into a leaf or a truss.
 
     Args:
         skeleton: with its confidence.
         node_ids: (S,) the stem, root first.
     """
     assert skeleton.confidence is not None
-    along, nodes = skeleton.confidence[node_ids], skeleton.nodes[node_ids]
-    top = max(int(TOP * len(node_ids)), 2)
-    steps = np.diff(nodes[-top - 2 :], axis=0)
+    top = skeleton.nodes[node_ids[-max(int(TOP * len(node_ids)), 2) - 2 :]]
+    steps = np.diff(top, axis=0)
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     bend = np.linalg.norm(np.diff(steps, axis=0), axis=1).mean() if len(steps) > 1 else 0.0
-    height = np.ptp(nodes[:, 2]) / np.ptp(skeleton.nodes[:, 2])
-    return np.array([logit(along.mean()), logit(along[-top:].mean()), bend, np.log(max(height, 0.01))])
+    return np.array([logit(skeleton.confidence[node_ids].mean()), -bend])
 
 
 def rivalry(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
