@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-SHOWN = ("stem_error_p95_mm", "stem_covered", "recall_5mm", "flower_recall")
+SHOWN = ("stem_error_median_mm", "stem_error_p95_mm", "recall_5mm", "flower_recall")
 CHOICES = {
     "fixed": ("evenly spread", "C0", "o-"),
     "next_best": ("next best", "C1", "s-"),
@@ -27,11 +27,12 @@ def draw(rows: Rows, titles: dict[str, str]) -> Figure:
             _line(column[0], rows, choice, metric, by_time=False)
             _line(column[1], rows, choice, metric, by_time=True)
         column[0].set(title=titles[metric], xlabel="views")
-        column[1].set(xlabel="capture: motion and stops [s]")
+        column[1].set(title=titles[metric], xlabel="capture: motion and stops [s]")
     for plot in plots.flat:
         plot.grid(alpha=0.3)
         plot.set_xlim(left=0)
-    plots[0, 0].legend()
+        plot.set_ylim(0, 1.05 if "recall" in plot.get_title() else None)
+    plots[0, 2].legend(loc="lower right")
     return figure
 
 

@@ -119,9 +119,9 @@ def test_views_stay_within_the_widest_azimuth():
     assert np.abs(plan_views(REGION, [BENCH], narrow).azimuth).max() <= 45
 
 
-def test_the_fast_preset_takes_eight_views_in_a_short_time():
+def test_the_fast_preset_takes_ten_views_in_a_short_time():
     place = layout(USUAL_DISTANCE)
     views = plan_views(place.region, place.solids, PRESETS["fast"])
-    assert len(views.joints) == 8
+    assert len(views.joints) == 10
     assert np.abs(views.azimuth).max() <= 75
-    assert capture_time(views) < 15  # docs/views.md: 13.1 s, of 42.9 s for 30 views
+    assert capture_time(views) < 20  # docs/views.md: 17.4 s, of 42.9 s for 30 views

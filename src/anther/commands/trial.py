@@ -32,7 +32,7 @@ class Args:
     preset: Literal["full", "fast"] = "full"
     """Views all around, or few views along a short way (docs/views.md says what that costs)."""
     views: int | None = None
-    """How many RGB-D views the arm takes; by default what the preset says: 30, or 8 when fast."""
+    """How many RGB-D views the arm takes; by default what the preset says: 30, or 10 when fast."""
     masks: MaskSource = "colour"
     """What finds plant and flowers: colour and geometry, Grounding DINO and SAM 2, or SAM 3 (docs/masks.md)."""
     models: Path = Path("models")
