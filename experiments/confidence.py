@@ -76,7 +76,7 @@ class Sample:
         arcs: (K,) places along the stem [m].
         place_right: (K,) bool.
         grasp_confidence, grasp_right: (G,) of the ranked grasps.
-        warned: whether any stage had something to say that is no routine.
+        warned: whether cloud or stem had something to say beside poses that were corrected.
     """
 
     name: str
@@ -167,7 +167,7 @@ def _sample(name: str, plant: SimPlant, cloud: Cloud) -> Sample:
         place_right=main.query(places)[0] <= NEAR,
         grasp_confidence=np.array([g.confidence for g in grasps], dtype=np.float64),
         grasp_right=np.array([main.query(g.point)[0] <= NEAR for g in grasps], dtype=bool),
-        warned=bool(cloud.notes or stem.notes),
+        warned=any("has been corrected" not in note for note in (*cloud.notes, *stem.notes)),
     )
 
 
