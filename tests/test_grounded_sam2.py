@@ -300,4 +300,4 @@ def test_torch_is_not_imported_before_it_is_needed() -> None:
         "import sys, anther.pipeline, anther.commands.trial, anther.commands.mask_source, anther.masks.weights\n"
         "assert not {'torch', 'transformers'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
