@@ -46,7 +46,8 @@ class Params:
         seed: of the draws.
         arm_share: share of the arm's limit that is used [-].
         plant_share: share of the plant's limits that is used [-]: the best models of shaken plants err by some tens of
-            per cent (facts: pollination 4), and passing a limit is worse than staying below it.
+            per cent (facts: pollination 4), and passing a limit is worse than staying below it. At 0.7 two of twelve
+            simulated plants passed theirs, by 10 and 14 %.
         least_amplitude, most_amplitude: of the grip [m]. A smaller shake is not planned: the arm places itself to
             0.1 mm (facts: sawyer 1), and soft pads swallow as much.
         most_speed: of the grip [m/s].
@@ -69,7 +70,7 @@ class Params:
     caution: float = 0.8
     seed: int = 0
     arm_share: float = 0.8
-    plant_share: float = 0.7
+    plant_share: float = 0.6
     least_amplitude: float = 0.3e-3
     most_amplitude: float = 0.03
     most_speed: float = 0.3
