@@ -29,14 +29,12 @@ from rich.console import Console
 from rich.progress import track
 
 from anther import cloud, flowers, grasp, masks, skeleton, stem
-from anther.arm import sawyer
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import plan_views
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
 from anther.files import replacing, write_json
 from anther.geometry import Array, Box, transform_points
-from anther.sim.capture import capture_views, perturbed_hand_eye
 from anther.sim.plant import Organ
 
 VIEWS = 30
@@ -91,10 +89,7 @@ def take(species: Species, seed: int) -> tuple[Capture, Array, list[Array]]:
     """Return the capture of a simulated plant, the true poses, and true plant points per view in its camera frame."""
     place = layout(USUAL_DISTANCE)
     joints = plan_views(place.region, place.solids, ViewParams(count=VIEWS)).joints
-    sight, camera = (np.random.default_rng([seed, 0, k]) for k in range(2))
-    T_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
-    plant = grow(species, seed, 0.0, USUAL_DISTANCE)
-    capture, truth = capture_views(plant, joints, sawyer.forward, T_true, sawyer.T_FLANGE_CAM, rng=sight)
+    capture, truth = photograph(grow(species, seed, 0.0, USUAL_DISTANCE), joints, seed)
     pairs = zip(truth.depth, truth.organ, strict=True)
     return (
         capture,

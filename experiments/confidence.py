@@ -36,19 +36,17 @@ from scipy.spatial import KDTree
 from skeleton_truth import AXIS, NEAR, polyline, true_samples
 
 from anther import masks
-from anther.arm import sawyer
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, plan_views
 from anther.capture import Capture
 from anther.cloud import Cloud, fuse
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
 from anther.errors import StageFailure
 from anther.files import write_json
 from anther.flowers import flower_centres
 from anther.geometry import Array
 from anther.grasp import plan_grasps
 from anther.grasp.confidence import place_evidence
-from anther.sim.capture import capture_views, perturbed_hand_eye
 from anther.sim.plant import Organ, SimPlant
 from anther.skeleton import Skeleton, skeletonize
 from anther.skeleton.support import node_support, probability
@@ -137,10 +135,7 @@ def _views() -> Views:
 @cache
 def photographed(species: Species, seed: int) -> Capture:
     """Return the capture of a plant as `anther trial` would take it, in VIEWS views."""
-    sight, camera = (np.random.default_rng([seed, 0, k]) for k in range(2))
-    true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
-    plant = grow(species, seed, 0.0, USUAL_DISTANCE)
-    return capture_views(plant, _views().joints, sawyer.forward, true, sawyer.T_FLANGE_CAM, rng=sight)[0]
+    return photograph(grow(species, seed, 0.0, USUAL_DISTANCE), _views().joints, seed)[0]
 
 
 def _sample(name: str, plant: SimPlant, cloud: Cloud) -> Sample:

@@ -32,16 +32,15 @@ from rich.table import Table
 from scipy.spatial import KDTree
 
 from anther import cloud, masks
-from anther.arm import sawyer
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import plan_views
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
 from anther.files import read_json, write_json
 from anther.geometry import Box
 from anther.masks import FLOWER, Masks
 from anther.sim import greenhouse
-from anther.sim.capture import CaptureTruth, capture_views, perturbed_hand_eye
+from anther.sim.capture import CaptureTruth
 from anther.sim.greenhouse import Setting
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene
@@ -69,11 +68,8 @@ def taken(plant: SimPlant, setting: Setting, seed: int, count: int) -> tuple[Cap
     """Return what the arm's views of a plant show, the truth, the workspace and the scene."""
     place = layout(USUAL_DISTANCE)
     views = plan_views(place.region, place.solids, ViewParams(count=count))
-    sight, camera = (np.random.default_rng([seed, 0, k]) for k in range(2))
-    hand_eye = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
     scene = Scene.of_plant(plant, setting)
-    capture, truth = capture_views(scene, views.joints, sawyer.forward, hand_eye, sawyer.T_FLANGE_CAM, rng=sight)
-    return capture, truth, place.workspace, scene
+    return *photograph(scene, views.joints, seed), place.workspace, scene
 
 
 def score(found: Masks, capture: Capture, truth: CaptureTruth) -> dict[str, float]:

@@ -29,14 +29,13 @@ from skeleton_figures import draw_spread, draw_ten
 from skeleton_truth import Score, pooled, score, visible_flowers
 
 from anther import cloud, flowers, masks, skeleton, stem
-from anther.arm import sawyer
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import plan_views
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
 from anther.errors import AntherError
 from anther.files import read_json, write_json
-from anther.sim.capture import CaptureTruth, capture_views, perturbed_hand_eye
+from anther.sim.capture import CaptureTruth
 from anther.sim.plant import SimPlant
 
 VIEWS = 30
@@ -69,10 +68,7 @@ def take(species: Species, seed: int, views: int = VIEWS) -> tuple[SimPlant, Cap
     place = layout(USUAL_DISTANCE)
     planned = plan_views(place.region, place.solids, ViewParams(count=views))
     plant = grow(species, seed, 0.0, USUAL_DISTANCE)
-    sight, camera = (np.random.default_rng([seed, 0, k]) for k in range(2))
-    T_flange_cam = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
-    capture, truth = capture_views(plant, planned.joints, sawyer.forward, T_flange_cam, sawyer.T_FLANGE_CAM, rng=sight)
-    return plant, capture, truth
+    return plant, *photograph(plant, planned.joints, seed)
 
 
 def one_plant(which: tuple[Species, int], out: Path) -> dict[str, Any]:

@@ -34,16 +34,14 @@ from view_figure import draw
 
 from anther import cloud as clouds
 from anther import flowers, masks, skeleton, stem
-from anther.arm import sawyer
 from anther.arm.views import Viewpoints, capture_time, reachable_views, visit_views
 from anther.capture import Capture
 from anther.cloud import Cloud
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph
 from anther.errors import AntherError
 from anther.files import read_json, write_json
 from anther.flowers import Flowers
 from anther.next_view import expected_new_volume
-from anther.sim.capture import capture_views, perturbed_hand_eye
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem
@@ -89,9 +87,7 @@ class Seen:
 def take_pool(plant: SimPlant, seed: int, viewpoints: Viewpoints, chosen: list[int]) -> Pool:
     """Render views of the plant with the errors that `anther trial` has."""
     joints = np.array([viewpoints.branches[i][0] for i in chosen])
-    sight, mounting = (np.random.default_rng([seed, 0, k]) for k in range(2))
-    T_flange_cam = perturbed_hand_eye(sawyer.T_FLANGE_CAM, mounting)
-    capture, truth = capture_views(plant, joints, sawyer.forward, T_flange_cam, sawyer.T_FLANGE_CAM, rng=sight)
+    capture, truth = photograph(plant, joints, seed)
     return Pool(plant, capture, visible_flowers(plant, truth, capture.intrinsics))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,7 +19,7 @@ from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.safety import guard
 from anther.sim import cell as world
-from anther.sim.capture import CameraErrors, capture_views, perturbed_hand_eye
+from anther.sim.capture import CameraErrors, CaptureTruth, capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
@@ -132,7 +131,7 @@ def build(
     place = layout(distance)
     planned = plan_views(place.region, place.solids, views)
     plant = grow(species, seed, viewpoint, distance)
-    sight, camera, noise = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(3))
+    noise = np.random.default_rng([seed, int(viewpoint), 2])
     scene = Scene.of_plant(plant)
     mujoco = world.Cell(plant, sawyer.READY)
     robot = robot_of(
@@ -143,13 +142,12 @@ def build(
         scene=scene,
     )
     limits = safety_limits(place)
-    T_flange_cam_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
     return SimulatedCell(
         plant=plant,
         world=mujoco,
         views=planned,
         robot_side=pipeline.Cell(
-            take_views=_views_of(scene, planned, T_flange_cam_true, sight),
+            take_views=lambda advance: photograph(scene, planned.joints, seed, viewpoint, progress=advance)[0],
             plan_around=lambda cloud: Planner(cloud.points, cloud.obstacles, place.solids),
             robot=guard(robot, limits),
             workspace=place.workspace,
@@ -158,13 +156,15 @@ def build(
     )
 
 
-def _views_of(
-    scene: Scene, views: Views, T_flange_cam_true: Array, rng: np.random.Generator
-) -> Callable[[Advance], Capture]:
-    def take(advance: Advance) -> Capture:
-        capture, _truth = capture_views(
-            scene, views.joints, sawyer.forward, T_flange_cam_true, sawyer.T_FLANGE_CAM, rng=rng, progress=advance
-        )
-        return capture
+def photograph(
+    plant: SimPlant | Scene, joints: Array, seed: int, viewpoint: float = 0.0, *, progress: Advance | None = None
+) -> tuple[Capture, CaptureTruth]:
+    """Return what the wrist camera sees of a plant from joints (V, 7) [rad], and the truth, which is for judges.
 
-    return take
+    Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed` and `viewpoint` [deg].
+    """
+    sight, camera = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(2))
+    T_flange_cam_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
+    return capture_views(
+        plant, joints, sawyer.forward, T_flange_cam_true, sawyer.T_FLANGE_CAM, rng=sight, progress=progress
+    )
