@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
-from scipy.spatial import KDTree
 
 from anther.geometry import Array
 from anther.skeleton.cross_sections import CrossSections, cross_sections
+from anther.skeleton.nearby import nearest
 from anther.skeleton.raw_tree import RawTree, chains
 
 
@@ -57,14 +57,16 @@ def resample(tree: RawTree, gain: Array, spacing: float) -> Curves:
     nodes, radius = _even(_smooth(tree.nodes[first]), tree.thickness[first], spacing, fewest=1)
     made = [np.arange(len(nodes))]
     home = np.zeros(len(tree.nodes), dtype=np.int64)
+    forks: set[int] = set()
     for chain in others:
         host = made[home[chain[0]]]
-        at = host[_attachment(tree.nodes[chain], nodes[host])]
+        at = host[_shared(_attachment(tree.nodes[chain], nodes[host]), host, forks)]
         rest = chain[1 + _BENT :] if len(chain) > 3 + _BENT else chain[1:]
         line = np.concatenate([nodes[at][None], tree.nodes[rest]])
         new, thick = _even(_smooth(line), tree.thickness[[rest[0], *rest]], spacing)
         home[chain[1:]] = len(made) if len(new) else home[chain[0]]
         if len(new):
+            forks.add(int(at))
             made.append(np.concatenate([[at], np.arange(len(nodes), len(nodes) + len(new) - 1)]))
             nodes, radius = np.concatenate([nodes, new[1:]]), np.concatenate([radius, thick[1:]])
     return Curves(nodes, made, radius, radius)
@@ -129,6 +131,17 @@ def _attachment(line: Array, host: Array) -> int:
     aside = np.linalg.norm(host - middle - along[:, None] * direction, axis=1)
     allowed = (away <= _BEYOND * away.min()) & (along <= 0)
     return int(np.argmin(np.where(allowed, aside, np.inf))) if allowed.any() else int(np.argmin(away))
+
+
+_UNRESOLVED = 1
+"""Side branches that leave so many nodes apart leave at one node, as opposite and whorled leaves do."""
+
+
+def _shared(at: int, host: NDArray[Any], forks: set[int]) -> int:
+    """Return the position on the host nearest to `at` where another side branch leaves it, if that is near."""
+    near = range(max(at - _UNRESOLVED, 0), min(at + _UNRESOLVED + 1, len(host)))
+    there = [i for i in near if int(host[i]) in forks]
+    return min(there, key=lambda i: abs(i - at)) if there else at
 
 
 def _even(line: Array, values: Array, spacing: float, fewest: int = 0) -> tuple[Array, Array]:
@@ -211,12 +224,12 @@ def _straight_start(curves: Curves) -> Curves:
 def _reaching_ends(curves: Curves, points: Array) -> Curves:
     """Move the tips and the root out to where the cloud ends."""
     nodes, first = curves.nodes.copy(), curves.chains[0]
-    nearest = np.asarray(KDTree(nodes).query(points)[1])
-    order = np.argsort(nearest, kind="stable")
+    _, owner = nearest(points, nodes)
+    order = np.argsort(owner, kind="stable")
     for end, inner in [(first[0], first[1]), *((chain[-1], chain[-2]) for chain in curves.chains)]:
         outward = nodes[end] - nodes[inner]
         step = np.linalg.norm(outward)
-        owned = order[slice(*np.searchsorted(nearest[order], [end, end + 1]))]
+        owned = order[slice(*np.searchsorted(owner[order], [end, end + 1]))]
         if len(owned) >= _FEWEST and step > 0:
             reach = np.quantile((points[owned] - nodes[end]) @ (outward / step), 0.9)
             nodes[end] += outward / step * np.clip(reach, 0, 2 * step)

@@ -8,9 +8,9 @@ from typing import Any
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from anther.geometry import Array
+from anther.skeleton.nearby import nearest
 
 _ENOUGH = 200
 """More points than this do not make a cross-section better."""
@@ -49,9 +49,9 @@ def cross_sections(points: Array, nodes: Array, tangent: Array, before: NDArray[
     """
     after = np.full(len(nodes), -1)
     after[before[before >= 0]] = np.flatnonzero(before >= 0)
-    nearest = np.asarray(KDTree(nodes).query(points)[1])
-    order = np.argsort(nearest, kind="stable")
-    start = np.searchsorted(nearest[order], np.arange(len(nodes) + 1))
+    _, owner = nearest(points, nodes)
+    order = np.argsort(owner, kind="stable")
+    start = np.searchsorted(owner[order], np.arange(len(nodes) + 1))
     around = np.stack([before, np.arange(len(nodes)), after], axis=1)
     count, table = _sections(points[order], start, nodes, tangent, around)
     return CrossSections(count, table[:, :3], *table[:, 3:].T)

@@ -11,13 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import KDTree
 
 from anther.geometry import Array
+from anther.skeleton.nearby import blocks
 from anther.skeleton.raw_tree import RawTree, with_extents
 from anther.skeleton.voxel_solid import Voxels
 
@@ -77,17 +78,31 @@ def covering_paths(points: Array, distance: Array, before: NDArray[Any], cover: 
         distance, before: of `shortest_paths`.
         cover: (N,) how far a path covers the surroundings of a voxel [m].
     """
-    tree = KDTree(points)
-    waiting, on_tree = np.ones(len(points), dtype=bool), np.zeros(len(points), dtype=bool)
-    for tip in np.argsort(-distance, kind="stable"):
-        if not waiting[tip]:
-            continue
-        path, at = [], int(tip)
-        while at >= 0 and not on_tree[at]:
-            path.append(at)
-            at = int(before[at])
-        on_tree[path] = True
-        for near in tree.query_ball_point(points[path], cover[path]):
-            waiting[near] = False
-    chosen = np.flatnonzero(on_tree)
-    return chosen[np.argsort(distance[chosen], kind="stable")]
+    at = blocks(points, float(cover.max()))
+    rank = np.empty(len(points), dtype=np.int64)
+    rank[at.order] = np.arange(len(points))
+    tips = rank[np.argsort(-distance, kind="stable")]
+    before = np.where(before >= 0, rank[before], -1)[at.order]
+    on_tree = _walked(points[at.order], tips, before, cover[at.order], at.key, at.held, at.start, at.stride)
+    chosen = at.order[on_tree]
+    return chosen[np.lexsort((chosen, distance[chosen]))]
+
+
+@numba.njit(cache=True, nogil=True)
+def _walked(points, tips, before, cover, key, held, start, stride):
+    """Return (N,) which voxels are on a path; points are sorted as in `nearby.Blocks`, whose edge no cover exceeds."""
+    waiting, on_tree = np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
+    for tip in tips:
+        n = tip if waiting[tip] else -1
+        while n >= 0 and not on_tree[n]:
+            on_tree[n] = True
+            for a in range(-1, 2):
+                for b in range(-1, 2):
+                    first = key[n] + a * stride[0] + b * stride[1] - 1
+                    low, high = np.searchsorted(held, first), np.searchsorted(held, first + 3)
+                    for m in range(start[low], start[high]):
+                        if waiting[m]:
+                            x, y, z = points[m] - points[n]
+                            waiting[m] = x * x + y * y + z * z > cover[n] ** 2
+            n = before[n]
+    return on_tree

@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import KDTree
 
 from anther.geometry import Array
+from anther.skeleton.nearby import nearest
 from anther.skeleton.voxel_solid import Voxels
 
 Parents = NDArray[Any]
@@ -42,12 +43,12 @@ class RawTree:
 
 def with_extents(nodes: Array, parent: Parents, voxels: Voxels) -> RawTree:
     """Return the tree with thickness, width and flatness of the voxels that are nearest to each node."""
-    distance, nearest = map(np.asarray, KDTree(nodes).query(voxels.points))
-    count = np.maximum(np.bincount(nearest, minlength=len(nodes)), 1)
+    distance, owner = nearest(voxels.points, nodes)
+    count = np.maximum(np.bincount(owner, minlength=len(nodes)), 1)
     thickness = np.full(len(nodes), voxels.voxel)
-    np.maximum.at(thickness, nearest, voxels.thickness)
-    spread = np.sqrt(np.bincount(nearest, weights=distance**2, minlength=len(nodes)) / count)
-    flatness = np.bincount(nearest, weights=voxels.flatness, minlength=len(nodes)) / count
+    np.maximum.at(thickness, owner, voxels.thickness)
+    spread = np.sqrt(np.bincount(owner, weights=distance**2, minlength=len(nodes)) / count)
+    flatness = np.bincount(owner, weights=voxels.flatness, minlength=len(nodes)) / count
     return RawTree(nodes, parent, thickness, np.maximum(spread, thickness), _along(parent, flatness))
 
 
@@ -55,10 +56,10 @@ def middled(tree: RawTree, voxels: Voxels, rounds: int = 2) -> RawTree:
     """Return the tree with its nodes on blades in the middle of the voxels nearest to them."""
     nodes = tree.nodes
     for _ in range(rounds):
-        nearest = np.asarray(KDTree(nodes).query(voxels.points)[1])
-        count = np.maximum(np.bincount(nearest, minlength=len(nodes)), 1)
-        offset = voxels.points - nodes[nearest]
-        step = [_along(tree.parent, np.bincount(nearest, column, len(nodes)) / count) for column in offset.T]
+        _, owner = nearest(voxels.points, nodes)
+        count = np.maximum(np.bincount(owner, minlength=len(nodes)), 1)
+        offset = voxels.points - nodes[owner]
+        step = [_along(tree.parent, np.bincount(owner, column, len(nodes)) / count) for column in offset.T]
         nodes = nodes + np.stack(step, axis=1) * np.clip(2 * tree.flatness - 1, 0, 1)[:, None]
     return with_extents(nodes, tree.parent, voxels)
 
