@@ -62,6 +62,7 @@ def test_a_stem_in_the_middle_is_held_through_the_shake() -> None:
     assert verdict.grasp_height == pytest.approx(HEIGHT, abs=0.02)
     assert verdict.slip < 0.002
     assert verdict.push < 0.1
+    assert 0.1 < verdict.effort < 0.9
     # the arm really shook as far as it was told
     y = sawyer.forward(trial.measured)[:, 1, 3]
     assert np.ptp(y) / 2 == pytest.approx(0.001, rel=0.1)
@@ -78,6 +79,16 @@ def test_limits_decide_what_counts_as_damage() -> None:
     trial, verdict = trial_of(cell, Plan())
     strict = Params(stem_strain=0.5 * verdict.stem_strain)
     assert judge(cell, (trial.shake_times[0], trial.shake_times[-1]), 5.0, strict).failure == "damaged"
+
+
+def test_a_motor_at_its_limit_is_limits_exceeded() -> None:
+    cell = near_plant(GRASP.joints)  # type: ignore[arg-type]
+    there = cell.joints - [0, 0, 0, 0, 0.5, 0, 0]
+    n = 100
+    cell.run(np.linspace(cell.joints, there, n), np.zeros((n, 7)), np.full(n, cell.grip_command))
+    verdict = judge(cell, None, 5.0)
+    assert verdict.effort == pytest.approx(1.0, abs=1e-3)
+    assert (verdict.failure, verdict.reason) == ("limits_exceeded", "motor 4 was at its torque limit")
 
 
 def test_a_grasp_beside_the_stem_holds_nothing() -> None:

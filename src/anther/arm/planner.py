@@ -11,7 +11,7 @@ from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathSh
 from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
-from anther.arm import kinematics, sawyer, shaking, timing
+from anther.arm import dynamics, kinematics, sawyer, shaking, timing
 from anther.arm.collision import GROUP, CollisionWorld
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
@@ -111,7 +111,7 @@ class Planner:
         parts = [] if leave is None else [leave]
         if np.abs(goal - start).max() > 1e-9 or (leave is None and enter is None):
             parts.append(self._free_motion(start, goal))
-        return timing.joined(parts if enter is None else [*parts, _reversed(enter)])
+        return dynamics.check_effort(timing.joined(parts if enter is None else [*parts, enter.backwards()]))
 
     def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
         """Return a slow straight motion of the flange to a pose; gripper and camera may touch the plant.
@@ -134,12 +134,18 @@ class Planner:
             if not self.world.path_free(path):
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
         length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _angle(here, target)
-        return timing.along_line(path, max(float(length), 1e-4), speed or self.params.approach_speed)
+        motion = timing.along_line(path, max(float(length), 1e-4), speed or self.params.approach_speed)
+        return dynamics.check_effort(motion)
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,): `SHAKE_SHARE` of the local limits."""
+        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,): `SHAKE_SHARE` of the local limits.
+
+        The limits are the joints' velocities, accelerations and torques.
+        """
         q = check_array("joints", q, (7,))
-        return np.minimum(SHAKE_SHARE * shaking.amplitude_limit(q, direction, frequencies), SHAKE_CAP)
+        quick = shaking.amplitude_limit(q, direction, frequencies)
+        strong = dynamics.shake_amplitude(q, shaking.joint_rates(q, direction, frequencies), frequencies)
+        return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
 
     def shake(
         self, q: ArrayLike, direction: ArrayLike, amplitude: float, frequency: float, duration: float
@@ -152,11 +158,11 @@ class Planner:
         """
         q = check_array("joints", q, (7,))
         motion = shaking.shake_trajectory(q, direction, amplitude=amplitude, frequency=frequency, duration=duration)
-        extremes = motion.positions[np.unique(np.concatenate([motion.positions.argmin(0), motion.positions.argmax(0)]))]
+        swing = motion.positions[motion.times >= duration / 2][: int(np.ceil(len(motion.times) / duration / frequency))]
         with self.world.touching_plant():
-            if not all(self.world.free(x) for x in extremes):
+            if not self.world.path_free(swing):
                 raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
-        return motion
+        return dynamics.check_effort(motion)
 
     def _connected(self, q: Array) -> bool:
         """Return whether a path from home to q, or to where q can be backed out to, is found quickly."""
@@ -260,7 +266,3 @@ def _steady(way: Array) -> bool:
 
 def _angle(a: Array, b: Array) -> float:
     return float(np.linalg.norm(kinematics.pose_error(a, b)[3:]))
-
-
-def _reversed(motion: JointTrajectory) -> JointTrajectory:
-    return JointTrajectory(motion.duration - motion.times[::-1], motion.positions[::-1], -motion.velocities[::-1])

@@ -26,6 +26,9 @@ UPPER = np.array([3.0503, 2.2736, 3.0426, 3.0439, 2.9761, 2.9761, 4.7124])  # ra
 VELOCITY = np.array([1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545])  # rad/s
 ACCELERATION = np.array([10.0, 8.0, 10.0, 10.0, 12.0, 12.0, 12.0])  # rad/s^2, SDK maximum
 EFFORT = np.array([80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0])  # N m
+ROTOR_INERTIA = np.array([1.0, 1.0, 0.5, 0.5, 0.1, 0.1, 0.1])
+"""Rotor inertia seen at the joint [kg m^2]. None is published: Menagerie has 1 everywhere, with which the wrist's 9 N m
+could not reach the SDK's own 12 rad/s^2, so the small joints have less. Our estimate."""
 NEUTRAL = np.array([0.0, -1.18, 0.0, 2.18, 0.0, 0.57, 3.3161])  # rad; the last is pi + the 10 degree mount twist
 READY = np.array([0.0, -1.57, 0.0, 2.57, 0.0, 0.57, 3.3161])  # rad; neutral drawn back from the plant, our choice
 FLOOR_Z = -0.913  # m
@@ -146,6 +149,8 @@ BASE_SOLIDS = (
 )
 HEAD_XYZ = (0.0, 0.0, 0.2965)  # head frame in right_l0 [m]
 HEAD_MASS = 1.5795  # kg
+HEAD_COM = (0.0053207, -2.6549e-05, 0.1021)  # m
+HEAD_INERTIA = (0.011833, 0.0082709, 0.0049661, -4.4669e-06, 4.9425e-05, 4.2124e-07)  # kg m^2
 HEAD_CAPSULES = (Capsule((-0.005, 0, 0.02), (-0.005, 0, 0.205), 0.04),)
 HEAD_SOLIDS = (Solid("screen", (0.025, 0, 0.1), (0.01, 0.13, 0.08)),)
 

@@ -34,7 +34,7 @@ def amplitude_limit(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) 
 
     A flange sinusoid of amplitude A moves joint i with A omega |dq_i/ds| and A omega^2 |dq_i/ds| at most. Among the
     joint motions that carry the flange along `direction` (one free parameter: the elbow) the one with the smallest
-    worst joint counts. Torques are not looked at.
+    worst joint counts. Torques: `dynamics.shake_amplitude`.
 
     Args:
         q: (..., 7) joints [rad].
@@ -47,6 +47,12 @@ def amplitude_limit(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) 
     omega = 2 * np.pi * check_array("shake frequencies", np.atleast_1d(np.asarray(frequencies)), (None,))
     load = [_slowest_motion(q, unit(direction), _weights(w))[1] for w in omega]
     return 1 / np.stack(load, axis=-1)
+
+
+def joint_rates(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
+    """Return the joint motions (Q, 7) [rad/m] that `amplitude_limit` counts at joints q (7,), one per frequency."""
+    omega = 2 * np.pi * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
+    return np.array([_slowest_motion(q, unit(direction), _weights(w))[0] for w in omega])
 
 
 def shake_trajectory(

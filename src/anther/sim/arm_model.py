@@ -14,9 +14,6 @@ from anther.geometry import Array
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
-ARMATURE = np.array([1.0, 1.0, 0.5, 0.5, 0.1, 0.1, 0.1])
-"""Rotor inertia seen at the joint [kg m^2]. None is published: Menagerie has 1 everywhere, with which the wrist's 9 N m
-could not reach the SDK's own 12 rad/s^2, so the small joints have less. Our estimate."""
 FINGER_MASS = 0.04  # kg, our estimate
 FINGER_ARMATURE = 0.3  # kg, drive inertia seen at a finger, our estimate
 PAD_FRICTION = 1.0  # silicone on a stem, our estimate; the brief of the cell
@@ -55,7 +52,7 @@ def add_arm(spec: Any, params: Params, *, contype: int, conaffinity: int) -> Non
         body = _add_link(body, i, link, bits)
         if i == 0:
             head = body.add_body(name="head", pos=sawyer.HEAD_XYZ, gravcomp=1)
-            _inertial(head, sawyer.HEAD_MASS, (0, 0, 0.1), (0.01, 0.01, 0.005, 0, 0, 0))
+            _inertial(head, sawyer.HEAD_MASS, sawyer.HEAD_COM, sawyer.HEAD_INERTIA)
             _capsules(head, "head", sawyer.HEAD_CAPSULES, bits)
             _solids(head, sawyer.HEAD_SOLIDS, bits)
     _add_gripper(spec, body, params, bits)
@@ -94,7 +91,8 @@ def _add_link(parent: Any, i: int, link: sawyer.Link, bits: dict[str, int]) -> A
     joint = body.add_joint(name=sawyer.JOINTS[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
     joint.range = [sawyer.LOWER[i], sawyer.UPPER[i]]
     joint.limited = 1
-    joint.armature = ARMATURE[i]
+    joint.armature = sawyer.ROTOR_INERTIA[i]
+    joint.actgravcomp = 1  # the motors carry the arm's weight too: it counts against their efforts
     joint.actfrclimited, joint.actfrcrange = 1, [-sawyer.EFFORT[i], sawyer.EFFORT[i]]
     _capsules(body, link.name, link.capsules, bits)
     return body
@@ -104,8 +102,10 @@ def _add_gripper(spec: Any, wrist: Any, params: Params, bits: dict[str, int]) ->
     T = sawyer.T_L6_FLANGE
     quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     flange = wrist.add_body(name="flange", pos=T[:3, 3], quat=quat, gravcomp=1)
-    rest = sawyer.GRIPPER_MASS - 2 * FINGER_MASS + sawyer.CAMERA_MASS
-    _inertial(flange, rest, sawyer.GRIPPER_COM, (4e-4, 4e-4, 3e-4, 0, 0, 0))
+    body = sawyer.GRIPPER_MASS - 2 * FINGER_MASS
+    weight = np.array([body, sawyer.CAMERA_MASS])
+    centre = weight @ np.array([sawyer.GRIPPER_COM, sawyer.CAMERA_SOLIDS[0].center]) / weight.sum()
+    _inertial(flange, weight.sum(), centre, (4e-4, 1.2e-3, 1.1e-3, 0, 0, 0))
     _solids(flange, (sawyer.GRIPPER_BODY, *sawyer.CAMERA_SOLIDS), bits)
     pad_z = sawyer.TIP_Z - sawyer.PAD[2] / 2
     half_z = (sawyer.TIP_Z - sawyer.FINGER_Z) / 2

@@ -53,6 +53,7 @@ class CellLog:
         times: (T,) [s].
         qpos: (T, nq) generalised positions of the whole world.
         joints: (T, 7) arm [rad].
+        torques: (T, 7) of its motors [N m].
         grip_command, opening: (T,) commanded and true distance between the pads [m].
         contact_sample: (C,) log sample of each contact of the robot with plant, pot or bench.
         contact_pad: (C,) 0 left pad, 1 right pad, 2 any other part of the robot.
@@ -64,6 +65,7 @@ class CellLog:
     times: Array
     qpos: Array
     joints: Array
+    torques: Array
     grip_command: Array
     opening: Array
     contact_sample: NDArray[Any]
@@ -168,7 +170,7 @@ class Cell:
 
     def _note(self) -> None:
         d, sample = self.data, len(self._samples)
-        self._samples.append((d.time, d.qpos.copy(), self.grip_command))
+        self._samples.append((d.time, d.qpos.copy(), d.qfrc_actuator[self._arm_dofs].copy(), self.grip_command))
         force = np.zeros(6)
         for i in range(d.ncon):
             a, b = self._codes[d.contact[i].geom]
@@ -178,12 +180,13 @@ class Cell:
 
     def log(self) -> CellLog:
         """Return all samples so far."""
-        times, qpos, command = (np.array(x) for x in zip(*self._samples, strict=True))
+        times, qpos, torques, command = (np.array(x) for x in zip(*self._samples, strict=True))
         sample, pad, other, force, point = list(zip(*self._contacts, strict=True)) or [()] * 5
         return CellLog(
             times=times,
             qpos=qpos,
             joints=qpos[:, self._arm],
+            torques=torques,
             grip_command=command,
             opening=qpos[:, self._fingers].sum(axis=1),
             contact_sample=np.array(sample, dtype=int),

@@ -11,12 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
+from anther.arm import sawyer
 from anther.checks import check_array
 from anther.errors import FailureKind
 from anther.geometry import Array, inverse
 from anther.oscillation import find_frequency, fit_swing
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
+
+SATURATED = 0.999
+"""Share of a motor's torque limit from which on it counts as reached."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +68,7 @@ class Verdict:
         flower_frequency: (F,) of that swing [Hz].
         flower_acceleration: (F,) rms [m/s2].
         flower_acceleration_peak: (F,) [m/s2].
+        effort: largest share of a motor's torque limit that the arm used.
     """
 
     success: bool
@@ -80,6 +85,7 @@ class Verdict:
     flower_frequency: Array
     flower_acceleration: Array
     flower_acceleration_peak: Array
+    effort: float
 
     def __post_init__(self) -> None:
         flowers = len(self.flower_amplitude)
@@ -106,10 +112,12 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses, params)
     motion = _flower_motion(cell, log.times[shaking], poses, frequency)
+    effort = np.abs(log.torques / sawyer.EFFORT).max(axis=0)
     worst = max(stem / params.stem_strain, joint / params.joint_strain, leaf / params.leaf_acceleration)
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
         (push > params.push, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
+        (bool(effort.max() >= SATURATED), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),
         (segment < 0, "nothing_grasped", "nothing was between the pads"),
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),
@@ -122,7 +130,7 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
     for found, kind, why in reversed(findings):
         failure, reason = (kind, why) if found else (failure, reason)
     facts = (organ, height, slip, push, stem, joint, leaf)
-    return Verdict(failure is None, failure, reason, *facts, *motion)
+    return Verdict(failure is None, failure, reason, *facts, *motion, effort=float(effort.max()))
 
 
 def _closed(log: CellLog) -> NDArray[np.bool_]:

@@ -1,0 +1,95 @@
+"""Joint torques of the Sawyer with its gripper and wrist camera. T samples, Q frequencies.
+
+Rigid-body inverse dynamics (recursive Newton-Euler, pinocchio) with the URDF's inertias, the tool's mass and rotor
+inertia. A motion that needs more than `USABLE` of the URDF's efforts is refused: the arm could not follow it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pinocchio
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from anther.arm import sawyer
+from anther.devices import JointTrajectory
+from anther.errors import StageFailure
+from anther.geometry import Array
+
+pin: Any = pinocchio  # its names come from C++ at run time; type checkers do not see them
+
+USABLE = 0.9
+"""Share of each effort limit that weight and inertia may take. The rest is for friction, of which nothing is published
+for the robot: the numbers in Rethink's Gazebo model (facts: sawyer 1) calm a simulation, and with them the wrist could
+not reach the SDK's own speed limit. An estimate."""
+
+
+def torques(q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
+    """Return the motors' torques (T, 7) [N m] for joints, rates and accelerations, each (T, 7) [rad, s]."""
+    model, data = _model()
+    rows = (np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, velocity, acceleration))
+    return np.array([pin.rnea(model, data, *row) for row in zip(*rows, strict=True)])
+
+
+def effort_share(trajectory: JointTrajectory) -> Array:
+    """Return (7,) the largest share of each joint's effort limit that a motion needs."""
+    acceleration = np.gradient(trajectory.velocities, trajectory.times, axis=0)
+    needed = torques(trajectory.positions, trajectory.velocities, acceleration)
+    return np.abs(needed / sawyer.EFFORT).max(axis=0)
+
+
+def check_effort(trajectory: JointTrajectory) -> JointTrajectory:
+    """Return the motion if the motors are strong enough for it.
+
+    Raises:
+        StageFailure: limits_exceeded.
+    """
+    share = effort_share(trajectory)
+    worst = int(np.argmax(share))
+    if share[worst] > USABLE:
+        needed, allowed = share[worst] * sawyer.EFFORT[worst], USABLE * sawyer.EFFORT[worst]
+        given = f"the motion needs {needed:.1f} N m of joint {worst}; allowed: <= {allowed:.1f}"
+        raise StageFailure("limits_exceeded", f"{given}. Move slower or shake less.")
+    return trajectory
+
+
+def shake_amplitude(q: Array, rates: Array, frequencies: ArrayLike) -> Array:
+    """Return the amplitudes (Q,) [m] of a flange sinusoid at which the first motor gives all that is `USABLE`.
+
+    Args:
+        q: (7,) joints [rad].
+        rates: (Q, 7) joint motion per metre of the flange's [rad/m].
+        frequencies: (Q,) [Hz].
+    """
+    still = np.zeros(7)
+    weight = torques(q, still, still)
+    swung = np.array([torques(q, still, rate)[0] for rate in rates]) - weight
+    omega = 2 * np.pi * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))[:, None]
+    room = USABLE * sawyer.EFFORT - np.abs(weight)
+    return np.maximum(room / (np.abs(swung) * omega**2), 0.0).min(axis=1)
+
+
+@cache
+def _model() -> tuple[Any, Any]:
+    model = pin.Model()
+    joint = 0
+    for name, link in zip(sawyer.JOINTS, sawyer.LINKS, strict=True):
+        place = pin.SE3(Rotation.from_euler("xyz", link.rpy).as_matrix(), np.array(link.xyz, dtype=float))
+        joint = model.addJoint(joint, pin.JointModelRZ(), place, name)
+        model.appendBodyToJoint(joint, _inertia(link.mass, link.com, link.inertia), pin.SE3.Identity())
+        if name == sawyer.JOINTS[0]:
+            head = pin.SE3(np.eye(3), np.array(sawyer.HEAD_XYZ))
+            model.appendBodyToJoint(joint, _inertia(sawyer.HEAD_MASS, sawyer.HEAD_COM, sawyer.HEAD_INERTIA), head)
+    flange = pin.SE3(sawyer.T_L6_FLANGE)
+    for mass, com in ((sawyer.GRIPPER_MASS, sawyer.GRIPPER_COM), (sawyer.CAMERA_MASS, sawyer.CAMERA_SOLIDS[0].center)):
+        model.appendBodyToJoint(joint, _inertia(mass, com, (0.0,) * 6), flange)
+    model.armature = sawyer.ROTOR_INERTIA
+    return model, model.createData()
+
+
+def _inertia(mass: float, com: ArrayLike, moments: tuple[float, ...]) -> Any:
+    xx, yy, zz, xy, xz, yz = moments
+    return pin.Inertia(mass, np.array(com, dtype=float), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
