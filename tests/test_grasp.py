@@ -13,6 +13,7 @@ from anther.errors import InputError, StageFailure
 from anther.grasp import Grasp, Gripper, Params, load_grasps, plan_grasps, save_grasps
 from anther.grasp.candidates import branch_directions, directions_across, flange_pose, paper_approach, paper_grasp_arc
 from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance
+from anther.grasp.paper import paper_grasp
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, STEM, Stem
@@ -158,6 +159,26 @@ def test_out_of_reach_says_so():
 def test_paper_point_is_the_middle_of_the_longest_internode():
     stem, *_ = make_plant(height=0.5, branches=((0.1, 0), (0.35, 1)))
     assert paper_grasp_arc(stem) == pytest.approx(0.225)
+
+
+def test_paper_grasp_holds_the_middle_of_that_internode_across_the_nearest_branches():
+    stem, skeleton, _ = make_plant(height=0.5, branches=((0.1, 0.0), (0.35, 0.0)))
+    grasp = paper_grasp(stem, skeleton)
+    held = grasp.T_world_flange @ [0, 0, Params().gripper.depth, 1]
+    np.testing.assert_allclose(held[:3], [0.72, 0, -0.3 + 0.225], atol=1e-9)
+    np.testing.assert_allclose(grasp.T_world_flange[:3, 2], grasp.approach)
+    assert abs(grasp.approach @ [1, 0, 0]) < 1e-9, "both branches point along x"
+    assert grasp.stem_diameter == pytest.approx(0.008)
+
+
+def test_paper_grasp_comes_from_either_side_or_says_that_neither_is_reached():
+    stem, skeleton, _ = make_plant(branches=((0.1, 0.0), (0.35, 0.0)))
+    first = paper_grasp(stem, skeleton)
+    other = paper_grasp(stem, skeleton, reach=lambda _, T: np.ones(7) if T[:3, 2] @ first.approach < 0 else None)
+    np.testing.assert_allclose(other.approach, -first.approach)
+    with pytest.raises(StageFailure, match="n\\* =") as failure:
+        paper_grasp(stem, skeleton, reach=lambda *_: None)
+    assert failure.value.kind == "unreachable"
 
 
 @settings(deadline=None, max_examples=40)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from anther import pipeline
 from anther.arm import sawyer
 from anther.arm.outline import outline
+from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, capture_time, plan_views
@@ -120,20 +122,30 @@ def grow(species: Species, seed: int, viewpoint: float, distance: float) -> SimP
             return grow_pepper(seed, viewpoint=viewpoint, axis=(distance, 0.0))
 
 
+@cache
+def views_at(distance: float, views: ViewParams) -> Views:
+    """Return the views of a pot `distance` [m] in front of the arm: the same for every plant."""
+    place = layout(distance)
+    return plan_views(place.region, place.solids, views)
+
+
 def build(
     species: Species, seed: int, viewpoint: float, views: ViewParams, *, distance: float = USUAL_DISTANCE
 ) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`.
 
+    The views are rendered, not driven to: the arm stands where the last of them leaves it.
+
     Raises:
         StageFailure: "unreachable" when the arm reaches fewer than three views of the plant.
     """
     place = layout(distance)
-    planned = plan_views(place.region, place.solids, views)
+    planned = views_at(distance, views)
+    here = planned.joints[-1]
     plant = grow(species, seed, viewpoint, distance)
     noise = np.random.default_rng([seed, int(viewpoint), 2])
     scene = Scene.of_plant(plant)
-    mujoco = world.Cell(plant, sawyer.READY)
+    mujoco = world.Cell(plant, here)
     robot = robot_of(
         mujoco,
         errors=CameraErrors(),
@@ -148,7 +160,9 @@ def build(
         views=planned,
         robot_side=pipeline.Cell(
             take_views=lambda advance: photograph(scene, planned.joints, seed, viewpoint, progress=advance)[0],
-            plan_around=lambda cloud: Planner(cloud.points, cloud.obstacles, place.solids),
+            plan_around=lambda cloud: Planner(
+                cloud.points, cloud.obstacles, place.solids, params=MotionParams(home=tuple(here))
+            ),
             robot=guard(robot, limits),
             workspace=place.workspace,
             limits=limits,

@@ -112,14 +112,19 @@ def _straight_fit(t: Array, points: Array) -> tuple[Array, Array, float]:
     return offset, slope / np.linalg.norm(slope), float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
-def paper_grasp_arc(stem: Stem) -> float:
-    """Return the arc length [m] of the paper's grasp point: the midpoint of the core stem's longest edge (P12).
+def paper_edge(stem: Stem) -> tuple[float, float]:
+    """Return the arc lengths [m] at which the core stem's longest edge begins and ends (P12).
 
     The paper's skeleton is simplified to junctions and endpoints (P9), so an edge is the stem between two of them.
     """
     joints = np.unique(np.concatenate([stem.arc_length[[0, -1]], stem.arc_length[stem.attachments]]))
     longest = int(np.argmax(np.diff(joints)))
-    return float((joints[longest] + joints[longest + 1]) / 2)
+    return float(joints[longest]), float(joints[longest + 1])
+
+
+def paper_grasp_arc(stem: Stem) -> float:
+    """Return the arc length [m] of the paper's grasp point: the midpoint of the core stem's longest edge (P12)."""
+    return sum(paper_edge(stem)) / 2
 
 
 def paper_approach(tangent: Array, branches: Array) -> Array:

@@ -1,0 +1,107 @@
+"""The paper's protocol (R4, R5): ten plants, each from four sides, from noisy images to a physical grasp and shake.
+
+    python experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --json docs/results/grasping.json
+
+Two tomatoes and eight peppers, turned by 0, 90, 180 and 270 degrees: 40 trials with 30 views and 40 with the preset
+`fast`; --further N adds that many unseen plants (as many of either species) with 30 views. Each is a whole `anther
+trial` but for the side camera: images with the depth noise of a D455, arm pose noise and hand-eye error, perception,
+ranked grasps, shake plan, and the execution in a MuJoCo cell, whose judge says from contacts what was grasped and what
+became of it. From the perception of every trial with 30 views the paper's own grasp (P12-P14) is then carried out in a
+fresh cell, one try, judged alike.
+
+Every trial ends in one JSON and one small picture in --out and is not run again. `grasping_table.py` says what the keys
+of the --json file are.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+from grasping_pictures import sheet
+from grasping_table import metrics, show
+from grasping_trial import Case, one_trial
+from rich.console import Console
+from rich.progress import track
+from skeletons import HUNDRED, TEN
+
+from anther.commands.simulated_cell import Species
+from anther.files import write_json
+
+VIEWPOINTS = (0, 90, 180, 270)  # degrees
+PRESETS = ("full", "fast")
+
+
+def chosen(args: argparse.Namespace) -> list[Case]:
+    """Return the trials that are asked for."""
+    if args.quick:
+        ten, further, sides, presets = [TEN[0], TEN[2]], [], VIEWPOINTS[:2], PRESETS[:1]
+    else:
+        ten, further, sides, presets = TEN, HUNDRED[: args.further], args.viewpoints, args.presets
+    if args.plants:
+        ten, further = [_plant(word) for word in args.plants], []
+    cases = [Case(*plant, side, preset) for preset in presets for plant in ten for side in sides]
+    cases += [Case(*plant, side) for plant in further for side in sides]
+    return [Case(case.species, case.seed + args.seed, case.viewpoint, case.preset) for case in cases]
+
+
+def _plant(word: str) -> tuple[Species, int]:
+    for species in get_args(Species):
+        if word.startswith(f"{species}-"):
+            return species, int(word.removeprefix(f"{species}-"))
+    raise SystemExit(f"--plants: got {word}; allowed: tomato-SEED or pepper-SEED, such as pepper-10.")
+
+
+def tiles(cases: Sequence[Case], rows: Sequence[dict[str, Any]], out: Path) -> list[tuple[Path, str, bool]]:
+    """Return picture, words and success of each trial, for `sheet`."""
+    said = [
+        f"{c.species[0]}{c.seed} {c.viewpoint} {row['ours']['failure'] or ''}"
+        for c, row in zip(cases, rows, strict=True)
+    ]
+    files = [case.file(out).with_suffix(".png") for case in cases]
+    return list(zip(files, said, (row["ours"]["success"] for row in rows), strict=True))
+
+
+def draw(cases: Sequence[Case], rows: Sequence[dict[str, Any]], out: Path, figures: Path) -> None:
+    """Write the contact sheet of the ten plants with 30 views, and one of every failure."""
+    all_tiles = tiles(cases, rows, out)
+    ten = [tile for case, tile in zip(cases, all_tiles, strict=True) if case.preset == "full" and case.seed < 1000]
+    failed = [tile for tile in all_tiles if not tile[2]]
+    for name, some in (("grasping", ten), ("grasping_failures", failed)):
+        if some:
+            sheet(some, 8, figures / f"{name}.png")
+
+
+def main() -> None:
+    """Run what is not there yet, print the tables, write --json and the figures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides, 30 views")
+    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
+    parser.add_argument("--further", type=int, default=0, help="how many of the hundred further plants")
+    parser.add_argument("--presets", nargs="*", choices=PRESETS, default=PRESETS, help="of the ten plants")
+    parser.add_argument("--viewpoints", nargs="*", type=int, default=VIEWPOINTS, help="degrees")
+    parser.add_argument("--plants", nargs="*", help="these instead of the ten, such as tomato-10 pepper-11")
+    parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/grasping"), help="where finished trials are kept")
+    parser.add_argument("--figures", type=Path, help="write grasping.png and grasping_failures.png into this folder")
+    args = parser.parse_args()
+    console = Console()
+    cases = chosen(args)
+    with ProcessPoolExecutor(args.jobs) as pool:
+        results = pool.map(partial(one_trial, out=args.out), cases)
+        rows = list(track(results, "trials", total=len(cases), console=console))
+    table = metrics(rows)
+    show(rows, table, console)
+    if args.json:
+        write_json(args.json, table)
+    if args.figures:
+        draw(cases, rows, args.out, args.figures)
+
+
+if __name__ == "__main__":
+    main()

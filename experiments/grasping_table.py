@@ -1,0 +1,174 @@
+"""What `grasping.py` makes of its trials: shares with their intervals, the paired comparison, times. T trials."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import binomtest
+
+Row = dict[str, Any]
+
+PAPER = {"tomato": (6, 8), "pepper": (31, 32), "": (37, 40)}
+"""Grasps that succeeded, and trials, as the paper reports them (R4)."""
+PAPER_SECONDS = {"capture": 45.0, "compute": 30.0, "shake": 15.0}
+PHASES = ("capture", "compute", "reach", "shake", "retreat")
+
+
+def interval(successes: int, trials: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a share of independent trials."""
+    found = binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)
+
+
+def mcnemar(ours: Sequence[bool], theirs: Sequence[bool]) -> tuple[int, int, float]:
+    """Return how many pairs only the first won, how many only the second, and the exact two-sided p-value of both.
+
+    Of the pairs that differ each side wins half if there is no difference (McNemar 1947, the binomial form).
+    """
+    first = sum(a and not b for a, b in zip(ours, theirs, strict=True))
+    second = sum(b and not a for a, b in zip(ours, theirs, strict=True))
+    both = first + second
+    return first, second, float(binomtest(first, both, 0.5).pvalue) if both else 1.0
+
+
+def shaken(row: Row) -> bool:
+    """Whether the trial got as far as the shake."""
+    return "shake_s" in row["ours"]
+
+
+def seconds(row: Row) -> dict[str, float]:
+    """Return the time of each phase [s]: compute by this machine's clock, the others by the robot's."""
+    phases = {"capture": row["capture_s"], "compute": row["compute_s"]}
+    return phases | {name: row["ours"][f"{name}_s"] for name in ("reach", "shake", "retreat")}
+
+
+def metrics(rows: Sequence[Row]) -> dict[str, float]:
+    """Return the flat table; `_40`: the paper's ten plants, `_400`: further ones, `_fast`: the ten by that preset."""
+    full = [row for row in rows if row["preset"] == "full"]
+    parts = {
+        "40": [row for row in full if row["seed"] < 1000],
+        "400": [row for row in full if row["seed"] >= 1000],
+        "fast": [row for row in rows if row["preset"] == "fast"],
+    }
+    table: dict[str, float] = {}
+    for name, members in parts.items():
+        if members:
+            table |= of_part(name, members)
+    table |= planning(rows)
+    for name, preset in (("30_views", "full"), ("fast", "fast")):
+        table |= cycle(name, [row for row in rows if row["preset"] == preset])
+    return table
+
+
+def of_part(name: str, rows: Sequence[Row]) -> dict[str, float]:
+    """Return successes, failures and the comparison with the paper's rule of one group of trials."""
+    table: dict[str, float] = {f"trials_{name}": len(rows)}
+    for species in ("", "tomato", "pepper"):
+        some = [row for row in rows if row["species"].startswith(species)]
+        if not some:
+            continue
+        prefix = f"{species}_".lstrip("_")
+        won = sum(row["ours"]["success"] for row in some)
+        table[f"{prefix}success_{name}"] = won / len(some)
+        table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"] = interval(won, len(some))
+        table[f"{prefix}grasped_{name}"] = float(np.mean([row["ours"].get("grasped", False) for row in some]))
+        pairs = [row for row in some if row["paper"] is not None]
+        if pairs:
+            table |= compared(prefix, name, pairs)
+    for kind, count in Counter(row["ours"]["failure"] for row in rows if not row["ours"]["success"]).items():
+        table[f"failed_{name}_{kind}"] = count
+    for kind, count in Counter(row["paper"]["failure"] for row in rows if lost(row["paper"])).items():
+        table[f"paper_rule_failed_{name}_{kind}"] = count
+    plants = {(row["species"], row["seed"]) for row in rows}
+    bad = {(row["species"], row["seed"]) for row in rows if not row["ours"]["success"]}
+    return table | {f"plants_{name}": len(plants), f"plants_all_{name}": len(plants - bad)}
+
+
+def lost(performed: Row | None) -> bool:
+    """Whether something was tried and did not succeed."""
+    return performed is not None and not performed["success"]
+
+
+def compared(prefix: str, name: str, pairs: Sequence[Row]) -> dict[str, float]:
+    """Return how the paper's rule did from the same captures, and McNemar's test, by either measure of success."""
+    table: dict[str, float] = {}
+    for measure in ("success", "grasped"):
+        ours, theirs = ([bool(row[who].get(measure)) for row in pairs] for who in ("ours", "paper"))
+        only, other, p = mcnemar(ours, theirs)
+        table[f"{prefix}paper_rule_{measure}_{name}"] = float(np.mean(theirs))
+        table |= {f"{prefix}{measure}_only_ours_{name}": only, f"{prefix}{measure}_only_paper_rule_{name}": other}
+        table[f"{prefix}{measure}_mcnemar_p_{name}"] = p
+    return table
+
+
+def planning(rows: Sequence[Row]) -> dict[str, float]:
+    """Return how long the grasp stage took with the arm's reach [s]; the first trial of a process is left out."""
+    warm = [row for row in rows if not row["first"] and row.get("plan_s") is not None]
+    if not warm:
+        return {}
+    table = {}
+    for name in ("plan", "plan_cpu"):
+        values = [row[f"{name}_s"] for row in warm]
+        table |= {f"{name}_p50_s": float(np.quantile(values, 0.5)), f"{name}_p95_s": float(np.quantile(values, 0.95))}
+    return table
+
+
+def cycle(name: str, rows: Sequence[Row]) -> dict[str, float]:
+    """Return the median time of each phase and of their sum without the retreat [s], over warm trials that shook."""
+    times = [seconds(row) for row in rows if not row["first"] and shaken(row)]
+    if not times:
+        return {}
+    phases = {phase: np.array([t[phase] for t in times]) for phase in PHASES}
+    total = np.sum([phases[phase] for phase in PHASES[:-1]], axis=0)
+    table = {f"{phase}_{name}_s": float(np.median(values)) for phase, values in phases.items()}
+    return table | {f"cycle_{name}_s": float(np.median(total)), f"cycle_{name}_p95_s": float(np.quantile(total, 0.95))}
+
+
+def show(rows: Sequence[Row], table: dict[str, float], console: Console) -> None:
+    """Print successes beside the paper's, what failed and why, and the times."""
+    shown = Table(
+        "trials", "species", "the paper", "Anther", "95 %", "its stem held", "the paper's rule", "its stem held"
+    )
+    for name in ("40", "400", "fast"):
+        for species in ("tomato", "pepper", ""):
+            prefix = f"{species}_".lstrip("_")
+            if f"{prefix}success_{name}" in table:
+                shown.add_row(*_line(rows, table, name, species, prefix))
+    console.print(shown)
+    for row in rows:
+        for who in ("ours", "paper"):
+            if lost(row[who]):
+                words = f"{row['species']} {row['seed']} at {row['viewpoint']}°, {row['preset']}, {who}"
+                console.print(f"{words}: {row[who]['failure']}: {row[who]['message']}", highlight=False)
+    times = Table("median [s]", "the paper", "30 views", "fast")
+    for phase in (*PHASES, "cycle"):
+        values = [table.get(f"{phase}_{name}_s") for name in ("30_views", "fast")]
+        theirs = PAPER_SECONDS.get(phase, sum(PAPER_SECONDS.values()) if phase == "cycle" else None)
+        times.add_row(phase, *("" if value is None else f"{value:.1f}" for value in (theirs, *values)))
+    console.print(times)
+    for name in ("mcnemar_p_40", "mcnemar_p_400"):
+        for measure in ("success", "grasped"):
+            if f"{measure}_{name}" in table:
+                console.print(f"{measure}_{name}: {table[f'{measure}_{name}']:.2g}")
+    if "plan_p95_s" in table:
+        console.print(f"planning: median {table['plan_p50_s']:.2f} s, 95th percentile {table['plan_p95_s']:.2f} s")
+
+
+def _line(rows: Sequence[Row], table: dict[str, float], name: str, species: str, prefix: str) -> list[str]:
+    won, trials = PAPER[species]
+    low, high = table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"]
+    rule = [table.get(f"{prefix}paper_rule_{measure}_{name}") for measure in ("success", "grasped")]
+    return [
+        name,
+        species or "all",
+        f"{won}/{trials} = {won / trials:.1%}",
+        f"{table[f'{prefix}success_{name}']:.1%}",
+        f"{low:.1%} to {high:.1%}",
+        f"{table[f'{prefix}grasped_{name}']:.1%}",
+        *("" if share is None else f"{share:.1%}" for share in rule),
+    ]

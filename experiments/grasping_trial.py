@@ -1,0 +1,160 @@
+"""One trial of `grasping.py`: noisy images to physical grasp and shake, then the paper's grasp in a fresh cell."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from grasping_pictures import portrait
+
+from anther.arm.planner import Planner
+from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
+from anther.commands.trial_summary import summarise
+from anther.errors import StageFailure
+from anther.execution import execute
+from anther.files import read_json, write_json
+from anther.grasp.paper import paper_grasp
+from anther.pipeline import Done, Params, Seen, pollinate
+from anther.plant import PEPPER, TOMATO, Material, build_plant
+from anther.runs import Advance, Run
+from anther.sim.judge import judge
+from anther.vibration import plan_shake
+
+COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan")
+LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
+
+
+@dataclass(frozen=True)
+class Case:
+    """One plant, seen from one side, by one of the presets of `anther trial`."""
+
+    species: Species
+    seed: int
+    viewpoint: int
+    preset: str = "full"
+
+    @property
+    def name(self) -> str:
+        """The case in words that can name a file."""
+        return f"{self.species}-{self.seed}-{self.viewpoint}"
+
+    def file(self, out: Path) -> Path:
+        """Where its result is kept; its picture lies beside it."""
+        return out / self.preset / f"{self.name}.json"
+
+
+class Memory(Run):
+    """A run that keeps results in memory, and adds up what a stage took when it is tried again."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, quiet=True)
+        self.results: dict[str, Any] = {}
+        self.total: dict[str, float] = {}
+        self.cpu: dict[str, float] = {}
+        self.tries: Counter[str] = Counter()
+
+    def stage(self, name: str, load: Any, compute: Callable[[Advance], Any], save: Any = None) -> Any:
+        """Compute a stage."""
+        self.tries[name] += 1
+        self.results[name] = self.timed(name, compute)
+        return self.results[name]
+
+    def timed(self, name: str, compute: Callable[[Advance], Any]) -> Any:
+        """Compute something and note wall and processor time [s]."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            return super().timed(name, compute)
+        finally:
+            self.total[name] = self.total.get(name, 0.0) + time.perf_counter() - wall
+            self.cpu[name] = self.cpu.get(name, 0.0) + time.process_time() - cpu
+
+
+def one_trial(case: Case, out: Path) -> dict[str, Any]:
+    """Return the row of a case, from --out when it was run before; a crash is reported, not kept."""
+    file = case.file(out)
+    if not file.exists():
+        try:
+            row = both(case, file)
+        except Exception as error:  # one trial's bug must not end a run of hours
+            crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
+            return {**asdict(case), "ours": crash, "paper": None, "first": True}
+        write_json(file, row)
+    return read_json(file)
+
+
+_begun: list[str] = []  # cases this process has run: what the first one compiles or loads is not counted
+
+
+def both(case: Case, file: Path) -> dict[str, Any]:
+    """Run Anther's trial and, with all views, the paper's grasp from the same perception; write the picture."""
+    begin, first = time.process_time(), not _begun
+    _begun.append(case.name)
+    run = Memory(file.parent)
+    cell = build(case.species, case.seed, case.viewpoint, PRESETS[case.preset])
+    material = PEPPER if case.species == "pepper" else TOMATO
+    ours, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
+    row = {**asdict(case), "first": first, "ours": ours, "paper": None, "notes": notes(run)}
+    row |= {"capture_s": cell.capture_seconds, "seconds": run.total, "cpu_seconds": run.cpu}
+    row |= {"compute_s": sum(run.total.get(name, 0.0) for name in COMPUTE), "attempts": run.tries["execution"]}
+    row["plan_s"] = run.total.get("grasp")
+    row["plan_cpu_s"] = run.cpu.get("grasp")
+    if case.preset == "full":
+        again = build(case.species, case.seed, case.viewpoint, PRESETS[case.preset])
+        row["paper"] = (
+            performed(again, lambda: by_the_paper(again, run, material))[0] if "flowers" in run.results else ours
+        )
+    row["trial_cpu_s"] = time.process_time() - begin
+    if "capture" in run.results:
+        grasp = done.shake.grasp if done else next(iter(run.results.get("grasp", [])), None)
+        portrait(run.results["capture"], grasp, file.with_suffix(".png"))
+    return row
+
+
+def watched(cell: SimulatedCell, run: Memory) -> Any:
+    """Return the robot's side of the cell without its side camera, which no grasp needs; making a planner is timed."""
+    side = cell.robot_side
+    robot = replace(side.robot, side_camera=None, T_world_side_camera=None)
+    return replace(side, robot=robot, plan_around=lambda cloud: run.timed("planner", lambda _: side.plan_around(cloud)))
+
+
+def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[str, Any], Done | None]:
+    """Perform, judge, and return how it went, with the simulated time of its phases [s]."""
+    done = verdict = failure = None
+    try:
+        done = perform()
+        times = done.trial.shake_times
+        shaken = (float(times[0]), float(times[-1])) if len(times) else None
+        verdict = judge(cell.world, shaken, done.shake.frequency)
+    except StageFailure as stopped:
+        failure, shaken = stopped, None
+    row = {k: v for k, v in summarise(cell, done, verdict, failure).items() if np.ndim(v) == 0 or k == "grasp_pose7"}
+    row["grasped"] = shaken is not None and row["organ_grasped"] == "stem"
+    if shaken is not None:
+        end = cell.world.time
+        row |= {"reach_s": shaken[0], "shake_s": shaken[1] - shaken[0], "retreat_s": end - shaken[1]}
+    return row, done
+
+
+def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
+    """Take and shake the plant by the paper's rule (P12-P14), seen as in `run`; it has one try, as in the paper."""
+    params = Params()
+    seen = Seen(*(run.results[name] for name in ("masks", "cloud", "skeleton", "stem", "flowers")))
+    planner = cell.robot_side.plan_around(seen.cloud)
+    assert isinstance(planner, Planner)
+    grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
+    rods = build_plant(seen.skeleton, seen.stem, seen.flowers, seen.cloud, material, params=params.plant)
+    limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
+    shake = plan_shake(rods, [grasp], limit, replace(params.vibration, least_amplitude=LEAST_SHAKE))
+    robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)
+    trial = execute(planner, shake, robot, cell.robot_side.limits, params.execution)
+    return Done(shake, trial, None, rods.material)
+
+
+def notes(run: Memory) -> list[str]:
+    """Return what perception warned of."""
+    return [note for name in ("cloud", "skeleton", "stem") for note in getattr(run.results.get(name), "notes", ())]

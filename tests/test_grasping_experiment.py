@@ -1,0 +1,84 @@
+"""The pure parts of experiments/grasping.py: intervals, the paired test, the table, and going on where it stopped."""
+
+from __future__ import annotations
+
+import sys
+from argparse import Namespace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+
+import grasping
+import grasping_trial
+from grasping_pictures import TILE, sheet
+from grasping_table import interval, mcnemar, metrics
+from grasping_trial import Case, one_trial
+
+
+def row(seed: int, *, ours: bool, paper: bool | None, preset: str = "full", first: bool = False) -> dict:
+    """A trial of pepper `seed`; a failed one never shook."""
+    shaken = {"grasped": True, "reach_s": 5.0, "shake_s": 3.0, "retreat_s": 2.0}
+    failed = {"success": False, "failure": "slipped", "grasped": False}
+    sides = [{"success": True, "failure": None, **shaken} if won else failed for won in (ours, paper)]
+    case = {"species": "pepper", "seed": seed, "viewpoint": 0, "preset": preset, "first": first}
+    times = {"capture_s": 40.0, "compute_s": 4.0 if seed % 2 else 6.0, "plan_s": 0.1 * seed, "plan_cpu_s": 0.1}
+    return {**case, **times, "ours": sides[0], "paper": None if paper is None else sides[1]}
+
+
+@pytest.mark.parametrize(("successes", "trials", "low", "high"), [(37, 40, 0.801, 0.974), (40, 40, 0.912, 1.0)])
+def test_wilson_interval_of_known_shares(successes, trials, low, high):
+    assert interval(successes, trials) == pytest.approx((low, high), abs=1e-3)
+
+
+def test_mcnemar_counts_only_pairs_that_differ():
+    ours, theirs = [True] * 6 + [True, False], [False] * 6 + [True, False]
+    assert mcnemar(ours, theirs) == (6, 0, pytest.approx(2 * 0.5**6))
+    assert mcnemar([True], [True]) == (0, 0, 1.0)
+
+
+def test_table_keeps_groups_apart_and_leaves_cold_starts_out_of_times():
+    rows = [row(1, ours=True, paper=False), row(2, ours=False, paper=True), row(4, ours=True, paper=True)]
+    rows += [row(1000, ours=True, paper=True, first=True), row(1, ours=True, paper=None, preset="fast")]
+    table = metrics(rows)
+    assert table["success_40"] == table["paper_rule_success_40"] == pytest.approx(2 / 3)
+    assert (table["success_only_ours_40"], table["success_only_paper_rule_40"]) == (1, 1)
+    assert (table["success_400"], table["trials_400"], table["failed_40_slipped"]) == (1.0, 1, 1)
+    assert (table["plants_40"], table["plants_all_40"]) == (3, 2)
+    assert "paper_rule_success_fast" not in table
+    assert table["cycle_30_views_s"] == pytest.approx(40 + (4 + 6) / 2 + 5 + 3)  # without the retreat, 1000 was cold
+    assert table["plan_p95_s"] == pytest.approx(np.quantile([0.1, 0.2, 0.4, 0.1], 0.95))
+
+
+def test_protocol_is_ten_plants_from_four_sides():
+    asked = Namespace(quick=False, plants=None, further=3, seed=0, viewpoints=grasping.VIEWPOINTS, presets=["full"])
+    cases = grasping.chosen(asked)
+    assert len(cases) == len(set(cases)) == 40 + 12
+    assert sum(case.seed < 1000 and case.species == "tomato" for case in cases) == 8
+
+
+def test_finished_trials_are_read_back_and_crashes_are_tried_again(tmp_path, monkeypatch):
+    case, calls = Case("pepper", 12, 90), []
+
+    def crash(*_):
+        calls.append("crash")
+        raise RuntimeError("out of luck")
+
+    monkeypatch.setattr(grasping_trial, "both", crash)
+    assert one_trial(case, tmp_path)["ours"]["failure"] == "crashed"
+    monkeypatch.setattr(grasping_trial, "both", lambda *_: row(12, ours=True, paper=True))
+    assert one_trial(case, tmp_path)["ours"]["success"]
+    monkeypatch.setattr(grasping_trial, "both", crash)
+    assert one_trial(case, tmp_path)["ours"]["success"]
+    assert calls == ["crash"]
+
+
+def test_a_sheet_has_room_for_every_tile(tmp_path):
+    cv2.imwrite(str(tmp_path / "one.png"), np.zeros((TILE, TILE, 3), np.uint8))
+    sheet([(tmp_path / "one.png", "p1 0", True), (tmp_path / "missing.png", "p1 90", False)] * 2, 3, tmp_path / "s.png")
+    height, width = cv2.imread(str(tmp_path / "s.png")).shape[:2]
+    assert height >= 2 * TILE
+    assert width >= 3 * TILE
