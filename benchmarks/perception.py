@@ -73,14 +73,15 @@ def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Array]:
     def timed(stage: str, work: Callable[[], Any]) -> Any:
         begin = time.perf_counter()
         result = work()
-        seconds[stage] = time.perf_counter() - begin
+        seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - begin
         return result
 
     labels = timed("masks", lambda: masks.segment(capture, box))
     points = timed("cloud", lambda: cloud.fuse(capture, labels, box))
     tree = timed("skeleton", lambda: skeleton.skeletonize(points))
-    main_stem = timed("stem", lambda: stem.find_stem(tree, flowers_at=flowers.flower_centres(points)))
-    timed("flowers", lambda: flowers.find_flowers(points, tree, main_stem))
+    centres = timed("flowers", lambda: flowers.flower_centres(points))
+    main_stem = timed("stem", lambda: stem.find_stem(tree, flowers_at=centres))
+    timed("flowers", lambda: flowers.find_flowers(points, tree, main_stem, centres=centres))
     timed("grasps", lambda: grasp.plan_grasps(main_stem, tree, points))
     return seconds, points.T_world_cam
 

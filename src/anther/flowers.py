@@ -22,6 +22,7 @@ from anther.stem import LEAF, TRUSS, Stem
 from anther.stem.organs import longest_way
 
 _KIND, _SCHEMA = "flowers", 1
+_ROUNDS, _STARTS = 10, 400  # of mean shift, and so many points at most that are shifted
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,9 @@ class Flowers:
         return cls(a["positions"], a["attachment"], tuple(str(note) for note in a["notes"]))
 
 
-def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, params: Params | None = None) -> Flowers:
+def find_flowers(
+    cloud: Cloud, skeleton: Skeleton, stem: Stem, params: Params | None = None, *, centres: Array | None = None
+) -> Flowers:
     """Return the flowers among the points labelled so, each with the skeleton node that carries it.
 
     No flower is a valid result, with a note.
@@ -100,9 +103,10 @@ def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, params: Params | 
         skeleton: the tree the flowers hang on.
         stem: its main stem and organs.
         params: sizes in metres; flowers do not scale with the plant.
+        centres: what `flower_centres` gave for this cloud, if that was asked before.
     """
     params = params or Params()
-    centres = flower_centres(cloud, params)
+    centres = flower_centres(cloud, params) if centres is None else centres
     distance, carrier = _carriers(centres, skeleton, stem, params)
     near = distance <= params.farthest
     notes = []
@@ -152,13 +156,26 @@ def _split(cluster: Array, params: Params) -> list[Array]:
     """Return a cluster too large for a flower as several, by mean shift with a flat kernel."""
     if _extent(cluster) <= params.largest:
         return [cluster]
-    tree, peaks = KDTree(cluster), cluster
-    for _ in range(10):
-        peaks = np.array([cluster[i].mean(axis=0) for i in tree.query_ball_point(peaks, params.reach)])
+    tree = KDTree(cluster)
+    peaks = cluster[:: -(-len(cluster) // _STARTS)].copy()
+    moving = np.arange(len(peaks))
+    for _ in range(_ROUNDS):
+        shifted = _means_within(params.reach, tree, peaks[moving])
+        moved = np.any(shifted != peaks[moving], axis=1)
+        peaks[moving] = shifted
+        moving = moving[moved]
     weight = tree.query_ball_point(peaks, params.reach, return_length=True)
     modes = _heaviest(peaks[np.argsort(weight)[::-1]], params.apart)
     _, owner = KDTree(modes).query(cluster)
     return [cluster[owner == k] for k in range(len(modes)) if np.any(owner == k)]
+
+
+def _means_within(reach: float, tree: KDTree, centres: Array) -> Array:
+    """Return (F, 3) the mean of the tree's points within `reach` of each centre."""
+    near = tree.query_ball_point(centres, reach)
+    count = np.array([len(group) for group in near])
+    start = np.cumsum(count) - count
+    return np.add.reduceat(tree.data[np.concatenate(near)], start) / count[:, None]
 
 
 def _heaviest(peaks: Array, apart: float) -> Array:

@@ -124,7 +124,11 @@ def perceive(
     tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
     centres = flowers.flower_centres(fused, params.flowers)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
-    found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, params.flowers))
+    found = run.stage(
+        "flowers",
+        Flowers.load,
+        lambda _: flowers.find_flowers(fused, tree, main, params.flowers, centres=centres),
+    )
     return Seen(labels, fused, tree, main, found)
 
 
