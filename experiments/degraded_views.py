@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,12 +16,6 @@ BASELINE = 0.095
 """Of a D455 [m] (facts: perception, depth sensors)."""
 
 Degradation = Callable[[Capture, np.random.Generator], Capture]
-
-
-def taking(capture: Capture, views: NDArray[Any] | list[int]) -> Capture:
-    """Return the capture with these views only."""
-    rgb = None if capture.rgb is None else capture.rgb[views]
-    return Capture(capture.depth[views], capture.intrinsics, capture.T_world_cam[views], rgb)
 
 
 def coarse(capture: Capture, _: np.random.Generator, step: int = 4) -> Capture:
@@ -77,9 +70,9 @@ def wrong_pose(capture: Capture, rng: np.random.Generator, shift: float = 0.03) 
 
 
 DEGRADATIONS: dict[str, Degradation] = {
-    "four views": lambda capture, _: taking(capture, list(range(0, capture.views, 3))),
-    "two views": lambda capture, _: taking(capture, list(range(2, capture.views, 6))),
-    "one side": lambda capture, _: taking(capture, list(range(3))),
+    "four views": lambda capture, _: capture.select(list(range(0, capture.views, 3))),
+    "two views": lambda capture, _: capture.select(list(range(2, capture.views, 6))),
+    "one side": lambda capture, _: capture.select(list(range(3))),
     "coarse": coarse,
     "noisy depth": noisy_depth,
     "lost depth": lost_depth,

@@ -99,12 +99,6 @@ def directions(viewpoints: Viewpoints) -> tuple[list[int], list[int]]:
     return viewpoints.spread(POOL), among
 
 
-def part(capture: Capture, views: list[int]) -> Capture:
-    """Return some views of a capture."""
-    assert capture.rgb is not None
-    return Capture(capture.depth[views], capture.intrinsics, capture.T_world_cam[views], capture.rgb[views])
-
-
 def perceive(capture: Capture) -> Seen:
     """Run masks, cloud, skeleton, stem and flowers."""
     begin = time.process_time()
@@ -126,20 +120,20 @@ def judged(pool: Pool, seen: Seen) -> dict[str, float]:
 def prefixes(name: str, pool: Pool, order: list[int], counts: tuple[int, ...]) -> dict[str, dict[str, Any]]:
     """Judge the first views of an order, for every count."""
     return {
-        f"{name}_{n}": {**judged(pool, perceive(part(pool.capture, order[:n]))), "views": order[:n]} for n in counts
+        f"{name}_{n}": {**judged(pool, perceive(pool.capture.select(order[:n]))), "views": order[:n]} for n in counts
     }
 
 
 def next_best(pool: Pool, counts: tuple[int, ...]) -> dict[str, dict[str, Any]]:
     """Choose views one by one by the unseen volume they are expected to show; judge at every count."""
     views, rows, seconds = list(range(FIRST)), {}, []
-    seen = perceive(part(pool.capture, views))
+    seen = perceive(pool.capture.select(views))
     while len(views) < max(counts):
         begin = time.process_time()
         views.append(_next(pool, seen, views))
         seconds.append(time.process_time() - begin)
         if len(views) in counts:
-            seen = perceive(part(pool.capture, views))
+            seen = perceive(pool.capture.select(views))
             chosen = {"views": list(views), "gain_s": float(np.mean(seconds))}
             rows[f"next_best_{len(views)}"] = {**judged(pool, seen), **chosen}
     return rows
@@ -148,7 +142,7 @@ def next_best(pool: Pool, counts: tuple[int, ...]) -> dict[str, dict[str, Any]]:
 def _next(pool: Pool, seen: Seen, views: list[int]) -> int:
     """Return the view of the pool to take next; poses are as registered with the stem, else the arm's own."""
     assert seen.cloud.T_world_cam is not None
-    capture, registered = part(pool.capture, views), seen.cloud.T_world_cam
+    capture, registered = pool.capture.select(views), seen.cloud.T_world_cam
     poses = np.concatenate([registered, capture.T_world_cam[len(registered) :]])
     rest = [i for i in range(POOL) if i not in views]
     stem_nodes = seen.tree.nodes[seen.main.node_ids]

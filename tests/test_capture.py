@@ -33,6 +33,17 @@ def small_capture(views: int = 3, *, colour: bool = True, joints: bool = True) -
 
 
 @pytest.mark.parametrize(("colour", "joints"), [(True, True), (False, False)])
+def test_selected_views_are_those_views_in_that_order(colour: bool, joints: bool) -> None:
+    capture = small_capture(4, colour=colour, joints=joints)
+    for views in ([2, 0], np.array([True, False, False, True])):
+        some = capture.select(views)
+        for name in ("depth", "T_world_cam", "rgb", "joints"):
+            mine, theirs = getattr(capture, name), getattr(some, name)
+            assert (mine is None) == (theirs is None)
+            assert mine is None or np.array_equal(mine[views], theirs)
+
+
+@pytest.mark.parametrize(("colour", "joints"), [(True, True), (False, False)])
 def test_round_trip(tmp_path: Path, colour: bool, joints: bool) -> None:
     capture = small_capture(colour=colour, joints=joints)
     capture.save(tmp_path / "capture")

@@ -76,6 +76,11 @@ class Capture:
         """Number of views V."""
         return len(self.depth)
 
+    def select(self, views: NDArray[Any] | list[int]) -> Capture:
+        """Return the capture with these views only (indices or a mask), in the order given."""
+        rgb, joints = (None if rows is None else rows[views] for rows in (self.rgb, self.joints))
+        return Capture(self.depth[views], self.intrinsics, self.T_world_cam[views], rgb, joints)
+
     def save(self, folder: Path | str) -> None:
         """Write the capture folder (docs/capture.md), all of it or nothing.
 
