@@ -145,7 +145,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
 
     def label_view(view: int) -> None:
         classes = seen.classes[view]
-        found = read_back(capture.depth[view], seen.cameras[view], seen.grid, classes, cells)
+        found = read_back(capture.depth[view], seen.cameras[view], classes, cells)
         labels[view] = _add_pixels_without_depth(found, classes)
 
     each_view(label_view, capture.views)
@@ -173,7 +173,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
     masked = np.zeros((1, *seen.grid.shape), dtype=np.uint16)
     for view in range(capture.views):
         depth = np.where(labels[view] > 0, capture.depth[view], np.float32(0))
-        vote(None, depth, camera=seen.cameras[view], grid=seen.grid, rule=None, counts=masked)
+        vote(None, depth, camera=seen.cameras[view], rule=None, counts=masked)
     foot = seen.foot((masked[0] >= 2) & ~seen.rim, params)
     rim = RIM if capture.rgb is not None else GROUND
     cells = np.where(seen.below & ~foot, GROUND, np.where(seen.rim & ~foot, rim, EMPTY)).astype(np.uint8)
@@ -181,7 +181,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
 
     def clear_view(view: int) -> None:
         depth, classes = capture.depth[view], seen.classes[view]
-        kept[view] = clear(labels[view], depth, seen.cameras[view], seen.grid, classes, cells)
+        kept[view] = clear(labels[view], depth, seen.cameras[view], classes, cells)
         _drop_pixels_without_depth(kept[view], labels[view], depth, classes)
 
     each_view(clear_view, capture.views)

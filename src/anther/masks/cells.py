@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from anther.capture import Capture
+from anther.masks.components import components, dilated
 from anther.masks.light import GREEN, WHITE, YELLOW
 from anther.masks.stakes import stake_cells
 from anther.masks.survey import Survey
@@ -52,45 +52,49 @@ def _enough_petals(capture: Capture, grid: Grid, params: Params) -> tuple[float,
 
 
 def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: int) -> NDArray[np.uint8]:
-    votes, total = seen.votes, seen.total
-    below, rim, occupied = seen.below, seen.rim, total >= 2
+    """Most cells are empty: all but what needs their neighbours is decided in a list of the occupied ones."""
+    at = np.flatnonzero(seen.total >= 2)
+    votes, total = seen.votes.reshape(LAYERS, -1)[:, at], seen.total.ravel()[at]
+    below, rim = seen.below.ravel()[at], seen.rim.ravel()[at]
+
+    def grid_of(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        grid = np.zeros(seen.grid.shape, dtype=bool)
+        grid.ravel()[at] = part
+        return grid
+
     likely = votes[GREEN - 1] >= np.maximum(2, params.green_share * total)
-    foot = seen.foot(likely, params)
+    foot = seen.foot(grid_of(likely), params).ravel()[at]
     green = likely & (~below | foot)
-    free = occupied & ~below & ~rim
+    free = ~below & ~rim
     if foot.any():  # else a straight brown line may be the stem itself
-        free &= ~stake_cells(free & (votes[GREEN - 1] <= 0.1 * total), params.voxel)
+        free &= ~stake_cells(grid_of(free & (votes[GREEN - 1] <= 0.1 * total)), params.voxel).ravel()[at]
     petal_votes = votes[YELLOW - 1].astype(np.int32) + votes[WHITE - 1]
     seen_often = (petal_votes >= least_votes) & (votes[PETAL_VIEWS] >= least_views)
     petals = free & seen_often & (petal_votes >= params.petal_share * total)
-    leaves = _large_parts(green & ~petals, params.least_part)
+    leaves = _large_parts(grid_of(green & ~petals), params.least_part)
     flowers = _parts_near(
-        petals, leaves, distance=params.flower_distance, extent=params.flower_extent, axis=0, voxel=params.voxel
-    )
-    brown = _parts_near(
-        free & ~green & ~flowers,
-        green,
-        distance=params.attach_distance,
-        extent=params.brown_extent,
-        axis=1,
+        grid_of(petals), leaves, distance=params.flower_distance, extent=params.flower_extent, axis=0,
         voxel=params.voxel,
-    )
-    cells = np.where(below | rim, GROUND, EMPTY).astype(np.uint8)
-    cells[green] = GREEN_CELL
-    cells[green & rim] = RIM
+    )  # fmt: skip
+    brown = _parts_near(
+        grid_of(free & ~green & ~flowers.ravel()[at]), grid_of(green), distance=params.attach_distance,
+        extent=params.brown_extent, axis=1, voxel=params.voxel,
+    )  # fmt: skip
+    cells = np.where(seen.below | seen.rim, np.uint8(GROUND), np.uint8(EMPTY))
+    cells.ravel()[at[green]] = GREEN_CELL
+    cells.ravel()[at[green & rim]] = RIM
     cells[brown] = BROWN_CELL
-    cells[(ndimage.maximum_filter(flowers.astype(np.uint8), size=3) > 0) & (cells != GROUND)] = BESIDE_FLOWER
+    cells[dilated(flowers, 1) & (cells != GROUND)] = BESIDE_FLOWER
     cells[flowers] = FLOWER_CELL
     return cells
 
 
 def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
-    parts = np.zeros(part.shape, dtype=np.int32)
-    ndimage.label(part, structure=np.ones((3, 3, 3)), output=parts)
-    large = np.bincount(parts.ravel()) >= least
-    large[0] = False
-    return large[parts]
+    cells, number = components(part)
+    large = np.zeros_like(part)
+    large[tuple(cells[np.bincount(number)[number] >= least].T)] = True
+    return large
 
 
 def _parts_near(
@@ -102,16 +106,17 @@ def _parts_near(
         axis: which of the three extents along the bounding box, sorted from the greatest, may not exceed `extent`:
             0 bounds the size, 1 lets through slender parts of any length.
     """
-    parts = np.zeros(part.shape, dtype=np.int32)
-    count = int(np.asarray(ndimage.label(part, structure=np.ones((3, 3, 3)), output=parts)))
-    if count == 0:
+    cells, number = components(part)
+    if len(cells) == 0:
         return part
-    reach = 2 * max(1, round(distance / voxel)) + 1
-    near = ndimage.maximum_filter(plant.astype(np.uint8), size=reach) > 0
-    touches = np.zeros(count + 1, dtype=bool)
-    touches[np.unique(parts[near])] = True
-    for number, slices in enumerate(ndimage.find_objects(parts), start=1):
-        sizes = sorted((s.stop - s.start for s in slices), reverse=True)
-        touches[number] &= sizes[axis] * voxel <= extent + voxel
-    touches[0] = False
-    return touches[parts]
+    near = dilated(plant, max(1, round(distance / voxel)))[tuple(cells.T)]
+    count = number.max() + 1
+    touches = np.bincount(number, weights=near, minlength=count) > 0
+    first, last = np.full((count, 3), np.iinfo(cells.dtype).max), np.zeros((count, 3), dtype=cells.dtype)
+    np.minimum.at(first, number, cells)
+    np.maximum.at(last, number, cells)
+    size = np.sort(last - first + 1, axis=1)[:, 2 - axis]
+    kept = (touches & (size * voxel <= extent + voxel))[number]
+    found = np.zeros_like(part)
+    found[tuple(cells[kept].T)] = True
+    return found

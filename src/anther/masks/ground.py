@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 WALL_HEIGHT = 0.04
 """A closed ring is a pot's wall if it goes on over this height [m]; leaves close rings over less."""
@@ -94,11 +93,12 @@ def foot_cells(plant: NDArray[np.bool_], below: NDArray[np.bool_], voxel: float,
 
 def _slabs(solid: NDArray[np.bool_], voxel: float) -> list[tuple[int, NDArray[np.uint8]]]:
     """Return (level, occupied columns (X, Y)) of each horizontal slab three cells thick, small gaps closed."""
-    slabs = []
-    for level in range(solid.shape[2]):
-        slab = np.any(solid[:, :, max(0, level - 1) : level + 2], axis=2).astype(np.uint8)
+    layers = np.ascontiguousarray(np.moveaxis(solid, 2, 0)).view(np.uint8)
+    slabs, gap = [], _disc(0.015 / voxel)
+    for level in range(len(layers)):
+        slab = np.bitwise_or.reduce(layers[max(0, level - 1) : level + 2])
         if slab.any():
-            closed = cv2.morphologyEx(slab, cv2.MORPH_CLOSE, _disc(0.015 / voxel))
+            closed = cv2.morphologyEx(slab, cv2.MORPH_CLOSE, gap)
             slabs.append((level, np.asarray(closed, dtype=np.uint8)))
     return slabs
 
@@ -109,12 +109,18 @@ def _wall_heights(
     """Return the highest level (X, Y) of a closed wall around each column; -1 without one."""
     wall, run, last = np.full(shape, -1), np.zeros(shape, dtype=np.int64), -1
     for level, slab in slabs:
-        filled = np.asarray(ndimage.binary_fill_holes(slab)).astype(np.uint8)
-        inside = cv2.dilate(_eroded(filled, disc), disc) > 0
+        inside = cv2.dilate(_eroded(_filled(slab), disc), disc) > 0
         run = np.where(inside, np.where(level == last + 1, run, 0) + 1, 0)
         wall[run >= WALL_HEIGHT / voxel] = level
         last = level
     return wall
+
+
+def _filled(slab: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the slab (X, Y) without holes: all that cannot be reached from beyond the grid."""
+    around = cv2.copyMakeBorder(slab, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=[0])
+    cv2.floodFill(around, None, (0, 0), [2])  # pyright: ignore[reportArgumentType, reportCallIssue]
+    return (around[1:-1, 1:-1] != 2).astype(np.uint8)
 
 
 def _eroded(slab: NDArray[np.uint8], disc: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+
+from anther.masks.components import dilated
 
 LENGTH = 0.20
 """Least length of a stake [m]."""
@@ -31,7 +32,7 @@ def stake_cells(bare: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
             break
         found[tuple(cells[inside].astype(int).T)] = True
         cells = cells[~inside]
-    return ndimage.maximum_filter(found.astype(np.uint8), size=3) > 0
+    return dilated(found, 1)
 
 
 def _longest(cells: NDArray[Any], least: float, rng: np.random.Generator) -> NDArray[np.bool_]:

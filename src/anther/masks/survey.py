@@ -18,7 +18,7 @@ from anther.capture import Capture, viewed_box
 from anther.geometry import Array, Box, Intrinsics
 from anther.masks.ground import foot_cells, ground_cells
 from anther.masks.light import GREEN, ColourRule, Light, green_rule, learned_rule
-from anther.masks.voting import BROWN_CELL, EMPTY, LAYERS, PETAL_VIEWS, Grid, camera_numbers, read_back, vote
+from anther.masks.voting import BROWN_CELL, EMPTY, LAYERS, PETAL_VIEWS, Grid, pixels_to_cells, read_back, vote
 
 if TYPE_CHECKING:
     from anther.masks import Params
@@ -33,7 +33,7 @@ class Survey:
 
     Attributes:
         grid: the cells.
-        cameras: (V, 16) see `camera_numbers`.
+        cameras: (V, 3, 4) see `pixels_to_cells`.
         classes: (V, H, W) uint8, see `light.OUTSIDE` and what follows.
         votes: (LAYERS, X, Y, Z) uint16, or (1, X, Y, Z) without colour.
         total: (X, Y, Z) votes of every colour.
@@ -63,7 +63,7 @@ def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
     if capture.rgb is not None:
         light = Light.on(capture.rgb, params.green)
         rule = green_rule(light, params) if light.holds_green else _learned(capture, grid, params)
-    cameras = np.stack([camera_numbers(T, capture.intrinsics) for T in capture.T_world_cam])
+    cameras = np.stack([pixels_to_cells(T, capture.intrinsics, grid) for T in capture.T_world_cam])
     classes, votes = _votes(capture, grid, cameras, rule)
     total = votes[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
     if rule is None or rule.learned:
@@ -92,11 +92,15 @@ def _votes(
         for view in range(thread, capture.views, _THREADS):
             rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
             classes[view] = vote(
-                rgb, capture.depth[view], camera=cameras[view], grid=grid, rule=rule, counts=counts[thread], view=view
+                rgb, capture.depth[view], camera=cameras[view], rule=rule, counts=counts[thread], view=view
             )
 
+    def add_layer(layer: int) -> None:
+        counts[0, layer] += counts[1, layer]
+
     each_view(vote_views, _THREADS)
-    return classes, counts.sum(axis=0, dtype=np.uint16)
+    each_view(add_layer, counts.shape[1])
+    return classes, counts[0]
 
 
 def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:
@@ -111,7 +115,7 @@ def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:
     cells = np.where((bare.votes[0] > 0) & ~bare.below & ~bare.rim, BROWN_CELL, EMPTY).astype(np.uint8)
     window, sure = np.ones((3, 3), np.uint8), ([], [])
     for view in range(capture.views):
-        plant = read_back(depth[view], bare.cameras[view], grid, bare.classes[view], cells)
+        plant = read_back(depth[view], bare.cameras[view], bare.classes[view], cells)
         rest = ((depth[view] > 0) & (plant == 0)).astype(np.uint8)
         for colours, part in zip(sure, (plant, rest), strict=True):
             colours.append(rgb[view][cv2.erode(part, window) > 0])

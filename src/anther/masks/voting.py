@@ -48,17 +48,12 @@ class Grid:
         counts = np.maximum(1, np.ceil((box.upper - box.lower) / voxel).astype(int))
         return cls(box.lower, voxel, (int(counts[0]), int(counts[1]), int(counts[2])))
 
-    def numbers(self) -> Array:
-        """Return lower corner, voxel and shape as a flat array, as the compiled loops want it."""
-        return np.array([*self.lower, self.voxel, *self.shape], dtype=np.float64)
-
 
 def vote(
     rgb: NDArray[Any] | None,
     depth: NDArray[Any],
     *,
     camera: Array,
-    grid: Grid,
     rule: ColourRule | None,
     counts: NDArray[Any],
     view: int = 0,
@@ -68,8 +63,7 @@ def vote(
     Args:
         rgb: (H, W, 3) uint8, or None: then every pixel in the workspace is OTHER.
         depth: (H, W) float32 [m].
-        camera: from `camera_numbers`.
-        grid: the cells.
+        camera: (3, 4) from `pixels_to_cells`.
         rule: None without colour.
         counts: (LAYERS, X, Y, Z) uint16, votes for OTHER, GREEN, YELLOW, WHITE and the petal layers; added to in
             place. Without colour the first layer is enough.
@@ -77,28 +71,28 @@ def vote(
     """
     classes = np.zeros(depth.shape, dtype=np.uint8)
     if rgb is None or rule is None:
-        _vote_depth(depth, camera, grid.numbers(), classes, counts)
+        _vote_depth(depth, tuple(camera.ravel()), classes, counts)
     else:
-        _vote_colour(rgb, depth, camera, grid.numbers(), rule.table, rule.alike, classes, counts, view)
+        _vote_colour(rgb, depth, tuple(camera.ravel()), rule.table, rule.alike, classes, counts, view)
     return classes
 
 
-def camera_numbers(T_world_cam: Array, intrinsics: Intrinsics) -> Array:
-    """Return fx, fy, cx, cy and the 12 numbers of the pose as a flat array for the compiled loops."""
-    k = intrinsics
-    return np.concatenate([[k.fx, k.fy, k.cx, k.cy], np.asarray(T_world_cam)[:3].ravel()])
+def pixels_to_cells(T_world_cam: Array, intrinsics: Intrinsics, grid: Grid) -> Array:
+    """Return (3, 4) M: M (u z, v z, z, 1) is where among the cells pixel (u, v) of depth z lies, not yet rounded."""
+    k, T = intrinsics, np.asarray(T_world_cam)
+    rays = np.array([[1 / k.fx, 0, -k.cx / k.fx], [0, 1 / k.fy, -k.cy / k.fy], [0, 0, 1]])
+    return np.column_stack([T[:3, :3] @ rays, T[:3, 3] - grid.lower]) / grid.voxel
 
 
 @numba.njit(nogil=True, cache=True, inline="always")
-def _cell(u, v, z, cam, grid):
-    """Return the cell (i, j, k) that a pixel's point lies in, or (-1, -1, -1)."""
-    x, y = (u - cam[2]) / cam[0] * z, (v - cam[3]) / cam[1] * z
-    i = int(np.floor((cam[4] * x + cam[5] * y + cam[6] * z + cam[7] - grid[0]) / grid[3]))
-    j = int(np.floor((cam[8] * x + cam[9] * y + cam[10] * z + cam[11] - grid[1]) / grid[3]))
-    k = int(np.floor((cam[12] * x + cam[13] * y + cam[14] * z + cam[15] - grid[2]) / grid[3]))
-    if i < 0 or j < 0 or k < 0 or i >= grid[4] or j >= grid[5] or k >= grid[6]:
-        return -1, -1, -1
-    return i, j, k
+def _cell(u, v, z, m, shape):
+    """Return the cell (i, j, k) that a pixel's point lies in, or (-1, -1, -1); `m` is a tuple to stay in registers."""
+    x = (m[0] * u + (m[1] * v + m[2])) * z + m[3]
+    y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
+    w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
+    if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
+        return int(x), int(y), int(w)
+    return -1, -1, -1
 
 
 @numba.njit(nogil=True, cache=True, inline="always")
@@ -118,10 +112,10 @@ def _bleeds(rgb, depth, v, u, like):
 
 
 @numba.njit(nogil=True, cache=True)
-def _vote_colour(rgb, depth, cam, grid, table, like, classes, counts, view):
+def _vote_colour(rgb, depth, camera, table, like, classes, counts, view):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            i, j, k = _cell(u, v, depth[v, u], cam, grid)
+            i, j, k = _cell(u, v, depth[v, u], camera, counts.shape[1:])
             if depth[v, u] > 0 and i < 0:
                 continue
             kind = table[rgb[v, u, 0] >> 2, rgb[v, u, 1] >> 2, rgb[v, u, 2] >> 2]
@@ -138,24 +132,24 @@ def _vote_colour(rgb, depth, cam, grid, table, like, classes, counts, view):
 
 
 @numba.njit(nogil=True, cache=True)
-def _vote_depth(depth, cam, grid, classes, counts):
+def _vote_depth(depth, camera, classes, counts):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             if depth[v, u] > 0:
-                i, j, k = _cell(u, v, depth[v, u], cam, grid)
+                i, j, k = _cell(u, v, depth[v, u], camera, counts.shape[1:])
                 if i >= 0:
                     classes[v, u] = OTHER
                     counts[0, i, j, k] += 1
 
 
 @numba.njit(nogil=True, cache=True)
-def _read_back(depth, cam, grid, classes, cells, labels):
+def _read_back(depth, camera, classes, cells, labels):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             kind = classes[v, u]
             if kind in (OUTSIDE, GREEN_NO_DEPTH):
                 continue
-            i, j, k = _cell(u, v, depth[v, u], cam, grid)
+            i, j, k = _cell(u, v, depth[v, u], camera, cells.shape)
             cell = cells[i, j, k]
             if kind == GREEN:
                 labels[v, u] = 1 if cell != GROUND else 0
@@ -165,31 +159,29 @@ def _read_back(depth, cam, grid, classes, cells, labels):
                 labels[v, u] = 1
 
 
-def read_back(
-    depth: NDArray[Any], camera: Array, grid: Grid, classes: NDArray[Any], cells: NDArray[Any]
-) -> NDArray[Any]:
+def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
     """Return one view's labels (H, W) uint8 (0 background, 1 plant, 2 flower) from what its cells were found to be.
 
     A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: beside
     green parts they are background that the depth sensor's matching window fattened the plant with.
 
     Args:
-        depth, camera, grid: as in `vote`.
+        depth, camera: as in `vote`.
         classes: (H, W) from `vote`.
         cells: (X, Y, Z) uint8, see EMPTY and what follows.
     """
     labels = np.zeros(depth.shape, dtype=np.uint8)
-    _read_back(depth, camera, grid.numbers(), classes, cells, labels)
+    _read_back(depth, tuple(camera.ravel()), classes, cells, labels)
     return labels
 
 
 @numba.njit(nogil=True, cache=True)
-def _clear(depth, cam, grid, classes, cells, labels):
+def _clear(depth, camera, classes, cells, labels):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             if labels[v, u] == 0 or depth[v, u] <= 0:
                 continue
-            i, j, k = _cell(u, v, depth[v, u], cam, grid)
+            i, j, k = _cell(u, v, depth[v, u], camera, cells.shape)
             if i < 0 or cells[i, j, k] == GROUND or (cells[i, j, k] == RIM and classes[v, u] == OTHER):
                 labels[v, u] = 0
 
@@ -198,7 +190,6 @@ def clear(
     labels: NDArray[Any],
     depth: NDArray[Any],
     camera: Array,
-    grid: Grid,
     classes: NDArray[Any],
     cells: NDArray[Any],
 ) -> NDArray[Any]:
@@ -206,10 +197,10 @@ def clear(
 
     Args:
         labels: (H, W) uint8, 0 = background.
-        depth, camera, grid: as in `vote`.
+        depth, camera: as in `vote`.
         classes: (H, W) from `vote`.
         cells: (X, Y, Z) uint8, of which GROUND and RIM count.
     """
     kept = labels.copy()
-    _clear(depth, camera, grid.numbers(), classes, cells, kept)
+    _clear(depth, tuple(camera.ravel()), classes, cells, kept)
     return kept
