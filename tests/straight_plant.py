@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,24 @@ def plant_of(*chains: dict, damping_ratio: float = 0.05, flower: int | None = No
         vertex_color=np.zeros((3, 3)),
         vertex_segment=np.array([-1, -1, -1]),
         pot=Pot(centre=BASE, radius_top=0.09, radius_bottom=0.07),
+    )
+
+
+def with_blade(plant: SimPlant, centre: Any, normal: Any, segment: int, size: float = 0.06) -> SimPlant:
+    """Return the plant with one leaf blade, `size` x 0.6 `size` [m], on a segment as all there is of its mesh."""
+    first = np.cross(normal, [0.3, 0.4, 0.9])
+    first = first / np.linalg.norm(first)
+    second = np.cross(normal, first)
+    u, v = (x.ravel() for x in np.meshgrid(*2 * [np.linspace(-size / 2, size / 2, 7)]))
+    corner = (7 * np.arange(6)[:, None] + np.arange(6)).ravel()
+    faces = np.concatenate([corner[:, None] + [0, 1, 7], corner[:, None] + [1, 8, 7]])
+    return replace(
+        plant,
+        vertices=np.asarray(centre) + np.outer(u, first) + np.outer(0.6 * v, second),
+        faces=faces.astype(np.int32),
+        face_organ=np.full(len(faces), Organ.LEAF),
+        vertex_color=np.full((49, 3), 90),
+        vertex_segment=np.full(49, segment),
     )
 
 

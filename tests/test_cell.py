@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.signal import find_peaks
-from straight_plant import BASE, chain, plant_of, straight_plant
+from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 
 from anther.arm import sawyer
 from anther.errors import StageFailure
 from anther.sim import plant_mechanics
+from anther.sim.blades import blades_of
 from anther.sim.cell import Cell, Params
+from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
+from anther.sim.tomato import grow_tomato
 
 LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0
 
@@ -107,14 +110,35 @@ def test_flange_in_the_world_is_the_arm_models_flange() -> None:
         assert body.xmat.reshape(3, 3) == pytest.approx(sawyer.forward(q)[:3, :3], abs=1e-9)
 
 
-def test_leaf_blades_do_not_collide() -> None:
-    plant = straight_plant()
+def test_leaf_blades_are_boxes_that_touch_and_midribs_are_not() -> None:
     leafy = plant_of(
         chain(BASE + np.linspace(0, 0.2, 5)[:, None] * [0, 0, 1.0], 0.004),
         chain(np.add(BASE, [[0, 0, 0.2], [0.1, 0, 0.2]]), 0.002, organ=Organ.LEAF, joins=3, first=4),
     )
-    assert Cell(plant).model.geom("segment_20").contype[0] == 1
-    assert Cell(leafy).model.geom("segment_4").contype[0] == 0
+    middle = np.add(BASE, [0.05, 0, 0.2])
+    leafy = with_blade(leafy, middle, [0, 0, 1], segment=4)
+    boxes = blades_of(leafy)
+    assert 4 * (boxes.half[:, 0] * boxes.half[:, 1]).sum() == pytest.approx(0.6 * 0.06**2, rel=0.4)
+    assert boxes.centre.mean(axis=0) == pytest.approx(middle, abs=1e-3)
+    model = Cell(leafy).model
+    assert model.geom("segment_3").contype[0] == 1
+    assert model.geom("segment_4").contype[0] == 0
+    blades = [model.geom(i) for i in range(model.ngeom) if model.geom(i).name.startswith("blade_")]
+    assert len(blades) == len(boxes.segment)
+    assert all(g.contype[0] == 1 and g.name.endswith("_4") for g in blades)
+    cell = Cell(leafy)
+    at = np.array([cell.data.geom(g.name).xpos for g in blades])
+    assert at == pytest.approx(boxes.centre, abs=1e-6)
+
+
+@pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
+def test_the_blades_of_a_grown_plant_cover_its_leaves(grow) -> None:
+    plant = grow(10)
+    boxes = blades_of(plant)
+    a, b, c = np.swapaxes(plant.vertices[plant.faces[plant.face_organ == Organ.LEAF]], 0, 1)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    assert 4 * (boxes.half[:, 0] * boxes.half[:, 1]).sum() == pytest.approx(area, rel=0.25)
+    assert boxes.half.max() < 0.08
 
 
 def test_a_pedicel_of_two_segments_swings_as_a_cantilever_with_a_tip_mass() -> None:

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from fake_robot import LIMITS, horizontal_grasp
 from small_planner import SmallPlanner, solve
-from straight_plant import BASE, straight_plant
+from straight_plant import BASE, straight_plant, with_blade
 
 from anther.arm import sawyer
 from anther.devices import Robot
 from anther.execution import Trial, execute
 from anther.geometry import Array
 from anther.grasp import Grasp
-from anther.sim.cell import Cell
+from anther.sim.cell import BENCH, Cell
 from anther.sim.judge import Params, Verdict, judge
+from anther.sim.plant import SimPlant
 from anther.sim.robot import SimArm, SimGripper, robot_of
 
 HEIGHT = 0.22
@@ -34,10 +35,10 @@ class Plan:
     direction: Array = field(default_factory=lambda: np.array([0, 1.0, 0]))
 
 
-def near_plant(joints: Array, **plant: float) -> Cell:
+def near_plant(joints: Array, plant: SimPlant | None = None, **kind: float) -> Cell:
     """A cell whose arm already stands close to the plant, which saves simulated seconds."""
     back = PLANNER.line(joints, moved(sawyer.forward(joints), -0.13), 0.3)
-    return Cell(straight_plant(**plant), back.positions[-1])
+    return Cell(plant or straight_plant(**kind), back.positions[-1])
 
 
 def moved(T: Array, along: float) -> Array:
@@ -120,6 +121,41 @@ def test_a_petiole_between_the_pads_is_a_branch_grasped() -> None:
     assert verdict.organ_grasped == "petiole"
 
 
+def test_a_petiole_between_the_pads_beside_the_stem_is_told() -> None:
+    fork = horizontal_grasp(np.add(BASE, [0, 0, 0.367]), np.zeros(7), diameter=0.0085)
+    fork = replace(fork, joints=solve(fork.T_world_flange, GRASP.joints))
+    assert fork.joints is not None
+    verdict = trial_of(near_plant(fork.joints, leaf=0.001), Plan(grasp=fork, duration=0.5))[1]
+    assert verdict.organ_grasped == "stem"
+    assert verdict.held_beside == ("petiole",)
+    assert "with a petiole" in verdict.reason
+
+
+def test_a_stem_too_slippery_to_hold_has_slipped() -> None:
+    cell = near_plant(GRASP.joints)  # type: ignore[arg-type]
+    for side in ("left_pad", "right_pad"):
+        cell.model.geom(side).friction[0] = 0.005
+    up = Plan(amplitude=0.01, frequency=2.0, duration=1.5, direction=np.array([0, 0, 1.0]))
+    trial, verdict = trial_of(cell, up)
+    assert trial.finished, trial.stop_reason
+    assert verdict.slip > Params().slip
+    assert verdict.failure == "slipped"
+
+
+def test_a_leaf_in_the_way_is_felt_but_gives_way() -> None:
+    """A blade across the way in, on a petiole: it is pushed, softly, and does not hinder the grasp."""
+    assert GRASP.joints is not None
+    plant = with_blade(straight_plant(), np.add(BASE, [-0.03, 0.0, HEIGHT]), [1, 0.2, 0], segment=23)
+    cell = near_plant(GRASP.joints, plant)
+    trial, verdict = trial_of(cell, Plan(duration=0.5))
+    assert trial.finished, trial.stop_reason
+    log = cell.log()
+    assert log.contact_blade.any()
+    assert log.contact_force[log.contact_blade].max() > 0.005
+    assert verdict.push < Params().push
+    assert (verdict.organ_grasped, verdict.failure) == ("stem", None)
+
+
 def test_driving_through_the_plant_is_a_collision() -> None:
     assert GRASP.joints is not None
     cell = near_plant(GRASP.joints)
@@ -141,6 +177,18 @@ def test_touching_the_pot_is_a_collision() -> None:
     SimArm(cell).follow(PLANNER.line(cell.joints, low.T_world_flange, 0.2))
     verdict = judge(cell, None, 5.0)
     assert (verdict.failure, verdict.reason) == ("collision", "the robot touched the pot or the bench")
+
+
+def test_touching_the_bench_is_a_collision() -> None:
+    beside = horizontal_grasp(np.add(BASE, [0, 0.2, -0.16]), np.zeros(7))
+    q = solve(beside.T_world_flange, GRASP.joints)
+    cell = near_plant(q)
+    SimArm(cell).follow(PLANNER.line(cell.joints, moved(beside.T_world_flange, -0.1), 0.3))
+    down = sawyer.forward(cell.joints).copy()
+    down[2, 3] -= 0.05
+    SimArm(cell).follow(PLANNER.line(cell.joints, down, 0.1))
+    assert BENCH in cell.log().contact_other
+    assert judge(cell, None, 5.0).failure == "collision"
 
 
 def test_holding_a_stem_puts_no_energy_into_it() -> None:

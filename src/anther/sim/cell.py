@@ -17,6 +17,7 @@ from anther.arm import sawyer
 from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.sim import arm_model, plant_mechanics
+from anther.sim.blades import add_blades
 from anther.sim.plant import SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
 
@@ -58,6 +59,7 @@ class CellLog:
         contact_sample: (C,) log sample of each contact of the robot with plant, pot or bench.
         contact_pad: (C,) 0 left pad, 1 right pad, 2 any other part of the robot.
         contact_other: (C,) plant segment, or POT or BENCH.
+        contact_blade: (C,) bool, whether it is the leaf blade that rides on that segment.
         contact_force: (C,) normal force [N].
         contact_point: (C, 3) world [m].
     """
@@ -71,6 +73,7 @@ class CellLog:
     contact_sample: NDArray[Any]
     contact_pad: NDArray[Any]
     contact_other: NDArray[Any]
+    contact_blade: NDArray[Any]
     contact_force: Array
     contact_point: Array
 
@@ -89,6 +92,7 @@ class Cell:
         self.plant, self.params = plant, params or Params()
         spec = _world(self.params.timestep, plant)
         pieces = plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
+        add_blades(spec, plant, pieces, contype=PLANT_BIT, conaffinity=0)
         arm_model.add_arm(spec, self.params.arm, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
@@ -174,14 +178,14 @@ class Cell:
         force = np.zeros(6)
         for i in range(d.ncon):
             a, b = self._codes[d.contact[i].geom]
-            pad, other = (a[0], b[1]) if a[0] >= 0 else (b[0], a[1])
+            pad, (_, other, blade) = (a[0], b) if a[0] >= 0 else (b[0], a)
             mujoco.mj_contactForce(self.model, d, i, force)
-            self._contacts.append((sample, pad, other, force[0], d.contact[i].pos.copy()))
+            self._contacts.append((sample, pad, other, blade, force[0], d.contact[i].pos.copy()))
 
     def log(self) -> CellLog:
         """Return all samples so far."""
         times, qpos, torques, command = (np.array(x) for x in zip(*self._samples, strict=True))
-        sample, pad, other, force, point = list(zip(*self._contacts, strict=True)) or [()] * 5
+        sample, pad, other, blade, force, point = list(zip(*self._contacts, strict=True)) or [()] * 6
         return CellLog(
             times=times,
             qpos=qpos,
@@ -192,6 +196,7 @@ class Cell:
             contact_sample=np.array(sample, dtype=int),
             contact_pad=np.array(pad, dtype=int),
             contact_other=np.array(other, dtype=int),
+            contact_blade=np.array(blade, dtype=bool),
             contact_force=np.array(force, dtype=float),
             contact_point=np.array(point, dtype=float).reshape(-1, 3),
         )
@@ -240,13 +245,13 @@ def _world(timestep: float, plant: SimPlant) -> Any:
 
 
 def _contact_codes(model: Any) -> NDArray[Any]:
-    """Return (geoms, 2): part of the robot (0, 1 pads, 2 rest, -9 not the robot), and segment, POT or BENCH."""
-    named = {"left_pad": (0, -9), "right_pad": (1, -9), "pot": (-9, POT), "bench": (-9, BENCH)}
-    codes = np.full((model.ngeom, 2), -9)
+    """Return (geoms, 3): part of the robot (0, 1 pads, 2 rest, -9 none); segment, POT or BENCH; whether a blade."""
+    named = {"left_pad": (0, -9, 0), "right_pad": (1, -9, 0), "pot": (-9, POT, 0), "bench": (-9, BENCH, 0)}
+    codes = np.full((model.ngeom, 3), -9)
     for i in range(model.ngeom):
         name = model.geom(i).name
-        if name.startswith("segment_"):
-            codes[i] = (-9, int(name.removeprefix("segment_")))
+        if name.startswith(("segment_", "blade_")):
+            codes[i] = (-9, int(name.rpartition("_")[2]), name.startswith("blade_"))
         else:
-            codes[i] = named.get(name, (2, -9))
+            codes[i] = named.get(name, (2, -9, 0))
     return codes

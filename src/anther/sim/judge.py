@@ -32,6 +32,7 @@ class Params:
         slip: the held point may wander this far between the pads [m].
         grip: a pad touches with at least this [N].
         held_share: the pads must hold the stem in at least this share of the samples of the shake.
+        beside_share: another organ counts as held with it that a pad presses in at least this share of them.
         stem_strain, joint_strain: peak bending strain in stem and branches, and peak swing of it elsewhere (facts:
             pollination 1d, proposed limits: 1 % and 0.5 %).
         leaf_acceleration: at the bases of petioles, low-passed below 5 Hz, quasi-static [m/s2] (facts: pollination 1d,
@@ -43,6 +44,7 @@ class Params:
     slip: float = 0.005
     grip: float = 0.2
     held_share: float = 0.95
+    beside_share: float = 0.2
     stem_strain: float = 0.01
     joint_strain: float = 0.005
     leaf_acceleration: float = 0.7 * 9.81
@@ -60,7 +62,7 @@ class Verdict:
         organ_grasped: name of the organ between the pads most of the time, "" if none.
         grasp_height: height of the held point above the soil [m]; NaN if nothing was held.
         slip: largest wander of the held point between the pads [m]; NaN if nothing was held.
-        push: largest force on the plant before closing [N].
+        push: largest force on the plant before closing [N], leaves included.
         stem_strain, joint_strain: peak added bending strain of stem and branches, peak swing of it in the rest.
         leaf_acceleration: peak quasi-static acceleration at a petiole's base [m/s2].
         flower_amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency, over the middle 60 % of
@@ -69,6 +71,7 @@ class Verdict:
         flower_acceleration: (F,) rms [m/s2].
         flower_acceleration_peak: (F,) [m/s2].
         effort: largest share of a motor's torque limit that the arm used.
+        held_beside: names of other organs that were between the pads with what is held.
     """
 
     success: bool
@@ -86,6 +89,7 @@ class Verdict:
     flower_acceleration: Array
     flower_acceleration_peak: Array
     effort: float
+    held_beside: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         flowers = len(self.flower_amplitude)
@@ -104,8 +108,9 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
     """
     params, log = params or Params(), cell.log()
     shaking = (log.times >= shake[0]) & (log.times <= shake[1]) if shake else np.zeros(len(log.times), dtype=bool)
-    segment, share = _grasped(log, shaking if shake else _closed(log), params)
-    organ = Organ(int(cell.plant.organ[segment])).name.lower() if segment >= 0 else ""
+    holding = shaking if shake else _closed(log)
+    segment, share = _grasped(log, holding, params)
+    organ, *beside = _organs(cell, log, holding, segment, params)
     slip, height = _slip(cell, log, shaking, segment)
     push = _push(log)
     stem, joint = _strain(cell, log, shaking)
@@ -126,11 +131,14 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
         (worst > 1, "damaged", f"strain {stem:.2%} in the stem, {joint:.2%} in joints, {leaf:.1f} m/s2 at leaf bases"),
     ]
     failure: FailureKind | None = None
-    reason = f"the {organ} was held"
+    reason = f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else "")
     for found, kind, why in reversed(findings):
         failure, reason = (kind, why) if found else (failure, reason)
     facts = (organ, height, slip, push, stem, joint, leaf)
-    return Verdict(failure is None, failure, reason, *facts, *motion, effort=float(effort.max()))
+    amplitude, hertz, rms, peak = motion
+    return Verdict(
+        failure is None, failure, reason, *facts, amplitude, hertz, rms, peak, float(effort.max()), tuple(beside)
+    )
 
 
 def _closed(log: CellLog) -> NDArray[np.bool_]:
@@ -140,8 +148,7 @@ def _closed(log: CellLog) -> NDArray[np.bool_]:
 
 def _grasped(log: CellLog, when: NDArray[np.bool_], params: Params) -> tuple[int, float]:
     """Return the segment both pads press longest, -1 for none, and the share of samples in which both press any."""
-    real = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > params.grip)
-    real &= when[log.contact_sample]
+    real = _pressed(log, when, params)
     pads = [set(log.contact_sample[real & (log.contact_pad == pad)].tolist()) for pad in (0, 1)]
     both = pads[0] & pads[1]
     if not both:
@@ -149,6 +156,33 @@ def _grasped(log: CellLog, when: NDArray[np.bool_], params: Params) -> tuple[int
     inside = real & np.isin(log.contact_sample, list(both))
     impulse = np.bincount(log.contact_other[inside], log.contact_force[inside])
     return int(np.argmax(impulse)), len(both) / max(int(when.sum()), 1)
+
+
+def _pressed(log: CellLog, when: NDArray[np.bool_], params: Params) -> NDArray[np.bool_]:
+    """(C,) which contacts are a pad's with the plant, firm, and at these (T,) times."""
+    firm = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > params.grip)
+    return firm & when[log.contact_sample]
+
+
+def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, params: Params) -> list[str]:
+    """Return the name of the organ held, "" if none, and of those pressed between the pads beside it.
+
+    What only leans on a pad's outer side or edge is not between them.
+    """
+    if segment < 0:
+        return [""]
+    pressed = np.flatnonzero(_pressed(log, when, params))
+    sample, other, blade = (x[pressed] for x in (log.contact_sample, log.contact_other, log.contact_blade))
+    times, row = np.unique(sample, return_inverse=True)
+    flange = inverse(sawyer.forward(log.joints[times]))[row]
+    across = np.einsum("ci,ci->c", flange[:, 1, :3], log.contact_point[pressed]) + flange[:, 1, 3]
+    between = np.abs(across) < log.opening[sample] / 2 + 0.001
+    organ = np.where(blade, int(Organ.LEAF), cell.plant.organ[other])
+    impulse = np.bincount(organ[other == segment], log.contact_force[pressed][other == segment])
+    held = int(impulse.argmax())
+    rest = [o for o in np.unique(organ[between]).tolist() if o != held]
+    beside = [o for o in rest if len(np.unique(sample[between & (organ == o)])) >= params.beside_share * when.sum()]
+    return [Organ(o).name.lower() for o in (held, *beside)]
 
 
 def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) -> tuple[float, float]:
@@ -166,9 +200,11 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
 
 
 def _push(log: CellLog) -> float:
-    """Return the largest sum of the robot's forces on the plant before the gripper first closes [N]."""
-    closed = np.flatnonzero(_closed(log))
-    before = (log.contact_other >= 0) & (log.contact_sample < (closed[0] if len(closed) else len(log.times)))
+    """Return the largest sum of the robot's forces on the plant while open, until it closes for the last time [N]."""
+    closed = _closed(log)
+    begins = np.flatnonzero(closed & np.diff(closed, prepend=False))
+    open_ = ~closed & (np.arange(len(closed)) < (begins[-1] if len(begins) else len(closed)))
+    before = (log.contact_other >= 0) & open_[log.contact_sample]
     return float(np.bincount(log.contact_sample[before], log.contact_force[before], minlength=1).max())
 
 

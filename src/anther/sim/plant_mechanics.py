@@ -139,8 +139,8 @@ def _turn(plant: SimPlant, a: int, b: int) -> float:
 def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaffinity: int) -> Pieces:
     """Add the plant's bodies `plant_<b>`, hinges and contact capsules `segment_<k>` to a world.
 
-    Stems, branches, petioles, rachises, peduncles and pedicels touch; leaf blades (and their midribs), petals and
-    fruit do not: they are masses only.
+    Stems, branches, petioles, rachises, peduncles and pedicels touch; petals do not: they are masses only, and leaf
+    blades, with their midribs, are left to `blades.add_blades`.
 
     Args:
         spec: the world; its timestep sets the least damping.

@@ -71,7 +71,7 @@ def contact_force(cell: Cell) -> float:
     for i in range(cell.data.ncon):
         contact = cell.data.contact[i]
         mujoco.mj_contactForce(cell.model, cell.data, i, force)
-        scenery_first = cell.model.geom(contact.geom[0]).name.startswith(("segment_", "pot", "bench"))
+        scenery_first = cell.model.geom(contact.geom[0]).name.startswith(("segment_", "blade_", "pot", "bench"))
         total += (1 if scenery_first else -1) * contact.frame.reshape(3, 3).T @ force[:3]
     return float(np.linalg.norm(total))
 
