@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +22,7 @@ from anther.geometry import Array, Box, transform
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
+WAYS_FOLLOWED, WAYS_CONNECTED = 5, 2  # branches of a grasp of which the way in, and then the path there, is tried
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 SEARCHES = 3  # for a path, each with half the step of the one before
 NEAR = 0.01  # rad, on shorter paths TOPP-RA may find no grid
@@ -91,11 +93,20 @@ class Planner:
         """
         branches = kinematics.inverse(check_transform("grasp", T_world_grasp))
         poses = _poses_between(T_world_grasp, check_transform("pre-grasp", T_world_pregrasp), REACH_STEP)
-        with self.world.touching_plant():
-            free = branches[[self.world.free(q) for q in branches]] if len(branches) else branches
-            ways = kinematics.follow(free[np.argsort(-_shake_rank(free))][:5], poses)
-            ways = [way for way in ways if _steady(way) and self.world.path_free(way)]
-        return next((way[0] for way in ways[:2] if self._connected(way[-1])), None)
+        if not len(branches):
+            return None
+        ranked = branches[np.argsort(-_shake_rank(branches), kind="stable")]
+        free = islice((q for q in ranked if self.world.free(q)), WAYS_FOLLOWED)
+        followed = (kinematics.follow(q[None], poses)[0] for q in free)
+        ways = (way for way in followed if _steady(way) and self.world.path_free(way))
+        for _ in range(WAYS_CONNECTED):
+            with self.world.touching_plant():
+                way = next(ways, None)
+            if way is None:
+                return None
+            if self._connected(way[-1]):
+                return way[0]
+        return None
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
         """Return a free motion between two joint vectors (7,).

@@ -21,6 +21,7 @@ LEAF, FLOWER_POINT, BRANCH, STEM, OBSTACLE = range(5)
 KINDS = 5
 STIFF_LENGTH = 0.06  # m, piece of a branch next to the stem that pushes back; our judgement
 FAR = 0.03  # m, distances beyond are not told apart
+CELL = 0.03  # m, edge of the cubes in which balls are looked up; only speed depends on it
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,45 +179,68 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
     """
     distance = np.full((len(poses), KINDS), FAR)
     touched, enclosed = (np.zeros((len(poses), KINDS), dtype=np.int64) for _ in range(2))
-    s = surroundings
-    _meet(poses, s.centers, s.radius, s.kind, boxes, closing, touch, distance, touched, enclosed)
+    if len(surroundings.centers):
+        order, start, cells = _cells(surroundings)
+        s = (surroundings.centers[order], surroundings.radius[order], surroundings.kind[order])
+        _meet(poses, *s, start, cells, boxes, closing, touch, distance, touched, enclosed)
     return Clearance(distance, touched, enclosed)
 
 
+def _cells(s: Surroundings) -> tuple[NDArray[Any], NDArray[Any], Array]:
+    """Return the balls' order by cubes of `CELL`, where each cube begins in it, and balls (L, 4) about the cubes' own.
+
+    A gripper is near few cubes, so that most balls need not be looked at.
+    """
+    cells, cell, count = np.unique(np.floor(s.centers / CELL), axis=0, return_inverse=True, return_counts=True)
+    middle = CELL * (cells + 0.5)
+    far = np.zeros(len(cells))
+    np.maximum.at(far, cell, np.linalg.norm(s.centers - middle[cell], axis=1) + s.radius)
+    start = np.concatenate([[0], np.cumsum(count)])
+    return np.argsort(cell, kind="stable"), start, np.column_stack([middle, far])
+
+
 @njit(cache=True)
-def _meet(poses, centers, radius, kind, boxes, closing, touch, distance, touched, enclosed):
+def _meet(poses, centers, radius, kind, start, cells, boxes, closing, touch, distance, touched, enclosed):
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     for g in range(len(boxes)):
         for a in range(3):
             lower[a], upper[a] = min(lower[a], boxes[g, a]), max(upper[a], boxes[g, a + 3])
     local = np.empty(3)
     for i in range(len(poses)):
-        for m in range(len(centers)):
-            near = True
-            for a in (1, 0, 2):
-                local[a] = 0.0
-                for b in range(3):
-                    local[a] += poses[i, b, a] * (centers[m, b] - poses[i, b, 3])
-                margin = FAR + radius[m]
-                if local[a] < lower[a] - margin or local[a] > upper[a] + margin:
-                    near = False
-                    break
-            if not near:
+        for c in range(len(cells)):
+            if not _near(poses[i], cells[c], cells[c, 3] + FAR, lower, upper, local):
                 continue
-            k, gap = kind[m], FAR
-            for g in range(len(boxes)):
-                gap = min(gap, _box_distance(local, boxes[g]) - radius[m])
-            distance[i, k] = min(distance[i, k], gap)
-            touched[i, k] += gap < touch
-            enclosed[i, k] += _box_distance(local, closing) < radius[m]
+            for m in range(start[c], start[c + 1]):
+                if not _near(poses[i], centers[m], radius[m] + FAR, lower, upper, local):
+                    continue
+                k, gap = kind[m], FAR
+                for g in range(len(boxes)):
+                    gap = min(gap, _box_distance(local, boxes[g], gap + radius[m]) - radius[m])
+                distance[i, k] = min(distance[i, k], gap)
+                touched[i, k] += gap < touch
+                enclosed[i, k] += _box_distance(local, closing, np.inf) < radius[m]
 
 
 @njit(cache=True)
-def _box_distance(p, box):
-    """Return the signed distance of a point from a box, negative inside."""
+def _near(pose, point, margin, lower, upper, local):
+    """Put a point into the pose's frame, and return whether it is within `margin` of the box there."""
+    for a in (1, 0, 2):
+        local[a] = 0.0
+        for b in range(3):
+            local[a] += pose[b, a] * (point[b] - pose[b, 3])
+        if local[a] < lower[a] - margin or local[a] > upper[a] + margin:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _box_distance(p, box, most):
+    """Return the signed distance of a point from a box, negative inside; `most` or more when it is at least that."""
     outside, inside = 0.0, -np.inf
     for a in range(3):
         d = max(box[a] - p[a], p[a] - box[a + 3])
+        if d >= most:
+            return d
         inside = max(inside, d)
         if d > 0.0:
             outside += d * d
