@@ -22,7 +22,7 @@ GRIPPER, CAMERA = "gripper", "camera"
 
 # Links so near each other in the chain that they cannot collide, or that always overlap by their shapes
 # (facts: sawyer 1e and 7, after sawyer_moveit's SRDF).
-_NEIGHBOURS = (
+NEIGHBOURS = (
     *((f"right_l{i}", f"right_l{i + 1}") for i in range(6)),
     *((f"right_l{i}", f"right_l{i + 2}") for i in range(5)),
     ("base", "right_l0"),
@@ -50,7 +50,7 @@ class CollisionWorld:
     def __init__(self, plant: Array, obstacles: Array, boxes: Iterable[Box] = ()) -> None:
         self.scene = Scene("anther", loadUrdfSceneDescriptionFromXml(urdf()))
         self.scene.addGroup(GROUP, list(sawyer.JOINTS))
-        self.scene.setCollisions(_NEIGHBOURS, False)
+        self.scene.setCollisions(NEIGHBOURS, False)
         self._still = ["base"]
         self.has_plant = self._add_points("plant", plant)
         self._add_points("obstacles", obstacles)

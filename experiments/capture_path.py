@@ -1,0 +1,108 @@
+"""The way of the camera around the plant: its time, limits, torques and distances at 1 kHz, and the arm driven along it.
+
+    python experiments/capture_path.py --json docs/results/capture_path.json [--quick]
+
+No image is taken here. Each preset's views and motions are planned as for a trial. They are then judged every
+millisecond by `anther.sim.path_judge` (another collision engine than the planner's): joint range, speed, acceleration,
+torque, and the distance of arm, gripper and camera to themselves, bench, pot, side camera, and the upright cylinder
+(0.5 m wide, 0.75 m high) that is kept for the plant. Then the simulated arm, with its servos, drives them before a
+grown plant, which it must not touch, and stands still where the images are taken.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from anther.arm import sawyer
+from anther.arm.dynamics import USABLE
+from anther.arm.views import Views, capture_time, plan_views
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout
+from anther.devices import JointTrajectory
+from anther.files import write_json
+from anther.geometry import Box
+from anther.sim.cell import Cell
+from anther.sim.path_judge import SIGHT, Surroundings, judge_path
+from anther.sim.robot import SimArm
+
+
+def judged(views: Views, pot: Box) -> dict[str, float]:
+    """Return what the views' motions need and how near they come."""
+    place = layout(USUAL_DISTANCE)
+    bench, side_camera = place.solids
+    around = Surroundings({"bench": bench, "side camera": side_camera}, {"pot": pot, "plant": place.region})
+    verdict = judge_path(views.motions, around)
+    shares = {name: getattr(verdict, name) for name in ("velocity", "acceleration", "effort")}
+    return {
+        "views": len(views.joints),
+        "capture_s": capture_time(views),
+        "motion_s": verdict.seconds,
+        "samples": round(1000 * verdict.seconds),
+        "joint_room_rad": verdict.room,
+        **{f"{name}_share": share for name, share in shares.items()},
+        **{f"clearance_{name.replace(' ', '_')}_mm": 1000 * gap for name, gap in verdict.clearance.items()},
+    }
+
+
+def driven(views: Views, species: Species, seed: int) -> dict[str, float]:
+    """Return how the simulated arm follows the motions, stopping for each image, before a plant of that seed."""
+    cell = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY)
+    arm, behind, off = SimArm(cell), [], []
+    for motion in track(views.motions, f"driving, {species} {seed}"):
+        record = arm.follow(motion)
+        behind.append(np.abs(record.measured - record.commanded).max())
+        arm.follow(JointTrajectory.standstill(motion.positions[-1], views.dwell))
+        reached, meant = sawyer.forward(np.array([cell.joints, motion.positions[-1]]))
+        off.append(np.linalg.norm(reached[:3, 3] - meant[:3, 3]))
+    log = cell.log()
+    return {
+        "driven_s": cell.time,
+        "tracking_mrad": 1000 * max(behind),
+        "image_position_error_um": 1e6 * max(off),
+        "driven_effort_share": float(np.abs(log.torques / sawyer.EFFORT).max()),
+        "contacts": len(log.contact_other),
+    }
+
+
+def fails(row: dict[str, float]) -> list[str]:
+    """Return what of a preset breaks a limit."""
+    shares = [name for name in ("velocity_share", "acceleration_share", "driven_effort_share") if row[name] > 1]
+    near = [name for name in row if name.startswith("clearance") and row[name] <= 0]
+    other = {"joint_room_rad": row["joint_room_rad"] <= 0, "contacts": row["contacts"] > 0}
+    other["effort_share"] = row["effort_share"] > USABLE
+    return shares + near + [name for name, bad in other.items() if bad]
+
+
+def main() -> None:
+    """Plan, judge, drive, print a table, write --json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="the fast preset only")
+    parser.add_argument("--seed", type=int, default=10, help="of the plant that stands there")
+    args = parser.parse_args()
+    place, rows = layout(USUAL_DISTANCE), dict[str, dict[str, float]]()
+    for name in ["fast"] if args.quick else list(PRESETS):
+        views = plan_views(place.region, place.solids, PRESETS[name])
+        species: Species = get_args(Species)[len(rows) % 2]
+        pot = grow(species, args.seed, 0.0, USUAL_DISTANCE).pot
+        width = np.array([pot.radius_top, pot.radius_top, 0])
+        body = Box(pot.centre - width - [0, 0, pot.height], pot.centre + width)
+        rows[name] = judged(views, body) | driven(views, species, args.seed)
+    table = Table("", *rows, caption=f"clearances beyond {1000 * SIGHT:.0f} mm are not measured")
+    for what in next(iter(rows.values())):
+        table.add_row(what, *(f"{row[what]:.4g}" for row in rows.values()))
+    Console().print(table)
+    metrics = {f"{name}_{what}": value for name, row in rows.items() for what, value in row.items()}
+    metrics["limits_broken"] = sum(len(fails(row)) for row in rows.values())
+    if args.json:
+        write_json(args.json, metrics)
+
+
+if __name__ == "__main__":
+    main()
