@@ -103,30 +103,31 @@ def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessia
     """
     last = len(gradient) - 1
     row, index = np.empty(13), np.empty(13, dtype=np.int64)
-    m = np.empty(3)
     index[12] = last
     for p in range(pairs.shape[0]):
-        n = normals[pairs[p, 0]] + normals[pairs[p, 1]]
-        n /= np.sqrt(n @ n)
-        r = n @ (world[pairs[p, 0]] - world[pairs[p, 1]])
+        a, b = pairs[p, 0], pairs[p, 1]
+        n0, n1, n2 = normals[a, 0] + normals[b, 0], normals[a, 1] + normals[b, 1], normals[a, 2] + normals[b, 2]
+        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        n0, n1, n2 = n0 / length, n1 / length, n2 / length
+        r = n0 * (world[a, 0] - world[b, 0]) + n1 * (world[a, 1] - world[b, 1]) + n2 * (world[a, 2] - world[b, 2])
         w = np.exp(-(r * r) / (scale * scale))
         row[12] = 0.0
         for side in range(2):
             i = pairs[p, side]
-            sign = 1.0 - 2.0 * side
-            for c in range(3):
-                m[c] = 0.0
-                for e in range(3):
-                    m[c] += sign * poses[view[i], e, c] * n[e]
+            sign, T = 1.0 - 2.0 * side, poses[view[i]]
+            m0 = sign * (T[0, 0] * n0 + T[1, 0] * n1 + T[2, 0] * n2)
+            m1 = sign * (T[0, 1] * n0 + T[1, 1] * n1 + T[2, 1] * n2)
+            m2 = sign * (T[0, 2] * n0 + T[1, 2] * n1 + T[2, 2] * n2)
             base = 6 * side
-            row[base] = points[i, 1] * m[2] - points[i, 2] * m[1]
-            row[base + 1] = points[i, 2] * m[0] - points[i, 0] * m[2]
-            row[base + 2] = points[i, 0] * m[1] - points[i, 1] * m[0]
-            row[base + 3 : base + 6] = m
-            row[12] += along[i] @ m
+            row[base] = points[i, 1] * m2 - points[i, 2] * m1
+            row[base + 1] = points[i, 2] * m0 - points[i, 0] * m2
+            row[base + 2] = points[i, 0] * m1 - points[i, 1] * m0
+            row[base + 3], row[base + 4], row[base + 5] = m0, m1, m2
+            row[12] += along[i, 0] * m0 + along[i, 1] * m1 + along[i, 2] * m2
             for k in range(6):
                 index[base + k] = 6 * view[i] + k
         for k in range(13):
-            gradient[index[k]] += w * r * row[k]
+            weighted, to = w * row[k], index[k]
+            gradient[to] += weighted * r
             for q in range(k, 13):
-                hessian[index[k], index[q]] += w * row[k] * row[q]
+                hessian[to, index[q]] += weighted * row[q]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,7 @@ import small_gicp
 from numpy.typing import NDArray
 
 from anther.cloud.pixels import slant
+from anther.cloud.voxels import voxel_means
 from anther.geometry import Array
 
 THREADS = 2
@@ -57,16 +59,19 @@ class Sample:
     def of(cls, points_cam: list[Array], voxel: float, most: int, neighbours: int = 12) -> Sample:
         """Return at most `most` points of each view, thinned to `voxel` [m]; normals are fitted to `neighbours`."""
         rng = np.random.default_rng(0)
-        points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
-        for cloud in points_cam:
-            empty = np.zeros((0, 3))
-            p, n = _thinned(cloud, voxel, neighbours) if len(cloud) >= 2 * neighbours else (empty, empty)
-            chosen = rng.permutation(len(p))[:most]
-            points.append(p[chosen])
-            normals.append(n[chosen])
-        sizes = [len(p) for p in points[1:]]
-        p, n = np.concatenate(points), np.concatenate(normals)
-        return cls(p, n, slant(p, n), np.repeat(np.arange(len(sizes)), sizes))
+        draws = [rng.permutation(len(cloud)) for cloud in points_cam]
+
+        def thinned(cloud: Array, order: NDArray[Any]) -> tuple[Array, Array]:
+            fine = voxel_means(cloud, voxel)
+            if len(fine) < neighbours:
+                return np.zeros((0, 3)), np.zeros((0, 3))
+            chosen = fine[order[order < len(fine)][:most]]
+            return chosen, _normals(chosen, fine, neighbours)
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            views = list(pool.map(thinned, points_cam, draws))
+        p, n = (np.concatenate([np.zeros((0, 3)), *columns]) for columns in zip(*views, strict=True))
+        return cls(p, n, slant(p, n), np.repeat(np.arange(len(views)), [len(q) for q, _ in views]))
 
     def only(self, keep: NDArray[np.bool_]) -> Sample:
         """Return the points for which `keep` (N,) is true."""
@@ -129,8 +134,10 @@ def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
     return np.abs(np.einsum("pi,pi->p", mean, world[pairs[:, 0]] - world[pairs[:, 1]]))
 
 
-def _thinned(points: Array, voxel: float, neighbours: int) -> tuple[Array, Array]:
-    fine = small_gicp.voxelgrid_sampling(np.ascontiguousarray(points), voxel)
-    small_gicp.estimate_normals(fine, num_neighbors=neighbours, num_threads=THREADS)
-    p, n = fine.points()[:, :3], fine.normals()[:, :3]
-    return p, np.where(np.einsum("ni,ni->n", n, p)[:, None] > 0, -n, n)
+def _normals(points: Array, cloud: Array, neighbours: int) -> Array:
+    """Return the unit normals (N, 3), towards the camera, of planes through the nearest points of `cloud` (M, 3)."""
+    near, _ = small_gicp.KdTree(cloud).batch_knn_search(points, neighbours)
+    around = cloud[near.astype(np.int64)]
+    around -= around.mean(axis=1, keepdims=True)
+    n = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
+    return np.where(np.einsum("ni,ni->n", n, points)[:, None] > 0, -n, n)

@@ -20,6 +20,13 @@ def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArra
     return group, count
 
 
+def voxel_means(points: Array, voxel: float) -> Array:
+    """Return the mean point (M, 3) of each voxel; arguments as in `voxel_groups`."""
+    group, count = voxel_groups(points, voxel)
+    sums = [np.bincount(group, weights=column, minlength=len(count)) for column in points.T]
+    return np.stack(sums, axis=1) / count[:, None]
+
+
 @numba.njit(nogil=True, cache=True)
 def _hashed(points, per_metre):
     """Number the voxels with a hash table of open addressing; a key holds three 21-bit cell numbers."""
