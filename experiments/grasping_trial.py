@@ -136,6 +136,9 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
     row["grasped"] = shaken is not None and row["organ_grasped"] == "stem"
     if shaken is not None:
         end = cell.world.time
+        assert done is not None
+        spans = zip(done.trial.phases, done.trial.phase_times.tolist(), strict=True)
+        row["phases_s"] = {name: after - before for name, (before, after) in spans}
         row |= {"reach_s": shaken[0], "shake_s": shaken[1] - shaken[0], "retreat_s": end - shaken[1]}
     return row, done
 

@@ -8,6 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from anther.arm import kinematics, sawyer, shaking, timing
 from anther.arm.collision import CollisionWorld
+from anther.arm.newton import newton_step
 from anther.arm.planner import Planner
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, transform
@@ -67,6 +68,18 @@ def test_inverse_branches_differ_and_near_comes_first():
     gaps = np.abs(branches[:, None] - branches[None]).max(axis=2) + np.eye(len(branches))
     assert gaps.min() > kinematics.SAME
     assert len(branches) > 10
+
+
+def test_compiled_newton_step_is_the_damped_least_squares_step():
+    rng = np.random.default_rng(3)
+    q, goal = rng.uniform(sawyer.LOWER, sawyer.UPPER, (2, 40, 7))
+    target = sawyer.forward(goal)
+    error = kinematics.pose_error(sawyer.forward(q), target)
+    J = sawyer.jacobian(q)
+    step = np.swapaxes(J, -1, -2) @ np.linalg.solve(J @ np.swapaxes(J, -1, -2) + 1e-3 * np.eye(6), error[..., None])
+    got_step, got_error = newton_step(q, target, damping=1e-3)
+    np.testing.assert_allclose(got_error, error, atol=1e-12)
+    np.testing.assert_allclose(got_step, step[..., 0], atol=1e-9)
 
 
 @pytest.mark.parametrize("approach", [(1, 0, 0), (-1, 0, 0)])

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import qmc
 
 from anther.arm import sawyer
+from anther.arm.newton import newton_step
 from anther.checks import check_transform
 from anther.geometry import Array
 
@@ -89,12 +90,12 @@ def follow(q: Array, targets: Array) -> Array:
 
 def _meet(q: Array, target: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return joints (B, 7) near q whose flange is at the pose, and which of them (B,) miss it."""
-    step, error = _newton_step(q, target, damping=1e-8)
+    step, error = newton_step(q, target, damping=1e-8)
     for _ in range(6):
         if np.all(np.abs(error) < 1e-7):
             break
         q = q + step
-        step, error = _newton_step(q, target, damping=1e-8)
+        step, error = newton_step(q, target, damping=1e-8)
     return q, ~np.all(np.abs(error) < 1e-7, axis=-1)
 
 
@@ -102,7 +103,7 @@ def _solve(targets: Array, pose: NDArray[np.intp], q: Array) -> tuple[Array, NDA
     """Return the seeds (K, 7), each for the target its `pose` (K,) names, that converged, and their poses."""
     solved, of_pose = [np.zeros((0, 7))], [pose[:0]]
     for k in range(ITERATIONS):
-        step, error = _newton_step(q, targets[pose], damping=1e-6 if k > 6 else 1e-3)
+        step, error = newton_step(q, targets[pose], damping=1e-6 if k > 6 else 1e-3)
         done = np.abs(error).max(axis=1) < 1e-7
         solved.append(q[done])
         of_pose.append(pose[done])
@@ -110,15 +111,6 @@ def _solve(targets: Array, pose: NDArray[np.intp], q: Array) -> tuple[Array, NDA
         if len(q) == 0:
             break
     return np.concatenate(solved), np.concatenate(of_pose)
-
-
-def _newton_step(q: Array, target: Array, *, damping: float) -> tuple[Array, Array]:
-    """Return the damped joint steps (K, 7) towards `target`, and the pose errors (K, 6) before them."""
-    poses = sawyer.link_poses(q)
-    error = pose_error(poses[..., 7, :, :], target)
-    J = sawyer.jacobian_of(poses)
-    J_t = np.swapaxes(J, -1, -2)
-    return (J_t @ np.linalg.solve(J @ J_t + damping * np.eye(6), error[..., None]))[..., 0], error
 
 
 @cache
@@ -130,7 +122,7 @@ def _postures() -> tuple[Array, Array]:
 
 def _nearest_postures(target: Array, count: int) -> Array:
     q, poses = _postures()
-    turn = np.trace(np.swapaxes(poses[:, :3, :3], 1, 2) @ target[:3, :3], axis1=1, axis2=2)
+    turn = np.einsum("kij,ij->k", poses[:, :3, :3], target[:3, :3])  # trace of the rotation between
     distance = np.linalg.norm(poses[:, :3, 3] - target[:3, 3], axis=1) + 0.15 * (3 - turn)
     return q[np.argpartition(distance, count)[:count]]
 
@@ -143,8 +135,10 @@ def _turned(q: Array) -> Array:
 
 
 def _distinct(q: Array) -> Array:
-    kept: list[Array] = []
+    kept = np.empty_like(q)
+    count = 0
     for candidate in q:
-        if all(np.abs(candidate - other).max() > SAME for other in kept):
-            kept.append(candidate)
-    return np.array(kept).reshape(-1, 7)
+        if np.all(np.abs(kept[:count] - candidate).max(axis=1) > SAME):
+            kept[count] = candidate
+            count += 1
+    return kept[:count]

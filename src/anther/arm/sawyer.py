@@ -199,10 +199,10 @@ def finger_solids(opening: float) -> tuple[Solid, ...]:
 def link_poses(q: ArrayLike) -> Array:
     """Return the (..., 8, 4, 4) base-frame poses of right_l0..right_l6 and the flange for joints (..., 7) [rad]."""
     q = np.asarray(q, dtype=np.float64)
-    local = _LOCAL * np.ones((*q.shape, 1, 1))
+    local = LOCAL * np.ones((*q.shape, 1, 1))
     c, s = np.cos(q)[..., None], np.sin(q)[..., None]
-    local[..., :, 0] = _LOCAL[..., :, 0] * c + _LOCAL[..., :, 1] * s
-    local[..., :, 1] = _LOCAL[..., :, 1] * c - _LOCAL[..., :, 0] * s
+    local[..., :, 0] = LOCAL[..., :, 0] * c + LOCAL[..., :, 1] * s
+    local[..., :, 1] = LOCAL[..., :, 1] * c - LOCAL[..., :, 0] * s
     poses = np.empty((*q.shape[:-1], 8, 4, 4))
     poses[..., 0, :, :] = local[..., 0, :, :]
     for i in range(1, 7):
@@ -234,4 +234,5 @@ def _local_transforms() -> Array:
     return np.stack([transform(Rotation.from_euler("xyz", link.rpy).as_matrix(), link.xyz) for link in LINKS])
 
 
-_LOCAL = _local_transforms()
+LOCAL = _local_transforms()
+"""(7, 4, 4) pose of right_l0..right_l6 in the link before, at joint angle 0."""
