@@ -137,8 +137,8 @@ class GuardedGripper:
         """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
 
         Raises:
-            StageFailure: limits_exceeded: beyond the stroke (nothing was commanded), or more than the grip force
-                allowed (the pads were opened).
+            StageFailure: limits_exceeded: beyond the stroke (nothing was commanded), or more than the grip force or
+                the stem stress allowed (the pads were opened).
             DeviceError: the gripper refused or jammed.
         """
         limits = self._limits
@@ -147,9 +147,11 @@ class GuardedGripper:
             raise StageFailure("limits_exceeded", f"{given} Check the unit.")
         before = self.state().opening
         state = _readable(self._gripper.move(opening))
-        if state.force > limits.grip_force and opening < limits.stroke:
+        stress = stem_stress(state, limits)
+        if (state.force > limits.grip_force or stress > limits.stem_stress) and opening < limits.stroke:
             self._gripper.move(limits.stroke)
             _demand("grip force", state.force, limits.grip_force, "N; the pads were opened", "Close less far.")
+            _demand("stem stress", stress, limits.stem_stress, "Pa; the pads were opened", "Close less far.")
         short = abs(state.opening - opening)
         if short > limits.grip_tolerance and (opening > before or not state.is_gripping):
             asked = f"sent to {1000 * opening:.1f} mm, the pads stand at {1000 * state.opening:.1f} mm"
@@ -163,6 +165,18 @@ class GuardedGripper:
             DeviceError: the reading is not finite.
         """
         return _readable(self._gripper.state())
+
+
+def stem_stress(state: GripperState, limits: SafetyLimits) -> float:
+    """Return the greatest pressure of a pad on what is held, taken as a stiff round stem [Pa]; 0 if nothing is.
+
+    Hertz, a cylinder pressed across a flat: p = sqrt(F E* / (pi w r)) with E* = E / (1 - nu^2) of the pad alone, which
+    is far softer than a stem (30-300 MPa), nu = 0.5 (Johnson, Contact Mechanics, 1985, section 4.2).
+    """
+    if not state.is_gripping or state.opening <= 0:
+        return 0.0
+    modulus = limits.pad_modulus / (1 - 0.5**2)
+    return float(np.sqrt(max(state.force, 0.0) * modulus / (np.pi * limits.pad_width * state.opening / 2)))
 
 
 class GuardedCamera:

@@ -8,7 +8,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from anther.devices import GripperState
 from anther.geometry import Array
+from anther.safety import stem_stress
 
 if TYPE_CHECKING:
     from anther.commands.simulated_cell import SimulatedCell
@@ -26,6 +28,7 @@ def summarise(
         **_verdict(done, verdict, failure),
         **_planned(done),
         **_measured(done),
+        **_held(cell, done),
         **_true(verdict),
         "simulated_capture_seconds": None if cell is None else cell.capture_seconds,
         "simulated_execution_seconds": None if cell is None else cell.world.time,
@@ -84,6 +87,15 @@ def _measured(done: Done | None) -> dict[str, Any]:
     }
 
 
+def _held(cell: SimulatedCell | None, done: Done | None) -> dict[str, Any]:
+    """What the gripper felt after closing."""
+    if cell is None or done is None or len(done.trial.gripper) == 0:
+        return {}
+    opening, force, held = done.trial.gripper[0].tolist()
+    stress = stem_stress(GripperState(opening, force, bool(held)), cell.robot_side.limits)
+    return {"grip_opening_m": opening, "grip_force_n": force, "grip_stem_stress_pa": stress}
+
+
 def _true(verdict: Verdict | None) -> dict[str, Any]:
     """The judge's own figures, by the simulator's truth."""
     if verdict is None:
@@ -96,6 +108,8 @@ def _true(verdict: Verdict | None) -> dict[str, Any]:
         "true_stem_strain": verdict.stem_strain,
         "true_joint_strain": verdict.joint_strain,
         "true_leaf_acceleration_ms2": verdict.leaf_acceleration,
+        "true_effort_share": verdict.effort,
+        "true_held_beside": list(verdict.held_beside),
     }
 
 

@@ -1,0 +1,93 @@
+"""The loop at the end of the pipeline: a grasp that fails at the plant is followed by the next best."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_robot import LIMITS, FakeArm, FakeGripper, fake_robot, horizontal_grasp
+from small_planner import SmallPlanner, solve
+
+from anther import pipeline
+from anther.devices import GripperState
+from anther.geometry import Array, Box
+from anther.grasp import Grasp
+from anther.plant import TOMATO
+
+HEIGHTS = (-0.08, -0.05, -0.02)
+GRASPS = [horizontal_grasp(np.array([0.72, 0.0, z]), np.zeros(7)) for z in HEIGHTS]
+GRASPS = [replace(grasp, joints=solve(grasp.T_world_flange)) for grasp in GRASPS]
+
+
+@dataclass(frozen=True)
+class Plan:
+    grasp: Grasp
+    grasp_index: int = 0
+    direction: Array = field(default_factory=lambda: np.array([0, 1.0, 0]))
+    amplitude: float = 0.002
+    frequency: float = 5.0
+    duration: float = 0.6
+
+
+class NoFiles:
+    """A run that keeps nothing."""
+
+    def stage(self, name: str, load: Any, make: Callable[[Any], Any], save: Any = None) -> Any:
+        return make(lambda *_: None)
+
+    timed = stage
+
+
+class Meets(FakeGripper):
+    """Meets something else at each attempt: widths in turn [m]. Closing after opening begins a new one."""
+
+    def __init__(self, *widths: float) -> None:
+        super().__init__(0.0)
+        self.widths = list(widths)
+
+    def move(self, opening: float) -> GripperState:
+        wide = pipeline.execution.Params().opening
+        if opening < wide and self.commands[-1] == wide:
+            self.width = self.widths.pop(0)
+        return super().move(opening)
+
+
+@pytest.mark.parametrize(
+    ("widths", "failure", "tried"),
+    [
+        ([0.008], None, 1),
+        ([0.0, 0.008], None, 2),
+        ([0.03, 0.0, 0.008], None, 3),
+        ([0.0, 0.03, 0.0], "nothing_grasped", 3),
+    ],
+)
+def test_the_next_grasp_is_tried_until_one_holds(
+    widths: list[float], failure: str | None, tried: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, plans = FakeArm(), list[Plan]()
+
+    def plan_shake(rods: Any, grasps: list[Grasp], *_: Any) -> Plan:
+        plans.append(Plan(grasps[0]))
+        return plans[-1]
+
+    monkeypatch.setattr(pipeline, "perceive", lambda *_: SimpleNamespace(**dict.fromkeys(_SEEN)))
+    monkeypatch.setattr(pipeline, "rank_grasps", lambda *_: list(GRASPS))
+    monkeypatch.setattr(pipeline.plant, "build_plant", lambda *_, **__: SimpleNamespace(material=TOMATO))
+    monkeypatch.setattr(pipeline.vibration, "plan_shake", plan_shake)
+    robot = replace(fake_robot(arm, Meets(*widths)), side_camera=None)
+    planner: Any = SmallPlanner()
+    planner.reach = None
+    workspace = Box(-np.ones(3), np.ones(3))
+    cell = pipeline.Cell(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
+    done = pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params())  # type: ignore[arg-type]
+    assert done.trial.failure == failure
+    assert [plan.grasp.point[2] for plan in plans] == list(HEIGHTS[:tried])
+    assert done.trial.phases[-1] == "retreat"
+    assert robot.gripper.state().opening == pipeline.execution.Params().opening
+
+
+_SEEN = ("masks", "cloud", "skeleton", "stem", "flowers")
