@@ -27,7 +27,7 @@ from anther.cloud.plausibility import cloud_doubts, coverage_doubts, refuse_grou
 from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, write_npz
-from anther.geometry import Array, Box, transform_points
+from anther.geometry import Array, Box, Intrinsics, transform_points
 from anther.masks import BACKGROUND, Masks
 
 SCHEMA = 2
@@ -269,13 +269,14 @@ def _background_cells(
     capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float, used: NDArray[Any]
 ) -> Array:
     """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
-    step = max(1, round(capture.intrinsics.fx / 160))
+    k, step = capture.intrinsics, max(1, round(capture.intrinsics.fx / 160))
+    rows = np.s_[::step, ::step]
+    height, width = capture.depth[0][rows].shape
+    coarse = Intrinsics(width, height, k.fx / step, k.fy / step, k.cx / step, k.cy / step)
 
     def background(view: int) -> Array:
-        thin = np.zeros_like(capture.depth[view])
-        rows = np.s_[::step, ::step]
-        thin[rows] = np.where(labels[view][rows] == BACKGROUND, capture.depth[view][rows], 0)
-        world = transform_points(poses[view], capture.intrinsics.back_project(thin))
+        depth = capture.depth[view][rows]
+        world = transform_points(poses[view], coarse.back_project(depth, labels[view][rows] == BACKGROUND))
         return world[box.contains(world)]
 
     with ThreadPoolExecutor(max_workers=2) as pool:

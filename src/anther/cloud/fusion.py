@@ -72,26 +72,38 @@ class Fused:
 
 def fuse_voxels(pixels: list[ViewPoints], poses: Array, box: Box, voxel: float) -> Fused:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
-    world = [transform_points(T, p.points) for T, p in zip(poses, pixels, strict=True)]
-    inside = [box.contains(w) for w in world]
 
-    def gathered(columns: list[NDArray[Any]]) -> NDArray[Any]:
-        return np.concatenate([c[k] for c, k in zip(columns, inside, strict=True)])
+    def placed(view: int) -> tuple[Array, ViewPoints]:
+        world = transform_points(poses[view], pixels[view].points)
+        inside = box.contains(world)
+        return (world, pixels[view]) if inside.all() else (world[inside], pixels[view].only(inside))
 
-    points = gathered(world)
-    normals = gathered([p.normals @ T[:3, :3].T for T, p in zip(poses, pixels, strict=True)])
-    labels, colors = gathered([p.labels for p in pixels]), gathered([p.colors for p in pixels])
+    with ThreadPoolExecutor(THREADS) as pool:
+        world, seen = zip(*pool.map(placed, range(len(poses))), strict=True)
+    points = np.concatenate(world)
     group, count = voxel_groups(points, voxel)
+    sums = np.zeros((len(count), 10))
+    first = 0
+    for view, T in zip(seen, poses, strict=True):
+        last = first + len(view.points)
+        _add_points(group[first:last], points[first:last], view.normals, view.labels, view.colors, T, sums)
+        first = last
+    means = sums / count[:, None]
+    facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
+    majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
+    return Fused(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))
 
-    def mean(values: NDArray[Any]) -> Array:
-        sums = [np.bincount(group, weights=column, minlength=len(count)) for column in values.T]
-        return np.stack(sums, axis=1) / count[:, None]
 
-    petals = np.bincount(group, weights=labels == FLOWER, minlength=len(count)) / count
-    facing = mean(normals)
-    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
-    majority = np.where(petals >= 0.5, FLOWER, PLANT).astype(np.uint8)
-    return Fused(mean(points), facing, majority, np.round(mean(colors)).astype(np.uint8))
+@numba.njit(nogil=True, cache=True)
+def _add_points(group, points, normals, labels, colors, T, sums):
+    """Add point, world normal, whether it is a flower's, and colour to the sums (N, 10) of each one's group."""
+    for n in range(group.size):
+        row = sums[group[n]]
+        for c in range(3):
+            row[c] += points[n, c]
+            row[3 + c] += T[c, 0] * normals[n, 0] + T[c, 1] * normals[n, 1] + T[c, 2] * normals[n, 2]
+            row[7 + c] += colors[n, c]
+        row[6] += labels[n] == FLOWER
 
 
 def agreeing_points(
@@ -132,6 +144,9 @@ def _add_agreement(points, depth, k, T, seen_through, balance):
         v = int(np.round(k[1] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * w + T[1, 3]) / z + k[3]))
         if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
             continue
+        if depth[v, u] > 0 and abs(depth[v, u] - z) < seen_through / 2:
+            balance[n] += 1  # of most points the pixel itself says so
+            continue
         supports, contradicts = False, True
         for j in range(v - 1, v + 2):
             for i in range(u - 1, u + 2):
@@ -158,11 +173,11 @@ def occupied_cells(points: Array, views: NDArray[Any], plant: Array, voxel: floa
     lower = np.minimum(points.min(axis=0), plant.min(axis=0)) - voxel
     index = np.floor((points - lower) / voxel).astype(np.int64)
     shape = tuple(np.maximum(index.max(axis=0), np.floor((plant.max(axis=0) - lower) / voxel).astype(np.int64)) + 2)
-    counts = np.zeros(shape, dtype=np.int64)
-    np.add.at(counts, tuple(index.T), 1)
+    cell = np.ravel_multi_index(tuple(index.T), shape)
+    counts = np.bincount(cell, minlength=int(np.prod(shape))).reshape(shape)
     first, last = np.full(shape, np.iinfo(np.int64).max), np.full(shape, -1)
-    np.minimum.at(first, tuple(index.T), views)
-    np.maximum.at(last, tuple(index.T), views)
+    np.minimum.at(first.ravel(), cell, views)
+    np.maximum.at(last.ravel(), cell, views)
     held = (counts >= 3) & (last > first)
     held[tuple(np.floor((plant - lower) / voxel).astype(np.int64).T)] = False
     parts = np.zeros(shape, dtype=np.int32)

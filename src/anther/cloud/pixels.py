@@ -37,7 +37,7 @@ def supported_pixels(
         support: least number of pixels in it, itself included, at its depth.
         tolerance: how far their depth may differ at 0.5 m [m]; it grows with z squared, as stereo noise does.
     """
-    return _supported(depth, mask, window, support, tolerance / 0.25)
+    return _supported(_inverse(depth), mask, window, support, np.float32(tolerance / 0.25))
 
 
 def pixel_normals(
@@ -53,7 +53,7 @@ def pixel_normals(
     """
     rows = np.flatnonzero(keep & (depth > 0))
     camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-    return _fitted_planes(depth, rows, camera, tolerance / 0.25)
+    return _fitted_planes(_inverse(depth), rows, camera, np.float32(tolerance / 0.25))
 
 
 def slant(points: Array, normals: NDArray[Any]) -> Array:
@@ -66,47 +66,54 @@ def slant(points: Array, normals: NDArray[Any]) -> Array:
 
 
 @numba.njit(nogil=True, cache=True)
-def _supported(depth, mask, window, least, tolerance):
-    height, width = depth.shape
-    keep = np.zeros(depth.shape, dtype=np.bool_)
+def _supported(inverse, mask, window, least, tolerance):
+    height, width = inverse.shape
+    keep = np.zeros(inverse.shape, dtype=np.bool_)
     for v in range(height):
         for u in range(width):
-            z = depth[v, u]
-            if not mask[v, u] or z <= 0:
+            if not mask[v, u] or inverse[v, u] <= 0:
                 continue
             count = 0
             for j in range(max(0, v - window), min(height, v + window + 1)):
                 for i in range(max(0, u - window), min(width, u + window + 1)):
-                    if depth[j, i] > 0 and abs(depth[j, i] - z) <= tolerance * z * z:
-                        count += 1
+                    count += abs(inverse[j, i] - inverse[v, u]) <= tolerance
             keep[v, u] = count >= least
     return keep
 
 
 @numba.njit(nogil=True, cache=True)
-def _fitted_planes(depth, rows, camera, tolerance):
+def _fitted_planes(inverse, rows, camera, tolerance):
     """Return normals (N, 3) of inverse-depth planes through the pixels' neighbours."""
-    height, width = depth.shape
+    height, width = inverse.shape
     normals = np.empty((rows.size, 3), dtype=np.float32)
     for k in range(rows.size):
         v, u = divmod(rows[k], width)
-        z = depth[v, u]
-        n = 0
-        su = sv = suu = suv = svv = sq = suq = svq = 0.0
+        middle = inverse[v, u]
+        n = su = sv = suu = suv = svv = 0
+        sq = suq = svq = np.float32(0)
         for j in range(max(0, v - FIT_WINDOW), min(height, v + FIT_WINDOW + 1)):
             for i in range(max(0, u - FIT_WINDOW), min(width, u + FIT_WINDOW + 1)):
-                if depth[j, i] > 0 and abs(depth[j, i] - z) <= tolerance * z * z:
-                    du, dv, q = i - u, j - v, 1 / depth[j, i] - 1 / z
+                q = inverse[j, i] - middle
+                if abs(q) <= tolerance:
+                    du, dv = i - u, j - v
                     n += 1
                     su, sv, sq = su + du, sv + dv, sq + q
                     suu, suv, svv = suu + du * du, suv + du * dv, svv + dv * dv
-                    suq, svq = suq + du * q, svq + dv * q
+                    suq, svq = suq + np.float32(du) * q, svq + np.float32(dv) * q
         a, b, c = suu - su * su / n + FIT_RIDGE, suv - su * sv / n, svv - sv * sv / n + FIT_RIDGE
         e, f = suq - su * sq / n, svq - sv * sq / n
         # 1/z = normal . ray; its derivatives along u and v are the normal's x and y over the focal lengths.
         x = camera[0] * (c * e - b * f) / (a * c - b * b)
         y = camera[1] * (a * f - b * e) / (a * c - b * b)
-        w = 1 / z - x * (u - camera[2]) / camera[0] - y * (v - camera[3]) / camera[1]
+        w = middle - x * (u - camera[2]) / camera[0] - y * (v - camera[3]) / camera[1]
         length = -np.sqrt(x * x + y * y + w * w)
         normals[k, 0], normals[k, 1], normals[k, 2] = x / length, y / length, w / length
     return normals
+
+
+def _inverse(depth: NDArray[Any]) -> NDArray[np.float32]:
+    """Return 1 / depth [1/m]; 0 without a reading, which is no neighbour of anything.
+
+    Differences dz of depth at z are z^2 times those of its inverse, so one tolerance for these grows as stereo noise.
+    """
+    return np.divide(1, depth, out=np.zeros(depth.shape, dtype=np.float32), where=depth > 0)
