@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fake_robot import horizontal_grasp
 from scipy.signal import find_peaks
+from small_planner import solve
 from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 
 from anther.arm import sawyer
 from anther.errors import StageFailure
 from anther.sim import plant_mechanics
 from anther.sim.blades import blades_of
-from anther.sim.cell import Cell, Params
+from anther.sim.cell import Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.tomato import grow_tomato
@@ -65,6 +67,38 @@ def test_a_tip_force_bends_a_cantilever_as_beam_theory_says() -> None:
     at_force = force * lever**3 / (3 * YOUNGS * inertia)
     theory = at_force + force * lever**2 / (2 * YOUNGS * inertia) * (LENGTH - lever)
     assert (tip(cell) - start)[0] == pytest.approx(theory, rel=0.01)
+
+
+def test_a_cantilever_without_its_weight_springs_up_by_the_droop_of_beam_theory() -> None:
+    """What hangs as generated rises by w L^4 / (8 E I) when gravity goes: weight and springs are in balance, truly."""
+    cell = Cell(cantilever((0, 1, 0), damping_ratio=0.4))
+    start = tip(cell)
+    cell.model.opt.gravity[:] = 0
+    idle(cell, 3.0)
+    inertia, area = np.pi / 4 * RADIUS**4, np.pi * RADIUS**2
+    droop = DENSITY * area * 9.81 * LENGTH**4 / (8 * YOUNGS * inertia)
+    assert (tip(cell) - start)[2] == pytest.approx(droop, rel=0.01)
+
+
+def test_a_plant_that_swings_against_a_still_arm_only_loses_energy() -> None:
+    """The stem is bent aside and let go; it strikes the gripper several times. No stroke gives energy.
+
+    Energy is compared while they are apart: touching, pads and servos store some and return it.
+    """
+    joints = solve(horizontal_grasp(np.add(BASE, [0, -0.035, 0.3]), np.zeros(7)).T_world_flange)
+    cell = Cell(straight_plant(), joints)
+    cell.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    cell.data.qpos[cell.model.jnt_qposadr[cell.mechanics.joints[:2]]] += 0.05
+    energy, apart = np.empty(600), np.empty(600, dtype=bool)
+    for i in range(600):
+        idle(cell, 0.002)
+        energy[i], apart[i] = cell.data.energy.sum(), cell.data.ncon == 0
+    strokes = np.count_nonzero(np.diff(apart.astype(int)) < 0)
+    free = energy[apart]
+    swing = free[0] - energy.min()
+    assert strokes >= 3
+    assert (free - np.minimum.accumulate(free)).max() < 0.002 * swing
+    assert free[-1] < free[0] - 0.5 * swing
 
 
 def test_the_generated_shape_neither_sags_nor_drifts() -> None:

@@ -1,0 +1,36 @@
+"""The frames of a shake show the plant that MuJoCo moves: one plant, seen and touched."""
+
+from __future__ import annotations
+
+import numpy as np
+from straight_plant import BASE, straight_plant, with_blade
+
+from anther.geometry import Intrinsics, look_at, transform_points
+from anther.sim.cell import Cell
+from anther.sim.render import Scene
+from anther.sim.robot import SimCamera
+
+CAMERA = Intrinsics(200, 160, 600.0, 600.0, 99.5, 79.5)
+
+
+def test_a_leaf_in_the_frames_is_where_the_cell_has_it() -> None:
+    leaf = np.add(BASE, [0.0, 0.05, 0.45])
+    plant = with_blade(straight_plant(), leaf, [0.0, 1.0, 0.1], segment=17)
+    cell = Cell(plant)
+    pose = look_at(leaf - [0.0, 0.5, 0.0], leaf)
+    camera = SimCamera(cell, Scene.of_plant(plant), CAMERA, lambda: pose, errors=None)
+    cell.data.qpos[cell.model.jnt_qposadr[cell.mechanics.joints[:2]]] += 0.04
+    cell.run(np.tile(cell.arm_command, (300, 1)), np.zeros((300, 7)), np.full(300, cell.grip_command))
+    camera.start(30.0)
+    cell.run(np.tile(cell.arm_command, (400, 1)), np.zeros((400, 7)), np.full(400, cell.grip_command))
+    frames = camera.stop()
+    log = cell.log()
+    seen, true = [], []
+    for frame in frames:
+        points = CAMERA.back_project(frame.depth, (frame.depth > 0.3) & (frame.depth < 0.6))
+        seen.append(transform_points(pose, points).mean(axis=0))
+        sample = int(np.argmin(np.abs(log.times - frame.time)))
+        true.append((cell.segment_poses(log.qpos[sample])[17] @ [*leaf, 1])[:3])
+    assert len(frames) >= 12
+    assert np.ptp(true, axis=0).max() > 0.005
+    np.testing.assert_allclose(seen, true, atol=0.0012)  # a pixel is 0.8 mm wide
