@@ -53,7 +53,7 @@ def pixel_normals(
     """
     rows = np.flatnonzero(keep & (depth > 0))
     camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-    return _fitted_planes(_inverse(depth), rows, camera, np.float32(tolerance / 0.25))
+    return _fitted_planes(np.pad(_inverse(depth), FIT_WINDOW), rows, camera, np.float32(tolerance / 0.25))
 
 
 def slant(points: Array, normals: NDArray[Any]) -> Array:
@@ -75,31 +75,32 @@ def _supported(inverse, mask, window, least, tolerance):
                 continue
             count = 0
             for j in range(max(0, v - window), min(height, v + window + 1)):
+                if count >= least:
+                    break
                 for i in range(max(0, u - window), min(width, u + window + 1)):
                     count += abs(inverse[j, i] - inverse[v, u]) <= tolerance
             keep[v, u] = count >= least
     return keep
 
 
-@numba.njit(nogil=True, cache=True)
+@numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})  # lets the compiler use vector instructions
 def _fitted_planes(inverse, rows, camera, tolerance):
-    """Return normals (N, 3) of inverse-depth planes through the pixels' neighbours."""
-    height, width = inverse.shape
+    """Return normals (N, 3) of inverse-depth planes through the pixels' neighbours; `inverse` has a margin."""
+    width = inverse.shape[1] - 2 * FIT_WINDOW
     normals = np.empty((rows.size, 3), dtype=np.float32)
     for k in range(rows.size):
         v, u = divmod(rows[k], width)
-        middle = inverse[v, u]
-        n = su = sv = suu = suv = svv = 0
-        sq = suq = svq = np.float32(0)
-        for j in range(max(0, v - FIT_WINDOW), min(height, v + FIT_WINDOW + 1)):
-            for i in range(max(0, u - FIT_WINDOW), min(width, u + FIT_WINDOW + 1)):
-                q = inverse[j, i] - middle
-                if abs(q) <= tolerance:
-                    du, dv = i - u, j - v
-                    n += 1
-                    su, sv, sq = su + du, sv + dv, sq + q
-                    suu, suv, svv = suu + du * du, suv + du * dv, svv + dv * dv
-                    suq, svq = suq + np.float32(du) * q, svq + np.float32(dv) * q
+        middle = inverse[v + FIT_WINDOW, u + FIT_WINDOW]
+        n = su = sv = suu = suv = svv = sq = suq = svq = np.float32(0)
+        for dv in range(-FIT_WINDOW, FIT_WINDOW + 1):
+            for du in range(-FIT_WINDOW, FIT_WINDOW + 1):
+                q = inverse[v + dv + FIT_WINDOW, u + du + FIT_WINDOW] - middle
+                w = np.float32(abs(q) <= tolerance)
+                wu, wv = w * np.float32(du), w * np.float32(dv)
+                n += w
+                su, sv, sq = su + wu, sv + wv, sq + w * q
+                suu, suv, svv = suu + wu * np.float32(du), suv + wu * np.float32(dv), svv + wv * np.float32(dv)
+                suq, svq = suq + wu * q, svq + wv * q
         a, b, c = suu - su * su / n + FIT_RIDGE, suv - su * sv / n, svv - sv * sv / n + FIT_RIDGE
         e, f = suq - su * sq / n, svq - sv * sq / n
         # 1/z = normal . ray; its derivatives along u and v are the normal's x and y over the focal lengths.
