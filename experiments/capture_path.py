@@ -1,4 +1,4 @@
-"""The way of the camera around the plant: its time, limits, torques and distances at 1 kHz, and the arm driven along it.
+"""The way of the camera around the plant: time, limits, torques, distances at 1 kHz, and the arm driven along it.
 
     python experiments/capture_path.py --json docs/results/capture_path.json [--quick]
 

@@ -26,8 +26,6 @@ GIVE = 0.03
 """Time constant of a blade's contact [s]. A blade is a membrane that bends away: with the 1-3 g that move with it this
 is a spring of 1-4 N/m, that of a strip of blade 40 mm long and 40 mm wide, 0.25 mm thick, of 50-100 MPa: 3 E I / L^3.
 What presses harder passes through it, as between the pads. An estimate."""
-FRICTION = 0.4
-"""Of a blade on plastic and metal; an estimate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +80,7 @@ def add_blades(spec: Any, plant: SimPlant, pieces: Pieces, *, contype: int, cona
             mass=0,
             contype=contype,
             conaffinity=conaffinity,
-            friction=[FRICTION, 0.005, 0.0001],
+            condim=1,
             priority=2,
             solref=[GIVE, 1.0],
             solimp=[0.5, 0.9, 0.005, 0.5, 2],
