@@ -73,7 +73,7 @@ class Params:
     speck: float = 0.02
     bridge: float = 0.15
     geodesic: geodesics.Params = field(default_factory=geodesics.Params)
-    vein: float = 4.0
+    vein: float = 2.5
     spur_per_width: float = 2.5
     spur: float = 6.0
     spacing: float | None = None

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import edge_lengths
+from anther.skeleton.raw_tree import chains, edge_lengths
 from anther.stem.params import Params
 
 STEM, BRANCH, TRUSS, LEAF = range(4)
@@ -84,21 +84,32 @@ def _flower_bearers(
 def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, params: Params) -> NDArray[np.bool_]:
     """Return (J,) which nodes lie on an axis: the rooted part of the tree with the most evidence of being slender.
 
-    Every edge gives its length times a number from -1 (blade) to 1 (axis), the lesser of two: the logarithm of how
-    much narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum
-    is found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
+    Every edge gives its length times a number from -1 (blade) to 1 (axis), the sum of two: the logarithm of how much
+    narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum is
+    found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
     """
     if skeleton.width is None:
         return np.ones(len(breadth), dtype=bool)
-    narrow = np.log(params.axis_breadth / breadth)
-    slender = np.clip(np.minimum(narrow, _roundness(skeleton, main, params)), -1, 1)
-    gain = edge_lengths(skeleton.nodes, skeleton.parent) * slender
+    length = edge_lengths(skeleton.nodes, skeleton.parent)
+    narrow = -np.log(breadth) / np.log(params.narrow)
+    gain = length * np.clip(narrow + _roundness(skeleton, main, params), -1, 1)
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):
         gain[skeleton.parent[j]] += max(gain[j], 0)
     for j in range(1, len(gain)):
         axis[j] |= axis[skeleton.parent[j]] and gain[j] > 0
+    axis[_stubs(skeleton.parent, length, axis, params.stub * stem_breadth(skeleton, main))] = False
+    axis[main] = True
     return axis
+
+
+def _stubs(parent: NDArray[Any], length: Array, axis: NDArray[np.bool_], least: float) -> NDArray[Any]:
+    """Return the nodes of the limbs whose axes are not as long as `least` [m].
+
+    Lines of a blade that part at its base begin so, and so do lines that run into a stem from a blade that touches it.
+    """
+    limbs = (chain[1:] for chain in chains(parent, length * axis)[1:])
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(j for j in limbs if length[j][axis[j]].sum() < least)])
 
 
 def _roundness(skeleton: Skeleton, main: NDArray[Any], params: Params) -> Array:

@@ -26,7 +26,8 @@ class Params:
         planar_doubt: and where it is so much less, there is no doubt (both read off the development plants).
         flat_blade: without that, a section flatter than the main stem's by this factor is as likely blade; how flat a
             round stem looks tells what noise and one-sided views do to sections.
-        axis_breadth: so is a section broader than the main stem's by this factor.
+        narrow: a section as broad as the main stem tells nothing, one narrower by this factor leaves no doubt.
+        stub: an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width.
         truss_breadth: only a node not broader than this, relative to the stem, bears flowers: pedicels broaden a truss.
         flower_reach: and only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts:
             pollination), a few millimetres of flower, and half the distance between nodes.
@@ -47,7 +48,8 @@ class Params:
     planar_blade: float = 0.65
     planar_doubt: float = 0.25
     flat_blade: float = 1.5
-    axis_breadth: float = 1.75
+    narrow: float = 4.0
+    stub: float = 2.5
     truss_breadth: float = 4.0
     flower_reach: float = 0.03
     leaf_per_flower: float = 0.02
