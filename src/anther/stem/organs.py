@@ -1,9 +1,10 @@
 """Which organ each skeleton node belongs to: main stem, branch or petiole, truss, or leaf. J nodes, F flowers.
 
-Three observations tell organs apart, whatever the plant and its size:
+Four observations tell organs apart, whatever the plant and its size:
 
 - An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
   it; a blade is broader than the stem and many times broader than thick.
+- An axis is some stem widths long; the lines of a blade may begin with a shorter piece that looks like one.
 - Nothing grows out of a blade: the axes of a plant are a connected part of the tree that holds the root.
 - A limb of a leafy plant ends in leaves or flowers. One that carries flowers and no leaf is a truss; one that carries
   neither is itself a narrow leaf, a stump or an error of the skeleton, and counts as leaf.

@@ -45,7 +45,7 @@ class Params:
     shortest: float = 0.05
     fork_share: float = 0.5
     fork_angle: float = 50.0
-    planar_blade: float = 0.65
+    planar_blade: float = 0.68
     planar_doubt: float = 0.25
     flat_blade: float = 1.5
     narrow: float = 4.0
