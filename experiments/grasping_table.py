@@ -16,6 +16,9 @@ Row = dict[str, Any]
 PAPER = {"tomato": (6, 8), "pepper": (31, 32), "": (37, 40)}
 """Grasps that succeeded, and trials, as the paper reports them (R4)."""
 PAPER_SECONDS = {"capture": 45.0, "compute": 30.0, "shake": 15.0}
+MEASURES = ("success", "stem_held", "axis_held")
+"""`success` by the judge; the main stem was held and shaken, whatever became of the plant; that, or a pepper's branch
+above the first fork, which the paper may have counted as its main stem."""
 PHASES = ("capture", "compute", "reach", "shake", "retreat")
 
 
@@ -76,7 +79,8 @@ def of_part(name: str, rows: Sequence[Row]) -> dict[str, float]:
         won = sum(row["ours"]["success"] for row in some)
         table[f"{prefix}success_{name}"] = won / len(some)
         table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"] = interval(won, len(some))
-        table[f"{prefix}grasped_{name}"] = float(np.mean([row["ours"].get("grasped", False) for row in some]))
+        for measure in MEASURES[1:]:
+            table[f"{prefix}{measure}_{name}"] = float(np.mean([row["ours"].get(measure, False) for row in some]))
         pairs = [row for row in some if row["paper"] is not None]
         if pairs:
             table |= compared(prefix, name, pairs)
@@ -97,7 +101,7 @@ def lost(performed: Row | None) -> bool:
 def compared(prefix: str, name: str, pairs: Sequence[Row]) -> dict[str, float]:
     """Return how the paper's rule did from the same captures, and McNemar's test, by either measure of success."""
     table: dict[str, float] = {}
-    for measure in ("success", "grasped"):
+    for measure in MEASURES:
         ours, theirs = ([bool(row[who].get(measure)) for row in pairs] for who in ("ours", "paper"))
         only, other, p = mcnemar(ours, theirs)
         table[f"{prefix}paper_rule_{measure}_{name}"] = float(np.mean(theirs))
@@ -152,7 +156,7 @@ def show(rows: Sequence[Row], table: dict[str, float], console: Console) -> None
         times.add_row(phase, *("" if value is None else f"{value:.1f}" for value in (theirs, *values)))
     console.print(times)
     for name in ("mcnemar_p_40", "mcnemar_p_400"):
-        for measure in ("success", "grasped"):
+        for measure in MEASURES:
             if f"{measure}_{name}" in table:
                 console.print(f"{measure}_{name}: {table[f'{measure}_{name}']:.2g}")
     if "plan_p95_s" in table:
@@ -162,13 +166,13 @@ def show(rows: Sequence[Row], table: dict[str, float], console: Console) -> None
 def _line(rows: Sequence[Row], table: dict[str, float], name: str, species: str, prefix: str) -> list[str]:
     won, trials = PAPER[species]
     low, high = table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"]
-    rule = [table.get(f"{prefix}paper_rule_{measure}_{name}") for measure in ("success", "grasped")]
+    rule = [table.get(f"{prefix}paper_rule_{measure}_{name}") for measure in MEASURES]
     return [
         name,
         species or "all",
         f"{won}/{trials} = {won / trials:.1%}",
         f"{table[f'{prefix}success_{name}']:.1%}",
         f"{low:.1%} to {high:.1%}",
-        f"{table[f'{prefix}grasped_{name}']:.1%}",
+        f"{table[f'{prefix}stem_held_{name}']:.1%}",
         *("" if share is None else f"{share:.1%}" for share in rule),
     ]

@@ -26,6 +26,7 @@ from anther.sim.judge import judge
 from anther.vibration import plan_shake
 
 COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan")
+LISTED = ("grasp_pose7", "true_held_beside")  # of a trial's summary; other lists, one number a flower, are left out
 LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
 
 
@@ -132,8 +133,9 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
         verdict = judge(cell.world, shaken, done.shake.frequency)
     except StageFailure as stopped:
         failure, shaken = stopped, None
-    row = {k: v for k, v in summarise(cell, done, verdict, failure).items() if np.ndim(v) == 0 or k == "grasp_pose7"}
-    row["grasped"] = shaken is not None and row["organ_grasped"] == "stem"
+    row = {k: v for k, v in summarise(cell, done, verdict, failure).items() if np.ndim(v) == 0 or k in LISTED}
+    row["stem_held"] = shaken is not None and row["organ_grasped"] == "stem"
+    row["axis_held"] = shaken is not None and row["organ_grasped"] in ("stem", "branch")
     if shaken is not None:
         end = cell.world.time
         assert done is not None

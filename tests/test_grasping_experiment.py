@@ -21,8 +21,8 @@ from grasping_trial import Case, one_trial
 
 def row(seed: int, *, ours: bool, paper: bool | None, preset: str = "full", first: bool = False) -> dict:
     """A trial of pepper `seed`; a failed one never shook."""
-    shaken = {"grasped": True, "reach_s": 5.0, "shake_s": 3.0, "retreat_s": 2.0}
-    failed = {"success": False, "failure": "slipped", "grasped": False}
+    shaken = {"stem_held": True, "reach_s": 5.0, "shake_s": 3.0, "retreat_s": 2.0}
+    failed = {"success": False, "failure": "slipped", "stem_held": False}
     sides = [{"success": True, "failure": None, **shaken} if won else failed for won in (ours, paper)]
     case = {"species": "pepper", "seed": seed, "viewpoint": 0, "preset": preset, "first": first}
     times = {"capture_s": 40.0, "compute_s": 4.0 if seed % 2 else 6.0, "plan_s": 0.1 * seed, "plan_cpu_s": 0.1}

@@ -45,14 +45,13 @@ def amplitude_limit(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) 
         (..., Q) amplitudes [m].
     """
     omega = 2 * np.pi * check_array("shake frequencies", np.atleast_1d(np.asarray(frequencies)), (None,))
-    load = [_slowest_motion(q, unit(direction), _weights(w))[1] for w in omega]
-    return 1 / np.stack(load, axis=-1)
+    return 1 / _slowest_motion(q, unit(direction), omega)[1]
 
 
 def joint_rates(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
     """Return the joint motions (Q, 7) [rad/m] that `amplitude_limit` counts at joints q (7,), one per frequency."""
     omega = 2 * np.pi * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))
-    return np.array([_slowest_motion(q, unit(direction), _weights(w))[0] for w in omega])
+    return _slowest_motion(q, unit(direction), omega)[0]
 
 
 def shake_trajectory(
@@ -102,7 +101,7 @@ def _joints_along(q: Array, direction: Array, amplitude: float, frequency: float
     """Return the joints as a function of the displacement [m] from -A to A."""
     count = max(4, int(np.ceil(amplitude / 5e-4)))
     d = np.linspace(0, 1.02 * amplitude, count + 1)
-    rest, elbow = sawyer.forward(q), float(_slowest_motion(q, direction, _weights(2 * np.pi * frequency))[2])
+    rest, elbow = sawyer.forward(q), float(_slowest_motion(q, direction, np.array([2 * np.pi * frequency]))[2][0])
     sides = []
     for sign in (1, -1):
         targets = np.repeat(rest[None], len(d), axis=0)
@@ -129,8 +128,9 @@ def _follow_with_elbow(q: Array, targets: Array, direction: Array, elbow: float,
     return np.array(path)
 
 
-def _weights(omega: float) -> Array:
-    """Return (7,) what a joint rate of 1 rad/m costs at angular frequency omega, in shares of its limits per metre."""
+def _weights(omega: Array) -> Array:
+    """Return (Q, 7) what a joint rate of 1 rad/m costs at angular frequencies (Q,), in shares of its limits."""
+    omega = omega[:, None]
     return np.maximum(omega / sawyer.VELOCITY, omega**2 / sawyer.ACCELERATION)
 
 
@@ -146,13 +146,17 @@ def _particular_and_null(q: ArrayLike, direction: Array) -> tuple[Array, Array]:
     return particular, null * np.sign(largest)
 
 
-def _slowest_motion(q: ArrayLike, direction: Array, weights: Array) -> tuple[Array, Array, Array]:
-    """Return the joint rates (..., 7) per metre whose worst weighted joint is least, that worst, and the null share.
+def _slowest_motion(q: ArrayLike, direction: Array, omega: Array) -> tuple[Array, Array, Array]:
+    """Return, for each angular frequency, the joint rates per metre whose worst weighted joint is least.
 
     Minimises max_i |a_i + t b_i| over t: convex and piecewise linear, so the minimum is at a zero of one term or where
     two are equal; all are tried.
+
+    Returns:
+        (..., Q, 7) rates, (..., Q) that worst, and (..., Q) the share t of the null motion.
     """
-    particular, null = _particular_and_null(q, direction)
+    particular, null = (rates[..., None, :] for rates in _particular_and_null(q, direction))
+    weights = _weights(omega)
     a, b = particular * weights, null * weights
     i, j = _PAIRS
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from anther.arm import kinematics, sawyer
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
+from anther.arm.tours import tours
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.geometry import Array, Box, inverse, look_at
 
 FAST = MotionParams(velocity_share=0.85, acceleration_share=0.7)
-COLUMN = 30.0  # degrees of azimuth walked through together
-DETOUR = 2.0  # s that a motion is taken to last longer when the straight joint line is not free: measured, 1 to 4 s
-ROUNDS = 6  # of looking for an order without such motions
+SEEDS, MORE_SEEDS = 12, 48  # of the inverse kinematics: to see whether a view can be reached, and to choose a way there
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,9 +203,10 @@ def _visit(
     in_order: bool = False,
 ) -> Views:
     azimuth, elevation = viewpoints.azimuth, viewpoints.elevation
-    choices = [viewpoints.branches[i] for i in chosen]
-    tours = _tours(planner, start, choices, None if in_order else (azimuth[chosen], elevation[chosen]))
-    ways = [_motions(planner, start, [(chosen[i], q) for i, q in tour]) for tour in tours]
+    more = _free_branches(viewpoints.T_world_cam[chosen], planner, viewpoints.T_flange_cam, MORE_SEEDS)
+    choices = [q if len(q) else viewpoints.branches[i] for i, q in zip(chosen, more, strict=True)]
+    found = tours(planner.world.path_free, start, choices, in_order=in_order)
+    ways = [_motions(planner, start, [(chosen[i], q) for i, q in tour]) for tour in found]
     kept, motions = min(ways, key=lambda way: (-len(way[0]), sum(m.duration for m in way[1])))
     at = [i for i, _ in kept]
     joints = np.array([q for _, q in kept])
@@ -223,11 +222,8 @@ def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -
     found: dict[int, Array] = {}
     for distance in params.distances:
         open_ = [i for i in range(len(grid)) if i not in found]
-        poses = [_camera_pose(region, *grid[i], distance) @ roll for i in open_ for roll in _ROLLS]
-        solved = kinematics.inverse_many(np.array(poses) @ inverse(hand_eye), seeds=12)
-        for k, i in enumerate(open_):
-            choices = np.concatenate(solved[len(_ROLLS) * k : len(_ROLLS) * (k + 1)])
-            free = choices[[planner.world.free(q) for q in choices]] if len(choices) else choices
+        poses = np.array([_camera_pose(region, *grid[i], distance) for i in open_])
+        for i, free in zip(open_, _free_branches(poses, planner, hand_eye, SEEDS), strict=True):
             if len(free):
                 found[i] = free
     if len(found) < 3:
@@ -235,6 +231,14 @@ def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -
     order = sorted(found)
     azimuth, elevation = np.array([grid[i][:2] for i in order]).T
     return Viewpoints(tuple(found[i] for i in order), azimuth, elevation, hand_eye)
+
+
+def _free_branches(T_world_cam: Array, planner: Planner, hand_eye: Array, seeds: int) -> list[Array]:
+    """Return for each of (V, 4, 4) camera poses the free joints (C, 7) that hold it, upright or upside down."""
+    poses = [T @ roll @ inverse(hand_eye) for T in T_world_cam for roll in _ROLLS]
+    solved = kinematics.inverse_many(np.array(poses).reshape(-1, 4, 4), seeds=seeds)
+    both = [np.concatenate(solved[k : k + len(_ROLLS)]) for k in range(0, len(solved), len(_ROLLS))]
+    return [choices[[planner.world.free(q) for q in choices]] if len(choices) else choices for choices in both]
 
 
 _ROLLS = (np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0]))
@@ -266,121 +270,6 @@ def _spread(rays: Array, count: int) -> list[int]:
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(rays - rays[chosen[-1]], axis=1))
     return chosen
-
-
-class _Times:
-    """Least times [s] between joints, and what is known of straight joint lines that are not free."""
-
-    def __init__(self) -> None:
-        self.blocked: list[Array] = []
-
-    def __call__(self, a: Array, b: Array) -> Array:
-        """Return (A, B) times from rest to rest, each joint at its limits; `DETOUR` more where a line is blocked."""
-        far = np.abs(a[:, None] - b[None])
-        v, acc = sawyer.VELOCITY, sawyer.ACCELERATION
-        times = np.where(far > v**2 / acc, far / v + v / acc, 2 * np.sqrt(far / acc)).max(axis=2)
-        for line in self.blocked:
-            for p, q in (line, line[::-1]):
-                rows = (a == p).all(axis=1)
-                if rows.any():
-                    times[np.ix_(rows, (b == q).all(axis=1))] += DETOUR
-        return times
-
-    def along(self, start: Array, picks: list[Array]) -> float:
-        """Return the time [s] from `start` through all."""
-        stops = np.array([start, *picks])
-        return float(np.diagonal(self(stops[:-1], stops[1:])).sum())
-
-
-def _tours(
-    planner: Planner, start: Array, choices: list[Array], directions: tuple[Array, Array] | None
-) -> list[list[tuple[int, Array]]]:
-    """Return tours of (view, joints): the shortest if all straight joint lines were free, and one along free lines.
-
-    Lines are checked only when a tour uses them, and the tour is found again with what that taught (Bohlin and Kavraki
-    2000, lazy collision checking).
-
-    Args:
-        planner: knows what is free.
-        start: (7,) joints the arm comes from.
-        choices: per view the joints (C, 7) to choose from.
-        directions: azimuth and elevation (V,) of the views [degrees]; None keeps the order.
-    """
-    times, tours, checked = _Times(), [], set[bytes]()
-    for _ in range(ROUNDS):
-        tours.append(
-            list(enumerate(_best_branches(start, choices, times)))
-            if directions is None
-            else _short_tour(start, choices, *directions, times)
-        )
-        stops = [start, *(q for _, q in tours[-1])]
-        lines = [line for line in np.stack([stops[:-1], stops[1:]], axis=1) if line.tobytes() not in checked]
-        checked |= {line.tobytes() for line in lines}
-        blocked = [line for line in lines if not planner.world.path_free(line)]
-        if not blocked:
-            break
-        times.blocked += blocked
-    free = min(tours, key=lambda tour: times.along(start, [q for _, q in tour]))
-    return [tours[0]] if free is tours[0] else [tours[0], free]
-
-
-def _short_tour(
-    start: Array, choices: list[Array], azimuth: Array, elevation: Array, times: _Times
-) -> list[tuple[int, Array]]:
-    """Return (view, joints) in an order and with branches that keep the motion short.
-
-    From columns of azimuth walked up and down, either way round, the branches are chosen for the order (shortest path
-    through the layers) and the order is improved for the branches by reversing pieces (2-opt), in turn. The better
-    result counts.
-    """
-    column = np.round(azimuth / COLUMN).astype(int)
-    serpentine = [int(i) for i in np.lexsort((elevation * (-1.0) ** column, column))]
-    tours = [_improved(start, choices, order, times) for order in (serpentine, serpentine[::-1])]
-    return min(tours, key=lambda tour: times.along(start, [q for _, q in tour]))
-
-
-def _improved(start: Array, choices: list[Array], order: list[int], times: _Times) -> list[tuple[int, Array]]:
-    picks = _best_branches(start, [choices[v] for v in order], times)
-    for _ in range(4):
-        stops = np.array([start, *picks])
-        shorter = [order[i - 1] for i in _two_opt(times(stops, stops))[1:]]
-        if shorter == order:
-            break
-        order, picks = shorter, _best_branches(start, [choices[v] for v in shorter], times)
-    return list(zip(order, picks, strict=True))
-
-
-def _two_opt(cost: Array) -> NDArray[Any]:
-    """Return an order (V,) of an open tour that starts at 0 and that no reversal of a piece makes shorter."""
-    n = len(cost)
-    order, improved = np.arange(n), True
-    while improved:
-        improved = False
-        for i in range(1, n - 1):
-            for j in range(i + 1, n):
-                before, first, last = order[i - 1], order[i], order[j]
-                gain = cost[before, first] - cost[before, last]
-                if j + 1 < n:
-                    gain += cost[last, order[j + 1]] - cost[first, order[j + 1]]
-                if gain > 1e-9:
-                    order[i : j + 1] = order[i : j + 1][::-1]
-                    improved = True
-    return order
-
-
-def _best_branches(start: Array, layers: list[Array], times: _Times) -> list[Array]:
-    """Return the joints of each layer (C, 7) on the shortest way from `start` through all."""
-    total, came = np.zeros(1), []
-    previous = start[None]
-    for layer in layers:
-        reach = total[:, None] + times(previous, layer)
-        came.append(reach.argmin(axis=0))
-        total, previous = reach.min(axis=0), layer
-    pick, joints = int(total.argmin()), []
-    for layer, back in zip(reversed(layers), reversed(came), strict=True):
-        joints.append(layer[pick])
-        pick = int(back[pick])
-    return joints[::-1]
 
 
 def _motions(

@@ -115,11 +115,9 @@ def _straight_fit(t: Array, points: Array) -> tuple[Array, Array, float]:
 def paper_edge(stem: Stem) -> tuple[float, float]:
     """Return the arc lengths [m] at which the core stem's longest edge begins and ends (P12).
 
-    The paper's skeleton is simplified to junctions and endpoints (P9), so an edge is the stem between two of them. Where
-    the stem forks, the core stem ends: either arm leaves the vertical growth axis (P11).
+    The paper's skeleton is simplified to junctions and endpoints (P9), so an edge is the stem between two of them.
     """
-    joints = np.unique(stem.arc_length[[0, *stem.attachments, stem.fork]])
-    joints = joints[joints <= stem.arc_length[stem.fork]]
+    joints = np.unique(stem.arc_length[[0, *stem.attachments, -1]])
     longest = int(np.argmax(np.diff(joints)))
     return float(joints[longest]), float(joints[longest + 1])
 
