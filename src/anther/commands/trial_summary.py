@@ -109,7 +109,7 @@ def _true(verdict: Verdict | None) -> dict[str, Any]:
         "true_joint_strain": verdict.joint_strain,
         "true_leaf_acceleration_ms2": verdict.leaf_acceleration,
         "true_effort_share": verdict.effort,
-        "true_held_beside": list(verdict.held_beside),
+        "true_held_beside": ", ".join(verdict.held_beside),
     }
 
 
