@@ -82,6 +82,23 @@ def test_compiled_newton_step_is_the_damped_least_squares_step():
     np.testing.assert_allclose(got_step, step[..., 0], atol=1e-9)
 
 
+def test_inverse_finds_the_bends_of_elbow_and_wrist_that_thirty_times_the_seeds_find():
+    """A branch is one way to bend right_j3 and right_j5; along each, the solutions form curves, which are sampled."""
+
+    def bends(q):
+        return set(map(tuple, np.sign(q[:, [3, 5]])))
+
+    rng, found, there = np.random.default_rng(0), 0, 0
+    for _ in range(15):
+        turn = rng.uniform(-1.3, 1.3)
+        point = rng.uniform([0.6, -0.1, -0.2], [0.9, 0.1, 0.3])
+        pose = flange_pose(point, [np.cos(turn), np.sin(turn), 0], (0, 0, rng.choice([-1, 1])))
+        every = bends(kinematics.inverse(pose, seeds=1500))
+        found, there = found + len(every & bends(kinematics.inverse(pose))), there + len(every)
+    assert there > 30
+    assert found >= 0.95 * there
+
+
 @pytest.mark.parametrize("approach", [(1, 0, 0), (-1, 0, 0)])
 @pytest.mark.parametrize("point", [(1.4, 0, 0.3), (5, 5, 5)])
 def test_out_of_reach_gives_no_branch(point, approach):
