@@ -64,7 +64,7 @@ def test_frame_conventions():
         assert abs(y @ g.tangent) < 1e-9
         assert abs(x @ g.tangent) == pytest.approx(1)
         np.testing.assert_allclose(p + Gripper().depth * z, g.point, atol=1e-12)
-        np.testing.assert_allclose(g.pregrasp(0.1)[:3, 3], p - 0.1 * z, atol=1e-12)
+        np.testing.assert_allclose(g.pregrasp(0.12)[:3, 3], p - 0.1 * z, atol=1e-12)
 
 
 def test_points_lie_on_the_stem_at_their_arc_length():
@@ -142,7 +142,7 @@ def test_asks_the_arm_lazily_and_keeps_its_joints():
 
     def reach(pregrasp, grasp):
         asked.append(grasp)
-        np.testing.assert_allclose(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]), 0.1)
+        np.testing.assert_allclose(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]), Params().pregrasp_distance)
         return np.arange(7.0) if grasp[2, 3] > -0.1 else None
 
     grasps = plan_grasps(*make_plant(), Params(wanted=3), reach=reach)

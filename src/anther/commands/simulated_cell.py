@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
@@ -32,6 +32,10 @@ Species = Literal["tomato", "pepper"]
 
 USUAL_DISTANCE = 0.72
 """Of the pot's axis in front of the arm [m]: where facts: sawyer 6 tabulates what the arm can shake."""
+
+BRISK = MotionParams(velocity_share=0.7, acceleration_share=0.5)
+"""How the arm moves to a grasp: between sawyer_moveit's "medium" and "fast" (facts: sawyer 1). With "fast" some motions
+pass the safety limits: flange speed, and joint acceleration where a corner is rounded."""
 
 PRESETS = {"full": ViewParams(), "fast": ViewParams(count=10, widest=75.0)}
 """How the views are sought. `fast` takes two fifths of the time: docs/views.md measures what that costs."""
@@ -161,7 +165,7 @@ def build(
         robot_side=pipeline.Cell(
             take_views=lambda advance: photograph(scene, planned.joints, seed, viewpoint, progress=advance)[0],
             plan_around=lambda cloud: Planner(
-                cloud.points, cloud.obstacles, place.solids, params=MotionParams(home=tuple(here))
+                cloud.points, cloud.obstacles, place.solids, params=replace(BRISK, home=tuple(here))
             ),
             robot=guard(robot, limits),
             workspace=place.workspace,

@@ -54,7 +54,7 @@ class Params:
         window: half length of the stem piece that gives its direction [m].
         base_margin, top_margin: stem left out at its ends [m]; each at most a quarter of the stem.
         stroke_margin: the stem must be thinner than the stroke by this [m].
-        pregrasp_distance: length of the straight way in [m].
+        pregrasp_distance: length of the straight way in [m]: `execution.Params.stand_off`, where it begins.
         obstacle_clearance: least distance of gripper from pot, soil and bench [m].
         stem_clearance: least distance of the open fingers from the stem's surface [m].
         leaf_size: leaves are counted as pieces of this size [m].
@@ -72,7 +72,7 @@ class Params:
     base_margin: float = 0.05
     top_margin: float = 0.05
     stroke_margin: float = 0.008
-    pregrasp_distance: float = 0.10
+    pregrasp_distance: float = 0.12
     obstacle_clearance: float = 0.015
     stem_clearance: float = 0.003
     leaf_size: float = 0.006
