@@ -30,9 +30,8 @@ from rich.progress import track
 
 from anther import cloud, flowers, grasp, masks, skeleton, stem
 from anther.arm.views import Params as ViewParams
-from anther.arm.views import plan_views
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.files import replacing, write_json
 from anther.geometry import Array, Box, transform_points
 from anther.sim.plant import Organ
@@ -88,8 +87,7 @@ def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Array]:
 
 def take(species: Species, seed: int) -> tuple[Capture, Array, list[Array]]:
     """Return the capture of a simulated plant, the true poses, and true plant points per view in its camera frame."""
-    place = layout(USUAL_DISTANCE)
-    joints = plan_views(place.region, place.solids, ViewParams(count=VIEWS)).joints
+    joints = views_at(USUAL_DISTANCE, ViewParams(count=VIEWS)).joints
     capture, truth = photograph(grow(species, seed, 0.0, USUAL_DISTANCE), joints, seed)
     pairs = zip(truth.depth, truth.organ, strict=True)
     return (

@@ -22,8 +22,8 @@ from rich.table import Table
 
 from anther.arm import sawyer
 from anther.arm.dynamics import USABLE
-from anther.arm.views import Views, capture_time, plan_views
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout
+from anther.arm.views import Views, capture_time
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, views_at
 from anther.devices import JointTrajectory
 from anther.files import write_json
 from anther.geometry import Box
@@ -86,9 +86,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the fast preset only")
     parser.add_argument("--seed", type=int, default=10, help="of the plant that stands there")
     args = parser.parse_args()
-    place, rows = layout(USUAL_DISTANCE), dict[str, dict[str, float]]()
+    rows = dict[str, dict[str, float]]()
     for name in ["fast"] if args.quick else list(PRESETS):
-        views = plan_views(place.region, place.solids, PRESETS[name])
+        views = views_at(USUAL_DISTANCE, PRESETS[name])
         species: Species = get_args(Species)[len(rows) % 2]
         pot = grow(species, args.seed, 0.0, USUAL_DISTANCE).pot
         width = np.array([pot.radius_top, pot.radius_top, 0])

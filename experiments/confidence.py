@@ -5,7 +5,7 @@ one side only, half the resolution, noisy or lost depth, a hidden foot, loose po
 within 5 mm of the axis of a stem, branch, petiole, rachis or truss; a stem with at least 95 % of its length within 5 mm
 of the true axis (above a fork any of the stems); a grasp within 5 mm of the true main stem (pepper: below the fork).
 
-    python experiments/confidence.py          evaluates on seeds 500 to 507 of both species
+    python experiments/confidence.py          evaluates on seeds 520 to 527 of both species
     python experiments/confidence.py --fit    fits the constants on the development seeds 10 to 17 and prints them
 
 Keys of the --json file, for <kind> of node, stem, grasp: <kind>_brier and <kind>_base_brier (that of always saying the
@@ -37,10 +37,9 @@ from skeleton_truth import AXIS, NEAR, polyline, true_samples
 
 from anther import masks
 from anther.arm.views import Params as ViewParams
-from anther.arm.views import Views, plan_views
 from anther.capture import Capture
 from anther.cloud import Cloud, fuse
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.errors import StageFailure
 from anther.files import write_json
 from anther.flowers import flower_centres
@@ -53,7 +52,7 @@ from anther.skeleton.support import node_support, probability
 from anther.stem import Stem, find_stem
 from anther.stem.confidence import DOUBTFUL, stem_evidence
 
-DEVELOPMENT, EVALUATION = range(10, 18), range(500, 508)
+DEVELOPMENT, EVALUATION = range(10, 18), range(520, 528)
 VIEWS = 12
 NODE_AXES = (Organ.STEM, Organ.BRANCH, Organ.PETIOLE, Organ.RACHIS, Organ.PEDUNCLE, Organ.PEDICEL)
 RIGHT_SHARE = 0.95
@@ -127,15 +126,10 @@ def _cloud(plant: SimPlant, name: str, draw: int, kept: Path | None) -> Cloud:
 
 
 @cache
-def _views() -> Views:
-    place = layout(USUAL_DISTANCE)
-    return plan_views(place.region, place.solids, ViewParams(count=VIEWS))
-
-
-@cache
 def photographed(species: Species, seed: int) -> Capture:
     """Return the capture of a plant as `anther trial` would take it, in VIEWS views."""
-    return photograph(grow(species, seed, 0.0, USUAL_DISTANCE), _views().joints, seed)[0]
+    views = views_at(USUAL_DISTANCE, ViewParams(count=VIEWS))
+    return photograph(grow(species, seed, 0.0, USUAL_DISTANCE), views.joints, seed)[0]
 
 
 def _sample(name: str, plant: SimPlant, cloud: Cloud) -> Sample:

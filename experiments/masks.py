@@ -33,9 +33,8 @@ from scipy.spatial import KDTree
 
 from anther import cloud, masks
 from anther.arm.views import Params as ViewParams
-from anther.arm.views import plan_views
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.files import read_json, write_json
 from anther.geometry import Box
 from anther.masks import FLOWER, Masks
@@ -66,10 +65,9 @@ PICTURED = 14  # the view shown in the picture
 
 def taken(plant: SimPlant, setting: Setting, seed: int, count: int) -> tuple[Capture, CaptureTruth, Box, Scene]:
     """Return what the arm's views of a plant show, the truth, the workspace and the scene."""
-    place = layout(USUAL_DISTANCE)
-    views = plan_views(place.region, place.solids, ViewParams(count=count))
+    views = views_at(USUAL_DISTANCE, ViewParams(count=count))
     scene = Scene.of_plant(plant, setting)
-    return *photograph(scene, views.joints, seed), place.workspace, scene
+    return *photograph(scene, views.joints, seed), layout(USUAL_DISTANCE).workspace, scene
 
 
 def score(found: Masks, capture: Capture, truth: CaptureTruth) -> dict[str, float]:

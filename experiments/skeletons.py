@@ -30,9 +30,8 @@ from skeleton_truth import Score, pooled, score, visible_flowers
 
 from anther import cloud, flowers, masks, skeleton, stem
 from anther.arm.views import Params as ViewParams
-from anther.arm.views import plan_views
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.errors import AntherError
 from anther.files import read_json, write_json
 from anther.sim.capture import CaptureTruth
@@ -65,8 +64,7 @@ TARGETS = {
 
 def take(species: Species, seed: int, views: int = VIEWS) -> tuple[SimPlant, Capture, CaptureTruth]:
     """Grow a plant in the cell and see it as `anther trial` does."""
-    place = layout(USUAL_DISTANCE)
-    planned = plan_views(place.region, place.solids, ViewParams(count=views))
+    planned = views_at(USUAL_DISTANCE, ViewParams(count=views))
     plant = grow(species, seed, 0.0, USUAL_DISTANCE)
     return plant, *photograph(plant, planned.joints, seed)
 
