@@ -45,6 +45,12 @@ def test_touching_flowers_are_told_apart() -> None:
     assert len(found.positions) == 2
 
 
+def test_small_flowers_joined_by_specks_are_told_apart() -> None:
+    specks = np.array([0.05, 0, 0.4]) + np.outer(np.arange(0, 0.036, 0.0045), [1, 0, 0])
+    small = [flower([0.05, 0, 0.4], 0.008), flower([0.086, 0, 0.4], 0.008)]
+    assert len(flower_centres(cloud_of(*small, specks))) == 2
+
+
 def test_a_flower_hangs_on_the_nearest_node() -> None:
     found = find_flowers(cloud_of(flower([0.05, 0, 0.4]), flower([-0.03, 0, 0.2])), SKELETON, STEM)
     by_x = found.attachment[np.argsort(found.positions[:, 0])]

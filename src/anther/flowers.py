@@ -164,6 +164,8 @@ def _split(cluster: Array, params: Params) -> list[Array]:
         moved = np.any(shifted != peaks[moving], axis=1)
         peaks[moving] = shifted
         moving = moving[moved]
+        if not len(moving):
+            break
     weight = tree.query_ball_point(peaks, params.reach, return_length=True)
     modes = _heaviest(peaks[np.argsort(weight)[::-1]], params.apart)
     _, owner = KDTree(modes).query(cluster)
