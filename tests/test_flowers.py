@@ -46,8 +46,8 @@ def test_touching_flowers_are_told_apart() -> None:
 
 
 def test_small_flowers_joined_by_specks_are_told_apart() -> None:
-    specks = np.array([0.05, 0, 0.4]) + np.outer(np.arange(0, 0.036, 0.0045), [1, 0, 0])
-    small = [flower([0.05, 0, 0.4], 0.008), flower([0.086, 0, 0.4], 0.008)]
+    specks = np.array([0.05, 0, 0.4]) + np.outer(np.arange(0, 0.036, 0.003), [1, 0, 0])
+    small = [flower([0.05, 0, 0.4], 0.005), flower([0.086, 0, 0.4], 0.005)]
     assert len(flower_centres(cloud_of(*small, specks))) == 2
 
 
