@@ -36,6 +36,9 @@ docs: $(DEV)  ## measure again what docs/ shows (a few hours)
 	$(BIN)/python tools/record.py experiments/views.py --figure docs/pictures/views.png
 	$(BIN)/python tools/record.py experiments/confidence.py --figure docs/pictures/confidence.png
 	$(BIN)/python tools/record.py experiments/faults.py
+	$(BIN)/python tools/record.py experiments/capture_path.py
+	$(BIN)/python tools/record.py experiments/hard_cases.py --jobs 2
+	$(BIN)/python tools/record.py benchmarks/cell.py
 	$(BIN)/python tools/record.py benchmarks/perception.py --figure docs/pictures/perception.png
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/trials.py
