@@ -64,7 +64,7 @@ def test_frame_conventions():
         assert abs(y @ g.tangent) < 1e-9
         assert abs(x @ g.tangent) == pytest.approx(1)
         np.testing.assert_allclose(p + Gripper().depth * z, g.point, atol=1e-12)
-        np.testing.assert_allclose(g.pregrasp(0.12)[:3, 3], p - 0.1 * z, atol=1e-12)
+        np.testing.assert_allclose(g.pregrasp(0.1)[:3, 3], p - 0.1 * z, atol=1e-12)
 
 
 def test_points_lie_on_the_stem_at_their_arc_length():
