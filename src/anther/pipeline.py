@@ -93,12 +93,18 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Done:
-    """What a trial did: the shake, its execution, how the flowers answered, and what that taught of the material."""
+    """What a trial did: the shake, its execution, how the flowers answered, and what that taught of the material.
+
+    Attributes:
+        material: what is believed of the plant afterwards.
+        believed: what the shake was planned with; None if unknown.
+    """
 
     shake: ShakePlan
     trial: Trial
     response: Response | None
     material: Material
+    believed: Material | None = None
 
 
 def perceive(
@@ -177,9 +183,9 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
             break
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
     if answer is None or not answer.visible.any():
-        return Done(shake, trial, answer, rods.material)
+        return Done(shake, trial, answer, rods.material, rods.material)
     learned = run.timed("learning", lambda _: refine(rods, shake, answer.amplitude, answer.amplitude_std))
-    return Done(shake, trial, answer, learned.material)
+    return Done(shake, trial, answer, learned.material, rods.material)
 
 
 def _watched(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,8 +14,8 @@ from anther.pipeline import Params
 if TYPE_CHECKING:
     from anther.commands.simulated_cell import SimulatedCell
     from anther.pipeline import Done
-    from anther.plant import Material
     from anther.sim.judge import Verdict
+    from anther.store import Belief, TrialRecord
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,10 @@ class Args:
     """Read the results of earlier stages from the run folder and go on from this stage, or 'where-it-stopped'."""
     overwrite: bool = False
     """Replace the results of an earlier run in the same folder."""
-    history: Path = Path("runs/history.sqlite")
-    """Trial history to add this trial to."""
+    history: str = "runs/history.sqlite"
+    """Trial history to learn from and to add this trial to: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
+    material: Literal["learned", "facts"] = "learned"
+    """Begin with what the history teaches of this plant or its crop, or as if nothing had ever been measured."""
     params: Params = field(default_factory=Params)
     """Parameters of the stages."""
 
@@ -55,10 +58,12 @@ def run(args: Args) -> int:
     from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run, parameters
     from anther.commands.trial_summary import print_summary, summarise
+    from anther.commands.visit_record import remember
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
     from anther.pipeline import pollinate
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
+    from anther.store import shown
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
@@ -75,22 +80,28 @@ def run(args: Args) -> int:
             do="The simulated world and its video are not kept: restart from execution.",
         )
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
+    belief, began = _belief(args), datetime.now(UTC)
+    history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
     cell = done = verdict = failure = None
     with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
         try:
             cell = run.timed("cell", lambda _: _build(args))
-            done = pollinate(cell.robot_side, _material(args.plant), run, args.params, find_masks)
+            done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks)
             verdict = run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
         summary = summarise(cell, done, verdict, failure)
         summary |= {"seconds": dict(run.seconds), "parameters": parameters(args)}
+        summary |= {"material_source": belief.source, "material_reason": belief.reason}
         write_json(run.folder / "trial.json", summary)
-        _remember(args, out, done, summary)
-    results = finish(run)
-    print_summary(results)
+        lost = remember(_record(args, out, began, summary, done), out, history)
+    print_summary(finish(run))
+    print(f"material to begin with: {belief.reason}")
+    if lost is not None:
+        print(f"anther trial: {lost}", file=sys.stderr)
     if failure is not None:
         print(f"anther trial: {failure}", file=sys.stderr)
+    if failure is not None or lost is not None:
         return 2
     return 0 if summary["success"] else 1
 
@@ -103,10 +114,17 @@ def _build(args: Args) -> SimulatedCell:
     return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance)
 
 
-def _material(species: str) -> Material:
-    from anther.plant import PEPPER, TOMATO
+def _belief(args: Args) -> Belief:
+    """Return what is believed of the plant. A history that cannot be read stops the trial before anything moves."""
+    from anther.store import Belief, facts_prior, starting_material
 
-    return PEPPER if species == "pepper" else TOMATO
+    if args.material == "facts":
+        return Belief(facts_prior(args.plant), "facts", 0, f"the facts' prior of {args.plant}, as asked for")
+    return starting_material(args.plant, _label(args), args.history)
+
+
+def _label(args: Args) -> str:
+    return f"simulated {args.seed}"
 
 
 def _judge(cell: SimulatedCell, done: Done) -> Verdict:
@@ -116,28 +134,11 @@ def _judge(cell: SimulatedCell, done: Done) -> Verdict:
     return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency)
 
 
-def _remember(args: Args, out: Path, done: Done | None, summary: dict[str, Any]) -> None:
-    """Add the trial to the history."""
-    from anther.store import TrialRecord, record_trial
+def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], done: Done | None) -> TrialRecord:
+    """Return what the history keeps of the trial."""
+    from anther.commands.visit_record import with_what_was_done
+    from anther.store import TrialRecord
 
-    grasp = {name: summary.get(f"grasp_{name}") for name in ("pose7", "arc_length_m")}
-    shake = {name: summary.get(f"shake_{name}") for name in ("amplitude_m", "frequency_hz", "direction")}
-    record_trial(
-        TrialRecord(
-            species=args.plant,
-            plant=f"simulated {args.seed}",
-            success=summary["success"],
-            failure=summary["failure"],
-            grasp={name: _listed(value) for name, value in grasp.items()},
-            shake={name: _listed(value) for name, value in shake.items()},
-            predicted_amplitude=tuple(summary.get("predicted_flower_amplitude_m", ())),
-            measured_amplitude=tuple(summary.get("measured_flower_amplitude_m", ())),
-            material=None if done is None else done.material,
-            run=str(out),
-        ),
-        args.history,
-    )
-
-
-def _listed(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else value
+    result = {"success": summary["success"], "failure": summary["failure"]}
+    record = TrialRecord(args.plant, _label(args), **result, run=str(out), time=began)
+    return record if done is None else with_what_was_done(record, done, summary["organ_grasped"])

@@ -1,0 +1,155 @@
+"""Where the history lives: one SQLite file, or a PostgreSQL server; how it is opened, locked, and what can go wrong."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, Engine, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy.orm import Session
+from sqlalchemy.pool import NullPool
+
+from anther.errors import AntherError, InputError, MissingExtra, bad_input
+from anther.store.migrations import STEPS, migrate, version
+
+DEFAULT = Path("runs/history.sqlite")
+PATIENCE = 30.0
+"""How long a writer waits for another one to finish [s]."""
+INSTALL = "pip install 'anther[postgresql]'"
+
+
+@contextmanager
+def reading(where: Path | str) -> Iterator[Session | None]:
+    """Yield a session that reads the history, brought to the newest version; None when there is no such file.
+
+    Raises:
+        InputError: no history of Anther's, or it cannot be reached.
+    """
+    url = _url(where)
+    if url.database is not None and url.drivername == "sqlite" and not Path(url.database).exists():
+        yield None
+        return
+    with _opened(url, write=False) as session:
+        yield session
+
+
+@contextmanager
+def writing(where: Path | str) -> Iterator[Session]:
+    """Yield a session that writes, and commit at the end: all or, on an error or a crash, nothing of it is there.
+
+    A SQLite file and its folder are made when they are missing. Writers wait for each other, up to `PATIENCE` seconds.
+
+    Raises:
+        InputError: no history of Anther's, or it cannot be written: locked, full, forbidden, out of reach.
+    """
+    url = _url(where)
+    with _opened(url, write=True) as session:
+        yield session
+        session.commit()
+
+
+def shown(where: Path | str) -> str:
+    """Return the history's place for people and files: without a password."""
+    url = _url(where)
+    return str(url.database) if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
+
+
+def _url(where: Path | str) -> URL:
+    """Return the database's URL: a path is a SQLite file."""
+    if isinstance(where, Path) or "://" not in where:
+        return URL.create("sqlite", database=str(where))
+    try:
+        url = make_url(where)
+    except ArgumentError as error:
+        raise _refused("history", where.split(":")[0] + "://...", "Check the address.") from error
+    if url.get_backend_name() not in ("postgresql", "postgres", "sqlite"):
+        raise _refused("history", url.render_as_string(), "Other databases were never tested.")
+    return url.set(drivername="sqlite" if url.get_backend_name() == "sqlite" else "postgresql+psycopg")
+
+
+def _refused(what: str, given: str, do: str) -> InputError:
+    return bad_input(what, given=given, allowed="a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE", do=do)
+
+
+@contextmanager
+def _opened(url: URL, *, write: bool) -> Iterator[Session]:
+    engine = None
+    try:
+        engine = _engine(url)
+        _bring_up_to_date(engine)
+        with Session(engine.execution_options(write=write), expire_on_commit=False) as session:
+            yield session
+    except (SQLAlchemyError, OSError) as error:
+        if isinstance(error, AntherError):
+            raise
+        raise _explained(url, error) from error
+    finally:
+        if engine is not None:
+            engine.dispose()
+
+
+def _engine(url: URL) -> Engine:
+    write = partial(json.dumps, allow_nan=False)
+    if url.drivername != "sqlite":
+        options = f"{url.query.get('options', '')} -c lock_timeout={PATIENCE:.0f}s"  # added to those of the address
+        arguments = {"connect_timeout": 10, "options": options}
+        try:
+            return create_engine(url, poolclass=NullPool, connect_args=arguments, json_serializer=write)
+        except ImportError as error:
+            raise MissingExtra(f"history: PostgreSQL needs psycopg. Install it with: {INSTALL}") from error
+    if url.database:
+        Path(url.database).parent.mkdir(parents=True, exist_ok=True)
+    engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": PATIENCE}, json_serializer=write)
+    event.listen(engine, "connect", _configure_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _configure_sqlite(connection: Any, _: Any) -> None:
+    """Write-ahead log, flushed to the disk at every commit, and references that are checked."""
+    connection.isolation_level = None  # sqlite3 would begin transactions itself, and late: see _begin_sqlite
+    deadline = time.monotonic() + PATIENCE
+    while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+        except connection.OperationalError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.02)
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("PRAGMA foreign_keys=ON")
+
+
+def _begin_sqlite(connection: Any) -> None:
+    """A writer takes its lock at once: two that had both read first could not both go on, whatever their patience."""
+    write = connection.get_execution_options().get("write", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
+
+
+def _bring_up_to_date(engine: Engine) -> None:
+    with engine.connect() as connection:
+        if version(connection) == len(STEPS):
+            return
+    with engine.execution_options(write=True).begin() as connection:
+        migrate(connection)
+
+
+def _explained(url: URL, error: Exception) -> InputError:
+    cause = str(getattr(error, "orig", None) or error).strip()
+    advice = {
+        "locked": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
+        "lock timeout": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
+        "full": "Nothing was changed: free some space and try again.",
+        "No space left": "Nothing was changed: free some space and try again.",
+        "readonly": "Nothing was changed: ask for the right to write there.",
+        "connection": "Is the server running and does it accept you? Nothing was changed.",
+    }
+    do = next((text for word, text in advice.items() if word in cause), "Check path, free space and rights.")
+    place = url.database if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
+    return _refused(f"trial history {place}", cause, do)

@@ -1,0 +1,209 @@
+"""What the history keeps, as plain records: a trial with its grasp, shake and flowers, and an outcome. SI units."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, fields
+from datetime import UTC, date, datetime
+from typing import Any
+
+import numpy as np
+
+from anther.checks import check_array, check_range
+from anther.errors import bad_input
+from anther.plant import Material
+
+MOTIONS = (
+    "predicted_amplitude",
+    "measured_amplitude",
+    "measured_amplitude_std",
+    "predicted_acceleration",
+    "measured_acceleration",
+)
+"""What is kept of every flower; NaN where unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class GraspRecord:
+    """Where the plant was held.
+
+    Attributes:
+        arc_length: along the main stem above its root [m].
+        stem_diameter: as measured [m].
+        confidence: probability that it is the main stem.
+        organ: what the pads held, as judged afterwards.
+        pose7: flange pose: x, y, z [m], quaternion x, y, z, w.
+    """
+
+    arc_length: float | None = None
+    stem_diameter: float | None = None
+    confidence: float | None = None
+    organ: str | None = None
+    pose7: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        _finite(self, "grasp", ("arc_length", "stem_diameter", "confidence"))
+        if self.pose7 is not None:
+            object.__setattr__(self, "pose7", _tuple("pose7", self.pose7, 7))
+
+
+@dataclass(frozen=True, slots=True)
+class ShakeRecord:
+    """How it was shaken.
+
+    Attributes:
+        frequency: [Hz].
+        amplitude: of the grip, half of peak to peak [m].
+        duration: [s].
+        waveform: e.g. "sine".
+        direction: (3,) unit vector, world.
+    """
+
+    frequency: float
+    amplitude: float
+    duration: float | None = None
+    waveform: str | None = None
+    direction: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        _finite(self, "shake", ("frequency", "amplitude", "duration"))
+        if self.direction is not None:
+            object.__setattr__(self, "direction", _tuple("shake direction", self.direction, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrialRecord:
+    """One visit to a plant as the history keeps it. F flowers; the motions have F entries each or none.
+
+    Attributes:
+        species: "tomato", "pepper", or whatever the user calls the crop.
+        plant: label of the plant: a row and number in the greenhouse, or the seed of a simulated one.
+        success: whether the shake was carried out and no limit was passed.
+        failure: kind of failure (`errors.FailureKind`), or None.
+        grasp, shake: None where it never came to that.
+        predicted_amplitude, measured_amplitude, measured_amplitude_std: (F,) [m]; NaN where not measurable.
+        predicted_acceleration, measured_acceleration: (F,) peaks [m/s2].
+        believed: of the plant's material before the shake.
+        material: what was believed of it afterwards. None if unknown.
+        run: its run folder, or None.
+        time: when it began.
+        id: the visit's number, given by the history; None before it is recorded.
+    """
+
+    species: str
+    plant: str
+    success: bool
+    failure: str | None = None
+    grasp: GraspRecord | None = None
+    shake: ShakeRecord | None = None
+    predicted_amplitude: tuple[float, ...] = ()
+    measured_amplitude: tuple[float, ...] = ()
+    measured_amplitude_std: tuple[float, ...] = ()
+    predicted_acceleration: tuple[float, ...] = ()
+    measured_acceleration: tuple[float, ...] = ()
+    believed: Material | None = None
+    material: Material | None = None
+    run: str | None = None
+    time: datetime = field(default_factory=lambda: datetime.now(UTC))
+    id: int | None = None
+
+    def __post_init__(self) -> None:
+        _labels(self.species, self.plant)
+        if self.time.tzinfo is None:
+            raise bad_input("trial time", given="a time without zone", allowed="a time with zone", do="Use UTC.")
+        counts = {len(getattr(self, name)) for name in MOTIONS} - {0}
+        if len(counts) > 1:
+            raise bad_input("flowers", given=f"motions of {sorted(counts)} flowers", allowed="one number", do="Check.")
+
+    @property
+    def flowers(self) -> int:
+        """How many flowers were predicted or measured."""
+        return max(len(getattr(self, name)) for name in MOTIONS)
+
+    @property
+    def measured(self) -> bool:
+        """Whether any flower's motion was measured."""
+        return any(np.isfinite(self.measured_amplitude))
+
+    def motions(self) -> dict[str, tuple[float, ...]]:
+        """Return name of `MOTIONS` -> (F,) values, NaN where unknown."""
+        return {name: getattr(self, name) or (float("nan"),) * self.flowers for name in MOTIONS}
+
+    def plain(self) -> dict[str, Any]:
+        """Return the record as JSON can hold it; `TrialRecord.of` reads it back."""
+        return {**asdict(self), "time": self.time.isoformat()}
+
+    @staticmethod
+    def of(plain: dict[str, Any]) -> TrialRecord:
+        """Read `plain` back.
+
+        Raises:
+            InputError: it is no such record.
+        """
+        try:
+            values: dict[str, Any] = dict(plain) | {name: _numbers(plain.get(name) or ()) for name in MOTIONS}
+            values["time"] = datetime.fromisoformat(plain["time"])
+            for name, kind in (("grasp", GraspRecord), ("shake", ShakeRecord)):
+                values[name] = None if plain.get(name) is None else kind(**plain[name])
+            for name in ("believed", "material"):
+                values[name] = material_of(plain.get(name))
+            return TrialRecord(**values)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise bad_input(
+                "record of a trial", given=f"{error!r}", allowed="what a trial wrote", do="Check."
+            ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Fruit set, counted later by the grower.
+
+    Attributes:
+        species, plant: as in the trials.
+        flowers: flowers that were open when the plant was visited, and could have set.
+        fruit: how many of them did.
+        date: of the count.
+        visit: the one visit it belongs to; None: all visits of the plant since its previous count.
+        note: anything.
+        id: given by the history.
+    """
+
+    species: str
+    plant: str
+    flowers: int
+    fruit: int
+    date: date
+    visit: int | None = None
+    note: str = ""
+    id: int | None = None
+
+    def __post_init__(self) -> None:
+        _labels(self.species, self.plant)
+        check_range("flowers", self.flowers, 1, 100_000)
+        check_range("fruit", self.fruit, 0, self.flowers)
+
+
+def material_of(values: dict[str, Any] | None) -> Material | None:
+    """Return a stored material; what this version does not know of is left out."""
+    known = {f.name for f in fields(Material)}
+    return None if values is None else Material(**{name: v for name, v in values.items() if name in known})
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(float("nan") if v is None else float(v) for v in values)
+
+
+def _labels(species: str, plant: str) -> None:
+    for name, value in (("species", species), ("plant", plant)):
+        if not 0 < len(value) <= 200:
+            raise bad_input(name, given=f"{len(value)} characters", allowed="1 to 200", do="Name it briefly.")
+
+
+def _finite(record: Any, what: str, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(record, name)
+        if value is not None:
+            object.__setattr__(record, name, check_range(f"{what} {name}", value, -1e9, 1e9))
+
+
+def _tuple(name: str, values: Any, count: int) -> tuple[float, ...]:
+    return tuple(check_array(name, values, (count,)).tolist())
