@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from grasping_trial import Memory, performed, watched
+from grasping_trial import Memory, notes, performed, watched
 from hard_plants import denser, leaning, sway, swaying, two_stems
 from rich.console import Console
 from rich.progress import track
@@ -139,12 +139,22 @@ def one_trial(case: Case, out: Path) -> dict[str, Any]:
             run = Memory(out)
             cell, swayed = cell_of(case)
             material = PEPPER if case.species == "pepper" else TOMATO
-            row, _ = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
+            row, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
+            row |= {"sway_m": swayed, "attempts": run.tries["execution"], "notes": notes(run)}
+            row["beside_stem_m"] = None if done is None else beside_stem(cell.plant, done.shake.grasp.point)
         except Exception as error:  # one trial's bug must not end all others
             crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
             return asdict(case) | crash
-        write_json(file, asdict(case) | row | {"sway_m": swayed, "attempts": run.tries["execution"]})
+        write_json(file, asdict(case) | row)
     return read_json(file)
+
+
+def beside_stem(plant: SimPlant, point: Array) -> float:
+    """Return the distance of a point (3,) from the main stem's true centreline [m]."""
+    line, _, along = plant.stem_centreline()
+    fine = np.linspace(0, along[-1], 1000)
+    dense = np.column_stack([np.interp(fine, along, x) for x in line.T])
+    return float(np.linalg.norm(dense - point, axis=1).min())
 
 
 def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -165,10 +175,15 @@ def show(rows: list[dict[str, Any]], console: Console) -> None:
     table = Table("case", "success", "failures")
     for kind in CASES:
         some = [row for row in rows if row["kind"] == kind]
-        why = [f"{row['species']} {row['seed']}: {row['message']}" for row in some if not row["success"]]
+        why = [f"{row['species']} {row['seed']}: {row['message']}{_aim(row)}" for row in some if not row["success"]]
         if some:
             table.add_row(kind, f"{len(some) - len(why)} of {len(some)}", "\n".join(why))
     console.print(table)
+
+
+def _aim(row: dict[str, Any]) -> str:
+    off = row.get("beside_stem_m")
+    return "" if off is None else f" (aimed {1000 * off:.0f} mm beside the main stem's axis)"
 
 
 def main() -> None:

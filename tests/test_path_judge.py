@@ -9,8 +9,8 @@ from anther.arm import sawyer
 from anther.arm.collision import CollisionWorld
 from anther.arm.dynamics import USABLE
 from anther.arm.planner import Planner
-from anther.arm.views import Views, capture_time, plan_views
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, layout
+from anther.arm.views import Params, Views, capture_time, plan_views
+from anther.commands.simulated_cell import USUAL_DISTANCE, layout
 from anther.geometry import Box
 from anther.sim.path_judge import SELF, SIGHT, Surroundings, judge_path
 
@@ -21,7 +21,7 @@ POT = Box(np.array([0.62, -0.1, -0.48]), np.array([0.82, 0.1, -0.30]))
 
 @pytest.fixture(scope="module")
 def views() -> Views:
-    return plan_views(PLACE.region, PLACE.solids, PRESETS["fast"])
+    return plan_views(PLACE.region, PLACE.solids, Params(count=6, azimuth_step=30, widest=75.0, distances=(0.58,)))
 
 
 def test_both_engines_agree_on_what_is_free() -> None:
@@ -37,7 +37,7 @@ def test_both_engines_agree_on_what_is_free() -> None:
     assert (nearest[~free] < SIGHT).mean() > 0.5  # the rest met the floor, which MuJoCo has not
 
 
-def test_the_capture_keeps_limits_and_distance_every_millisecond(views: Views) -> None:
+def test_a_capture_keeps_limits_and_distance_every_millisecond(views: Views) -> None:
     around = Surroundings({"bench": PLACE.solids[0]}, {"pot": POT, "plant": PLACE.region})
     verdict = judge_path(views.motions, around, every=5)
     assert verdict.room > 0
