@@ -10,6 +10,7 @@ from anther.arm import kinematics, sawyer, shaking, timing
 from anther.arm.collision import CollisionWorld
 from anther.arm.newton import newton_step
 from anther.arm.planner import Planner
+from anther.devices import JointTrajectory
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, transform
 
@@ -68,6 +69,24 @@ def test_inverse_branches_differ_and_near_comes_first():
     gaps = np.abs(branches[:, None] - branches[None]).max(axis=2) + np.eye(len(branches))
     assert gaps.min() > kinematics.SAME
     assert len(branches) > 10
+
+
+def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():
+    t = np.linspace(0, 1, 200)
+    share = 10 * t**3 - 15 * t**4 + 6 * t**5
+    way = np.array([0.8, 0, 0, 0, 0, 0, 0])
+    rate = 30 * t**2 - 60 * t**3 + 30 * t**4
+    motion = JointTrajectory(t, sawyer.NEUTRAL + share[:, None] * way, rate[:, None] * way)
+    speed = timing.flange_speed(motion)
+    calm = timing.slowed(motion, 0.5 * speed)
+    assert timing.flange_speed(calm) == pytest.approx(0.5 * speed, rel=1e-6)
+    assert calm.duration == pytest.approx(2 * motion.duration)
+    np.testing.assert_array_equal(calm.positions, motion.positions)
+    assert timing.slowed(motion, 2 * speed).duration == pytest.approx(motion.duration)
+    hasty = JointTrajectory(t / 4, motion.positions, 4 * motion.velocities)
+    slow = timing.slowed(hasty, 100.0)
+    acceleration = CubicHermiteSpline(slow.times, slow.positions, slow.velocities)(slow.times, 2)
+    assert 0.9 < np.abs(acceleration / sawyer.ACCELERATION).max() <= 1
 
 
 def test_compiled_newton_step_is_the_damped_least_squares_step():

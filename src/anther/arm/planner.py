@@ -36,6 +36,7 @@ class Params:
     Attributes:
         velocity_share, acceleration_share: of the joints' limits in free motion; the defaults are about sawyer_moveit's
             "medium" (facts: sawyer 1).
+        flange_speed: of the flange in free motion at most [m/s]; just within `devices.SafetyLimits`.
         approach_speed: of the flange along straight lines [m/s].
         line_step: spacing of the poses along a straight line [m].
         back_out: how far the gripper draws back out of leaves before it moves freely [m].
@@ -47,6 +48,7 @@ class Params:
 
     velocity_share: float = 0.5
     acceleration_share: float = 0.35
+    flange_speed: float = 1.45
     approach_speed: float = 0.05
     line_step: float = 0.003
     back_out: float = 0.3
@@ -193,9 +195,9 @@ class Planner:
         shares = self.params.velocity_share, self.params.acceleration_share
         motion = timing.fastest(self.world.scene, path, *shares)
         within = timing.limit_share(motion) <= 1.05 * max(shares)
-        if within and (len(path) == 2 or self.world.path_free(motion.positions[::4])):
-            return motion
-        return timing.stopping(self.world.scene, path, *shares)
+        if not within or (len(path) > 2 and not self.world.path_free(motion.positions[::4])):
+            motion = timing.stopping(self.world.scene, path, *shares)
+        return timing.slowed(motion, self.params.flange_speed)
 
     def _path(self, start: Array, goal: Array) -> Array:
         """Return waypoints (N, 7): the straight joint line, or else RRT-Connect's, shortened if that stays free."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from roboplan.core import JointPath, Scene
 from roboplan.toppra import PathParameterizerTOPPRA, SplineFittingMode, TOPPRAOptions
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from anther.arm import sawyer
 from anther.arm.collision import GROUP
@@ -71,6 +71,24 @@ def limit_share(trajectory: JointTrajectory) -> float:
     return float(
         max(np.abs(trajectory.velocities / sawyer.VELOCITY).max(), np.abs(acceleration / sawyer.ACCELERATION).max())
     )
+
+
+def slowed(trajectory: JointTrajectory, flange_limit: float) -> JointTrajectory:
+    """Return the same motion, evenly slowed down where the flange [m/s] or a joint's acceleration is beyond its limit.
+
+    TOPP-RA's samples keep the joints' limits; between them a cubic, as a controller interpolates, may not.
+    """
+    curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
+    ends = np.abs([curve(trajectory.times[:-1], 2), curve(np.nextafter(trajectory.times[1:], 0), 2)])
+    jolt = np.sqrt((ends / sawyer.ACCELERATION).max() / 0.98)
+    factor = max(1.0, float(jolt), flange_speed(trajectory) / flange_limit)
+    return JointTrajectory(trajectory.times * factor, trajectory.positions, trajectory.velocities / factor)
+
+
+def flange_speed(trajectory: JointTrajectory) -> float:
+    """Return the greatest speed of the flange [m/s]."""
+    at = sawyer.forward(trajectory.positions)[:, :3, 3]
+    return float((np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(trajectory.times)).max())
 
 
 def joined(parts: list[JointTrajectory]) -> JointTrajectory:
