@@ -19,8 +19,8 @@ from anther.errors import StageFailure
 from anther.execution import execute
 from anther.files import read_json, write_json
 from anther.grasp.paper import paper_grasp
-from anther.pipeline import Done, Params, Seen, pollinate
-from anther.plant import PEPPER, TOMATO, Material, build_plant
+from anther.pipeline import Done, Params, Seen, model_plant, pollinate
+from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
 from anther.sim.judge import judge
 from anther.vibration import plan_shake
@@ -152,7 +152,7 @@ def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     planner = cell.robot_side.plan_around(seen.cloud)
     assert isinstance(planner, Planner)
     grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
-    rods = build_plant(seen.skeleton, seen.stem, seen.flowers, seen.cloud, material, params=params.plant)
+    rods = model_plant(seen, material, params)
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
     shake = plan_shake(rods, [grasp], limit, replace(params.vibration, least_amplitude=LEAST_SHAKE))
     robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)

@@ -9,6 +9,7 @@ from scipy.interpolate import CubicHermiteSpline
 from anther.arm import kinematics, sawyer, shaking, timing
 from anther.arm.collision import CollisionWorld
 from anther.arm.newton import newton_step
+from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
 from anther.devices import JointTrajectory
 from anther.errors import InputError, StageFailure
@@ -69,6 +70,18 @@ def test_inverse_branches_differ_and_near_comes_first():
     gaps = np.abs(branches[:, None] - branches[None]).max(axis=2) + np.eye(len(branches))
     assert gaps.min() > kinematics.SAME
     assert len(branches) > 10
+
+
+def test_free_motion_stays_within_its_space():
+    around = np.eye(7)[0]
+    here, there = sawyer.NEUTRAL + 0.6 * around, sawyer.NEUTRAL - 1.3 * around
+    straight = Planner(NOTHING, NOTHING).move(here, there)
+    farthest = sawyer.forward(straight.positions)[:, 0, 3].max()
+    wide, narrow = (Box(np.full(3, -2.0), np.array([x, 2.0, 2.0])) for x in (farthest + 0.01, farthest - 0.02))
+    assert Planner(NOTHING, NOTHING, space=wide).move(here, there).duration == pytest.approx(straight.duration)
+    quick = MotionParams(search_time=0.1)
+    with pytest.raises(StageFailure, match="no free path"):  # the search finds the straight line again
+        Planner(NOTHING, NOTHING, space=narrow, params=quick).move(here, there)
 
 
 def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from anther.cloud import Cloud
-from anther.flowers import Flowers, find_flowers, flower_centres
+from anther.flowers import SUPPOSED, Flowers, find_flowers, flower_centres, supposed_flowers
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
-from anther.stem import TRUSS, Stem, find_stem
+from anther.stem import BRANCH, TRUSS, Stem, find_stem
 
 Z = np.linspace(0, 0.5, 51)
 SKELETON = Skeleton(
@@ -101,3 +101,13 @@ def test_save_and_load(tmp_path) -> None:
     again = Flowers.load(tmp_path / "flowers.npz")
     assert np.array_equal(again.positions, found.positions)
     assert np.array_equal(again.attachment, found.attachment)
+
+
+def test_flowers_nobody_saw_are_supposed_at_the_ends_of_trusses_or_branches_or_else_the_stem() -> None:
+    side = np.array([*[0] * 51, BRANCH, BRANCH], dtype=np.uint8)
+    for organ, carrier in ((np.where(side, TRUSS, side), 52), (side, 52), (0 * side, 50)):
+        plant = Stem(STEM.node_ids, STEM.arc_length, STEM.attachments, organ.astype(np.uint8))
+        found = supposed_flowers(SKELETON, plant)
+        assert found.attachment.tolist() == [carrier]
+        assert np.linalg.norm(found.positions[0] - SKELETON.nodes[carrier]) == pytest.approx(SUPPOSED)
+        assert "no flower was seen" in found.notes[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from anther import cloud, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
@@ -24,7 +24,9 @@ from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.vibration import ShakePlan
 
-TRY_THE_NEXT: tuple[FailureKind, ...] = ("nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision")
+TRY_THE_NEXT: tuple[FailureKind, ...] = (
+    "nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision", "limits_exceeded",
+)  # fmt: skip
 """How one grasp can fail so that another may still succeed."""
 
 
@@ -152,6 +154,13 @@ def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params)
     )
 
 
+def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
+    """Return the plant as rods with the flowers that were seen, or else with those supposed; a note says so."""
+    hung = seen.flowers if len(seen.flowers.positions) else flowers.supposed_flowers(seen.skeleton, seen.stem)
+    rods = plant.build_plant(seen.skeleton, seen.stem, hung, seen.cloud, material, params=params.plant)
+    return rods if hung is seen.flowers else replace(rods, notes=(*hung.notes, *rods.notes))
+
+
 def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_masks: FindMasks | None = None) -> Done:
     """See, grasp and shake one plant, and measure how its flowers answer.
 
@@ -171,11 +180,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     seen = perceive(capture, cell.workspace, run, params, find_masks)
     planner = cell.plan_around(seen.cloud)
     grasps = rank_grasps(seen, planner.reach, run, params)
-    rods = run.stage(
-        "plant model",
-        PlantModel.load,
-        lambda _: plant.build_plant(seen.skeleton, seen.stem, seen.flowers, seen.cloud, material, params=params.plant),
-    )
+    rods = run.stage("plant model", PlantModel.load, lambda _: model_plant(seen, material, params))
     while True:
         shake, trial = _shake_once(cell, planner, rods, grasps, run, params=params)
         grasps = [g for i, g in enumerate(grasps) if i != shake.grasp_index]
@@ -193,7 +198,7 @@ def _watched(
 ) -> Response | None:
     """Measure the flowers' motion in the side camera's frames; None when there are none."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
-    if camera is None or pose is None or not trial.frames:
+    if camera is None or pose is None or not trial.frames or not len(found.positions):
         return None
     return run.stage(
         "response",

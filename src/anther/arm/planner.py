@@ -71,13 +71,20 @@ class Planner:
         plant: (N, 3) plant points, world [m]. The arm never touches them; gripper and camera may on straight lines.
         obstacles: (M, 3) points of pot, soil and bench [m]. Nothing ever touches them.
         boxes: solid boxes, such as the bench; the floor is always there.
+        space: box that the flange does not leave in free motion; None is no limit.
         params: see `Params`.
     """
 
     def __init__(
-        self, plant: ArrayLike, obstacles: ArrayLike, boxes: Sequence[Box] = (), *, params: Params = Params()
+        self,
+        plant: ArrayLike,
+        obstacles: ArrayLike,
+        boxes: Sequence[Box] = (),
+        *,
+        space: Box | None = None,
+        params: Params = Params(),
     ) -> None:
-        self.params = params
+        self.params, self.space = params, space
         points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
         self.world = CollisionWorld(*points, boxes)
 
@@ -202,16 +209,24 @@ class Planner:
     def _path(self, start: Array, goal: Array) -> Array:
         """Return waypoints (N, 7): the straight joint line, or else RRT-Connect's, shortened if that stays free."""
         straight = np.stack([start, goal])
-        if self.world.path_free(straight):
+        if self._inside(straight) and self.world.path_free(straight):
             return straight
         for attempt in range(SEARCHES):
             step, seed = SEARCH_STEP / 2**attempt, self.params.seed + attempt
             found = self._search(start, goal, self.params.search_time, step, seed)
             for path in self._variants(found, step, seed):
-                if self.world.path_free(path):
+                if self._inside(path) and self.world.path_free(path):
                     return path
         given = f"no free path found in {SEARCHES * self.params.search_time:g} s to joints {goal.round(2)}"
         raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
+
+    def _inside(self, path: Array) -> bool:
+        """Return whether the flange stays within its space along straight joint lines between (N, 7)."""
+        if self.space is None:
+            return True
+        lines = zip(path, path[1:], strict=False)
+        q = np.concatenate([np.linspace(a, b, int(np.abs(b - a).max() / SEARCH_STEP) + 2) for a, b in lines])
+        return bool(self.space.contains(sawyer.forward(q)[:, :3, 3]).all())
 
     def _variants(self, found: JointPath | None, step: float, seed: int) -> Iterator[Array]:
         """Yield waypoints (N, 7) of a path that was found: shortened, and as it is."""

@@ -165,7 +165,11 @@ def build(
         robot_side=pipeline.Cell(
             take_views=lambda advance: photograph(scene, planned.joints, seed, viewpoint, progress=advance)[0],
             plan_around=lambda cloud: Planner(
-                cloud.points, cloud.obstacles, place.solids, params=replace(BRISK, home=tuple(here))
+                cloud.points,
+                cloud.obstacles,
+                place.solids,
+                space=place.arm_space,
+                params=replace(BRISK, home=tuple(here)),
             ),
             robot=guard(robot, limits),
             workspace=place.workspace,
