@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from types import ModuleType
 
 COMMANDS = {
@@ -15,6 +16,9 @@ COMMANDS = {
     "respond": "map how flowers answer shakes of a skeleton or run, over grip height and frequency",
     "identify": "bench measurements of a stem -> density, stiffness, damping, with uncertainty",
     "calibrate": "images of a board and flange poses -> where the camera sits on the flange, and how well it is known",
+    "history": "list the trials, filter them, export them as CSV or Parquet",
+    "outcome": "record how many flowers of a plant or visit set fruit",
+    "fruit-set": "what the counts of fruit set teach of the dose-response, and what they do not",
     "view": "open a run in the 3-D viewer, or write it to one HTML file",
     "export": "a run's skeleton -> PLY, SWC, GraphML, MTG (OpenAlea) or glTF, by the file's suffix",
     "import-capture": "COLMAP, RealSense or ROS bags, MCAP -> a capture folder; fused PLY -> a cloud",
@@ -62,30 +66,7 @@ def _run(name: str, words: list[str]) -> int:
 
 def _module(name: str) -> ModuleType:
     """Import only the chosen command, so that the others cost nothing."""
-    match name:
-        case "trial":
-            from anther.commands import trial as command
-        case "reconstruct":
-            from anther.commands import reconstruct as command
-        case "skeletonize":
-            from anther.commands import skeletonize as command
-        case "shake":
-            from anther.commands import shake as command
-        case "respond":
-            from anther.commands import respond as command
-        case "identify":
-            from anther.commands import identify as command
-        case "calibrate":
-            from anther.commands import calibrate as command
-        case "view":
-            from anther.commands import view as command
-        case "export":
-            from anther.commands import export as command
-        case "import-capture":
-            from anther.commands import import_capture as command
-        case _:
-            from anther.commands import convert_kinect as command
-    return command
+    return import_module(f"anther.commands.{name.replace('-', '_')}")
 
 
 def _overview() -> str:

@@ -81,7 +81,7 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     count = len({t.plant for t in trials})
     if not count:
         crop = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
-        return Belief(facts, "facts", 0, f"the facts' prior of {crop}; no {species} was measured yet")
+        return Belief(facts, "facts", 0, f"the facts' prior of {crop}; no plant has taught anything yet")
     return Belief(crop_prior(trials, facts), "crop", count, f"learned from {_count(count, f'other {species} plant')}")
 
 

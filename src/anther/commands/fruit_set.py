@@ -1,0 +1,108 @@
+"""What the counts of fruit set teach of the dose-response, with its uncertainty, and what they do not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+if TYPE_CHECKING:
+    from anther.fruit_set import FruitSet
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: which history and crop, and how the answer is wanted."""
+
+    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
+    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
+    species: str = "tomato"
+    """The crop."""
+    figure: Path | None = None
+    """Draw the dose-response there (.png)."""
+    json: bool = False
+    """Print the result as JSON."""
+
+
+ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
+"""At which the table gives P(set) [m/s2]: from nothing to a bee's buzz."""
+
+
+def run(args: Args) -> None:
+    """Fit and print; draw when asked to.
+
+    Raises:
+        InputError: a history that cannot be read.
+    """
+    from anther.files import replacing
+    from anther.fruit_set import PRIORS, counts_of, fit
+    from anther.store import read_outcomes, read_trials
+
+    outcomes = read_outcomes(args.history, species=args.species)
+    counts, left_out = counts_of(read_trials(args.history, species=args.species), outcomes)
+    learned = fit(counts, PRIORS.get(args.species, PRIORS["pepper"]))
+    result = summary(learned) | {"species": args.species, "caveats": [*left_out, *learned.caveats()]}
+    if args.figure is not None:
+        from anther.pictures.fruit_set import draw_fruit_set
+
+        with replacing(args.figure) as temporary:
+            draw_fruit_set(learned, fit([], learned.prior), args.species).savefig(temporary, dpi=110)
+    if args.json:
+        import json
+
+        print(json.dumps(result, indent=2))
+    else:
+        _print(result)
+
+
+def summary(learned: FruitSet) -> dict[str, Any]:
+    """Return what is believed, each as [median, 5 %, 95 %], beside the prior."""
+    from anther.fruit_set import NAMES, fit
+
+    before = fit([], learned.prior)
+    return {
+        "counts": len(learned.counts),
+        "flowers": sum(c.flowers for c in learned.counts),
+        "fruit": sum(c.fruit for c in learned.counts),
+        "controls": sum(not c.shakes for c in learned.counts),
+        **{name: learned.interval(name) for name in NAMES},
+        **{f"{name}_prior": before.interval(name) for name in NAMES},
+        **{f"{name}_learned": learned.learned(name) for name in NAMES},
+        "probability": {f"{a:g}": learned.probability(a) for a in ACCELERATIONS},
+        "probability_prior": {f"{a:g}": before.probability(a) for a in ACCELERATIONS},
+    }
+
+
+def _print(result: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    told = f"{result['counts']} counts ({result['controls']} without a shake), {result['flowers']} flowers"
+    console.print(f"{result['species']}: {told}, {result['fruit']} fruit")
+    table = Table("", "believed (nine in ten)", "before any count", "narrowed by")
+    for name, label, scale, unit in (
+        ("unshaken", "sets without a shake", 100, " %"),
+        ("gain", "of the rest, sets when all pollen is freed", 100, " %"),
+        ("half_dose", "acceleration that frees half of it", 1, " m/s²"),
+        ("likeness", "likeness of flowers counted together", 1, ""),
+    ):
+        texts = [_interval(result[key], scale, unit) for key in (name, f"{name}_prior")]
+        table.add_row(label, *texts, f"{result[f'{name}_learned']:.0%}")
+    console.print(table)
+    table = Table("one visit shakes the flowers by", "sets (nine in ten)", "before any count")
+    for a, believed in result["probability"].items():
+        prior = result["probability_prior"][a]
+        table.add_row(f"{a} m/s²", _interval(believed, 100, " %"), _interval(prior, 100, " %"))
+    console.print(table)
+    if result["counts"] and result["half_dose_learned"] >= 0.2:
+        console.print(f"To plan with it: anther trial --params.vibration.half-dose {result['half_dose'][0]:.0f}")
+    for note in result["caveats"]:
+        console.print(f"- {note}")
+
+
+def _interval(values: tuple[float, float, float], scale: float, unit: str) -> str:
+    median, low, high = (f"{scale * v:.2g}" if scale * v < 1 else f"{scale * v:.0f}" for v in values)
+    return f"{median}{unit} ({low} to {high})"

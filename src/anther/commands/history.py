@@ -1,0 +1,157 @@
+"""List the trial history, export it as CSV or Parquet, or add a run that could not be recorded when it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+
+import tyro
+
+from anther.errors import FailureKind, bad_input
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from anther.store import Outcome, TrialRecord
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: which history, which of its trials, and what to do with them."""
+
+    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
+    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
+    species: str | None = None
+    """Only this crop."""
+    plant: str | None = None
+    """Only the plant with this label."""
+    since: date | None = None
+    """Only trials of this day and later, UTC (YYYY-MM-DD)."""
+    until: date | None = None
+    """Only trials of this day and earlier, UTC."""
+    result: str | None = None
+    """Only 'success', 'failure', or one kind of failure, e.g. 'slipped'."""
+    last: int = 40
+    """List at most so many, the last ones. An export always has all."""
+    export: Path | None = None
+    """Write a table instead of listing: a name that ends in .csv or .parquet."""
+    table: Literal["visits", "flowers", "outcomes"] = "visits"
+    """Which table to export: a line a visit, a line a flower and visit, or the counts of fruit set."""
+    add: tuple[Path, ...] = ()
+    """Run folders whose trial is not in the history yet, because it could not be reached."""
+
+
+def run(args: Args) -> None:
+    """Add, export or list.
+
+    Raises:
+        InputError: a history, folder or option that cannot be used.
+    """
+    from anther.store import export, read_outcomes, read_trials
+
+    kinds = ("success", "failure", *get_args(FailureKind))
+    if args.result is not None and args.result not in kinds:
+        raise bad_input("result", given=f"'{args.result}'", allowed=", ".join(kinds), do="Choose one.")
+    if args.add:
+        return _add(args)
+    trials = read_trials(
+        args.history,
+        species=args.species,
+        plant=args.plant,
+        since=args.since,
+        until=args.until,
+        result=args.result,
+    )
+    outcomes = [o for o in read_outcomes(args.history, species=args.species, plant=args.plant) if _in_time(args, o)]
+    if args.export is None:
+        return _list(args, trials, outcomes)
+    count = export(args.export, args.table, trials, outcomes)
+    return print(f"{args.export}: {count} {args.table}")
+
+
+def _in_time(args: Args, outcome: Outcome) -> bool:
+    return (args.since or date.min) <= outcome.date <= (args.until or date.max)
+
+
+def _add(args: Args) -> None:
+    from anther.commands.visit_record import add_run
+
+    for folder in args.add:
+        number = add_run(folder, args.history)
+        print(f"{folder}: " + ("is in the history already" if number is None else f"visit {number}"))
+
+
+def _list(args: Args, trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> None:
+    from rich.console import Console
+
+    from anther.store import shown
+
+    console = Console()
+    if not trials and not outcomes:
+        return console.print(f"{shown(args.history)}: no trial or outcome, or none that fits.")
+    if trials:
+        console.print(_trials(trials[-args.last :]))
+    if len(trials) > args.last:
+        console.print(f"... and {len(trials) - args.last} earlier (--last).")
+    if outcomes:
+        console.print(_outcomes(outcomes[-args.last :]))
+    for species in sorted({t.species for t in trials}):
+        console.print(_believed(args, species), highlight=False)
+    return None
+
+
+def _trials(trials: Sequence[TrialRecord]) -> Table:
+    from rich.table import Table
+
+    names = ("visit", "time (UTC)", "crop", "plant", "result", "grasp [cm]", "shake", "flowers [mm]", "E after [MPa]")
+    table = Table(*names, "run", title="trials", title_justify="left")
+    for t in trials:
+        grasp, shake = t.grasp, t.shake
+        held = "" if grasp is None or grasp.arc_length is None else f"{100 * grasp.arc_length:.1f}"
+        shaken = "" if shake is None else f"{1000 * shake.amplitude:.2f} mm, {shake.frequency:.1f} Hz"
+        result = "success" if t.success else str(t.failure or "failure")
+        stiff = "" if t.material is None or not t.measured else f"{t.material.youngs / 1e6:.0f}"
+        first = (str(t.id), f"{t.time:%Y-%m-%d %H:%M}", t.species, t.plant, result)
+        table.add_row(*first, held, shaken, _motion(t), stiff, t.run or "")
+    return table
+
+
+def _motion(trial: TrialRecord) -> str:
+    """Return predicted -> measured medians over the measured flowers."""
+    import numpy as np
+
+    motions = trial.motions()
+    seen = np.isfinite(motions["measured_amplitude"]) if trial.flowers else np.zeros(0, dtype=bool)
+    if not seen.any():
+        return f"{trial.flowers} not measured" if trial.flowers else ""
+    predicted, measured = (
+        1000 * np.median(np.array(motions[f"{kind}_amplitude"])[seen]) for kind in ("predicted", "measured")
+    )
+    return f"{predicted:.2f} -> {measured:.2f} ({seen.sum()} of {trial.flowers})"
+
+
+def _outcomes(outcomes: Sequence[Outcome]) -> Table:
+    from rich.table import Table
+
+    table = Table("date", "crop", "plant", "visit", "flowers", "fruit", "note", title="outcomes", title_justify="left")
+    for o in outcomes:
+        visit = "all before" if o.visit is None else str(o.visit)
+        table.add_row(f"{o.date}", o.species, o.plant, visit, str(o.flowers), str(o.fruit), o.note)
+    return table
+
+
+def _believed(args: Args, species: str) -> str:
+    """Return what the next trial would begin with."""
+    import math
+
+    from anther.store import starting_material
+
+    plant = "a plant not shaken before" if args.plant is None else args.plant
+    belief = starting_material(species, plant, args.history)
+    m = belief.material
+    low, high = (m.youngs * math.exp(s * 1.645 * m.youngs_spread) / 1e6 for s in (-1, 1))
+    stiffness = f"E {m.youngs / 1e6:.0f} MPa (nine in ten: {low:.0f} to {high:.0f})"
+    return f"{species}, {plant}: {stiffness}, damping ratio {m.damping_ratio:.3f}: {belief.reason}."
