@@ -12,7 +12,7 @@ from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import path_gain, subtree_best
 from anther.skeleton.support import logit, probability
 
-FITTED = (0.24, 1.06, 4.68)
+FITTED = (0.11, 1.37, 3.84)
 """Constant and weights of `stem_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
 
 DOUBTFUL = 0.75
