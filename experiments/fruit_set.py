@@ -1,0 +1,96 @@
+"""How many plants must be counted to learn the dose-response, and which shakes teach it? Counts drawn from the prior.
+
+    python experiments/fruit_set.py --figure docs/pictures/fruit_set.png
+
+Truths are drawn from the tomato's prior, 12 flowers a plant are counted, and `anther.fruit_set.fit` sees
+only the counts. Three ways to shake: `varied` (1 to 250 m/s2, every fourth plant left alone), `no_control` (the same, none left alone),
+`gentle` (5 to 20 m/s2, what the limits of a stem shake allow, every fourth left alone).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.special import expit
+
+from anther.files import replacing, write_json
+from anther.fruit_set import NAMES, PRIORS, Count, FruitSet, fit
+from anther.geometry import Array
+from anther.pictures.fruit_set import draw_fruit_set
+from anther.vibration.limits import pollen_dose
+
+WAYS = {"varied": (1.0, 250.0, 4), "no_control": (1.0, 250.0, 0), "gentle": (5.0, 20.0, 4)}
+"""Name -> (weakest, strongest shake [m/s2], every how manieth plant is left alone)."""
+FLOWERS = 12
+
+
+def drawn_truth(rng: np.random.Generator) -> Array:
+    """Return (4,) one dose-response drawn from the prior, in the order of `NAMES`."""
+    z = [rng.normal(*getattr(PRIORS["tomato"], name)) for name in NAMES]
+    return np.array([expit(z[0]), expit(z[1]), np.exp(z[2]), expit(z[3])])
+
+
+def counts(rng: np.random.Generator, truth: Array, plants: int, way: str) -> list[Count]:
+    """Return what a grower would count on plants visited once each."""
+    (p0, gain, half, likeness), (weakest, strongest, control) = truth, WAYS[way]
+    size, found = 1 / likeness - 1, []
+    for k in range(plants):
+        alone = control > 0 and k % control == 0
+        middle = np.exp(rng.uniform(np.log(weakest), np.log(strongest)))
+        shaken = middle * rng.uniform(0.5, 1.5, 5)
+        p = p0 + (1 - p0) * gain * (0.0 if alone else float(pollen_dose(shaken, half).mean()))
+        fruit = int(rng.binomial(FLOWERS, rng.beta(p * size, (1 - p) * size)))
+        found.append(Count(FLOWERS, fruit, () if alone else (shaken,)))
+    return found
+
+
+def score(learned: FruitSet, truth: Array) -> dict[str, float]:
+    """Return for each parameter whether its 90 % interval holds and by how much it was narrowed; so P(set) at 20 m/s2."""
+    row = {}
+    for name, value in zip(NAMES[:3], truth, strict=False):
+        _, low, high = learned.interval(name)
+        row |= {f"{name}_holds": float(low <= value <= high), f"{name}_narrowed": learned.learned(name)}
+    _, low, high = learned.probability(20.0)
+    p = truth[0] + (1 - truth[0]) * truth[1] * float(pollen_dose(np.array(20.0), truth[2]))
+    return row | {"set_at_20_holds": float(low <= p <= high), "set_at_20_width": high - low}
+
+
+def main() -> None:
+    """Fit, print a table, write metrics and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="4 truths and 8 or 24 plants instead of 40 and 8, 24, 72")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--figure", type=Path)
+    args = parser.parse_args()
+    sizes, repeats = ((8, 24), 4) if args.quick else ((8, 24, 72), 40)
+    cases = [(way, plants) for way in WAYS for plants in sizes]
+    table = Table("shakes", "plants", *(f"{n}: narrowed, holds" for n in NAMES[:3]), "P(set) at 20 m/s²: width, holds")
+    metrics: dict[str, float] = {"truths": repeats}
+    for way, plants in track(cases, "counts"):
+        rng = np.random.default_rng([args.seed, plants])
+        truths = [drawn_truth(rng) for _ in range(repeats)]
+        rows = [score(fit(counts(rng, truth, plants, way)), truth) for truth in truths]
+        mean = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+        metrics |= {f"{way}_{plants}_{name}": value for name, value in mean.items()}
+        cells = [f"{mean[f'{n}_narrowed']:.0%}, {mean[f'{n}_holds']:.0%}" for n in NAMES[:3]]
+        table.add_row(way, str(plants), *cells, f"{mean['set_at_20_width']:.0%}, {mean['set_at_20_holds']:.0%}")
+    holds = [value for name, value in metrics.items() if name.endswith("_holds")]
+    metrics["intervals_hold"] = float(np.mean(holds))
+    Console().print(table)
+    if args.json:
+        write_json(args.json, metrics)
+    if args.figure:
+        rng, truth = np.random.default_rng(args.seed), np.array([0.45, 0.7, 25.0, 0.06])
+        learned = fit(counts(rng, truth, 40, "varied"))
+        with replacing(args.figure) as temporary:
+            draw_fruit_set(learned, fit([]), "simulated tomato").savefig(temporary, dpi=110)
+
+
+if __name__ == "__main__":
+    main()
