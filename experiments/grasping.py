@@ -1,6 +1,7 @@
-"""The paper's protocol (R4, R5): ten plants, each from four sides, from noisy images to a physical grasp and shake.
+r"""The paper's protocol (R4, R5): ten plants, each from four sides, from noisy images to a physical grasp and shake.
 
-    python experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --json docs/results/grasping.json
+    python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures \
+        --page docs/grasping.md
 
 Two tomatoes and eight peppers, turned by 0, 90, 180 and 270 degrees: 40 trials with 30 views and 40 with the preset
 `fast`; --further N adds that many unseen plants (as many of either species) with 30 views. Each is a whole `anther
@@ -22,10 +23,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
+from grasping_page import insert, report
 from grasping_pictures import sheet
-from grasping_table import metrics, show
+from grasping_table import metrics
 from grasping_trial import Case, one_trial
 from rich.console import Console
+from rich.markdown import Markdown
 from rich.progress import track
 from skeletons import HUNDRED, TEN
 
@@ -89,6 +92,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/grasping"), help="where finished trials are kept")
     parser.add_argument("--figures", type=Path, help="write grasping.png and grasping_failures.png into this folder")
+    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
     args = parser.parse_args()
     console = Console()
     cases = chosen(args)
@@ -96,9 +100,12 @@ def main() -> None:
         results = pool.map(partial(one_trial, out=args.out), cases)
         rows = list(track(results, "trials", total=len(cases), console=console))
     table = metrics(rows)
-    show(rows, table, console)
+    text = report(rows, table)
+    console.print(Markdown(text))
     if args.json:
         write_json(args.json, table)
+    if args.page:
+        insert(args.page, text)
     if args.figures:
         draw(cases, rows, args.out, args.figures)
 

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import binomtest
 
 Row = dict[str, Any]
@@ -77,6 +75,7 @@ def of_part(name: str, rows: Sequence[Row]) -> dict[str, float]:
             continue
         prefix = f"{species}_".lstrip("_")
         won = sum(row["ours"]["success"] for row in some)
+        table |= {f"{prefix}success_{name}_won": won, f"{prefix}success_{name}_trials": len(some)}
         table[f"{prefix}success_{name}"] = won / len(some)
         table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"] = interval(won, len(some))
         for measure in MEASURES[1:]:
@@ -131,48 +130,3 @@ def cycle(name: str, rows: Sequence[Row]) -> dict[str, float]:
     total = np.sum([phases[phase] for phase in PHASES[:-1]], axis=0)
     table = {f"{phase}_{name}_s": float(np.median(values)) for phase, values in phases.items()}
     return table | {f"cycle_{name}_s": float(np.median(total)), f"cycle_{name}_p95_s": float(np.quantile(total, 0.95))}
-
-
-def show(rows: Sequence[Row], table: dict[str, float], console: Console) -> None:
-    """Print successes beside the paper's, what failed and why, and the times."""
-    shown = Table(
-        "trials", "species", "the paper", "Anther", "95 %", "its stem held", "the paper's rule", "its stem held"
-    )
-    for name in ("40", "400", "fast"):
-        for species in ("tomato", "pepper", ""):
-            prefix = f"{species}_".lstrip("_")
-            if f"{prefix}success_{name}" in table:
-                shown.add_row(*_line(rows, table, name, species, prefix))
-    console.print(shown)
-    for row in rows:
-        for who in ("ours", "paper"):
-            if lost(row[who]):
-                words = f"{row['species']} {row['seed']} at {row['viewpoint']}°, {row['preset']}, {who}"
-                console.print(f"{words}: {row[who]['failure']}: {row[who]['message']}", highlight=False)
-    times = Table("median [s]", "the paper", "30 views", "fast")
-    for phase in (*PHASES, "cycle"):
-        values = [table.get(f"{phase}_{name}_s") for name in ("30_views", "fast")]
-        theirs = PAPER_SECONDS.get(phase, sum(PAPER_SECONDS.values()) if phase == "cycle" else None)
-        times.add_row(phase, *("" if value is None else f"{value:.1f}" for value in (theirs, *values)))
-    console.print(times)
-    for name in ("mcnemar_p_40", "mcnemar_p_400"):
-        for measure in MEASURES:
-            if f"{measure}_{name}" in table:
-                console.print(f"{measure}_{name}: {table[f'{measure}_{name}']:.2g}")
-    if "plan_p95_s" in table:
-        console.print(f"planning: median {table['plan_p50_s']:.2f} s, 95th percentile {table['plan_p95_s']:.2f} s")
-
-
-def _line(rows: Sequence[Row], table: dict[str, float], name: str, species: str, prefix: str) -> list[str]:
-    won, trials = PAPER[species]
-    low, high = table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"]
-    rule = [table.get(f"{prefix}paper_rule_{measure}_{name}") for measure in MEASURES]
-    return [
-        name,
-        species or "all",
-        f"{won}/{trials} = {won / trials:.1%}",
-        f"{table[f'{prefix}success_{name}']:.1%}",
-        f"{low:.1%} to {high:.1%}",
-        f"{table[f'{prefix}stem_held_{name}']:.1%}",
-        *("" if share is None else f"{share:.1%}" for share in rule),
-    ]

@@ -14,6 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import grasping
 import grasping_trial
+from grasping_page import BEGIN, END, insert, report
 from grasping_pictures import TILE, sheet
 from grasping_table import interval, mcnemar, metrics
 from grasping_trial import Case, one_trial
@@ -51,6 +52,26 @@ def test_table_keeps_groups_apart_and_leaves_cold_starts_out_of_times():
     assert "paper_rule_success_fast" not in table
     assert table["cycle_30_views_s"] == pytest.approx(40 + (4 + 6) / 2 + 5 + 3)  # without the retreat, 1000 was cold
     assert table["plan_p95_s"] == pytest.approx(np.quantile([0.1, 0.2, 0.4, 0.1], 0.95))
+
+
+def test_page_shows_shares_pairs_and_every_failure(tmp_path):
+    rows = [
+        row(1, ours=True, paper=False),
+        row(2, ours=False, paper=True),
+        row(3, ours=True, paper=None, preset="fast"),
+    ]
+    for one in rows:
+        for who in ("ours", "paper"):
+            one[who] = one[who] and {**one[who], "message": "6 mm"}
+    text = report(rows, metrics(rows))
+    assert "| ten plants, 30 views | pepper | 31/32 = 96.9% | 1/2 = 50.0% |" in text
+    assert "| pepper 2 at 0°, full | slipped | 6 mm |" in text
+    assert "1 slipped" in text
+    page = tmp_path / "page.md"
+    page.write_text(f"above\n{BEGIN}\nold\n{END}\nbelow\n")
+    insert(page, text)
+    insert(page, text)
+    assert page.read_text() == f"above\n{BEGIN}\n\n{text}\n\n{END}\nbelow\n"
 
 
 def test_protocol_is_ten_plants_from_four_sides():

@@ -233,5 +233,5 @@ def supposed_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
         tips = stem.node_ids[-1:]
     out = skeleton.nodes[tips] - skeleton.nodes[skeleton.parent[tips]]
     out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
-    note = f"no flower was seen: the shake is chosen for flowers supposed at {len(tips)} ends of the plant"
+    note = f"no flower was seen: the shake is chosen for flowers supposed at {len(tips)} of its ends"
     return Flowers(skeleton.nodes[tips] + SUPPOSED * out, tips, (note,))
