@@ -2,9 +2,9 @@
 
     python experiments/fruit_set.py --figure docs/pictures/fruit_set.png
 
-Truths are drawn from the tomato's prior, 12 flowers a plant are counted, and `anther.fruit_set.fit` sees
-only the counts. Three ways to shake: `varied` (1 to 250 m/s2, every fourth plant left alone), `no_control` (the same, none left alone),
-`gentle` (5 to 20 m/s2, what the limits of a stem shake allow, every fourth left alone).
+Truths are drawn from the tomato's prior, 12 flowers a plant are counted, and `anther.fruit_set.fit` sees only the
+counts. Three ways to shake: `varied` (1 to 250 m/s2, every fourth plant left alone), `no_control` (the same, none left
+alone), `gentle` (5 to 20 m/s2, what the limits of a stem shake allow, every fourth left alone).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def counts(rng: np.random.Generator, truth: Array, plants: int, way: str) -> lis
 
 
 def score(learned: FruitSet, truth: Array) -> dict[str, float]:
-    """Return for each parameter whether its 90 % interval holds and by how much it was narrowed; so P(set) at 20 m/s2."""
+    """Return for each parameter whether its 90 % interval holds and how much it was narrowed; and P(set) at 20 m/s2."""
     row = {}
     for name, value in zip(NAMES[:3], truth, strict=False):
         _, low, high = learned.interval(name)

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 
 from anther.cli import main
+from anther.commands.trial import Args, _belief
 from anther.commands.visit_record import FILE, remember
+from anther.errors import InputError
 from anther.files import write_json
 from anther.plant import TOMATO
 from anther.store import GraspRecord, ShakeRecord, TrialRecord, read_outcomes, read_trials, record_trial
@@ -191,3 +193,20 @@ def test_a_history_out_of_reach_loses_no_trial(tmp_path: Path, say) -> None:
     assert say("history", where, "--add", run)[0] == 2
     write_json(run / FILE, {"plant": 3})
     assert "what a trial wrote" in say("history", where, "--add", run)[1]
+
+
+def test_a_trial_begins_with_what_was_learned(tmp_path: Path) -> None:
+    where = str(tmp_path / "h.sqlite")
+    args = Args(plant="tomato", seed=3, history=where)
+    assert _belief(args).material == TOMATO
+    record_trial(trial("simulated 2"), where)
+    learned = _belief(args)
+    assert learned.source == "crop"
+    assert 1e8 < learned.material.youngs < 2e8
+    record_trial(replace(trial("simulated 3", 1), material=replace(TOMATO, youngs=3e8)), where)
+    assert (_belief(args).source, _belief(args).material.youngs) == ("plant", 3e8)
+    assert _belief(replace(args, material="facts")).material == TOMATO
+    assert _belief(replace(args, plant="pepper")).source == "facts"
+    (tmp_path / "no.sqlite").write_text("something else" * 500)
+    with pytest.raises(InputError, match="trial history"):  # before anything moves
+        _belief(replace(args, history=str(tmp_path / "no.sqlite")))

@@ -40,6 +40,7 @@ from anther.store import (
 )
 from anther.store.tables import Base
 
+KILLS = int(os.environ.get("ANTHER_KILLS", "4"))
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
 
 
@@ -234,18 +235,18 @@ def test_processes_write_at_once(where: str) -> None:
 
 
 def test_a_killed_writer_loses_nothing_it_reported(where: str) -> None:
-    """Killed at four moments of its work; what it had reported is there, whole, and nothing else is half there."""
+    """Killed at some moment of its work; what it had reported is there, whole, and nothing else is half there."""
     reported: list[int] = []
-    for k in range(4):
+    for k in range(KILLS):
         process, reports = writer(where, f"killed {k}", 10_000)
         reported.append(int(reports.readline()))
-        time.sleep(0.013 * k)
+        time.sleep(0.013 * (k % 7))
         process.kill()
         reported += numbers_of([(process, reports)])
         assert process.exitcode == -signal.SIGKILL
     trials = read_trials(where)
     assert set(reported) <= {t.id for t in trials}
-    assert len(trials) <= len(reported) + 4
+    assert len(trials) <= len(reported) + KILLS
     assert all(t.flowers == 5 and t.shake is not None for t in trials)
     record_trial(full(), where)
     if "://" not in where:

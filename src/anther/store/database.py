@@ -141,14 +141,14 @@ def _bring_up_to_date(engine: Engine) -> None:
 
 
 def _explained(url: URL, error: Exception) -> InputError:
-    cause = str(getattr(error, "orig", None) or error).strip()
+    cause = " ".join(str(getattr(error, "orig", None) or error).split())
     advice = {
         "locked": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
         "lock timeout": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
         "full": "Nothing was changed: free some space and try again.",
         "No space left": "Nothing was changed: free some space and try again.",
         "readonly": "Nothing was changed: ask for the right to write there.",
-        "connection": "Is the server running and does it accept you? Nothing was changed.",
+        "connection": "Is the server running, and does it accept you?",
     }
     do = next((text for word, text in advice.items() if word in cause), "Check path, free space and rights.")
     place = url.database if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
