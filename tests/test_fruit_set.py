@@ -56,6 +56,8 @@ def test_many_counts_find_what_made_them() -> None:
     chances = [learned.probability(a)[0] for a in (0, 5, 25, 100, 300)]
     assert chances == sorted(chances)
     assert learned.probability(25)[0] == pytest.approx(0.45 + 0.55 * 0.7 * 0.5, abs=0.05)
+    assert learned.added(0) == (0, 0, 0)
+    assert learned.added(25)[1] < 0.55 * 0.7 * 0.5 < learned.added(25)[2]
 
 
 def test_intervals_hold_as_often_as_they_say() -> None:

@@ -98,9 +98,16 @@ class FruitSet:
 
         It is of an average plant; a single one varies by `likeness` more.
         """
+        return _quantiles(self.points[:, 0] + self._added(acceleration), self.weights)
+
+    def added(self, acceleration: float) -> tuple[float, float, float]:
+        """Return median, 5 % and 95 % of what such a visit adds to P(set)."""
+        return _quantiles(self._added(acceleration), self.weights)
+
+    def _added(self, acceleration: float) -> Array:
         unshaken, gain, half, _ = self.points.T
-        freed = pollen_dose(check_range("acceleration", acceleration, 0, 1e6, "m/s2") / half, 1.0)
-        return _quantiles(unshaken + (1 - unshaken) * gain * freed, self.weights)
+        ratio = check_range("acceleration", acceleration, 0, 1e6, "m/s2") / half
+        return (1 - unshaken) * gain * pollen_dose(ratio, 1.0)
 
     def learned(self, name: str) -> float:
         """Return by which share the counts narrowed one of `NAMES`, on the scale of its prior: 0 is nothing."""

@@ -71,6 +71,7 @@ def summary(learned: FruitSet) -> dict[str, Any]:
         **{f"{name}_prior": before.interval(name) for name in NAMES},
         **{f"{name}_learned": learned.learned(name) for name in NAMES},
         "probability": {f"{a:g}": learned.probability(a) for a in ACCELERATIONS},
+        "added": {f"{a:g}": learned.added(a) for a in ACCELERATIONS},
         "probability_prior": {f"{a:g}": before.probability(a) for a in ACCELERATIONS},
     }
 
@@ -92,10 +93,11 @@ def _print(result: dict[str, Any]) -> None:
         texts = [_interval(result[key], scale, unit) for key in (name, f"{name}_prior")]
         table.add_row(label, *texts, f"{result[f'{name}_learned']:.0%}")
     console.print(table)
-    table = Table("one visit shakes the flowers by", "sets (nine in ten)", "before any count")
+    table = Table("one visit shakes the flowers by", "sets (nine in ten)", "the visit adds", "sets, before any count")
     for a, believed in result["probability"].items():
         prior = result["probability_prior"][a]
-        table.add_row(f"{a} m/s²", _interval(believed, 100, " %"), _interval(prior, 100, " %"))
+        texts = [_interval(values, 100, " %") for values in (believed, result["added"][a], prior)]
+        table.add_row(f"{a} m/s²", *texts)
     console.print(table)
     if result["counts"] and result["half_dose_learned"] >= 0.2:
         console.print(f"To plan with it: anther trial --params.vibration.half-dose {result['half_dose'][0]:.0f}")
@@ -104,5 +106,5 @@ def _print(result: dict[str, Any]) -> None:
 
 
 def _interval(values: tuple[float, float, float], scale: float, unit: str) -> str:
-    median, low, high = (f"{scale * v:.2g}" if scale * v < 1 else f"{scale * v:.0f}" for v in values)
+    median, low, high = (f"{scale * v:.2g}" if 0 < scale * v < 1 else f"{scale * v:.0f}" for v in values)
     return f"{median}{unit} ({low} to {high})"
