@@ -80,7 +80,8 @@ def main() -> None:
         metrics |= {f"{way}_{plants}_{name}": value for name, value in mean.items()}
         cells = [f"{mean[f'{n}_narrowed']:.0%}, {mean[f'{n}_holds']:.0%}" for n in NAMES[:3]]
         table.add_row(way, str(plants), *cells, f"{mean['added_width']:.0%}, {mean['added_holds']:.0%}")
-    metrics["before_added_width"] = float(np.subtract(*fit([]).added(20.0)[:0:-1]))
+    _, low, high = fit([]).added(20.0)
+    metrics["added_width_before"] = high - low
     holds = [value for name, value in metrics.items() if name.endswith("_holds")]
     metrics["intervals_hold"] = float(np.mean(holds))
     Console().print(table)
