@@ -47,7 +47,7 @@ class Sample:
         points: (N, 3) [m].
         normals: (N, 3) unit, towards the camera.
         slant: (N,) relative change of depth per viewing angle [1/rad].
-        view: (N,) the view of each.
+        view: (N,) the view of each, rising.
     """
 
     points: Array
@@ -83,11 +83,12 @@ class Sample:
 
     def world(self, at: Estimate) -> tuple[Array, Array]:
         """Return points and normals (N, 3) in the world frame."""
-        R = at.poses[self.view, :3, :3]
-        return (
-            np.einsum("nij,nj->ni", R, self.unbiased(at.reach)) + at.poses[self.view, :3, 3],
-            np.einsum("nij,nj->ni", R, self.normals),
-        )
+        points, normals = self.unbiased(at.reach), np.empty_like(self.normals)
+        start = np.searchsorted(self.view, np.arange(len(at.poses) + 1))
+        for T, a, b in zip(at.poses, start[:-1], start[1:], strict=True):
+            points[a:b] = points[a:b] @ T[:3, :3].T + T[:3, 3]
+            normals[a:b] = self.normals[a:b] @ T[:3, :3].T
+        return points, normals
 
 
 def match(
@@ -120,7 +121,8 @@ def _pairs(first, near, squared, view, normals, distance2, cosine):
         a = first[k]
         for c in range(near.shape[1]):
             b = near[k, c]
-            if squared[k, c] < distance2 and view[a] != view[b] and normals[a] @ normals[b] > cosine:
+            alike = normals[a, 0] * normals[b, 0] + normals[a, 1] * normals[b, 1] + normals[a, 2] * normals[b, 2]
+            if squared[k, c] < distance2 and view[a] != view[b] and alike > cosine:
                 pairs[count, 0], pairs[count, 1] = a, b
                 count += 1
     return pairs[:count]

@@ -69,7 +69,7 @@ class Voxels:
 def point_spacing(points: Array) -> float:
     """Return the typical distance between neighbouring points [m] (median over a sample)."""
     sample = points[:: max(1, len(points) // 2000)]
-    distance, _ = KDTree(points).query(sample, k=min(4, len(points)))
+    distance, _ = KDTree(points, balanced_tree=False, compact_nodes=False).query(sample, k=min(4, len(points)))
     return float(np.median(distance[:, -1]))
 
 
@@ -147,7 +147,7 @@ def _thickness(keys: NDArray[Any]) -> Array:
     inside = np.all(occupied, axis=0)
     shell = _distinct(np.concatenate([beside[~held] for beside, held in zip(around, occupied, strict=True)]))
     distance = np.ones(len(keys))
-    distance[inside] = KDTree(_unkeys(shell)).query(_unkeys(keys[inside]))[0]
+    distance[inside] = KDTree(_unkeys(shell)).query(_unkeys(keys[inside]), workers=-1)[0]
     return distance
 
 
