@@ -36,7 +36,9 @@ class SmallPlanner:
         path = (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * (T_world_to[:3, 3] - T[:3, 3]) + T[:3, 3]
         return _timed(t, follow(q_from, T[:3, :3], path))
 
-    def shake(self, q: Any, direction: Any, amplitude: float, frequency: float, duration: float) -> JointTrajectory:
+    def shake(
+        self, q: Any, direction: Any, amplitude: float, frequency: float, duration: float, waveform: Any
+    ) -> JointTrajectory:
         T = sawyer.forward(q)
         t = np.linspace(0, duration, int(duration * frequency * 32) + 2)
         edge = min(1 / frequency, duration / 4)

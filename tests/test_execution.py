@@ -19,6 +19,7 @@ from anther.execution import PHASES, Params, Trial, choose_rate, execute
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import alias
+from anther.vibration import SINE, Waveform
 
 POINT = np.array([0.72, 0.0, -0.08])
 GRASP = horizontal_grasp(POINT, np.zeros(7))
@@ -33,6 +34,7 @@ class Plan:
     amplitude: float = 0.003
     frequency: float = 5.0
     duration: float = 0.6
+    waveform: Waveform = SINE
 
 
 def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:

@@ -31,6 +31,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import alias
 from anther.safety import check_shake, guard
+from anther.vibration.waveforms import Waveform
 
 Progress = Callable[[int, int], None]
 """Called with (phases done, phases in all)."""
@@ -47,8 +48,8 @@ class Shake(Protocol):
         grasp: where to hold; it must have arm joints.
         direction: (3,) unit, world.
         amplitude: of the flange [m].
-        frequency: [Hz].
-        duration: [s].
+        frequency, duration: of a sweep the first [Hz], and [s].
+        waveform: shape in time.
     """
 
     @property
@@ -61,6 +62,8 @@ class Shake(Protocol):
     def frequency(self) -> float: ...
     @property
     def duration(self) -> float: ...
+    @property
+    def waveform(self) -> Waveform: ...
 
 
 class Planner(Protocol):
@@ -74,8 +77,10 @@ class Planner(Protocol):
         """Return a straight flange line to a pose (4, 4) at `speed` [m/s], starting at joints (7,) [rad]."""
         ...
 
-    def shake(self, q: Array, direction: Array, amplitude: float, frequency: float, duration: float) -> JointTrajectory:
-        """Return a sinusoidal flange shake about joints (7,): unit direction (3,), [m], [Hz], [s]."""
+    def shake(
+        self, q: Array, direction: Array, amplitude: float, frequency: float, duration: float, waveform: Waveform
+    ) -> JointTrajectory:
+        """Return a flange shake about joints (7,): unit direction (3,), [m], [Hz], [s], shape."""
         ...
 
 
@@ -194,9 +199,7 @@ def execute(
     still can, and the returned trial says what was done and why it stopped. Nothing is raised, so that no record is
     lost: look at `Trial.finished`, `failure` and `stop_reason`. After "nothing_grasped" another grasp may be tried.
     A side camera that fails stops nothing: the shake is done, and the trial is a "device_fault" that says so.
-
-    It may start anywhere, also with the gripper closed on a plant, as an earlier process may have left it when it was
-    killed: the gripper opens first, and the planner draws the arm back.
+    It may start anywhere, also with the gripper closed on a plant: it opens first, and the planner draws the arm back.
 
     Args:
         planner: of motions that start where the arm is.
@@ -208,7 +211,7 @@ def execute(
     """
     work = _Work(planner, shake, guard(robot, limits), params, progress)
     try:
-        check_shake(shake.amplitude, shake.frequency, shake.duration, limits)
+        check_shake(shake.amplitude, shake.frequency * shake.waveform.ratio, shake.duration, limits)
         _forward(work)
         _back(work)
     except (Exception, KeyboardInterrupt) as error:
@@ -246,7 +249,7 @@ class _Work:
             self.marks[-1] = (name, self.marks[-1][1], self.clock)
 
     def fail(self, error: BaseException) -> None:
-        """Note what went wrong; of several things the first one names the failure."""
+        """Note what went wrong; of several things the first names the failure."""
         reason = str(error) if isinstance(error, AntherError) else f"{type(error).__name__}: {error}"
         if self.stop_reason != "finished":
             self.stop_reason += f"; then: {reason}"
@@ -303,8 +306,8 @@ def _forward(work: _Work) -> None:
 
 
 def _shake(work: _Work, joints: NDArray[Any]) -> None:
-    plan, seen = work.plan, list[ArmSample]()
-    trajectory = work.planner.shake(joints, plan.direction, plan.amplitude, plan.frequency, plan.duration)
+    p, seen = work.plan, list[ArmSample]()
+    trajectory = work.planner.shake(joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
     with _filmed(work):
         try:
             work.shaken = work.follow(trajectory, seen.append)

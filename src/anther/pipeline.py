@@ -219,7 +219,9 @@ def _shake_once(
         return planner.shake_limit(at.joints, direction, frequencies)
 
     shake = run.stage(
-        "shake plan", ShakePlan.load, lambda _: vibration.plan_shake(rods, grasps, arm_limit, params.vibration)
+        "shake plan",
+        ShakePlan.load,
+        lambda _: vibration.plan_shake(rods, grasps, vibration.ArmShaker(arm_limit), params.vibration),
     )
     trial = run.stage(
         "execution",

@@ -18,6 +18,7 @@ from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.geometry import Array, Box, transform
+from anther.vibration.waveforms import SINE, Waveform
 
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
@@ -168,17 +169,27 @@ class Planner:
         return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
 
     def shake(
-        self, q: ArrayLike, direction: ArrayLike, amplitude: float, frequency: float, duration: float
+        self,
+        q: ArrayLike,
+        direction: ArrayLike,
+        amplitude: float,
+        frequency: float,
+        duration: float,
+        waveform: Waveform = SINE,
     ) -> JointTrajectory:
-        """Return a sinusoidal motion of the flange about joints (7,); see `shaking.shake_trajectory`.
+        """Return a shaking motion of the flange about joints (7,); see `shaking.shake_trajectory`.
 
         Raises:
             InputError: a number out of range.
             StageFailure: "limits_exceeded", "unreachable" or "collision".
         """
         q = check_array("joints", q, (7,))
-        motion = shaking.shake_trajectory(q, direction, amplitude=amplitude, frequency=frequency, duration=duration)
-        swing = motion.positions[motion.times >= duration / 2][: int(np.ceil(len(motion.times) / duration / frequency))]
+        motion = shaking.shake_trajectory(
+            q, direction, amplitude=amplitude, frequency=frequency, duration=duration, waveform=waveform
+        )
+        period = int(np.ceil(len(motion.times) / duration / frequency))
+        farthest = int(np.linalg.norm(motion.positions - q, axis=1).argmax())
+        swing = motion.positions[max(farthest - period, 0) : farthest + period]
         with self.world.touching_plant():
             if not self.world.path_free(swing):
                 raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")

@@ -11,8 +11,8 @@ from anther.checks import check_array, check_range
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
+from anther.vibration.waveforms import SINE, Waveform
 
-RAMP_PERIODS = 3  # the amplitude rises and falls within this many periods; our choice
 _PAIRS = np.triu_indices(7, 1)
 
 
@@ -55,46 +55,45 @@ def joint_rates(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> A
 
 
 def shake_trajectory(
-    q: ArrayLike, direction: ArrayLike, *, amplitude: float, frequency: float, duration: float, rate: float = 500.0
+    q: ArrayLike,
+    direction: ArrayLike,
+    *,
+    amplitude: float,
+    frequency: float,
+    duration: float,
+    waveform: Waveform = SINE,
+    rate: float = 500.0,
 ) -> JointTrajectory:
-    """Return the joint motion that moves the flange sinusoidally along a straight line, its orientation held.
+    """Return the joint motion that moves the flange to and fro along a straight line, its orientation held.
 
-    d(t) = A e(t) sin(2 pi f t), with e rising smoothly from 0 to 1 and falling back within `RAMP_PERIODS` periods at
-    the ends. The joints are found as a function of d once, so every period is the same and nothing drifts.
+    The displacement is `waveform.motion`. The joints are found as a function of it once, so every period is the same
+    and nothing drifts.
 
     Args:
         q: (7,) joints at rest [rad].
         direction: (3,) of the shake, world.
         amplitude: A [m].
-        frequency: f [Hz].
+        frequency: f, of a sweep the first [Hz].
         duration: of the whole motion, ramps included [s].
+        waveform: its shape in time.
         rate: samples per second; raised to 40 per period if that is more.
 
     Raises:
         InputError: a number out of range.
         StageFailure: "limits_exceeded" or "unreachable".
     """
+    highest = frequency * waveform.ratio
     check_range("shake amplitude", amplitude, 1e-6, 0.2, "m")
     check_range("shake frequency", frequency, 0.1, 50, "Hz")
+    check_range("highest shake frequency", highest, 0.1, 50, "Hz")
     check_range("shake duration", duration, 2 / frequency, 60, "s")
-    times = np.linspace(0, duration, int(np.ceil(duration * max(rate, 40 * frequency))) + 1)
-    d, d_rate = _displacement(times, amplitude, frequency, duration)
-    path = _joints_along(np.asarray(q, dtype=np.float64), unit(direction), amplitude, frequency)
+    times = np.linspace(0, duration, int(np.ceil(duration * max(rate, 40 * highest))) + 1)
+    d, d_rate = waveform.motion(times, amplitude, frequency, duration)
+    path = _joints_along(np.asarray(q, dtype=np.float64), unit(direction), amplitude, highest)
     velocities = path(d, 1) * d_rate[:, None]
     trajectory = JointTrajectory(times, path(d), velocities)
-    _check_limits(trajectory, np.asarray(q), direction, amplitude, frequency)
+    _check_limits(trajectory, np.asarray(q), direction, amplitude, highest)
     return trajectory
-
-
-def _displacement(times: Array, amplitude: float, frequency: float, duration: float) -> tuple[Array, Array]:
-    """Return displacement [m] and its rate [m/s]."""
-    ramp = min(RAMP_PERIODS / frequency, duration / 2)
-    x = np.clip(np.minimum(times, duration - times) / ramp, 0, 1)
-    side = np.where(times < duration / 2, 1, -1) / ramp
-    envelope, slope = x**3 * (10 - 15 * x + 6 * x**2), 30 * x**2 * (1 - x) ** 2 * side
-    omega = 2 * np.pi * frequency
-    sine, cosine = np.sin(omega * times), np.cos(omega * times)
-    return amplitude * envelope * sine, amplitude * (slope * sine + envelope * omega * cosine)
 
 
 def _joints_along(q: Array, direction: Array, amplitude: float, frequency: float) -> CubicSpline:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,18 @@ ComplexArray = NDArray[np.complex128]
 
 COLUMNS = 128
 """Loads solved side by side: enough for the vector units, few enough for the cache."""
+
+
+class Driven(NamedTuple):
+    """What a shake of one metre does. Q frequencies, G grips, D directions, O observed nodes.
+
+    Attributes:
+        motion: (Q, G, D, O, 3) of the observed nodes [m/m].
+        force: (Q, G, D, 3) that the grip exerts, summed over its nodes [N/m].
+    """
+
+    motion: ComplexArray
+    force: ComplexArray
 
 
 def frequency_response(
@@ -62,7 +74,24 @@ def response_map(
     gravity: ArrayLike = GRAVITY,
     loss_factor: float = 0.0,
 ) -> ComplexArray:
-    """Return (Q, G, D, O, 3): the response of the observed nodes to a shake at each grip node in each direction.
+    """Return (Q, G, D, O, 3): the motion alone of what `driven_response` returns; arguments and errors are the same."""
+    return driven_response(
+        rods, clamp, grip_nodes, directions, frequencies, observe=observe, gravity=gravity, loss_factor=loss_factor
+    ).motion
+
+
+def driven_response(
+    rods: Rods,
+    clamp: Clamp,
+    grip_nodes: ArrayLike,
+    directions: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    observe: ArrayLike,
+    gravity: ArrayLike = GRAVITY,
+    loss_factor: float = 0.0,
+) -> Driven:
+    """Return how the observed nodes answer a shake at each grip node in each direction, and the force it takes.
 
     Args:
         rods: the rods.
@@ -97,7 +126,8 @@ def response_map(
     loads, places = np.unique(np.concatenate(held), return_inverse=True)
     wanted = np.concatenate([(4 * seen[:, None] + np.arange(3)).ravel(), loads])
     receptances = _receptances(system, loads, wanted, 2 * np.pi * hertz)
-    out = np.empty((len(hertz), len(pads), len(units), len(seen), 3), np.complex128)
+    motion = np.empty((len(hertz), len(pads), len(units), len(seen), 3), np.complex128)
+    force = np.empty((len(hertz), len(pads), len(units), 3), np.complex128)
     ends = np.cumsum([len(h) for h in held])
     for g, (end, unknowns) in enumerate(zip(ends, held, strict=True)):
         rows = places[end - len(unknowns) : end]
@@ -105,8 +135,10 @@ def response_map(
         moved[: 3 * pads.shape[1]] = np.tile(units.T, (pads.shape[1], 1))  # spins stay 0
         forces = np.linalg.solve(receptances[:, rows][:, :, 3 * len(seen) + rows], moved)
         moves = np.swapaxes(forces, 1, 2) @ receptances[:, rows, : 3 * len(seen)]
-        out[:, g] = moves.reshape(len(hertz), len(units), len(seen), 3)
-    return out
+        motion[:, g] = moves.reshape(len(hertz), len(units), len(seen), 3)
+        pushes = np.swapaxes(forces[:, : 3 * pads.shape[1]], 1, 2)
+        force[:, g] = pushes.reshape(len(hertz), len(units), pads.shape[1], 3).sum(axis=2)
+    return Driven(motion, force)
 
 
 def _held_unknowns(rods: Rods, pad: NDArray[Any]) -> NDArray[Any]:

@@ -26,6 +26,8 @@ class Observables(NamedTuple):
         flowers: (F,) rows of K that are flower displacements [m].
         stem_strain: rows of K whose length is the bending strain at the surface of a stem edge [-].
         joint_strain: the same for pedicels.
+        base_strain: rows of K whose length, times the squared angular frequency, is the bending strain at the surface
+            of a branch's base [-].
         leaf_load: rows of K whose length, times the squared angular frequency, is an equivalent acceleration [m/s2].
     """
 
@@ -33,6 +35,7 @@ class Observables(NamedTuple):
     flowers: NDArray[Any]
     stem_strain: NDArray[Any]
     joint_strain: NDArray[Any]
+    base_strain: NDArray[Any]
     leaf_load: NDArray[Any]
 
 
@@ -40,13 +43,14 @@ def observables(plant: PlantModel) -> Observables:
     """Return what is observed of a plant.
 
     The strain of a joint is its moment, stiffness times change of angle, over the section modulus EI / (E r) of its two
-    edges; the larger of both counts. The leaf load of a leaf is the
+    edges; the larger of both counts. The strain of a branch's base is the inertia torque of all that it carries over
+    its section modulus, since the angle of a fork cannot be told from its nodes alone. The leaf load of a leaf is the
     inertia torque about its base over the sum of mass times distance: uniform acceleration a gives at most a, gravity
     gives at most g, so that a limit in g is a share of the leaf's own weight (facts: pollination 1d, safety factor
     1.7 of petioles).
     """
     n = len(plant.rods.nodes)
-    blocks = [_flower_rows(plant, n), *_strain_rows(plant, n), _load_rows(plant, n)]
+    blocks = [_flower_rows(plant, n), *_strain_rows(plant, n), *_base_rows(plant, n)]
     ends = np.cumsum([0] + [block.shape[0] // 3 for block in blocks])
     rows = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
     operator = coo_array(np.concatenate(blocks)).tocsr()
@@ -106,31 +110,40 @@ def _bend_row(nodes: Array, a: int, b: int, c: int) -> Array:
     return turns[1] - turns[0] + _cross(tangents[1] - tangents[0]) @ common
 
 
-def _load_rows(plant: PlantModel, n: int) -> Array:
-    """Return (3B, 3N): inertia torque about each leaf's base per squared angular frequency, over sum of m |r| [m].
+def _base_rows(plant: PlantModel, n: int) -> tuple[Array, Array]:
+    """Return rows (3B, 3N) for the branches' bases, per squared angular frequency: their strain, and the leaves' load.
 
-    Flowers and pedicels do not count, nor do branches without leaves (trusses) where the leaves are known: the flowers
-    are meant to move, and their stalks have their own limit.
+    A leaf's load is the inertia torque about its base over sum of m |r| [m]. Flowers and pedicels do not count in it,
+    nor do branches without leaves (trusses) where the leaves are known: the flowers are meant to move, and their
+    stalks have their own limits.
     """
-    rods, rows = plant.rods, []
+    rods, strains, loads = plant.rods, [], []
     leaf = np.array(rods.lumped_mass)
     leaf[plant.flower_nodes] = 0
     tissue = np.where(plant.is_pedicel, 0, rods.node_mass)
     tissue[plant.flower_nodes] = 0
+    radius, youngs = np.asarray(rods.edge_radius), np.asarray(rods.youngs)
     for base in plant.branch_bases:
         beyond = np.zeros(n, dtype=bool)
         beyond[base] = True
         for j in range(int(base) + 1, n):
             beyond[j] = beyond[rods.parent[j]]
+        lever = rods.nodes - rods.nodes[rods.parent[base]]
+        section = youngs[base] * np.pi * radius[base] ** 3 / 4
+        strains.append(_torque_row(lever, np.where(beyond, rods.node_mass, 0)) / section)
         if leaf.sum() > 0 and leaf[beyond].sum() < 1e-4:
             continue
-        lever = rods.nodes - rods.nodes[rods.parent[base]]
         mass = np.where(beyond, tissue, 0)
-        row = np.zeros((3, n, 3))
-        for j in np.flatnonzero(beyond):
-            row[:, j] = mass[j] * _cross(lever[j])
-        rows.append(row.reshape(3, -1) / max(np.sum(mass * np.linalg.norm(lever, axis=1)), 1e-12))
-    return _stack(rows, n)
+        loads.append(_torque_row(lever, mass) / max(np.sum(mass * np.linalg.norm(lever, axis=1)), 1e-12))
+    return _stack(strains, n), _stack(loads, n)
+
+
+def _torque_row(lever: Array, mass: Array) -> Array:
+    """Return (3, 3N): sum of m r x displacement."""
+    row = np.zeros((3, len(mass), 3))
+    for j in np.flatnonzero(mass):
+        row[:, j] = mass[j] * _cross(lever[j])
+    return row.reshape(3, -1)
 
 
 def _cross(v: Array) -> Array:

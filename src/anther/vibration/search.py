@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from anther.elastic_rod.response import response_map
+from anther.elastic_rod.response import ComplexArray, driven_response
 from anther.elastic_rod.rods import Array
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
@@ -25,14 +25,18 @@ class Gains(NamedTuple):
 
     Attributes:
         flower: (M, Q, G, D, F) amplitude of each flower, the semi-major axis of its path [m/m].
-        stem_strain, joint_strain: (M, Q, G, D) largest bending strain of main stem and pedicels [1/m].
+        stem_strain, joint_strain, base_strain: (M, Q, G, D) largest bending strain of main stem, of pedicels and of
+            branch bases [1/m].
         leaf_load: (M, Q, G, D) largest equivalent acceleration at a branch base [1/s2].
+        grip_force: (M, Q, G, D) largest force between pads and stem [N/m].
     """
 
     flower: Array
     stem_strain: Array
     joint_strain: Array
+    base_strain: Array
     leaf_load: Array
+    grip_force: Array
 
 
 def scenarios(plant: PlantModel, count: int, seed: int = 0) -> list[PlantModel]:
@@ -106,28 +110,28 @@ def gains(versions: Sequence[PlantModel], grips: NDArray[Any], directions: Array
     return Gains(*(np.stack(a) for a in zip(*parts, strict=True)))
 
 
-def _gains_of(
-    plant: PlantModel, grips: NDArray[Any], directions: Array, frequencies: Array
-) -> tuple[Array, Array, Array, Array]:
+def _gains_of(plant: PlantModel, grips: NDArray[Any], directions: Array, frequencies: Array) -> tuple[Array, ...]:
     """Return the gains of one scenario; its damping ratio is the same at every frequency (hysteretic)."""
     seen, everything = observables(plant), np.arange(len(plant.rods.nodes))
     loss = 2 * plant.material.damping_ratio
-    response = response_map(
+    response = driven_response(
         plant.rods, plant.clamp, grips, np.eye(3), frequencies, observe=everything, loss_factor=loss
     )
-    each = [_gains_at(seen, r, directions, float(f)) for r, f in zip(response, frequencies, strict=True)]
-    first, second, third, fourth = (np.stack(a) for a in zip(*each, strict=True))
-    return first, second, third, fourth
+    each = [
+        _gains_at(seen, motion, force, directions, float(f))
+        for motion, force, f in zip(response.motion, response.force, frequencies, strict=True)
+    ]
+    return tuple(np.stack(a) for a in zip(*each, strict=True))
 
 
 def _gains_at(
-    seen: Observables, response: NDArray[Any], directions: Array, frequency: float
-) -> tuple[Array, Array, Array, Array]:
-    flat = response.reshape(len(response) * 3, -1)
-    vectors = (seen.operator @ flat.T).reshape(-1, 3, len(response), 3)
+    seen: Observables, motion: ComplexArray, force: ComplexArray, directions: Array, frequency: float
+) -> tuple[Array, ...]:
+    flat = motion.reshape(len(motion) * 3, -1)
+    vectors = (seen.operator @ flat.T).reshape(-1, 3, len(motion), 3)
     size = semi_major(np.einsum("kigj,gdj->gdki", vectors, directions))
     omega2 = (2 * np.pi * frequency) ** 2
-    worst = [
-        size[..., rows].max(axis=-1, initial=0.0) for rows in (seen.stem_strain, seen.joint_strain, seen.leaf_load)
-    ]
-    return size[..., seen.flowers], worst[0], worst[1], omega2 * worst[2]
+    kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
+    stem, joint, base, load = (size[..., rows].max(axis=-1, initial=0.0) for rows in kinds)
+    pull = semi_major(np.einsum("gji,gdj->gdi", force, directions))
+    return size[..., seen.flowers], stem, joint, omega2 * base, omega2 * load, pull

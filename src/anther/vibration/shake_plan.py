@@ -12,8 +12,12 @@ from anther.errors import bad_input
 from anther.files import read_json, write_json
 from anther.geometry import Array, transform_from_pose7
 from anther.grasp import Grasp
+from anther.vibration.waveforms import Waveform
 
-SCHEMA = 1
+SCHEMA = 2
+
+LimitRow = tuple[str, float, float, float]
+"""(name, value, limit, share of the limit that is used)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,33 +57,36 @@ class RunnerUp:
         grasp_index: into the ranked grasps.
         frequency, amplitude: [Hz], [m].
         score: of the objective; the plan's own score is `ShakePlan.score`.
+        waveform: in words.
     """
 
     grasp_index: int
     frequency: float
     amplitude: float
     score: float
+    waveform: str = "sine"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShakePlan:
-    """One shake: hold `grasp`, move it as amplitude * sin(2 pi frequency t) along `direction`, and what that does.
+    """One shake: hold `grasp`, move it along `direction` as `waveform` says, and what that does.
 
     Attributes:
         grasp_index: into the ranked grasps it was chosen from.
         grasp: the grasp itself.
         direction: (3,) unit vector, world.
         amplitude: half of peak to peak [m].
-        frequency: [Hz].
-        duration: [s].
-        waveform: "sine", with the amplitude rising over `ramp`.
-        ramp: [s].
-        predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path [m].
+        frequency: of a sweep the first [Hz].
+        duration: of the whole motion [s].
+        waveform: its shape in time; the displacement is `waveform.motion(t, amplitude, frequency, duration)`.
+        predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path; of a sweep or burst the
+            largest distance from rest [m].
         predicted_amplitude_interval: (F, 2) what nine scenarios in ten stay between, by the material's spread [m].
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
-        score: of the objective, averaged over flowers and scenarios: pollen dose [-] or amplitude [m].
-        limits: (name, value, limit, share used) each.
+        score: of the objective, averaged over the scenarios: flowers that set, or mean flower amplitude [m].
+        limits: (name, value, limit, share used) each; values of the plant are those of the cautious scenario by linear
+            theory, or of the plant as believed by the nonlinear solver where these are larger.
         runner_up: the next best, or None.
         reason: why this one, for people.
         response_map: for the picture.
@@ -92,14 +99,13 @@ class ShakePlan:
     amplitude: float
     frequency: float
     duration: float
-    waveform: str
-    ramp: float
+    waveform: Waveform
     predicted_amplitude: Array
     predicted_amplitude_interval: Array
     predicted_acceleration: Array
     predicted_acceleration_interval: Array
     score: float
-    limits: Sequence[tuple[str, float, float, float]]
+    limits: Sequence[LimitRow]
     runner_up: RunnerUp | None
     reason: str
     response_map: ResponseMap
@@ -113,8 +119,6 @@ class ShakePlan:
         check_range("shake amplitude", self.amplitude, 0, 1, "m")
         check_range("shake frequency", self.frequency, 1e-3, 1e4, "Hz")
         check_range("shake duration", self.duration, 1e-3, 3600, "s")
-        if self.waveform != "sine":
-            raise bad_input("waveform", given=self.waveform, allowed="sine", do="Plan again.")
         object.__setattr__(self, "limits", tuple((str(n), float(v), float(m), float(s)) for n, v, m, s in self.limits))
         object.__setattr__(self, "notes", tuple(self.notes))
 
@@ -123,6 +127,7 @@ class ShakePlan:
         row: dict[str, Any] = {"kind": "shake plan", "schema": SCHEMA}
         row |= {name: getattr(self, name) for name in _SAVED}
         row["grasp"] = {"pose": self.grasp.pose7, **{name: getattr(self.grasp, name) for name in _GRASP}}
+        row["waveform"] = asdict(self.waveform)
         row["runner_up"] = None if self.runner_up is None else asdict(self.runner_up)
         row["response_map"] = {name: getattr(self.response_map, name) for name in ResponseMap.__dataclass_fields__}
         write_json(path, row)
@@ -142,6 +147,7 @@ class ShakePlan:
             grasp = Grasp(transform_from_pose7(held["pose"]), **{name: held[name] for name in _GRASP})
             return cls(
                 grasp=grasp,
+                waveform=Waveform(**row["waveform"]),
                 runner_up=None if row["runner_up"] is None else RunnerUp(**row["runner_up"]),
                 response_map=ResponseMap(**row["response_map"]),
                 **{name: row[name] for name in _SAVED},
@@ -153,7 +159,7 @@ class ShakePlan:
 
 
 _GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "score", "reason", "joints")
-_NESTED = ("grasp", "runner_up", "response_map")
+_NESTED = ("grasp", "waveform", "runner_up", "response_map")
 _SAVED = tuple(name for name in ShakePlan.__dataclass_fields__ if name not in _NESTED)
 _SHAPES: dict[str, tuple[int | None, ...]] = {
     "direction": (3,),
