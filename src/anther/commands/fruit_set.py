@@ -99,8 +99,11 @@ def _print(result: dict[str, Any]) -> None:
         texts = [_interval(values, 100, " %") for values in (believed, result["added"][a], prior)]
         table.add_row(f"{a} m/s²", *texts)
     console.print(table)
-    if result["counts"] and result["half_dose_learned"] >= 0.2:
-        console.print(f"To plan with it: anther trial --params.vibration.half-dose {result['half_dose'][0]:.0f}")
+    if result["counts"]:
+        unshaken, gain, half = (result[name][0] for name in ("unshaken", "gain", "half_dose"))
+        options = {"unshaken": f"{unshaken:.2f}", "gain": f"{gain:.2f}", "half-dose": f"{half:.0f}"}
+        words = " ".join(f"--params.vibration.{name} {value}" for name, value in options.items())
+        console.print(f"To plan with it: anther trial {words}")
     for note in result["caveats"]:
         console.print(f"- {note}")
 
