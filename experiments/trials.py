@@ -28,7 +28,8 @@ def one_trial(species: str, seed: int, viewpoint: float, out: Path) -> dict[str,
     folder = out / f"{species}-{seed}-{viewpoint:g}"
     if not (folder / "trial.json").exists():
         words = ["trial", "--plant", species, "--seed", str(seed), "--viewpoint", str(viewpoint), "--out", str(folder)]
-        command = [sys.executable, "-m", "anther.cli", *words, "--overwrite", "--history", str(out / "history.sqlite")]
+        words += ["--overwrite", "--history", str(out / "history.sqlite"), "--material", "facts"]
+        command = [sys.executable, "-m", "anther.cli", *words]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         (out / f"{folder.name}.log").write_text(done.stdout + done.stderr)
         if not (folder / "trial.json").exists():
