@@ -12,6 +12,7 @@ COMMANDS = {
     "trial": "see, grasp and shake one plant in the simulated cell, measure it, write a report",
     "reconstruct": "RGB-D views of a plant -> cloud, skeleton, main stem, flowers, grasp",
     "skeletonize": "point cloud -> skeleton, main stem, grasp",
+    "plan": "choose the shake for a skeleton or run and explain it: limits, runner-up, every flower, response map",
     "shake": "shake a skeleton with the elastic-rod model; print the flower's motion",
     "respond": "map how flowers answer shakes of a skeleton or run, over grip height and frequency",
     "identify": "bench measurements of a stem -> density, stiffness, damping, with uncertainty",

@@ -159,14 +159,8 @@ class Planner:
         return dynamics.check_effort(motion)
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,): `SHAKE_SHARE` of the local limits.
-
-        The limits are the joints' velocities, accelerations and torques.
-        """
-        q = check_array("joints", q, (7,))
-        quick = shaking.amplitude_limit(q, direction, frequencies)
-        strong = dynamics.shake_amplitude(q, shaking.joint_rates(q, direction, frequencies), frequencies)
-        return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
+        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,), see `shake_limit`."""
+        return shake_limit(q, direction, frequencies)
 
     def shake(
         self,
@@ -277,6 +271,17 @@ class Planner:
             if i >= 8 and self.world.free(path[i]):
                 return path[i], timing.along_line(path[: i + 1], i * self.params.line_step, self.params.approach_speed)
         raise StageFailure("collision", f"the flange at {here[:3, 3].round(3)} m is not free, nor straight behind it.")
+
+
+def shake_limit(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
+    """Return the amplitudes (Q,) [m] that `Planner.shake` can do at joints (7,): `SHAKE_SHARE` of the local limits.
+
+    The limits are the joints' velocities, accelerations and torques.
+    """
+    q = check_array("joints", q, (7,))
+    quick = shaking.amplitude_limit(q, direction, frequencies)
+    strong = dynamics.shake_amplitude(q, shaking.joint_rates(q, direction, frequencies), frequencies)
+    return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
 
 
 def _poses_between(start: Array, end: Array, step: float) -> Array:

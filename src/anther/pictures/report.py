@@ -98,19 +98,23 @@ def plant(results: RunResults) -> Figure:
 def response_map(shake: ShakePlan) -> Figure:
     """Draw mean flower acceleration over grip height and frequency, with the chosen shake marked."""
     figure = Figure(figsize=(10, 3.6), layout="constrained")
-    axes = figure.subplots()
+    draw_response_map(figure, figure.subplots(), shake)
+    return figure
+
+
+def draw_response_map(figure: Figure, axes: Any, shake: ShakePlan) -> None:
+    """Draw the response map into axes, with its colours beside it."""
     response = shake.response_map
     allowed = np.where(response.acceleration > 0, response.acceleration, np.nan)
     axes.set_facecolor("#d9dedb")
     mesh = axes.pcolormesh(response.frequencies, 100 * response.arc_length, allowed, shading="nearest", cmap="viridis")
     axes.plot(shake.frequency, 100 * shake.grasp.arc_length, "o", mfc="none", mec="white", ms=11, mew=2)
     axes.set(xscale="log", xlabel="frequency [Hz]", ylabel="grip height along the stem [cm]")
-    ticks = [f for f in (1, 2, 3, 5, 10, 20, 30) if response.frequencies[0] <= f <= response.frequencies[-1]]
+    ticks = [f for f in (1, 2, 3, 5, 10, 20, 30, 50) if response.frequencies[0] <= f <= response.frequencies[-1]]
     axes.set_xticks(ticks, [str(f) for f in ticks])
     axes.minorticks_off()
     figure.colorbar(mesh, ax=axes, label="mean flower acceleration\nat the largest allowed shake [m/s²]")
-    axes.set_title("grey: no shake that the arm can be trusted with", fontsize=9, loc="left")
-    return figure
+    axes.set_title("grey: no shake that is allowed and large enough to be trusted", fontsize=9, loc="left")
 
 
 def motion(shake: ShakePlan | None, response: Response | None) -> Figure:

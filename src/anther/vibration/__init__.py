@@ -30,6 +30,9 @@ __all__ = [
 
 SAWYER, DEFAULTS = ArmShaker(), Params()
 
+CHECKED, NEAR = 4, 0.1
+"""So many shakes are simulated until one holds the limits; those within 10 % of a refused one's frequency are not."""
+
 
 def plan_shake(
     plant: PlantModel, grasps: Sequence[Grasp], actuator: Actuator = SAWYER, params: Params = DEFAULTS
@@ -63,16 +66,9 @@ def plan_shake(
     response = gains(scenarios(plant, params.draws, params.seed), grips.nodes, grips.directions, frequencies)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     found = search(response, grips, grasps, frequencies, actuator=actuator, least=least, params=params)
-    at = best(found, np.arange(len(grasps)))
-    if found.score[at] < 0:
+    if not np.any(found.score[:, :, : len(grasps)] >= 0):
         raise _nothing_allowed(found, len(grasps), least, actuator)
-    done = _Checked(plant, grips, response, found, at, params)
-    if done.shake.amplitude < least:
-        raise StageFailure(
-            "limits_exceeded",
-            f"the best shake passes a limit in the nonlinear solver unless it is below {1e3 * least:.2g} mm. "
-            f"{closest(done.limits)} Allow a smaller least_amplitude, or another grasp.",
-        )
+    found, at, done = _best_that_holds(plant, grips, response, found, len(grasps), least, params)
     other = _runner_up(found, at, params, len(grasps))
     return ShakePlan(
         grasp_index=at[2],
@@ -115,6 +111,27 @@ def _nothing_allowed(found: Search, grasps: int, least: float, actuator: Actuato
         f"no shake of {1e3 * least:.2g} mm or more is allowed at any grasp, direction and frequency of the"
         f" {actuator.name}; the largest is {1e3 * float(size[at]):.2g} mm at {found.frequencies[q]:.3g} Hz. "
         f"{closest(limit_rows(found, at))} Allow a smaller least_amplitude, or another grasp.",
+    )
+
+
+def _best_that_holds(
+    plant: PlantModel, grips: Grips, response: Gains, found: Search, grasps: int, least: float, params: Params
+) -> tuple[Search, Place, _Checked]:
+    """Return the best shake that the nonlinear solver does not make too small, and the search without those it did."""
+    found, refused = found._replace(score=found.score.copy()), ""
+    for _ in range(CHECKED):
+        at = best(found, np.arange(grasps))
+        if found.score[at] < 0:
+            break
+        done = _Checked(plant, grips, response, found, at, params)
+        if done.shake.amplitude >= least:
+            return found, at, done
+        refused = closest(done.limits)
+        found.score[at[0], np.abs(np.log(found.frequencies / found.frequencies[at[1]])) < NEAR, at[2]] = -1
+    raise StageFailure(
+        "limits_exceeded",
+        f"the best shakes pass a limit in the nonlinear solver unless they are below {1e3 * least:.2g} mm. {refused} "
+        "Allow a smaller least_amplitude, or another grasp.",
     )
 
 

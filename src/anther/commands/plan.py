@@ -1,0 +1,211 @@
+"""Choose the shake for a skeleton or a run, and explain it: limits, runner-up, what each flower should do, and why."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from anther.arm.planner import shake_limit
+from anther.checks import check_range
+from anther.cloud import Cloud
+from anther.commands.skeletonize import best_grasps
+from anther.errors import bad_input
+from anther.files import replacing
+from anther.flowers import Flowers, supposed_flowers
+from anther.formats.skeletons import read_skeleton
+from anther.geometry import Array
+from anther.grasp import Grasp, load_grasps
+from anther.identification import read_material
+from anther.pictures.shake_plan import draw_plan
+from anther.plant import PEPPER, TOMATO, Material, PlantModel, build_plant
+from anther.runs import FILES
+from anther.skeleton import Skeleton
+from anther.stem import Stem, find_stem
+from anther.vibration import (
+    WAVEFORMS,
+    Actuator,
+    ArmShaker,
+    Params,
+    ShakePlan,
+    VibratingGripper,
+    plan_shake,
+    sawyer_limit,
+)
+
+PEDICEL = 0.015
+"""A flower named as a node of a skeleton hangs this far beyond it [m], as long as a pedicel is (facts: pollination 2)."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: the plant, what shakes it, and what for."""
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """Run folder, or skeleton file (.npz, .swc, .txt, .ply, .graphml, .mtg)."""
+    flower: tuple[int, ...] = ()
+    """Of a skeleton file: nodes that bear a flower, numbered as in the file. By default flowers are supposed at the
+    ends of the branches."""
+    radius: float | None = None
+    """Of a skeleton file without radii: of every node [m]."""
+    crop: Literal["tomato", "pepper"] = "tomato"
+    """Whose prior the material is, where neither the run nor --material tells it."""
+    material: Path | None = None
+    """What `anther identify` measured (material.json)."""
+    objective: Literal["fruit_set", "amplitude"] | None = None
+    """Flowers that should set, or mean flower amplitude as in the paper; by default what --params says."""
+    actuator: Literal["arm", "gripper"] = "arm"
+    """The arm shakes the closed gripper, or the gripper vibrates by itself (10-50 Hz)."""
+    waveforms: Literal["sine", "all"] = "sine"
+    """Only sines, or also sweeps and bursts. Response and learning can follow a sine only."""
+    lowest: float | None = None
+    """Lowest frequency [Hz]; by default the actuator's."""
+    highest: float | None = None
+    """Highest frequency [Hz]; by default the actuator's."""
+    frequencies: int | None = None
+    """How many frequencies are tried."""
+    out: Path | None = None
+    """Folder for shake_plan.json and shake_plan.png."""
+    json: bool = False
+    """Print the plan as JSON."""
+    params: Params = field(default_factory=Params)
+    """Limits and search."""
+
+
+def run(args: Args) -> None:
+    """Plan the shake, print it, and write it to `out`.
+
+    Raises:
+        InputError: a bad file or option.
+        StageFailure: no flower, no grasp, a plant that cannot stand, or no shake within the limits.
+    """
+    plant, grasps = read_plant(args)
+    params = _params(args)
+    plan = plan_shake(plant, grasps, ACTUATORS[args.actuator], params)
+    if args.out is not None:
+        plan.save(args.out / "shake_plan.json")
+        with replacing(args.out / "shake_plan.png") as temporary:
+            draw_plan(plan).savefig(temporary, dpi=110)
+    if args.json:
+        print(json.dumps(summary(plan), indent=2))
+    else:
+        _print(args, plan)
+
+
+def arm_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
+    """Return what the arm manages at the grasp's joints, or by the Sawyer's table where no arm was asked."""
+    if grasp.joints is None:
+        return sawyer_limit(grasp, direction, frequencies)
+    return shake_limit(grasp.joints, direction, frequencies)
+
+
+ACTUATORS: dict[str, Actuator] = {"arm": ArmShaker(arm_limit), "gripper": VibratingGripper()}
+
+
+def _params(args: Args) -> Params:
+    given = {"objective": args.objective, "lowest": args.lowest, "highest": args.highest}
+    given |= {"frequencies": args.frequencies, "waveforms": WAVEFORMS if args.waveforms == "all" else None}
+    return replace(args.params, **{name: value for name, value in given.items() if value is not None})
+
+
+def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
+    """Return the plant as rods, and the grasps to choose from.
+
+    Raises:
+        InputError: a bad file or option, a folder that is no run, a flower on no node.
+        StageFailure: no stem or grasp, or the plant would buckle.
+    """
+    material = None if args.material is None else read_material(args.material)
+    if not args.source.is_dir():
+        return _of_skeleton(args, material or (TOMATO if args.crop == "tomato" else PEPPER))
+    if args.flower or args.radius is not None:
+        raise bad_input("--flower or --radius", given="with a run folder", allowed="skeleton files", do="Leave it out.")
+    there = {stage: args.source / name for stage, name in FILES.items() if (args.source / name).exists()}
+    if not {"skeleton", "stem"} <= there.keys():
+        needed = f"a run folder with {FILES['skeleton']} and {FILES['stem']}"
+        raise bad_input(str(args.source), given="a folder without them", allowed=needed, do="Run `anther trial`.")
+    skeleton, stem = Skeleton.load(there["skeleton"]), Stem.load(there["stem"])
+    cloud = Cloud.load(there["cloud"]) if "cloud" in there else None
+    if "plant model" in there:
+        plant = PlantModel.load(there["plant model"])
+        plant = plant if material is None else plant.with_material(material)
+    else:
+        flowers = Flowers.load(there["flowers"]) if "flowers" in there else Flowers(np.zeros((0, 3)), np.zeros(0))
+        plant = _built(skeleton, stem, flowers, cloud, material or (TOMATO if args.crop == "tomato" else PEPPER))
+    return plant, load_grasps(there["grasp"]) if "grasp" in there else _grasps(stem, skeleton, cloud)
+
+
+def _of_skeleton(args: Args, material: Material) -> tuple[PlantModel, list[Grasp]]:
+    source = read_skeleton(args.source)
+    if args.radius is not None:
+        check_range("radius", args.radius, 1e-4, 0.2, "m")
+    skeleton = source.skeleton(args.radius)
+    at = np.array([source.node(number) for number in args.flower], dtype=np.int64)
+    if np.any(at == 0):
+        raise bad_input("flower", given="the root", allowed="a node of a branch or of the stem", do="Name another.")
+    out = skeleton.nodes[at] - skeleton.nodes[skeleton.parent[at]]
+    out *= PEDICEL / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
+    flowers = Flowers(skeleton.nodes[at] + out, at)
+    stem = find_stem(skeleton, flowers_at=flowers.positions)
+    return _built(skeleton, stem, flowers, None, material), _grasps(stem, skeleton, None)
+
+
+def _built(skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, material: Material) -> PlantModel:
+    hung = flowers if len(flowers.positions) else supposed_flowers(skeleton, stem)
+    plant = build_plant(skeleton, stem, hung, cloud, material)
+    return replace(plant, notes=(*hung.notes, *plant.notes))
+
+
+def _grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud | None) -> list[Grasp]:
+    """Return grasps of the stem; without a cloud, clear of the skeleton's own nodes."""
+    return best_grasps(stem, skeleton, cloud or Cloud(skeleton.nodes))[0]
+
+
+def summary(plan: ShakePlan) -> dict[str, Any]:
+    """Return the plan as numbers with names [SI units]."""
+    grasp, other = plan.grasp, plan.runner_up
+    flowers = zip(plan.predicted_amplitude, plan.predicted_amplitude_interval, plan.predicted_acceleration, strict=True)
+    return {
+        "grasp": plan.grasp_index + 1,
+        "grasp_point": grasp.point.tolist(),
+        "grasp_arc_length": grasp.arc_length,
+        "direction": plan.direction.tolist(),
+        "amplitude": plan.amplitude,
+        "frequency": plan.frequency,
+        "duration": plan.duration,
+        "waveform": str(plan.waveform),
+        "score": plan.score,
+        "flowers": [{"amplitude": a, "interval": i.tolist(), "acceleration": s} for a, i, s in flowers],
+        "limits": [dict(zip(("name", "value", "limit", "share"), row, strict=True)) for row in plan.limits],
+        "runner_up": None if other is None else {n: getattr(other, n) for n in ("frequency", "amplitude", "score")},
+        "reason": plan.reason,
+        "notes": list(plan.notes),
+    }
+
+
+def _print(args: Args, plan: ShakePlan) -> None:
+    console = Console(width=100)
+    console.print(plan.reason, highlight=False, markup=False)
+    limits = Table("limit", "planned", "allowed", "used", title="How close each limit is")
+    for name, value, limit, share in plan.limits:
+        style = "bold" if share > 0.9 else None
+        limits.add_row(name.replace("[", "\\["), f"{value:.3g}", f"{limit:.3g}", f"{share:.0%}", style=style)
+    console.print(limits)
+    flowers = Table("flower", "mm", "9 of 10 scenarios", "m/s2", title="What each flower should do")
+    rows = zip(plan.predicted_amplitude, plan.predicted_amplitude_interval, plan.predicted_acceleration, strict=True)
+    for k, (amplitude, (low, high), jolt) in enumerate(rows):
+        between = f"{1e3 * low:.2f} to {1e3 * high:.2f}"
+        flowers.add_row(str(k + 1), f"{1e3 * amplitude:.2f}", between, f"{jolt:.1f}")
+    console.print(flowers)
+    for note in plan.notes:
+        console.print(f"note: {note}", highlight=False, markup=False)
+    if args.actuator == "gripper":
+        console.print("note: no such gripper is built: this is what one would change.", highlight=False)
+    if args.out is not None:
+        console.print(f"written: {args.out}", highlight=False, markup=False)

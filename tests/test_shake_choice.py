@@ -1,0 +1,238 @@
+"""Waveforms, dose, actuators, slip and the nonlinear check: each is what physics or the arm makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sample_plants import branched, grasps_on, stem_along, straight_stem
+
+from anther import fruit_set
+from anther.arm import sawyer, shaking
+from anther.elastic_rod import Clamp, Rods
+from anther.elastic_rod.response import driven_response, frequency_response
+from anther.elastic_rod.simulation import simulate
+from anther.errors import InputError, StageFailure
+from anther.flowers import Flowers
+from anther.grasp import Grasp
+from anther.plant import TOMATO, PlantModel, build_plant
+from anther.vibration import SINE, WAVEFORMS, ArmShaker, Params, ShakePlan, VibratingGripper, Waveform, plan_shake
+from anther.vibration.choice import plant_limits
+from anther.vibration.dose import freed_share
+from anther.vibration.limits import pollen_dose, sawyer_limit
+from anther.vibration.observables import observables, semi_major
+from anther.vibration.verification import Shake, shaken, verified
+from anther.vibration.waveforms import mix
+
+QUICK = Params(frequencies=12, directions=4, heights=0, draws=3)
+SWEEP, BURST = Waveform("sweep", ratio=1.6), Waveform("burst", cycles=8)
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantModel:
+    skeleton, stem, flowers = branched()
+    return build_plant(skeleton, stem, flowers, None, TOMATO)
+
+
+@pytest.fixture(scope="module")
+def grasps() -> list[Grasp]:
+    skeleton, stem, _ = branched()
+    return grasps_on(skeleton, stem, [8, 14])
+
+
+@given(st.sampled_from(WAVEFORMS), st.floats(1, 30), st.floats(2.5, 5))
+def test_a_waveform_begins_and_ends_at_rest_and_its_rate_is_its_derivative(
+    waveform: Waveform, frequency: float, duration: float
+) -> None:
+    t = np.linspace(0, duration, 40001)
+    d, rate = waveform.motion(t, 1e-3, frequency, duration)
+    assert np.abs(d).max() <= 1e-3 * (1 + 1e-9)
+    assert np.abs([d[0], d[-1], rate[0], rate[-1]]).max() < 1e-9
+    middle = 0.5 * (t[1:] + t[:-1])
+    largest = 2 * np.pi * frequency * waveform.ratio * 1e-3
+    seen = np.diff(d) / np.diff(t)
+    np.testing.assert_allclose(seen, waveform.motion(middle, 1e-3, frequency, duration)[1], atol=2e-3 * largest)
+
+
+@given(st.sampled_from(WAVEFORMS), st.integers(0, 39))
+def test_the_pieces_of_a_shake_are_all_of_it(waveform: Waveform, q: int) -> None:
+    f = np.geomspace(1, 35, 40)
+    pieces = mix(waveform, f, q, 3.0)
+    if pieces is None:
+        assert waveform.kind == "burst" or f[q] * waveform.ratio > 35
+        return
+    assert pieces.seconds.sum() == pytest.approx(3.0)
+    assert pieces.weights.sum(axis=1) == pytest.approx(1.0)
+    assert pieces.of(np.ones((40, 2))).max() == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("make", [lambda: Waveform("chirp"), lambda: Waveform("sweep"), lambda: Waveform("burst")])  # type: ignore[arg-type]
+def test_impossible_waveforms_are_refused(make: object) -> None:
+    with pytest.raises(InputError):
+        make()  # type: ignore[operator]
+
+
+def test_a_sweeps_flowers_do_what_the_time_shares_say(plant: PlantModel) -> None:
+    """Within 15 % while it crosses resonances slowly enough, see `mix`; both with the damping of the simulated rods."""
+    frequencies, way = np.linspace(6, 9.6, 60), np.array([1.0, 0.2, 0.0]) / np.hypot(1, 0.2)
+    node, also = (int(n) for n in plant.stem_nodes[[14, 15]])
+    rods = plant.rods_at(6 * np.sqrt(SWEEP.ratio))
+    response = driven_response(
+        rods, plant.clamp, [[node, also]], way[None], frequencies, observe=plant.flower_nodes
+    ).motion[:, 0, 0]
+    pieces = mix(SWEEP, frequencies, 0, 6.0)
+    assert pieces is not None
+    linear = 1e-4 * pieces.of(semi_major(response)).max(axis=0)
+    done = shaken(plant, Shake(node, (also,), way, 1e-4, 6.0, 6.0, SWEEP))
+    assert done.amplitude == pytest.approx(linear, rel=0.15)
+
+
+def test_a_burst_has_the_energy_that_its_spectrum_says(plant: PlantModel) -> None:
+    frequencies, way = np.linspace(2, 20, 200), np.array([1.0, 0.0, 0.0])
+    node, q = int(plant.stem_nodes[14]), 60
+    f = float(frequencies[q])
+    rods = plant.rods_at(f)
+    response = frequency_response(rods, plant.clamp, node, way, frequencies)[:, plant.flower_nodes]
+    pieces = mix(BURST, frequencies, q, 1.0)
+    assert pieces is not None
+    gain2 = np.tensordot(pieces.weights[0], np.sum(np.abs(response) ** 2, axis=-1), axes=1)
+    once = BURST.cycles / f
+    shake = Shake(node, (), way, 1e-4, f, once, BURST)
+    path = simulate(rods, plant.clamp, shake, once + 1.5, 1e-3, start="scanned", tolerance=1e-9)
+    moved = path.positions[:, plant.flower_nodes] - path.positions[0, plant.flower_nodes]
+    drive = shake.displacement(path.times)
+    assert np.sum(moved**2, axis=(0, 2)) / np.sum(drive**2) == pytest.approx(gain2, rel=0.1)
+
+
+@given(st.floats(1, 300), st.floats(0.1, 5), st.floats(0.1, 0.9))
+def test_the_dose_grows_with_time_and_does_not_care_how_it_is_cut(a: float, seconds: float, cut: float) -> None:
+    whole = freed_share(np.array([[a]]), np.array([seconds]), 45.0, 0.6)[0]
+    parts = freed_share(np.array([[a], [a]]), seconds * np.array([cut, 1 - cut]), 45.0, 0.6)[0]
+    assert whole == pytest.approx(pollen_dose(np.array(a), 45.0) * (1 - np.exp(-seconds / 0.6)))
+    assert parts == pytest.approx(whole)
+    weaker_after = freed_share(np.array([[a], [0.5 * a]]), np.array([seconds, 1.0]), 45.0, 0.6)[0]
+    assert weaker_after >= whole - 1e-12
+
+
+def test_the_planner_and_the_grower_have_one_dose_response() -> None:
+    prior, params = fruit_set.PRIORS["tomato"], Params()
+    assert 1 / (1 + np.exp(-prior.unshaken[0])) == pytest.approx(params.unshaken, abs=5e-4)
+    assert 1 / (1 + np.exp(-prior.gain[0])) == pytest.approx(params.gain, abs=5e-4)
+    assert np.exp(prior.half_dose[0]) == pytest.approx(params.half_dose)
+
+
+def test_the_grips_force_is_that_of_a_cantilever() -> None:
+    skeleton = straight_stem(count=161, radius=(3e-3, 3e-3))
+    rods = Rods(skeleton.nodes, skeleton.parent, 3e-3, 1e8, 1000.0)
+    node = 120
+    force = driven_response(
+        rods, Clamp.root(rods), [node], np.eye(3)[:1], [1e-3], observe=[node], gravity=(0, 0, 0)
+    ).force[0, 0, 0]
+    free = skeleton.nodes[node, 2] - skeleton.nodes[1, 2]
+    assert force[0].real == pytest.approx(3 * 1e8 * np.pi * 3e-3**4 / 4 / free**3, rel=0.03)
+    assert np.abs(force[1:]).max() < 1e-6 * abs(force[0])
+
+
+def test_a_branch_base_bears_the_inertia_of_all_it_carries(plant: PlantModel) -> None:
+    seen, rods = observables(plant), plant.rods
+    moved = np.tile([0.0, 0.0, 1.0], (len(rods.nodes), 1))
+    vectors = (seen.operator @ moved.ravel()).reshape(-1, 3)[seen.base_strain]
+    for base, vector in zip(plant.branch_bases, vectors, strict=True):
+        carried = [j for j in range(base, len(rods.nodes)) if base in path_of(rods, j)]
+        lever = rods.nodes[carried] - rods.nodes[rods.parent[base]]
+        torque = np.sum(rods.node_mass[carried, None] * np.cross(lever, [0, 0, 1.0]), axis=0)
+        section = np.asarray(rods.youngs)[base] * np.pi * np.asarray(rods.edge_radius)[base] ** 3 / 4
+        assert np.linalg.norm(vector) == pytest.approx(np.linalg.norm(torque) / section, rel=1e-9)
+
+
+def path_of(rods: Rods, node: int) -> list[int]:
+    way = [node]
+    while rods.parent[way[-1]] >= 0:
+        way.append(int(rods.parent[way[-1]]))
+    return way
+
+
+def test_comparing_more_waveforms_never_does_worse_and_each_can_be_planned(
+    plant: PlantModel, grasps: list[Grasp], tmp_path: Path
+) -> None:
+    sine = plan_shake(plant, grasps, params=QUICK)
+    every = plan_shake(plant, grasps, params=replace(QUICK, waveforms=WAVEFORMS))
+    assert every.score >= sine.score
+    for waveform in (Waveform("sweep", ratio=1.5), Waveform("burst", cycles=10)):
+        plan = plan_shake(plant, grasps, params=replace(QUICK, waveforms=(waveform,), least_amplitude=1e-5))
+        assert plan.waveform == waveform
+        assert str(waveform) in plan.reason
+        assert plan.score <= every.score or waveform not in WAVEFORMS
+        assert max(share for *_, share in plan.limits) <= 1 + 1e-9
+        plan.save(tmp_path / "plan.json")
+        assert ShakePlan.load(tmp_path / "plan.json").waveform == waveform
+
+
+@pytest.mark.parametrize("waveform", [SINE, SWEEP, BURST], ids=str)
+def test_the_arm_does_the_motion_that_was_planned(waveform: Waveform) -> None:
+    way = np.array([0.6, 0.8, 0.0])
+    shake = {"amplitude": 1e-3, "frequency": 5.0, "duration": 3.0}
+    motion = shaking.shake_trajectory(sawyer.NEUTRAL, way, **shake, waveform=waveform)
+    flange = sawyer.forward(motion.positions)
+    away = flange[:, :3, 3] - flange[0, :3, 3]
+    planned = waveform.motion(motion.times, **shake)[0]
+    assert away == pytest.approx(planned[:, None] * way, abs=2e-6)
+    assert np.abs(motion.velocities / sawyer.VELOCITY).max() <= 1
+    with pytest.raises(StageFailure, match="joint limits"):
+        shaking.shake_trajectory(sawyer.NEUTRAL, way, amplitude=1e-2, frequency=20.0, duration=3.0, waveform=waveform)
+
+
+def test_a_shake_that_the_nonlinear_solver_finds_too_strong_is_made_smaller(plant: PlantModel) -> None:
+    node, also = (int(n) for n in plant.stem_nodes[[14, 15]])
+    shake = Shake(node, (also,), np.array([1.0, 0, 0]), 2e-3, 6.0, 3.0, SINE)
+    limits = plant_limits(Params())
+    peaks = shaken(plant, shake).peaks
+    tight = {name: 0.5 * peaks[name] if name.startswith("stem") else 1e9 for name in limits}
+    smaller, done, notes = verified(plant, shake, tight)
+    assert smaller.amplitude == pytest.approx(0.5 * shake.amplitude, rel=0.1)
+    assert all(done.peaks[name] <= limit for name, limit in tight.items())
+    assert "stem bending strain" in notes[0]
+    same, _, quiet = verified(plant, shake, dict.fromkeys(limits, 1e9))
+    assert same.amplitude == shake.amplitude
+    assert quiet == ()
+
+
+def test_a_vibrating_gripper_is_asked_the_same_questions(plant: PlantModel, grasps: list[Grasp]) -> None:
+    gripper = VibratingGripper()
+    f = np.array([5.0, 10.0, 20.0, 50.0, 60.0])
+    assert gripper.amplitude(grasps[0], np.array([1.0, 0, 0]), f) == pytest.approx(
+        [0, 1.5e-3, 1.5e-3, 50 / (100 * np.pi) ** 2, 0]
+    )
+    plan = plan_shake(plant, grasps, gripper, QUICK)
+    assert 10 <= plan.frequency <= 50
+    assert plan.limits[0][0].startswith("vibrating gripper amplitude")
+    assert max(share for *_, share in plan.limits) <= 1 + 1e-9
+    with pytest.raises(InputError, match="10 to 50 Hz, the band of the vibrating gripper"):
+        plan_shake(plant, grasps, gripper, replace(QUICK, lowest=1, highest=5))
+
+
+def test_a_slippery_grip_is_shaken_less(plant: PlantModel, grasps: list[Grasp]) -> None:
+    plan = plan_shake(plant, grasps, params=replace(QUICK, pad_friction=2e-4, least_amplitude=1e-6))
+    used = {name: share for name, *_, share in plan.limits}
+    assert used["force in the grip, against slip [N]"] == pytest.approx(1.0)
+    assert "against slip" in plan.reason
+
+
+def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:
+    with pytest.raises(StageFailure, match=r"the largest is .* mm at .* Hz\. The limit that binds is leaf-base") as no:
+        plan_shake(plant, grasps, params=replace(QUICK, leaf_load=1e-3))
+    assert no.value.kind == "limits_exceeded"
+
+
+def test_flowers_that_grow_from_the_stem_itself_are_planned_for() -> None:
+    skeleton = straight_stem()
+    stem = stem_along(skeleton, 24)
+    top = skeleton.nodes[-1] + [0.01, 0, 0.01]
+    plant = build_plant(skeleton, stem, Flowers(top[None], np.array([24])), None, TOMATO)
+    strong = ArmShaker(lambda g, d, f: 2 * sawyer_limit(g, d, f))
+    plan = plan_shake(plant, grasps_on(skeleton, stem, [10]), strong, QUICK)
+    assert np.all(plan.predicted_amplitude > 0)
