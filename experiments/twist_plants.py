@@ -65,11 +65,7 @@ def real_plants(folder: Path) -> list[Plant]:
 
 def simulated_plant(plant: SimPlant) -> Plant:
     """Return a simulated plant as rods: its segments cut to EDGE, leaves and flowers as masses where they are."""
-    builder = _Builder(plant)
-    for k in range(len(plant.start)):
-        builder.add_segment(k)
-    for k in np.flatnonzero(plant.lump_mass > 0):
-        builder.add_mass(int(k))
+    builder = Builder(plant)
     stem = plant.stem_segments()
     arc = np.cumsum(plant.length[stem])
     grips = [int(builder.last[stem[np.argmin(np.abs(arc - share * arc[-1]))]]) for share in GRIP_SHARES]
@@ -78,14 +74,18 @@ def simulated_plant(plant: SimPlant) -> Plant:
     return _standing(name, builder.rods(), grips, flowers, float(plant.damping_ratio[0]), at_least=1.0)
 
 
-class _Builder:
-    """Collects nodes; `nodes_of` are those of each segment, `last` its end."""
+class Builder:
+    """A simulated plant as nodes; `nodes_of` are those of each segment, `last` its end."""
 
     def __init__(self, plant: SimPlant) -> None:
         self.plant, self.last = plant, np.zeros(len(plant.start), dtype=int)
         self.nodes_of: list[list[int]] = [[] for _ in plant.start]
         self.nodes, self.parent, self.mass = [plant.start[0]], [-1], [0.0]
         self.material = [(plant.radius_start[0], plant.youngs[0], plant.density[0])]
+        for k in range(len(plant.start)):
+            self._add_segment(k)
+        for k in np.flatnonzero(plant.lump_mass > 0):
+            self._add_mass(int(k))
 
     def _add(self, node: Array, parent: int, material: tuple[float, float, float], mass: float = 0.0) -> int:
         self.nodes.append(node)
@@ -94,7 +94,7 @@ class _Builder:
         self.mass.append(mass)
         return len(self.nodes) - 1
 
-    def add_segment(self, k: int) -> None:
+    def _add_segment(self, k: int) -> None:
         plant, above = self.plant, int(self.last[self.plant.parent[k]]) if self.plant.parent[k] >= 0 else 0
         count = max(1, int(np.ceil(plant.length[k] / EDGE)))
         for i in range(1, count + 1):
@@ -104,7 +104,7 @@ class _Builder:
             self.nodes_of[k].append(above)
         self.last[k] = above
 
-    def add_mass(self, k: int) -> None:
+    def _add_mass(self, k: int) -> None:
         """Hang leaf or flower mass by a light, stiff arm on the last node of the segment that lies before it.
 
         The mass sits on the node itself where the arm would be shorter than 1 mm or fold back.
@@ -121,6 +121,7 @@ class _Builder:
             self._add(plant.lump_centre[k], node, (plant.radius_end[k], 10 * plant.youngs[k], 1.0), mass)
 
     def rods(self) -> Rods:
+        """Return the nodes as undamped rods."""
         radius, youngs, density = np.array(self.material).T
         nodes, parent = np.array(self.nodes), np.array(self.parent)
         return Rods(nodes, parent, radius, youngs, density, bend_over_twist=SOFTEST, lumped_mass=np.array(self.mass))

@@ -40,7 +40,7 @@ from anther.vibration import (
 )
 
 PEDICEL = 0.015
-"""A flower named as a node of a skeleton hangs this far beyond it [m], as long as a pedicel is (facts: pollination 2)."""
+"""A flower named as a node of a skeleton hangs this far beyond it [m]: a pedicel (facts: pollination 2)."""
 
 
 @dataclass(frozen=True)
