@@ -188,6 +188,8 @@ def draw(rows: Rows, params: Params) -> Figure:
         right.bar(place, np.mean(shares), color=COLOURS[name], alpha=1 if strain == STRAINS[0] else 0.6)
         right.plot(np.full(len(shares), place), shares, ".", color="black", ms=4)
     left.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel="median flower acceleration [m/s²]")
+    left.set_xticks([5, 10, 20, 50], ["5", "10", "20", "50"])
+    left.minorticks_off()
     left.axhline(params.half_dose, color="grey", lw=0.8, ls="--")
     left.annotate("frees half of the pollen", (0.02, params.half_dose * 0.82), xycoords=("axes fraction", "data"))
     left.legend(frameon=False, fontsize=8)
