@@ -78,7 +78,7 @@ def test_the_next_grasp_is_tried_until_one_holds(
 
     monkeypatch.setattr(pipeline, "perceive", lambda *_: SimpleNamespace(**dict.fromkeys(_SEEN)))
     monkeypatch.setattr(pipeline, "rank_grasps", lambda *_: list(GRASPS))
-    monkeypatch.setattr(pipeline.plant, "build_plant", lambda *_, **__: SimpleNamespace(material=TOMATO))
+    monkeypatch.setattr(pipeline, "model_plant", lambda *_: SimpleNamespace(material=TOMATO))
     monkeypatch.setattr(pipeline.vibration, "plan_shake", plan_shake)
     robot = replace(fake_robot(arm, Meets(*widths)), side_camera=None)
     planner: Any = SmallPlanner()
