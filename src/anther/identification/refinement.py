@@ -93,8 +93,9 @@ def refine(
     seen = np.isfinite(amplitude)
     if np.any(~(error[seen] > 0)) or np.any(amplitude[seen] < 0):
         raise bad_input("response", given="a negative amplitude or an uncertainty <= 0", allowed="> 0 m", do="Check.")
-    if not seen.any():
-        note = "refinement: no flower's motion was measurable; the material stays as it was."
+    if not seen.any() or shake.waveform.kind != "sine":
+        why = "no flower's motion was measurable" if not seen.any() else f"a {shake.waveform} has no one frequency"
+        note = f"refinement: {why}; the material stays as it was."
         return Refinement(plant.material, shake.predicted_amplitude, float(params.members), 0.0, (note,))
     members = scenarios(plant, params.members, params.seed)
     predicted = _ensemble_amplitude(members, shake)
