@@ -6,6 +6,7 @@ F flowers, G grip heights, Q frequencies, D directions, M scenarios, W waveforms
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,7 +86,7 @@ def plan_shake(
         score=float(found.score[at]),
         limits=done.limits,
         runner_up=other,
-        reason=_reason(done, other, len(plant.flower_nodes)),
+        reason=_reason(done, other, float(grips.arc_length[at[2]]), float(found.score[at]), params),
         response_map=_map(grips, response, found, len(grasps), least),
         notes=plant.notes + done.notes,
     )
@@ -114,6 +115,17 @@ def _nothing_allowed(found: Search, grasps: int, least: float, actuator: Actuato
     )
 
 
+class _Checked(NamedTuple):
+    """A shake after the nonlinear solver has seen it."""
+
+    shake: Shake
+    amplitude: Array  # (F,) [m]
+    acceleration: Array  # (F,) [m/s2]
+    spread: Array  # (F, 2) over the scenarios, relative
+    limits: list[LimitRow]
+    notes: tuple[str, ...]
+
+
 def _best_that_holds(
     plant: PlantModel, grips: Grips, response: Gains, found: Search, grasps: int, least: float, params: Params
 ) -> tuple[Search, Place, _Checked]:
@@ -123,7 +135,7 @@ def _best_that_holds(
         at = best(found, np.arange(grasps))
         if found.score[at] < 0:
             break
-        done = _Checked(plant, grips, response, found, at, params)
+        done = _check(plant, grips, response, found, at, least, params)
         if done.shake.amplitude >= least:
             return found, at, done
         refused = closest(done.limits)
@@ -135,42 +147,31 @@ def _best_that_holds(
     )
 
 
-class _Checked:
-    """The best shake after the nonlinear solver has seen it."""
-
-    def __init__(
-        self, plant: PlantModel, grips: Grips, response: Gains, found: Search, at: Place, params: Params
-    ) -> None:
-        w, q, g, d = at
-        self.params, self.score, self.arc_length = params, float(found.score[at]), float(grips.arc_length[g])
-        waveform, duration = params.waveforms[w], float(found.duration[q])
-        held, also = (int(node) for node in grips.nodes[g])
-        asked = Shake(
-            held,
-            (also,),
-            grips.directions[g, d],
-            float(found.amplitude[at]),
-            float(found.frequencies[q]),
-            duration,
-            waveform,
-        )
-        pieces = mix(waveform, found.frequencies, q, duration)
-        assert pieces is not None
-        gain = pieces.of(np.swapaxes(response.flower[:, :, g, d], 0, 1)).max(axis=0)  # (M, F)
-        omega2 = (2 * np.pi * found.frequencies[:, None, None]) ** 2
-        jolt = pieces.of(omega2 * np.swapaxes(response.flower[:, :, g, d], 0, 1)).max(axis=0)
-        linear = Shaken(asked.amplitude * gain[0], asked.amplitude * jolt[0], {})
-        self.shake, done, self.notes = _verified(plant, asked, linear, params)
-        self.amplitude, self.acceleration = done.amplitude, done.acceleration
-        span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
-        self.spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)  # (F, 2)
-        self.limits = _limits(found, at, self.shake, done, params)
+def _check(
+    plant: PlantModel, grips: Grips, response: Gains, found: Search, at: Place, least: float, params: Params
+) -> _Checked:
+    """Simulate one shake of the search, and put together what linear theory and the simulation say of it."""
+    w, q, g, d = at
+    held, also = (int(node) for node in grips.nodes[g])
+    size, duration, waveform = float(found.amplitude[at]), float(found.duration[q]), params.waveforms[w]
+    asked = Shake(held, (also,), grips.directions[g, d], size, float(found.frequencies[q]), duration, waveform)
+    pieces = mix(waveform, found.frequencies, q, duration)
+    assert pieces is not None
+    steady = np.swapaxes(response.flower[:, :, g, d], 0, 1)  # (Q, M, F)
+    gain = pieces.of(steady).max(axis=0)
+    jolt = pieces.of((2 * np.pi * found.frequencies[:, None, None]) ** 2 * steady).max(axis=0)
+    shake, done, notes = _verified(plant, asked, Shaken(size * gain[0], size * jolt[0], {}), least, params)
+    span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
+    spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)
+    return _Checked(shake, done.amplitude, done.acceleration, spread, _limits(found, at, shake, done, params), notes)
 
 
-def _verified(plant: PlantModel, asked: Shake, linear: Shaken, params: Params) -> tuple[Shake, Shaken, tuple[str, ...]]:
+def _verified(
+    plant: PlantModel, asked: Shake, linear: Shaken, least: float, params: Params
+) -> tuple[Shake, Shaken, tuple[str, ...]]:
     """Return the shake and what it does by the nonlinear solver, and what the user should know about it."""
     try:
-        shake, done, notes = verified(plant, asked, plant_limits(params))
+        shake, done, notes = verified(plant, asked, plant_limits(params), least)
     except StageFailure as failure:
         return asked, linear, (f"shake: not verified by the nonlinear solver, prediction is linear ({failure})",)
     expected = linear.amplitude * shake.amplitude / asked.amplitude
@@ -199,16 +200,16 @@ def _runner_up(found: Search, at: Place, params: Params, grasps: int) -> RunnerU
     return RunnerUp(g, float(found.frequencies[q]), size, score, str(params.waveforms[w]))
 
 
-def _reason(done: _Checked, other: RunnerUp | None, flowers: int) -> str:
-    shake, params = done.shake, done.params
+def _reason(done: _Checked, other: RunnerUp | None, arc_length: float, score: float, params: Params) -> str:
+    shake, flowers = done.shake, len(done.amplitude)
     if params.objective == "amplitude":
-        goal = f"the highest mean flower amplitude ({1e3 * done.score:.3g} mm)"
+        goal = f"the highest mean flower amplitude ({1e3 * score:.3g} mm)"
     else:
         without = params.unshaken * flowers
-        goal = f"the most flowers that should set: {done.score:.2f} of {flowers}, {without:.2f} without a shake"
+        goal = f"the most flowers that should set: {score:.2f} of {flowers}, {without:.2f} without a shake"
     form = "" if shake.waveform == SINE else f" as a {shake.waveform}"
     text = (
-        f"Held {100 * done.arc_length:.0f} cm up the stem and shaken {1e3 * shake.amplitude:.2g} mm at"
+        f"Held {100 * arc_length:.0f} cm up the stem and shaken {1e3 * shake.amplitude:.2g} mm at"
         f" {shake.frequency:.3g} Hz{form}, the flowers should move {1e3 * np.median(done.amplitude):.2g} mm (median)"
         f" with {np.median(done.acceleration):.3g} m/s2. Of all grasps, directions, frequencies and waveforms compared"
         f" this gives {goal}, averaged over {params.draws} further drawings of the plant's stiffness and damping."

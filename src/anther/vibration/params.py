@@ -50,7 +50,6 @@ class Params:
         flower_acceleration: more than this is not useful [m/s2].
         duration: of the shake [s]; longer at low frequency, to have five cycles.
         most_duration: of a visit [s].
-        ramp: time in which the amplitude rises [s].
     """
 
     objective: Literal["fruit_set", "amplitude"] = "fruit_set"
@@ -80,7 +79,6 @@ class Params:
     flower_acceleration: float = 200.0
     duration: float = 3.0
     most_duration: float = 5.0
-    ramp: float = 0.3
 
     def __post_init__(self) -> None:
         if self.objective not in ("fruit_set", "amplitude"):
@@ -111,7 +109,6 @@ class Params:
             check_range(name, getattr(self, name), 1e-9, 1e6)
         check_range("most_duration", self.most_duration, 0.1, 60, "s")
         check_range("duration", self.duration, 0.1, self.most_duration, "s")
-        check_range("ramp", self.ramp, 0, self.duration / 2, "s")
 
 
 WAVEFORMS = (SINE, Waveform("sweep", ratio=1.25), Waveform("sweep", ratio=1.6), Waveform("burst", cycles=8))

@@ -84,7 +84,8 @@ class ShakePlan:
         predicted_amplitude_interval: (F, 2) what nine scenarios in ten stay between, by the material's spread [m].
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
-        score: of the objective, averaged over the scenarios: flowers that set, or mean flower amplitude [m].
+        score: of the objective by linear theory, averaged over the scenarios: flowers that set, or mean flower
+            amplitude [m].
         limits: (name, value, limit, share used) each; values of the plant are those of the cautious scenario by linear
             theory, or of the plant as believed by the nonlinear solver where these are larger.
         runner_up: the next best, or None.

@@ -59,13 +59,16 @@ class Shake(Straight):
         return along[..., None] * self.direction
 
 
-def verified(plant: PlantModel, shake: Shake, limits: Mapping[str, float]) -> tuple[Shake, Shaken, tuple[str, ...]]:
+def verified(
+    plant: PlantModel, shake: Shake, limits: Mapping[str, float], least: float = 0.0
+) -> tuple[Shake, Shaken, tuple[str, ...]]:
     """Return the shake, made smaller where the nonlinear solver says a limit is passed, what it does, and notes.
 
     Args:
         plant: as believed.
         shake: chosen by linear theory.
         limits: largest value allowed of each of `PEAKS`.
+        least: a shake that must be smaller than this is of no use and not simulated any more [m].
 
     Raises:
         StageFailure: "no_convergence".
@@ -77,6 +80,8 @@ def verified(plant: PlantModel, shake: Shake, limits: Mapping[str, float]) -> tu
         if worst <= 1:
             break
         binding, shake = name, replace(shake, amplitude=0.98 * shake.amplitude / worst)
+        if shake.amplitude < least:
+            break
     else:
         done = shaken(plant, shake)
     if not binding:
