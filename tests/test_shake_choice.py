@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -236,3 +237,19 @@ def test_flowers_that_grow_from_the_stem_itself_are_planned_for() -> None:
     strong = ArmShaker(lambda g, d, f: 2 * sawyer_limit(g, d, f))
     plan = plan_shake(plant, grasps_on(skeleton, stem, [10]), strong, QUICK)
     assert np.all(plan.predicted_amplitude > 0)
+
+
+@pytest.mark.parametrize("objective", ["fruit_set", "amplitude"])
+def test_without_scenarios_the_plant_as_believed_decides(
+    plant: PlantModel, grasps: list[Grasp], objective: Literal["fruit_set", "amplitude"]
+) -> None:
+    plan = plan_shake(plant, grasps, params=replace(QUICK, draws=0, objective=objective))
+    low, high = plan.predicted_amplitude_interval.T
+    assert low == pytest.approx(plan.predicted_amplitude)
+    assert high == pytest.approx(plan.predicted_amplitude)
+    flowers = len(plan.predicted_amplitude)
+    best = {"fruit_set": float(flowers), "amplitude": 1.0}[objective]
+    assert 0 < plan.score < best
+    if objective == "fruit_set":
+        dose = freed_share(plan.predicted_acceleration[None], np.array([plan.duration]), 45.0, 0.6)
+        assert plan.score == pytest.approx(np.sum(0.475 + 0.525 * 0.75 * dose), rel=0.02)
