@@ -19,6 +19,7 @@ from anther.sim.cell import BENCH, Cell
 from anther.sim.judge import Params, Verdict, judge
 from anther.sim.plant import SimPlant
 from anther.sim.robot import SimArm, SimGripper, robot_of
+from anther.vibration.waveforms import SINE, Waveform
 
 HEIGHT = 0.22
 GRASP = horizontal_grasp(np.add(BASE, [0, 0, HEIGHT]), np.zeros(7), diameter=0.0082)
@@ -33,6 +34,7 @@ class Plan:
     frequency: float = 5.0
     duration: float = 1.0
     direction: Array = field(default_factory=lambda: np.array([0, 1.0, 0]))
+    waveform: Waveform = SINE
 
 
 def near_plant(joints: Array, plant: SimPlant | None = None, **kind: float) -> Cell:
