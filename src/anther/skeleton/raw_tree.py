@@ -49,7 +49,7 @@ def with_extents(nodes: Array, parent: Parents, voxels: Voxels) -> RawTree:
     np.maximum.at(thickness, owner, voxels.thickness)
     spread = np.sqrt(np.bincount(owner, weights=distance**2, minlength=len(nodes)) / count)
     flatness = np.bincount(owner, weights=voxels.flatness, minlength=len(nodes)) / count
-    return RawTree(nodes, parent, thickness, np.maximum(spread, thickness), _along(parent, flatness))
+    return RawTree(nodes, parent, thickness, np.maximum(spread, thickness), along_tree(parent, flatness))
 
 
 def middled(tree: RawTree, voxels: Voxels, rounds: int = 2) -> RawTree:
@@ -59,12 +59,12 @@ def middled(tree: RawTree, voxels: Voxels, rounds: int = 2) -> RawTree:
         _, owner = nearest(voxels.points, nodes)
         count = np.maximum(np.bincount(owner, minlength=len(nodes)), 1)
         offset = voxels.points - nodes[owner]
-        step = [_along(tree.parent, np.bincount(owner, column, len(nodes)) / count) for column in offset.T]
+        step = [along_tree(tree.parent, np.bincount(owner, column, len(nodes)) / count) for column in offset.T]
         nodes = nodes + np.stack(step, axis=1) * np.clip(2 * tree.flatness - 1, 0, 1)[:, None]
     return with_extents(nodes, tree.parent, voxels)
 
 
-def _along(parent: Parents, values: Array, rounds: int = 4) -> Array:
+def along_tree(parent: Parents, values: Array, rounds: int = 4) -> Array:
     """Return the values (J,) averaged with those of the neighbours on the tree, so many times."""
     child, above = np.arange(1, len(parent)), parent[1:]
     neighbours = 1 + np.bincount(above, minlength=len(parent)) + (parent >= 0)

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from anther.geometry import Array
+from anther.skeleton.nearby import nearest
+from anther.skeleton.raw_tree import along_tree
 
 _ENOUGH = 40_000  # more points than this make the node statistics no better
 
@@ -55,7 +56,7 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, flatness: Ar
         points: (N, 3) the cloud [m].
     """
     points = points[:: max(len(points) // _ENOUGH, 1)]
-    owner = np.asarray(KDTree(nodes).query(points)[1])
+    _, owner = nearest(points, nodes)
     offset, tangent = points - nodes[owner], _tangents(nodes, parent)[owner]
     along = np.sum(offset * tangent, axis=1)
     away = np.sqrt(np.maximum(np.sum(offset**2, axis=1) - along**2, 0))
@@ -64,17 +65,7 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, flatness: Ar
     count = np.bincount(owner, minlength=len(nodes))
     scatter = np.bincount(owner, scatter, minlength=len(nodes)) / np.maximum(count, 1)
     columns = (np.exp(-2 * scatter / radius), 1 - flatness)
-    return np.stack([_along(np.where(count > 0, column, 0.0), parent) for column in columns], axis=1)
-
-
-def _along(values: Array, parent: NDArray[Any]) -> Array:
-    """Return the values averaged with those of the parent and of the children."""
-    total, count = values.copy(), np.ones(len(values))
-    np.add.at(total, parent[1:], values[1:])
-    np.add.at(count, parent[1:], 1)
-    total[1:] += values[parent[1:]]
-    count[1:] += 1
-    return total / count
+    return np.stack([along_tree(parent, np.where(count > 0, column, 0.0), rounds=1) for column in columns], axis=1)
 
 
 def _tangents(nodes: Array, parent: NDArray[Any]) -> Array:
