@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from anther.arm import sawyer
@@ -77,10 +78,11 @@ def shorter(
 
     A trial reverses a piece of the order or puts up to three views elsewhere; each is judged by its best choices.
     """
-    now = best = order, _length(order, cost, layers)
+    start, stop = (np.array([getattr(layer, end) for layer in layers]) for end in ("start", "stop"))
+    now = best = order, _length(np.array(order), cost, start, stop)
     for k in range(trials):
         tried = _changed(now[0], rng)
-        length = _length(tried, cost, layers)
+        length = _length(np.array(tried), cost, start, stop)
         worse = length - now[1]
         if worse < 0 or rng.random() < np.exp(-worse / (hot * (1 - k / trials) ** 2)):
             now = tried, length
@@ -102,12 +104,18 @@ def best_choices(order: list[int], cost: Array, layers: Sequence[slice]) -> NDAr
     return np.array(picks[::-1])
 
 
-def _length(order: list[int], cost: Array, layers: Sequence[slice]) -> float:
-    total, before = np.zeros(1), slice(0, 1)
+@njit(cache=True)
+def _length(order, cost, start, stop):
+    """Return the cost of the best choices in this order; view v may be visited at the rows start[v] to stop[v]."""
+    total = np.zeros(len(cost))
+    first, last = 0, 1
     for view in order:
-        total = (total[:, None] + cost[before, layers[view]]).min(axis=0)
-        before = layers[view]
-    return float(total.min())
+        for j in range(start[view], stop[view]):
+            total[j] = np.inf
+            for i in range(first, last):
+                total[j] = min(total[j], total[i] + cost[i, j])
+        first, last = start[view], stop[view]
+    return total[first:last].min()
 
 
 def _changed(order: list[int], rng: np.random.Generator) -> list[int]:
