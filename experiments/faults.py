@@ -7,7 +7,8 @@ hits the execution in a MuJoCo cell, or, one in twenty, the camera while the vie
 process with SIGKILL. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the time, the others
 the whole plant.
 
-docs/execution.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never sees.
+What came of a fault is kept in OUT/NUMBER/outcome.json, and the script goes on where it was interrupted.
+docs/safety.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never sees.
 """
 
 from __future__ import annotations
@@ -21,10 +22,12 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from fault_machines import ClockCamera, Kept, left_behind
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -35,16 +38,16 @@ from anther.arm.planner import Planner
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, build, grow, layout, safety_limits
-from anther.devices import Arm, ArmRecord, DeviceError, Frame, JointTrajectory, Robot, SafetyLimits, Watch
+from anther.devices import Arm, DeviceError, Robot, SafetyLimits
 from anther.drivers.replay import ReplayCamera
 from anther.errors import InputError, StageFailure
 from anther.execution import Params, Trial, execute
 from anther.files import read_json, write_json
-from anther.geometry import Array, Intrinsics
+from anther.geometry import Array
 from anther.plant import TOMATO
 from anther.runs import Run
 from anther.safety import GuardedCamera
-from anther.sim.cell import BENCH, POT, Cell, mujoco
+from anther.sim.cell import BENCH, POT, Cell
 from anther.sim.faults import Fault, FaultyCamera, Kind, with_faults
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper
@@ -123,64 +126,10 @@ def plant(whole: bool) -> SimPlant:
     return replace(grown, **arrays, **bare, vertex_segment=np.full(len(grown.vertices), -1))
 
 
-def vars_of(grown: SimPlant) -> dict[str, Array]:
+def vars_of(grown: SimPlant) -> dict[str, Any]:
     """Return the per-segment arrays by name."""
     names = "start end radius_start radius_end parent organ youngs density damping_ratio lump_mass lump_centre"
     return {name: getattr(grown, name) for name in names.split()}
-
-
-class ClockCamera:
-    """A camera that sees nothing, on the cell's clock: no response is measured here."""
-
-    intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
-
-    def __init__(self, cell: Cell) -> None:
-        self.cell, self.begun = cell, (0.0, 0.0)
-
-    def read(self) -> Frame:
-        """Return a blank frame."""
-        return Frame(self.cell.time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
-
-    def start(self, rate: float) -> None:
-        """Begin."""
-        self.begun = (self.cell.time, rate)
-
-    def stop(self) -> list[Frame]:
-        """Return blank frames at the rate asked for."""
-        start, rate = self.begun
-        return [replace(self.read(), time=t) for t in np.arange(start, self.cell.time, 1 / rate)] if rate else []
-
-
-class Kept(SimArm):
-    """The simulated arm; its world's state is on disk at every reading, as the real world outlives a killed process."""
-
-    def __init__(self, cell: Cell, path: Path) -> None:
-        super().__init__(cell)
-        mode = "r+" if path.exists() else "w+"
-        self.state = np.memmap(path, np.float64, mode, shape=(len(_state(cell)),))
-
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
-        """Follow, and keep the state before anyone else may end the process."""
-
-        def keep(sample: Any) -> None:
-            self.state[:] = _state(self.cell)
-            if watch:
-                watch(sample)
-
-        return super().follow(trajectory, keep)
-
-
-def _state(cell: Cell) -> Array:
-    return np.concatenate([[cell.time], cell.data.qpos, cell.data.qvel, cell.data.ctrl])
-
-
-def left_behind(cell: Cell, path: Path) -> None:
-    """Put a cell into the state that a killed process left; the servos hold their last command."""
-    time, *rest = np.fromfile(path)
-    n, v = cell.model.nq, cell.model.nv
-    cell.data.time = time
-    cell.data.qpos[:], cell.data.qvel[:], cell.data.ctrl[:] = rest[:n], rest[n : n + v], rest[n + v :]
-    mujoco.mj_forward(cell.model, cell.data)
 
 
 def machines(cell: Cell, arm: Arm | None = None) -> Robot:
@@ -335,10 +284,14 @@ def subset(capture: Capture, views: list[int]) -> Capture:
 
 
 def one(case: Case, base: Path, out: Path) -> Outcome:
-    """Run one case in its own folder."""
+    """Run one case in its own folder, or read back what came of it when it was run before."""
     folder = out / f"{case.number:03d}"
-    folder.mkdir(parents=True, exist_ok=True)
-    return while_seeing(case, base, folder) if case.views else in_execution(case, base, folder)
+    file = folder / "outcome.json"
+    if not file.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        outcome = while_seeing(case, base, folder) if case.views else in_execution(case, base, folder)
+        write_json(file, {k: v for k, v in asdict(outcome).items() if k != "case"})
+    return Outcome(case, **read_json(file))
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, float]:
@@ -386,7 +339,8 @@ def main() -> None:
     prepare(base)
     numbers = args.only or range(20 if args.quick else 200)
     cases = [draw(number, args.seed) for number in numbers]
-    with ProcessPoolExecutor(args.jobs) as pool:
+    # spawned, not forked: a forked worker inherits OpenMP threads that are not there, and dies or waits for them
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         futures = [pool.submit(one, case, base, args.out) for case in cases]
         metrics = summary([future.result() for future in track(futures, "faults")])
     print(json.dumps(metrics, indent=2))

@@ -1,0 +1,68 @@
+"""Machines of the fault experiment: a camera without a picture, and an arm whose world outlives its process."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther.devices import ArmRecord, Frame, JointTrajectory, Watch
+from anther.geometry import Array, Intrinsics
+from anther.sim.cell import Cell, mujoco
+from anther.sim.robot import SimArm
+
+
+class ClockCamera:
+    """A camera that sees nothing, on the cell's clock: no response is measured here."""
+
+    intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell, self.begun = cell, (0.0, 0.0)
+
+    def read(self) -> Frame:
+        """Return a blank frame."""
+        return Frame(self.cell.time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
+
+    def start(self, rate: float) -> None:
+        """Begin."""
+        self.begun = (self.cell.time, rate)
+
+    def stop(self) -> list[Frame]:
+        """Return blank frames at the rate asked for."""
+        start, rate = self.begun
+        return [replace(self.read(), time=t) for t in np.arange(start, self.cell.time, 1 / rate)] if rate else []
+
+
+class Kept(SimArm):
+    """The simulated arm; its world's state is on disk at every reading, as the real world outlives a killed process."""
+
+    def __init__(self, cell: Cell, path: Path) -> None:
+        super().__init__(cell)
+        mode = "r+" if path.exists() else "w+"
+        self.state = np.memmap(path, np.float64, mode, shape=(len(_state(cell)),))
+
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+        """Follow, and keep the state before anyone else may end the process."""
+
+        def keep(sample: Any) -> None:
+            self.state[:] = _state(self.cell)
+            if watch:
+                watch(sample)
+
+        return super().follow(trajectory, keep)
+
+
+def _state(cell: Cell) -> Array:
+    return np.concatenate([[cell.time], cell.data.qpos, cell.data.qvel, cell.data.ctrl])
+
+
+def left_behind(cell: Cell, path: Path) -> None:
+    """Put a cell into the state that a killed process left; the servos hold their last command."""
+    time, *rest = np.fromfile(path)
+    n, v = cell.model.nq, cell.model.nv
+    cell.data.time = time
+    cell.data.qpos[:], cell.data.qvel[:], cell.data.ctrl[:] = rest[:n], rest[n : n + v], rest[n + v :]
+    mujoco.mj_forward(cell.model, cell.data)
