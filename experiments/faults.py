@@ -122,6 +122,7 @@ def plant(whole: bool) -> SimPlant:
     stem = grown.organ == Organ.STEM
     arrays = {k: v[stem] for k, v in vars_of(grown).items() if len(v) == len(stem)}
     arrays["parent"] = np.where(arrays["parent"] < 0, -1, (np.cumsum(stem) - 1)[arrays["parent"]])
+    arrays |= {"faces": grown.faces[:0], "face_organ": grown.face_organ[:0]}  # no leaf blades, which can be touched
     bare = {"flower_segment": np.zeros(0, int), "flower_position": np.zeros((0, 3))}
     return replace(grown, **arrays, **bare, vertex_segment=np.full(len(grown.vertices), -1))
 
