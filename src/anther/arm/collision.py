@@ -63,11 +63,10 @@ class CollisionWorld:
         inside = bool(np.all((q >= sawyer.LOWER) & (q <= sawyer.UPPER)))
         return inside and not self.scene.hasCollisions(q)
 
-    def path_free(self, path: Array) -> bool:
-        """Return whether joints (N, 7), and the straight ways between them, are free at steps of `FREE_STEP`."""
+    def path_free(self, path: Array, step: float = FREE_STEP) -> bool:
+        """Return whether joints (N, 7), and the straight ways between them, are free at every `step` [rad]."""
         return self.free(path[0]) and not any(
-            hasCollisionsAlongPath(self.scene, a, b, FREE_STEP, bisection=True)
-            for a, b in zip(path, path[1:], strict=False)
+            hasCollisionsAlongPath(self.scene, a, b, step, bisection=True) for a, b in zip(path, path[1:], strict=False)
         )
 
     @contextmanager

@@ -107,15 +107,15 @@ def best_choices(order: list[int], cost: Array, layers: Sequence[slice]) -> NDAr
 @njit(cache=True)
 def _length(order, cost, start, stop):
     """Return the cost of the best choices in this order; view v may be visited at the rows start[v] to stop[v]."""
-    total = np.zeros(len(cost))
-    first, last = 0, 1
+    total, first, last = np.zeros(1), 0, 1
     for view in order:
-        for j in range(start[view], stop[view]):
-            total[j] = np.inf
-            for i in range(first, last):
-                total[j] = min(total[j], total[i] + cost[i, j])
-        first, last = start[view], stop[view]
-    return total[first:last].min()
+        reach = np.full(stop[view] - start[view], np.inf)
+        for i in range(first, last):
+            row, so_far = cost[i, start[view] : stop[view]], total[i - first]
+            for j in range(len(reach)):  # along a row, without a call: the compiler takes several at a time
+                reach[j] = so_far + row[j] if so_far + row[j] < reach[j] else reach[j]
+        total, first, last = reach, start[view], stop[view]
+    return total.min()
 
 
 def _changed(order: list[int], rng: np.random.Generator) -> list[int]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.arm import kinematics, sawyer
+from anther.arm.planner import SEARCH_STEP, Planner
 from anther.arm.planner import Params as MotionParams
-from anther.arm.planner import Planner
 from anther.arm.tours import tours
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
@@ -205,7 +205,7 @@ def _visit(
     azimuth, elevation = viewpoints.azimuth, viewpoints.elevation
     more = _free_branches(viewpoints.T_world_cam[chosen], planner, viewpoints.T_flange_cam, MORE_SEEDS)
     choices = [q if len(q) else viewpoints.branches[i] for i, q in zip(chosen, more, strict=True)]
-    found = tours(planner.world.path_free, start, choices, in_order=in_order)
+    found = tours(lambda line: planner.world.path_free(line, SEARCH_STEP), start, choices, in_order=in_order)
     ways = [_motions(planner, start, [(chosen[i], q) for i, q in tour]) for tour in found]
     kept, motions = min(ways, key=lambda way: (-len(way[0]), sum(m.duration for m in way[1])))
     at = [i for i, _ in kept]
