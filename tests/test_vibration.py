@@ -98,7 +98,7 @@ def test_nonlinear_amplitude_agrees_with_linear_theory_for_small_shakes(plant: P
 def test_the_plan_keeps_every_limit_and_uses_one_up(plan: ShakePlan, plant: PlantModel) -> None:
     shares = [share for *_, share in plan.limits]
     assert max(shares) <= 1 + 1e-9
-    assert max(shares[:-1]) == pytest.approx(1.0)
+    assert max(shares[:-1]) > 0.97  # the nonlinear check leaves 2 % where it makes a shake smaller
     arm = sawyer_limit(plan.grasp, plan.direction, np.array([plan.frequency]))[0]
     assert plan.amplitude <= QUICK.arm_share * arm * (1 + 1e-9)
     assert np.linalg.norm(plan.direction) == pytest.approx(1.0)
@@ -130,8 +130,9 @@ def test_turning_plant_and_grasps_turns_the_plan(plan: ShakePlan) -> None:
         build_plant(moved, stem, blooms, None, TOMATO), grasps_on(moved, stem, [8, 14, 20], np.pi / 2), params=QUICK
     )
     assert (other.grasp_index, other.frequency) == (plan.grasp_index, plan.frequency)
-    assert other.amplitude == pytest.approx(plan.amplitude, rel=1e-6)
-    assert other.predicted_amplitude == pytest.approx(plan.predicted_amplitude, rel=1e-3)
+    # the nonlinear check decides here, and its peaks of second differences feel the solver's tolerance
+    assert other.amplitude == pytest.approx(plan.amplitude, rel=0.01)
+    assert other.predicted_amplitude == pytest.approx(plan.predicted_amplitude, rel=0.01)
     assert abs(other.direction @ [-plan.direction[1], plan.direction[0], 0]) == pytest.approx(1, abs=1e-6)
 
 

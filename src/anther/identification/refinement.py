@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from anther.checks import check_array, check_range
 from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
-from anther.plant import Material, PlantModel
+from anther.plant import LEARNED, Material, PlantModel
 from anther.vibration import ShakePlan
 from anther.vibration.search import gains, grip_rows, pad_nodes, scenarios
 
@@ -144,13 +144,9 @@ def _weights(log_likelihood: Array, least: float) -> tuple[Array, float]:
 def _moments(before: Material, members: list[Material], weights: Array) -> Material:
     """Return the material with the weighted mean and standard deviation of the logarithms."""
     moved: dict[str, float] = {}
-    for name, spread in (
-        ("youngs", "youngs_spread"),
-        ("damping_ratio", "damping_spread"),
-        ("bend_over_twist", "twist_spread"),
-    ):
+    for name, spread in LEARNED.items():
         logs = np.log([getattr(m, name) for m in members])
         mean = float(weights @ logs)
         moved[name] = float(np.exp(mean))
         moved[spread] = float(min(np.sqrt(weights @ (logs - mean) ** 2), getattr(before, spread)))
-    return replace(before, **moved)
+    return before.changed(**moved)

@@ -23,58 +23,15 @@ from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array
+from anther.plant.material import LEARNED, PEPPER, TOMATO, Material
 from anther.plant.shape import edge_radii, hang_flowers, leaf_mass
 from anther.plant.stability import least_youngs, stout_radii
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
-SCHEMA = 2
+__all__ = ["LEARNED", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant"]
 
-
-@dataclass(frozen=True, slots=True)
-class Material:
-    """What a plant is made of: best guess and spread. A spread is the standard deviation of the natural logarithm.
-
-    Attributes:
-        youngs: Young's modulus of stem and branches [Pa].
-        density: of their tissue [kg/m3].
-        damping_ratio: share of critical damping of a mode, the same at every frequency (hysteretic), leaves included.
-        bend_over_twist: EI / GJ [-]; 1.5 for a round isotropic bar that keeps its volume, larger is softer in twist.
-        youngs_spread, density_spread, damping_spread, twist_spread: their spreads [-].
-    """
-
-    youngs: float = 100e6
-    density: float = 1050.0
-    damping_ratio: float = 0.05
-    bend_over_twist: float = 12.0
-    youngs_spread: float = 0.66
-    density_spread: float = 0.05
-    damping_spread: float = 0.35
-    twist_spread: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_range("youngs", self.youngs, 1e4, 1e12, "Pa")
-        check_range("density", self.density, 10, 5000, "kg/m3")
-        check_range("damping_ratio", self.damping_ratio, 1e-4, 1)
-        check_range("bend_over_twist", self.bend_over_twist, 0.1, 1000)
-        for name in ("youngs_spread", "density_spread", "damping_spread", "twist_spread"):
-            check_range(name, getattr(self, name), 0, 3)
-
-
-TOMATO = Material()
-"""Tomato before anything was measured (facts: pollination 0 and 2).
-
-E: log-uniform 30-300 MPa, centre 100: the authors' 21.6 MPa is a bare-beam value that rises to 71-218 MPa with 5-20 g
-of leaves, and standing up alone asks for 96-113 MPa; the spread is that of a log-uniform decade, ln 10 / sqrt 12.
-Density: 90 % water, and 1100 kg/m3 in the authors' test. Damping: internal < 0.05, leaves add. EI/GJ: 11.5-13.3
-measured on dicot petioles; a stem may be stiffer, hence the spread.
-"""
-
-PEPPER = Material(density=1100.0, density_spread=0.15)
-"""Pepper before anything was measured: no test of a pepper stem was found (facts: pollination, "Not found").
-
-The tomato's values with a wider density, because the authors used 1500 kg/m3 for pepper (facts: pollination 0).
-"""
+SCHEMA = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +154,7 @@ class PlantModel:
         """Return the same plant of another material, again at rest in the scanned shape.
 
         Args:
-            material: its youngs replaces that of stem and branches.
+            material: its youngs and radius scale replace those of stem and branches.
             pedicel_factor: multiplies Young's modulus of the pedicels [-].
 
         Raises:
@@ -205,16 +162,23 @@ class PlantModel:
         """
         stiffer = np.where(self.is_pedicel, pedicel_factor, material.youngs / self.material.youngs)
         heavier = material.density / self.material.density
+        thicker = material.radius_scale / self.material.radius_scale
         rods = replace(
             self.rods,
+            edge_radius=np.asarray(self.rods.edge_radius) * np.where(self.is_pedicel, 1.0, thicker),
             youngs=np.asarray(self.rods.youngs) * stiffer,
             density=np.asarray(self.rods.density) * heavier,
             bend_over_twist=material.bend_over_twist,
             natural=None,
         )
         if not stands(rods, self.clamp):
-            raise _buckles(material.youngs, self.least_youngs)
-        return replace(self, rods=with_gravity_equilibrium(rods, self.clamp), material=material)
+            raise _buckles(material.youngs, self.least_youngs / thicker**4)
+        return replace(
+            self,
+            rods=with_gravity_equilibrium(rods, self.clamp),
+            material=material,
+            least_youngs=self.least_youngs / thicker**4,
+        )
 
     def save(self, path: Path | str) -> None:
         """Write an .npz (kind 'plant model')."""
@@ -297,7 +261,8 @@ def _rods(
     skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, material: Material, *, params: Params
 ) -> tuple[Rods, NDArray[np.bool_], NDArray[Any], float]:
     """Return the rods in the scanned shape, which edges are pedicel, the flowers' nodes, and the leaf mass [kg]."""
-    radius = edge_radii(skeleton, stem, branch_share=params.branch_share, least=params.least_radius)
+    scanned = edge_radii(skeleton, stem, branch_share=params.branch_share, least=params.least_radius)
+    radius = material.radius_scale * scanned
     stalks = hang_flowers(
         skeleton,
         flowers,

@@ -6,23 +6,20 @@ All beliefs are normal in the logarithm of a quantity: mean ln value, standard d
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from anther.checks import check_array, check_range
 from anther.geometry import Array
-from anther.plant import PEPPER, TOMATO, Material
+from anther.plant import LEARNED, PEPPER, TOMATO, Material
 from anther.store.database import DEFAULT
 from anther.store.records import TrialRecord
 from anther.store.trials import read_trials
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}
 """What is believed of a crop before any plant of it was measured; each says its sources."""
-
-LEARNED = {"youngs": "youngs_spread", "damping_ratio": "damping_spread", "bend_over_twist": "twist_spread"}
-"""What a trial teaches -> its spread."""
 
 BETWEEN = 0.5
 """Share of the facts' variance that is taken to lie between plants of one crop, the rest being ignorance of the crop's
@@ -110,7 +107,7 @@ def crop_prior(trials: Sequence[TrialRecord], facts: Material) -> Material:
             centre = float(np.log(getattr(facts, value)))
             mean, deviation = hierarchical_normal(pooled[:, 0], pooled[:, 1], centre, getattr(facts, spread))
             learned |= {value: float(np.exp(mean)), spread: deviation}
-    return replace(facts, **learned)
+    return facts.changed(**learned)
 
 
 def hierarchical_normal(measured: Array, error: Array, centre: float, spread: float) -> tuple[float, float]:
