@@ -246,16 +246,18 @@ class PlantMechanics:
         m, d = self.model, self.dofs
         mass = np.zeros((m.nv, m.nv))
         mujoco.mj_fullM(m, data, mass)
-        stiffness = np.diag(m.jnt_stiffness[self.joints]) + self._weight_stiffness(data)
-        values, shapes = eigh(stiffness, mass[np.ix_(d, d)])
+        values, shapes = eigh(self.stiffness(data), mass[np.ix_(d, d)])
         if values[0] <= 0:
             raise StageFailure(
                 "no_convergence", "the simulated plant cannot carry its own weight (it buckles): its stem is too soft."
             )
         return np.sqrt(values) / (2 * np.pi), shapes
 
-    def _weight_stiffness(self, data: Any, step: float = 1e-5) -> Array:
-        """Return (D, D) the change of the gravity torques with the hinge angles, by central differences."""
+    def stiffness(self, data: Any, step: float = 1e-5) -> Array:
+        """Return (D, D) the springs and the change of the gravity torques with the hinge angles, at `data`'s place.
+
+        The latter by central differences.
+        """
         m, columns = self.model, []
         for address in m.jnt_qposadr[self.joints]:
             pair = []
@@ -271,7 +273,7 @@ class PlantMechanics:
             columns.append((pair[0] - pair[1]) / (2 * step))
         K = np.array(columns)
         mujoco.mj_forward(m, data)
-        return (K + K.T) / 2
+        return np.diag(m.jnt_stiffness[self.joints]) + (K + K.T) / 2
 
     def _air_damping(self, shape: Array) -> float:
         """Return alpha so that the first mode's ratio is the strain-energy mean of the segments' ratios."""

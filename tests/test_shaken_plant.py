@@ -1,0 +1,56 @@
+"""The plant that is held and shaken without an arm, against beam theory and its own linear equations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from straight_plant import BASE, chain, plant_of, straight_plant
+
+from anther.sim.shaken_plant import ShakenPlant
+from anther.vibration.observables import semi_major
+
+SIDEWAYS, UP = np.eye(3)[1], np.eye(3)[2]
+MIDDLE = BASE + 0.25 * UP
+
+
+def test_a_slow_shake_carries_along_all_that_stands_above_the_grip() -> None:
+    shaken = ShakenPlant(straight_plant(), MIDDLE, SIDEWAYS)
+    motion = shaken.linear([0.01])[0, 0]
+    assert np.abs(motion) == pytest.approx([0, 1, 0], abs=2e-3)
+
+
+def test_the_stem_above_the_grip_resonates_as_a_cantilever_does() -> None:
+    length, radius, youngs, density = 0.5, 0.004, 1e9, 1000.0
+    stem = chain(BASE + np.linspace(0, length, 26)[:, None] * UP, radius, youngs=youngs)
+    plant = plant_of(stem, damping_ratio=0.03, flower=24)
+    shaken = ShakenPlant(plant, BASE + 0.2 * UP, SIDEWAYS)
+    free = length - (shaken.point[2] - BASE[2])
+    theory = 1.8751**2 / (2 * np.pi) * np.sqrt(youngs * radius**2 / 4 / (density * free**4))
+    tried = theory * np.linspace(0.9, 1.1, 81)
+    size = semi_major(shaken.linear(tried))[:, 0]
+    assert tried[np.argmax(size)] == pytest.approx(theory, rel=0.02)  # its weight makes it softer by 1 %
+
+
+@pytest.mark.parametrize(("amplitude", "frequency"), [(4e-3, 1.5), (1e-3, 5.0)])
+def test_small_shakes_are_steady_and_as_linear_theory_says(amplitude: float, frequency: float) -> None:
+    shaken = ShakenPlant(straight_plant(), MIDDLE, SIDEWAYS)
+    found = shaken.steady(amplitude, frequency)
+    assert found.grip_amplitude == pytest.approx(amplitude, rel=2e-3)
+    assert found.unsteadiness < 0.02
+    assert found.amplitude == pytest.approx(amplitude * semi_major(shaken.linear([frequency])[0]), rel=0.03)
+
+
+def test_poses_put_the_flower_where_it_was_measured() -> None:
+    shaken = ShakenPlant(straight_plant(), MIDDLE, SIDEWAYS)
+    found = shaken.steady(2e-3, 3.0)
+    k = int(shaken.plant.flower_segment[0])
+    T = shaken.segment_poses(found.qpos[7])[k]
+    assert (T @ np.r_[shaken.plant.flower_position[0], 1])[:3] == pytest.approx(found.flowers[7, 0], abs=1e-9)
+    assert np.ptp(found.flowers[:, 0, 1]) > 1e-3
+
+
+def test_the_nearest_piece_of_the_stem_is_held_and_never_the_one_in_the_soil() -> None:
+    plant = straight_plant()
+    high, low = (ShakenPlant(plant, BASE + z * UP, SIDEWAYS).point for z in (0.4, -0.1))
+    assert abs(high[2] - BASE[2] - 0.4) < 0.016
+    assert low[2] > BASE[2] + 0.02
