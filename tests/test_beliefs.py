@@ -21,6 +21,7 @@ from anther.store import (
     record_trial,
     starting_material,
 )
+from anther.store.records import material_of
 
 
 def trial(plant: str, before: Material, after: Material, *, hours: float = 0, species: str = "tomato") -> TrialRecord:
@@ -109,6 +110,32 @@ def test_always_between_facts_and_plants(plants: list[tuple[float, float]], spre
     assert min([18.0, *y]) - 1e-9 <= mean <= max([18.0, *y]) + 1e-9
     assert np.isfinite(deviation)
     assert deviation > 0
+
+
+def test_a_crop_teaches_its_gain_and_its_radius() -> None:
+    rng = np.random.default_rng(5)
+    trials = []
+    for k in range(30):
+        gain, scale = np.exp(rng.normal(np.log(0.5), 0.2)), np.exp(rng.normal(np.log(1.05), 0.01))
+        after = TOMATO.changed(response_gain=float(gain), response_spread=0.15)
+        trials.append(trial(f"{k}", TOMATO, after.changed(radius_scale=float(scale), radius_spread=0.02)))
+    learned = crop_prior(trials, TOMATO)
+    assert learned.response_gain == pytest.approx(0.5, rel=0.2)
+    assert learned.response_spread < 0.4
+    assert learned.radius_scale == pytest.approx(1.05, abs=0.02)
+    assert learned.scanned_youngs == pytest.approx(TOMATO.youngs)
+
+
+def test_histories_from_before_radius_and_gain_teach_neither(tmp_path: Path) -> None:
+    old = material_of({"youngs": 2e8, "youngs_spread": 0.2})
+    assert old is not None
+    assert (old.radius_scale, old.response_gain) == (1.0, 1.0)
+    before = material_of({"youngs": 1e8, "youngs_spread": 0.66})
+    assert before is not None
+    record_trial(trial("a", before, old), tmp_path / "h.sqlite")
+    crop = starting_material("tomato", "b", tmp_path / "h.sqlite").material
+    assert (crop.response_gain, crop.response_spread) == (TOMATO.response_gain, TOMATO.response_spread)
+    assert crop.youngs > TOMATO.youngs
 
 
 def test_bad_errors_are_refused() -> None:

@@ -161,6 +161,34 @@ def test_one_flower_mistaken_for_another_does_not_decide_alone(plant: PlantModel
     assert abs(np.log(one / two)) < plant.material.youngs_spread
 
 
+def test_what_all_flowers_do_alike_is_the_models_gain(plant: PlantModel, plan: ShakePlan) -> None:
+    half = 0.5 * plan.predicted_amplitude
+    after = refine(plant, plan, half, 0.02 * half).material
+    assert after.response_gain < 0.8
+    assert after.response_spread < 0.8 * plant.material.response_spread
+    again = refine(plant.with_material(after), plan, half, 0.02 * half).material
+    assert again.response_spread <= after.response_spread
+
+
+def test_motion_hardly_tells_the_radius_from_the_stiffness(plant: PlantModel, plan: ShakePlan) -> None:
+    measured = amplitude_of(plant.with_material(replace(plant.material, youngs=3e8)), plant, plan)
+    after = refine(plant, plan, measured, 0.02 * measured, Params(model_error=0.05)).material
+    assert after.youngs_spread < 0.8 * plant.material.youngs_spread
+    assert after.radius_spread > 0.6 * plant.material.radius_spread
+    assert after.radius_scale == pytest.approx(1.0, abs=0.05)
+
+
+def test_another_radius_at_the_same_stiffness_changes_mass_alone(plant: PlantModel) -> None:
+    thick = plant.with_material(plant.material.changed(radius_scale=1.1))
+    assert thick.material.scanned_youngs == pytest.approx(plant.material.scanned_youngs)
+    stem = plant.stem_nodes[1:]
+    ratio = [np.asarray(p.rods.youngs)[stem] * np.asarray(p.rods.edge_radius)[stem] ** 4 for p in (thick, plant)]
+    assert ratio[0] == pytest.approx(ratio[1])
+    assert np.asarray(thick.rods.edge_radius)[stem] == pytest.approx(1.1 * np.asarray(plant.rods.edge_radius)[stem])
+    pedicels = [np.asarray(p.rods.edge_radius)[plant.is_pedicel] for p in (thick, plant)]
+    assert np.array_equal(pedicels[0], pedicels[1])
+
+
 def test_bad_measurements_are_refused(plant: PlantModel, plan: ShakePlan) -> None:
     good = plan.predicted_amplitude
     for measured, error in ((good[:2], good[:2]), (good, 0 * good), (-good, good), (good, np.full(3, np.nan))):

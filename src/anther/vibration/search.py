@@ -42,13 +42,13 @@ class Gains(NamedTuple):
 def scenarios(plant: PlantModel, count: int, seed: int = 0) -> list[PlantModel]:
     """Return the plant as believed, and `count` versions of it drawn from the spreads of its material.
 
-    Stiffness, damping, EI/GJ, the pedicels' stiffness and the radius (at the same bending stiffness) are lognormal and
-    independent, drawn by a scrambled Halton sequence so that few draws cover the range evenly. A draw in which the
-    plant would buckle is stiffened until it stands, because it stands; one that still cannot (its pedicels are too
-    soft) is left out.
+    Stiffness, damping, EI/GJ, the pedicels' stiffness, the radius (at the same bending stiffness) and the gain of the
+    response are lognormal and independent, drawn by a scrambled Halton sequence so that few draws cover the range
+    evenly. A draw in which the plant would buckle is stiffened until it stands, because it stands; one that still
+    cannot (its pedicels are too soft) is left out.
     """
     generator = np.random.default_rng(seed)
-    draws = qmc.MultivariateNormalQMC(np.zeros(5), engine=qmc.Halton(5, rng=generator), rng=generator)
+    draws = qmc.MultivariateNormalQMC(np.zeros(6), engine=qmc.Halton(6, rng=generator), rng=generator)
     versions = [plant]
     for z in draws.random(count) if count else ():
         version = _standing(plant, drawn_material(plant.material, z, plant.least_youngs), plant.pedicel_spread * z[3])
@@ -67,9 +67,9 @@ def _standing(plant: PlantModel, material: Material, log_pedicel: float) -> Plan
 
 
 def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs: float) -> Material:
-    """Return the material at standard normal deviates z (5,), stiff enough to stand.
+    """Return the material at standard normal deviates z (6,), stiff enough to stand.
 
-    They are of ln E, ln damping, ln EI/GJ, (the pedicels',) and ln radius at the same bending stiffness.
+    They are of ln E, ln damping, ln EI/GJ, (the pedicels',) ln radius at the same bending stiffness, and ln gain.
     """
     drawn = replace(
         material,
@@ -77,7 +77,10 @@ def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs:
         damping_ratio=float(np.clip(material.damping_ratio * np.exp(material.damping_spread * z[1]), 1e-3, 0.9)),
         bend_over_twist=float(np.clip(material.bend_over_twist * np.exp(material.twist_spread * z[2]), 0.2, 500)),
     )
-    return drawn.changed(radius_scale=material.radius_scale * float(np.exp(material.radius_spread * z[4])))
+    return drawn.changed(
+        radius_scale=material.radius_scale * float(np.exp(material.radius_spread * z[4])),
+        response_gain=material.response_gain * float(np.exp(material.response_spread * z[5])),
+    )
 
 
 def grip_rows(plant: PlantModel, points: Array) -> NDArray[Any]:
