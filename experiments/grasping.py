@@ -89,6 +89,7 @@ def main() -> None:
     parser.add_argument("--presets", nargs="*", choices=PRESETS, default=PRESETS, help="of the ten plants")
     parser.add_argument("--viewpoints", nargs="*", type=int, default=VIEWPOINTS, help="degrees")
     parser.add_argument("--plants", nargs="*", help="these instead of the ten, such as tomato-10 pepper-11")
+    parser.add_argument("--without-paper", action="store_true", help="leave out the paper's own grasp")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/grasping"), help="where finished trials are kept")
     parser.add_argument("--figures", type=Path, help="write grasping.png and grasping_failures.png into this folder")
@@ -97,7 +98,7 @@ def main() -> None:
     console = Console()
     cases = chosen(args)
     with ProcessPoolExecutor(args.jobs) as pool:
-        results = pool.map(partial(one_trial, out=args.out), cases)
+        results = pool.map(partial(one_trial, out=args.out, rule=not args.without_paper), cases)
         rows = list(track(results, "trials", total=len(cases), console=console))
     table = metrics(rows)
     text = report(rows, table)

@@ -75,12 +75,18 @@ class Memory(Run):
             self.cpu[name] = self.cpu.get(name, 0.0) + time.process_time() - cpu
 
 
-def one_trial(case: Case, out: Path) -> dict[str, Any]:
-    """Return the row of a case, from --out when it was run before; a crash is reported, not kept."""
+def one_trial(case: Case, out: Path, rule: bool = True) -> dict[str, Any]:
+    """Return the row of a case, from --out when it was run before; a crash is reported, not kept.
+
+    Args:
+        case: the trial.
+        out: where its row is kept.
+        rule: also carry out the paper's own grasp, if the case has all views.
+    """
     file = case.file(out)
     if not file.exists():
         try:
-            row = both(case, file)
+            row = both(case, file, rule)
         except Exception as error:  # one trial's bug must not end a run of hours
             crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
             return {**asdict(case), "ours": crash, "paper": None, "first": True}
@@ -91,7 +97,7 @@ def one_trial(case: Case, out: Path) -> dict[str, Any]:
 _begun: list[str] = []  # cases this process has run: what the first one compiles or loads is not counted
 
 
-def both(case: Case, file: Path) -> dict[str, Any]:
+def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
     """Run Anther's trial and, with all views, the paper's grasp from the same perception; write the picture."""
     begin, first = time.process_time(), not _begun
     _begun.append(case.name)
@@ -104,7 +110,7 @@ def both(case: Case, file: Path) -> dict[str, Any]:
     row |= {"compute_s": sum(run.total.get(name, 0.0) for name in COMPUTE), "attempts": run.tries["execution"]}
     row["plan_s"] = run.total.get("grasp")
     row["plan_cpu_s"] = run.cpu.get("grasp")
-    if case.preset == "full":
+    if rule and case.preset == "full":
         again = build(case.species, case.seed, case.viewpoint, PRESETS[case.preset])
         row["paper"] = (
             performed(again, lambda: by_the_paper(again, run, material))[0] if "flowers" in run.results else ours

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range
 from anther.devices import (
@@ -289,10 +288,11 @@ def _forward(work: _Work) -> None:
     grasp, params, arm = work.plan.grasp, work.params, work.robot.arm
     if grasp.joints is None:
         raise StageFailure("unreachable", "the grasp has no arm joints. Plan it with the arm's reach.")
-    with work.phase("open"):
+    with work.phase("open"):  # whatever cannot be done at this grasp is refused before anything moves to it
+        p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
+        shake = work.planner.shake(grasp.joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
         work.robot.gripper.move(params.opening)
     with work.phase("reach"):
-        outward = work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
         work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
     with work.phase("approach"):
         work.in_plant = True
@@ -301,13 +301,12 @@ def _forward(work: _Work) -> None:
         work.grips.append(_close(work.robot.gripper, grasp, params))
         work.follow(JointTrajectory.standstill(arm.joints(), params.settle))
     with work.phase("shake"):
-        _shake(work, grasp.joints)
+        _shake(work, shake)
         work.grips.append(work.robot.gripper.state())
 
 
-def _shake(work: _Work, joints: NDArray[Any]) -> None:
-    p, seen = work.plan, list[ArmSample]()
-    trajectory = work.planner.shake(joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
+def _shake(work: _Work, trajectory: JointTrajectory) -> None:
+    seen = list[ArmSample]()
     with _filmed(work):
         try:
             work.shaken = work.follow(trajectory, seen.append)

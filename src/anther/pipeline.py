@@ -10,7 +10,7 @@ from anther import cloud, execution, flowers, grasp, masks, plant, response, ske
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.devices import Robot, SafetyLimits
-from anther.errors import FailureKind
+from anther.errors import FailureKind, StageFailure
 from anther.execution import Trial
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
@@ -164,7 +164,8 @@ def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
 def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_masks: FindMasks | None = None) -> Done:
     """See, grasp and shake one plant, and measure how its flowers answer.
 
-    When a grasp turns out to hold nothing, or the wrong thing, the next best is tried.
+    The shake is chosen among the grasps about as good as the best. When the gripper holds nothing or the wrong thing,
+    or a motion is refused, another place on the stem is tried.
 
     Args:
         cell: robot and plant.
@@ -181,11 +182,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     planner = cell.plan_around(seen.cloud)
     grasps = rank_grasps(seen, planner.reach, run, params)
     rods = run.stage("plant model", PlantModel.load, lambda _: model_plant(seen, material, params))
-    while True:
-        shake, trial = _shake_once(cell, planner, rods, grasps, run, params=params)
-        grasps = [g for i, g in enumerate(grasps) if i != shake.grasp_index]
-        if trial.failure not in TRY_THE_NEXT or not grasps:
-            break
+    shake, trial = _shaken(cell, planner, rods, grasps, run, params=params)
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
     if answer is None or not answer.visible.any():
         return Done(shake, trial, answer, rods.material, rods.material)
@@ -209,30 +206,40 @@ def _watched(
     )
 
 
-def _shake_once(
+def _shaken(
     cell: Cell, planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, *, params: Params
 ) -> tuple[ShakePlan, Trial]:
-    """Choose a shake among the grasps and execute it."""
+    """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others."""
+    while True:
+        offered = [g for g in grasps if g.score >= grasps[0].score - params.grasp.slack]
+        try:
+            shake = _planned(planner, rods, offered, run, params=params)
+        except StageFailure as failure:
+            if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
+                raise
+            grasps = grasps[len(offered) :]
+            continue
+        trial = run.stage(
+            "execution",
+            Trial.load,
+            lambda advance, shake=shake: execution.execute(
+                planner, shake, cell.robot, cell.limits, params.execution, progress=advance
+            ),
+        )
+        grasps = [g for i, g in enumerate(grasps) if i != shake.grasp_index]
+        if trial.failure not in TRY_THE_NEXT or not grasps:
+            return shake, trial
+
+
+def _planned(planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, *, params: Params) -> ShakePlan:
+    """Choose a shake among the grasps."""
 
     def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
         assert at.joints is not None
         return planner.shake_limit(at.joints, direction, frequencies)
 
-    shake = run.stage(
+    return run.stage(
         "shake plan",
         ShakePlan.load,
         lambda _: vibration.plan_shake(rods, grasps, vibration.ArmShaker(arm_limit), params.vibration),
     )
-    trial = run.stage(
-        "execution",
-        Trial.load,
-        lambda advance: execution.execute(
-            planner,
-            shake,
-            cell.robot,
-            cell.limits,
-            params.execution,
-            progress=advance,
-        ),
-    )
-    return shake, trial

@@ -5,7 +5,7 @@ Holds the two rules of the paper (P12, P13) and the candidates that Anther's own
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import combinations
 from typing import Any
 
@@ -31,7 +31,6 @@ class Candidates:
         radius: (C,) stem radius [m].
         bend: (C,) rms distance of the centreline from its straight fit [m].
         attachment_distance: (C,) along the stem to the nearest attachment [m]; infinite without any.
-        branch_alignment: (C,) the paper's max_j |n . b_j| over branches nearby; 0 without any (P13).
     """
 
     station: NDArray[Any]
@@ -43,12 +42,15 @@ class Candidates:
     radius: Array
     bend: Array
     attachment_distance: Array
-    branch_alignment: Array
 
     def outward(self) -> Array:
         """Return (C,) the cosine between approach and the horizontal direction from the base, the world's origin."""
         away = self.points[:, :2] / np.maximum(np.linalg.norm(self.points[:, :2], axis=1, keepdims=True), 1e-9)
         return np.sum(self.approach[:, :2] * away, axis=1)
+
+    def only(self, which: NDArray[np.bool_]) -> Candidates:
+        """Return those candidates of these (C,)."""
+        return Candidates(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
 def candidates_along(
@@ -65,30 +67,32 @@ def candidates_along(
 
     Args:
         stem, skeleton: the plant.
-        directions: evenly around the stem; the paper's n* and -n* are added.
+        directions: evenly around the stem.
         spacing: of stations along the stem [m].
-        window: half length of the stem piece fitted, and of that in which branches count as nearby [m].
+        window: half length of the stem piece fitted [m].
         ends: lengths left out at root and tip [m].
         depth: from the flange to the middle of the pads [m].
     """
     arcs = np.arange(ends[0], stem.arc_length[-1] - ends[1] + 1e-9, spacing)
-    branch_arc, branches = branch_directions(stem, skeleton, window)
-    joints = np.append(stem.arc_length[stem.attachments], np.inf)
-    rows: list[tuple[Any, ...]] = []
-    for station, (point, tangent, radius, bend) in enumerate(_fits(stem, skeleton, arcs, window)):
-        arc = arcs[station]
-        nearby = branches[np.abs(branch_arc - arc) <= 2 * window]
-        best = paper_approach(tangent, nearby)
-        around = np.concatenate([directions_across(tangent, directions), [best, -best]])
-        alignment = np.abs(around @ nearby.T).max(axis=1, initial=0)
-        free = np.abs(joints - arc).min()
-        rows += [
-            (station, arc, point, tangent, up, n, radius, bend, free, along)
-            for n, along in zip(around, alignment, strict=True)
-            for up in (tangent, -tangent)
-        ]
-    station, arc, point, tangent, up, n, *rest = (np.array(column) for column in zip(*rows, strict=True))
-    return Candidates(station, arc, point, tangent, n, flange_pose(point, up, n, depth), *rest)
+    free = np.abs(np.append(stem.arc_length[stem.attachments], np.inf) - arcs[:, None]).min(axis=1)
+    fits = zip(*_fits(stem, skeleton, arcs, window), strict=True)
+    points, tangents, radius, bend = (np.array(column) for column in fits)
+    around = np.stack([directions_across(tangent, directions) for tangent in tangents])
+    rolls = np.stack([tangents, -tangents], axis=1)
+    station, direction, roll = (i.ravel() for i in np.indices((len(arcs), directions, 2)))
+    n, up = around[station, direction], rolls[station, roll]
+    pose = flange_pose(points[station], up, n, depth)
+    return Candidates(
+        station,
+        arcs[station],
+        points[station],
+        tangents[station],
+        n,
+        pose,
+        radius[station],
+        bend[station],
+        free[station],
+    )
 
 
 def _fits(stem: Stem, skeleton: Skeleton, arcs: Array, window: float) -> list[tuple[Array, Array, float, float]]:
