@@ -54,7 +54,7 @@ def driven(views: Views, species: Species, seed: int) -> dict[str, float]:
     """Return how the simulated arm follows the motions, stopping for each image, before a plant of that seed."""
     cell = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY)
     arm, behind, off = SimArm(cell), [], []
-    for motion in track(views.motions, f"driving, {species} {seed}"):
+    for motion, dwell in zip(track(views.motions, f"driving, {species} {seed}"), views.dwell, strict=True):
         record = arm.follow(motion)
         behind.append(np.abs(record.measured - record.commanded).max())
         arm.follow(JointTrajectory.standstill(motion.positions[-1], views.dwell))

@@ -44,7 +44,7 @@ def test_a_capture_keeps_limits_and_distance_every_millisecond(views: Views) -> 
     assert max(verdict.velocity, verdict.acceleration) <= 1
     assert verdict.effort <= USABLE
     assert min(verdict.clearance.values()) > 0
-    assert capture_time(views) == pytest.approx(verdict.seconds + views.dwell * len(views.joints))
+    assert capture_time(views) == pytest.approx(verdict.seconds + views.dwell.sum())
 
 
 def test_a_motion_through_the_plant_s_place_is_seen() -> None:

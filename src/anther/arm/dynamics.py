@@ -25,6 +25,8 @@ USABLE = 0.9
 """Share of each effort limit that weight and inertia may take. The rest is for friction, of which nothing is published
 for the robot: the numbers in Rethink's Gazebo model (facts: sawyer 1) calm a simulation, and with them the wrist could
 not reach the SDK's own speed limit. An estimate."""
+SLOWER = (1.0, 1.02, 1.05, 1.1, 1.2)
+"""Factors of time tried for a motion that needs more."""
 
 
 def torques(q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -56,6 +58,12 @@ def check_effort(trajectory: JointTrajectory) -> JointTrajectory:
     return trajectory
 
 
+def within_effort(trajectory: JointTrajectory) -> JointTrajectory:
+    """Return the motion, slowed down evenly by up to a fifth where the motors are not strong enough for it."""
+    motions = (JointTrajectory(trajectory.times * k, trajectory.positions, trajectory.velocities / k) for k in SLOWER)
+    return next((motion for motion in motions if effort_share(motion).max() <= USABLE), trajectory)
+
+
 def shake_amplitude(q: Array, rates: Array, frequencies: ArrayLike) -> Array:
     """Return the amplitudes (Q,) [m] of a flange sinusoid at which the first motor gives all that is `USABLE`.
 
@@ -66,7 +74,8 @@ def shake_amplitude(q: Array, rates: Array, frequencies: ArrayLike) -> Array:
     """
     still = np.zeros(7)
     weight = torques(q, still, still)
-    swung = np.array([torques(q, still, rate)[0] for rate in rates]) - weight
+    basis = torques(np.tile(q, (7, 1)), np.zeros((7, 7)), np.eye(7)) - weight
+    swung = rates @ basis
     omega = 2 * np.pi * np.atleast_1d(np.asarray(frequencies, dtype=np.float64))[:, None]
     room = USABLE * sawyer.EFFORT - np.abs(weight)
     return np.maximum(room / (np.abs(swung) * omega**2), 0.0).min(axis=1)

@@ -26,7 +26,9 @@ REACH_STEP = 0.01  # m between the poses checked on a way in
 WAYS_FOLLOWED, WAYS_CONNECTED = 5, 2  # branches of a grasp of which the way in, and then the path there, is tried
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 SEARCHES = 3  # for a path, each with half the step of the one before
-NEAR = 0.01  # rad, on shorter paths TOPP-RA may find no grid
+SEEDS = 4  # of each search: the quickest way found is taken
+SHIFTS, SHIFT = 24, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
+BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
 
 
@@ -201,44 +203,69 @@ class Planner:
         return self._search(home, goal, self.params.reach_time, SEARCH_STEP, self.params.seed) is not None
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
-        path = self._path(start, goal)
-        if np.abs(goal - start).max() < NEAR and len(path) == 2:
-            return timing.along_line(np.linspace(start, goal, 5), NEAR, self.params.approach_speed)
-        shares = self.params.velocity_share, self.params.acceleration_share
-        motion = timing.fastest(self.world.scene, path, *shares)
-        within = timing.limit_share(motion) <= 1.05 * max(shares)
-        if not within or (len(path) > 2 and not self.world.path_free(motion.positions[::4])):
-            motion = timing.stopping(self.world.scene, path, *shares)
-        return timing.slowed(motion, self.params.flange_speed)
+        """Return the straight joint line if it is free, else the quickest way around that was found."""
+        p, line = self.params, np.stack([start, goal])
+        motion = timing.straight(start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
+        return dynamics.within_effort(motion if self._open(line, motion.positions) else self._around(start, goal))
 
-    def _path(self, start: Array, goal: Array) -> Array:
-        """Return waypoints (N, 7): the straight joint line, or else RRT-Connect's, shortened if that stays free."""
-        straight = np.stack([start, goal])
-        if self._inside(straight) and self.world.path_free(straight):
-            return straight
+    def _around(self, start: Array, goal: Array) -> JointTrajectory:
+        """Return the quickest of several ways found by RRT-Connect, its waypoints then shifted to save time."""
+        tried = (map(self._timed, paths) for paths in self._detours(start, goal))
+        found = [way for ways in tried if (way := next(filter(None, ways), None))]
+        if not found:
+            given = f"no free path found in {SEARCHES * self.params.search_time:g} s to joints {goal.round(2)}"
+            raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
+        motion, path = min(found, key=lambda way: way[0].duration)
+        rng = np.random.default_rng(self.params.seed)
+        for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False):
+            shifts = left * sawyer.VELOCITY / sawyer.VELOCITY.mean() * rng.normal(size=(len(path) - 2, 7))
+            moved = np.concatenate([path[:1], np.clip(path[1:-1] + shifts, sawyer.LOWER, sawyer.UPPER), path[-1:]])
+            motion, path = self._timed(moved, BLENDS[:1], motion.duration) or (motion, path)
+        return motion
+
+    def _timed(
+        self, path: Array, blends: Sequence[float] = BLENDS, within: float = np.inf
+    ) -> tuple[JointTrajectory, Array] | None:
+        """Return a free motion by way of joints (N, 7), and them, if it lasts less than `within` [s]; else None."""
+        p = self.params
+        if (np.abs(np.diff(path, axis=0)).sum(axis=0) / sawyer.VELOCITY).max() >= within * p.velocity_share:
+            return None
+        for blend in blends:
+            try:
+                rounded = timing.fastest(self.world.scene, path, p.velocity_share, p.acceleration_share, blend)
+            except RuntimeError:  # TOPP-RA's linear programs fail on some paths
+                continue
+            kept = timing.limit_share(rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
+            motion = timing.slowed(rounded, p.flange_speed)
+            if kept and motion.duration < within and self._open(motion.positions[::4], motion.positions):
+                return motion, path
+        motion = timing.stopping(path, p.velocity_share, p.acceleration_share, p.flange_speed)
+        return (motion, path) if motion.duration < within and self._open(path, motion.positions) else None
+
+    def _open(self, path: Array, passed: Array) -> bool:
+        """Return whether the flange stays within its space at joints (T, 7) passed, and the path (N, 7) is free."""
+        inside = self.space is None or bool(self.space.contains(sawyer.forward(passed)[:, :3, 3]).all())
+        return inside and self.world.path_free(path, SEARCH_STEP) and self.world.path_free(path)
+
+    def _detours(self, start: Array, goal: Array) -> Iterator[Iterator[Array]]:
+        """Yield for each way found by RRT-Connect its waypoints (N, 7) shortened, and as they are.
+
+        There are as many ways as seeds, unless it finds none: then it is asked again in smaller steps.
+        """
         for attempt in range(SEARCHES):
-            step, seed = SEARCH_STEP / 2**attempt, self.params.seed + attempt
-            found = self._search(start, goal, self.params.search_time, step, seed)
-            for path in self._variants(found, step, seed):
-                if self._inside(path) and self.world.path_free(path):
-                    return path
-        given = f"no free path found in {SEARCHES * self.params.search_time:g} s to joints {goal.round(2)}"
-        raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
+            step = SEARCH_STEP / 2**attempt
+            for seed in range(self.params.seed, self.params.seed + SEEDS):
+                found = self._search(start, goal, self.params.search_time, step, seed)
+                if found is None:
+                    break
+                yield self._variants(found, step, seed)
+            else:
+                return
 
-    def _inside(self, path: Array) -> bool:
-        """Return whether the flange stays within its space along straight joint lines between (N, 7)."""
-        if self.space is None:
-            return True
-        lines = zip(path, path[1:], strict=False)
-        q = np.concatenate([np.linspace(a, b, int(np.abs(b - a).max() / SEARCH_STEP) + 2) for a, b in lines])
-        return bool(self.space.contains(sawyer.forward(q)[:, :3, 3]).all())
-
-    def _variants(self, found: JointPath | None, step: float, seed: int) -> Iterator[Array]:
-        """Yield waypoints (N, 7) of a path that was found: shortened, and as it is."""
-        if found is not None:
-            cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
-            yield np.array(PathShortcutter(self.world.scene, cut).shortcut(found).positions)
-            yield np.array(found.positions)
+    def _variants(self, found: JointPath, step: float, seed: int) -> Iterator[Array]:
+        cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
+        yield np.array(PathShortcutter(self.world.scene, cut).shortcut(found).positions)
+        yield np.array(found.positions)
 
     def _search(self, start: Array, goal: Array, seconds: float, step: float, seed: int) -> JointPath | None:
         """Return a path by RRT-Connect, checked at `step` [rad] only, or None."""

@@ -13,12 +13,45 @@ from anther.devices import JointTrajectory
 from anther.geometry import Array
 
 PERIOD = 0.004  # s between samples
-BLEND = 0.01  # rad, how far a rounded corner may leave the waypoint
+BLEND = 0.01  # rad, how far a rounded corner may leave the waypoint where nothing else is said
+GRID = 400  # pieces of a straight joint line within each of which the acceleration is constant
 RAMP = 0.25  # s to reach the speed of a slow line
 
 
-def fastest(scene: Scene, path: Array, velocity_share: float, acceleration_share: float) -> JointTrajectory:
-    """Return the time-optimal motion along joints (N, 7) by TOPP-RA, corners rounded by at most `BLEND`.
+def straight(
+    start: Array, goal: Array, velocity_share: float, acceleration_share: float, flange_limit: float
+) -> JointTrajectory:
+    """Return the time-optimal motion from rest to rest along the straight line between two joint vectors (7,).
+
+    On a straight line the joints' limits are one bound on the speed s' and one on s''; what the flange's limit [m/s]
+    leaves of s' changes along the line. The highest speed everywhere below it, rising and falling no faster than s''
+    lets it, is optimal (Bobrow, Dubowsky and Gibson 1985): one pass from either end.
+
+    Args:
+        start, goal: joints [rad], not the same.
+        velocity_share, acceleration_share: of the joints' limits.
+        flange_limit: [m/s].
+    """
+    way, s = goal - start, np.linspace(0, 1, GRID + 1)
+    rate = np.linalg.norm(np.gradient(sawyer.forward(start + s[:, None] * way)[:, :3, 3], s, axis=0), axis=1)
+    room = velocity_share * (sawyer.VELOCITY / np.maximum(np.abs(way), 1e-12)).min()
+    gain = 2 * acceleration_share * (sawyer.ACCELERATION / np.maximum(np.abs(way), 1e-12)).min() * s
+    square = np.minimum(room, flange_limit / np.maximum(rate, 1e-12)) ** 2
+    square[[0, -1]] = 0
+    square = np.minimum.accumulate(square - gain) + gain
+    square = (np.minimum.accumulate((square + gain)[::-1]) - gain[::-1])[::-1]
+    speed = np.sqrt(np.maximum(square, 0))
+    passed = np.append(0, np.cumsum(2 * np.diff(s) / (speed[:-1] + speed[1:])))
+    times = np.linspace(0, passed[-1], max(int(np.ceil(passed[-1] / PERIOD)), 4) + 1)
+    rates = np.interp(times, passed, speed)
+    at = np.append(0, np.cumsum((rates[:-1] + rates[1:]) / 2)) * times[1]  # so a cubic between samples is a parabola
+    return JointTrajectory(times, start + (at / at[-1])[:, None] * way, (rates / at[-1])[:, None] * way)
+
+
+def fastest(
+    scene: Scene, path: Array, velocity_share: float, acceleration_share: float, blend: float = BLEND
+) -> JointTrajectory:
+    """Return the time-optimal motion along joints (N, 7) by TOPP-RA, corners rounded by at most `blend` [rad].
 
     The caller checks it against limits and obstacles: a corner that cannot be rounded is left sharp.
 
@@ -32,7 +65,7 @@ def fastest(scene: Scene, path: Array, velocity_share: float, acceleration_share
         mode=SplineFittingMode.LinearBlend,
         velocity_scale=velocity_share,
         acceleration_scale=acceleration_share,
-        max_blend_deviation=BLEND,
+        max_blend_deviation=blend,
     )
     waypoints = JointPath()
     waypoints.joint_names = list(sawyer.JOINTS)
@@ -41,10 +74,10 @@ def fastest(scene: Scene, path: Array, velocity_share: float, acceleration_share
     return JointTrajectory(np.array(timed.times), np.array(timed.positions), np.array(timed.velocities))
 
 
-def stopping(scene: Scene, path: Array, velocity_share: float, acceleration_share: float) -> JointTrajectory:
-    """Return the motion that follows joints (N, 7) exactly and stops at every waypoint; arguments as of `fastest`."""
+def stopping(path: Array, velocity_share: float, acceleration_share: float, flange_limit: float) -> JointTrajectory:
+    """Return the motion that follows joints (N, 7) exactly, stops at every waypoint; arguments as of `straight`."""
     legs = [leg for leg in zip(path, path[1:], strict=False) if np.abs(leg[1] - leg[0]).max() > 1e-9]
-    return joined([fastest(scene, np.array(leg), velocity_share, acceleration_share) for leg in legs])
+    return joined([straight(*leg, velocity_share, acceleration_share, flange_limit) for leg in legs])
 
 
 def along_line(path: Array, length: float, speed: float) -> JointTrajectory:

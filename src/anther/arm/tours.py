@@ -23,10 +23,10 @@ Tour = list[tuple[int, Array]]
 """(view, joints (7,)) in the order of the visits."""
 
 
-def tours(
+def shortest_tour(
     free: Callable[[Array], bool], start: Array, choices: Sequence[Array], *, in_order: bool = False, seed: int = 0
-) -> list[Tour]:
-    """Return two tours, or one: the shortest found if every straight joint line were free, and one along free lines.
+) -> Tour:
+    """Return the shortest tour found, a straight joint line that is not free taken to last `DETOUR` longer.
 
     Lines are checked only when a tour uses them, and the tour is improved with what that taught (Bohlin and Kavraki
     2000, lazy collision checking).
@@ -56,9 +56,8 @@ def tours(
         for a, b in blocked:
             cost[a, b] += DETOUR
             cost[b, a] += DETOUR
-    best = min(found, key=lambda tour: cost[[0, *tour[1][:-1]], tour[1]].sum())
-    wanted = [found[0]] if best is found[0] else [found[0], best]
-    return [[(view, stops[pick]) for view, pick in zip(*tour, strict=True)] for tour in wanted]
+    order, picks = min(found, key=lambda tour: cost[[0, *tour[1][:-1]], tour[1]].sum())
+    return [(view, stops[pick]) for view, pick in zip(order, picks, strict=True)]
 
 
 def least_times(a: Array, b: Array) -> Array:

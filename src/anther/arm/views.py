@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.arm import kinematics, sawyer
+from anther.arm import kinematics, sawyer, sharpness
 from anther.arm.planner import SEARCH_STEP, Planner
 from anther.arm.planner import Params as MotionParams
-from anther.arm.tours import tours
+from anther.arm.tours import shortest_tour
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.geometry import Array, Box, inverse, look_at
 
-FAST = MotionParams(velocity_share=0.85, acceleration_share=0.7)
+FAST = MotionParams(velocity_share=0.95, acceleration_share=0.85)
+SEEN = 0.08  # m between the points of the region whose motion in the image is looked at
 SEEDS, MORE_SEEDS = 12, 48  # of the inverse kinematics: to see whether a view can be reached, and to choose a way there
 
 
@@ -33,7 +34,9 @@ class Params:
         azimuth_step: of the viewpoints tried [degrees].
         widest: greatest azimuth, to either side of the arm [degrees].
         height_shares: at which share of the region's height each elevation aims.
-        dwell: standing still for one image [s].
+        dwell: standing still for each image [s], for a camera that is asked for a frame when the arm has come to rest;
+            None is as long as a camera that runs freely needs for a sharp one, see `sharpness`.
+        camera: for how long that is.
     """
 
     count: int = 30
@@ -42,7 +45,8 @@ class Params:
     azimuth_step: float = 7.5
     widest: float = 180.0
     height_shares: tuple[float, ...] = (0.4, 0.65, 0.45, 0.6)
-    dwell: float = 0.2
+    dwell: float | None = None
+    camera: sharpness.Params = field(default_factory=sharpness.Params)
 
     def __post_init__(self) -> None:
         check_range("views", self.count, 1, 500)
@@ -62,7 +66,7 @@ class Views:
         azimuth: (V,) of the camera around the plant's vertical axis [degrees]; 0 is the side of the arm,
             positive turns counterclockwise seen from above.
         elevation: (V,) of the camera above its target [degrees].
-        dwell: standing still for one image [s].
+        dwell: (V,) standing still for each image [s].
     """
 
     joints: Array
@@ -70,11 +74,12 @@ class Views:
     motions: tuple[JointTrajectory, ...]
     azimuth: Array
     elevation: Array
-    dwell: float
+    dwell: Array
 
     def __post_init__(self) -> None:
         n = len(self.joints)
         object.__setattr__(self, "joints", check_array("view joints", self.joints, (n, 7)))
+        object.__setattr__(self, "dwell", check_array("dwell", self.dwell, (n,)))
         object.__setattr__(self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, n))
 
 
@@ -132,7 +137,8 @@ def plan_views(
     """
     planner = _planner(region, boxes, start, motion)
     viewpoints = _reachable(region, planner, params, check_transform("T_flange_cam", T_flange_cam))
-    return _visit(viewpoints, viewpoints.spread(params.count), planner, np.asarray(start, dtype=np.float64), params)
+    begin = np.asarray(start, dtype=np.float64)
+    return _visit(viewpoints, viewpoints.spread(params.count), planner, begin, params, region)
 
 
 def reachable_views(
@@ -164,12 +170,13 @@ def visit_views(
     The other arguments and what is raised are as in `plan_views`.
     """
     planner = _planner(region, boxes, start, motion)
-    return _visit(viewpoints, list(chosen), planner, np.asarray(start, dtype=np.float64), params, in_order=in_order)
+    begin = np.asarray(start, dtype=np.float64)
+    return _visit(viewpoints, list(chosen), planner, begin, params, region, in_order=in_order)
 
 
 def capture_time(views: Views) -> float:
     """Return the time [s] of all motions and the stops for the images."""
-    return sum(m.duration for m in views.motions) + views.dwell * len(views.joints)
+    return sum(m.duration for m in views.motions) + float(views.dwell.sum())
 
 
 def cylinder_points(region: Box, spacing: float = 0.015) -> Array:
@@ -199,19 +206,23 @@ def _visit(
     planner: Planner,
     start: Array,
     params: Params,
+    region: Box,
     *,
     in_order: bool = False,
 ) -> Views:
     azimuth, elevation = viewpoints.azimuth, viewpoints.elevation
     more = _free_branches(viewpoints.T_world_cam[chosen], planner, viewpoints.T_flange_cam, MORE_SEEDS)
     choices = [q if len(q) else viewpoints.branches[i] for i, q in zip(chosen, more, strict=True)]
-    found = tours(lambda line: planner.world.path_free(line, SEARCH_STEP), start, choices, in_order=in_order)
-    ways = [_motions(planner, start, [(chosen[i], q) for i, q in tour]) for tour in found]
-    kept, motions = min(ways, key=lambda way: (-len(way[0]), sum(m.duration for m in way[1])))
+    tour = shortest_tour(lambda line: planner.world.path_free(line, SEARCH_STEP), start, choices, in_order=in_order)
+    kept, motions = _motions(planner, start, [(chosen[i], q) for i, q in tour])
     at = [i for i, _ in kept]
     joints = np.array([q for _, q in kept])
     T_world_cam = sawyer.forward(joints) @ viewpoints.T_flange_cam
-    return Views(joints, T_world_cam, tuple(motions), azimuth[at], elevation[at], params.dwell)
+    dwell = np.full(len(kept), params.dwell, dtype=float)
+    if params.dwell is None:
+        seen = cylinder_points(region, SEEN)
+        dwell = sharpness.standing_times(motions, viewpoints.T_flange_cam, seen, params.camera)
+    return Views(joints, T_world_cam, tuple(motions), azimuth[at], elevation[at], dwell)
 
 
 def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -> Viewpoints:
