@@ -13,7 +13,7 @@ from anther.checks import check_array, check_range
 from anther.elastic_rod.assembly import new_blocks
 from anther.elastic_rod.linear import Linear, linearise, set_dynamic
 from anther.elastic_rod.model import Model
-from anther.elastic_rod.motion import Clamp, gripped_edges, unit_direction
+from anther.elastic_rod.motion import Clamp, Drive, gripped_edges, unit_direction
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.tree_solver import factor, solve_columns
 from anther.elastic_rod.vectors import compiled
@@ -122,7 +122,7 @@ def driven_response(
     units = np.stack([unit_direction(d) for d in np.atleast_2d(np.asarray(directions, dtype=np.float64))])
     clamp.free(rods, [int(grip) for grip in gripped])
     system = linearise(rods, clamp, gravity, loss_factor)
-    held = [_held_unknowns(rods, pad) for pad in pads]
+    held = [held_unknowns(rods, pad) for pad in pads]
     loads, places = np.unique(np.concatenate(held), return_inverse=True)
     wanted = np.concatenate([(4 * seen[:, None] + np.arange(3)).ravel(), loads])
     receptances = _receptances(system, loads, wanted, 2 * np.pi * hertz)
@@ -141,7 +141,23 @@ def driven_response(
     return Driven(motion, force)
 
 
-def _held_unknowns(rods: Rods, pad: NDArray[Any]) -> NDArray[Any]:
+def steady_motion(rods: Rods, clamp: Clamp, drive: Drive, *, gravity: ArrayLike = GRAVITY) -> ComplexArray:
+    """Return (N, 4) the steady answer to a drive, displacements [m] and spins [rad] of all nodes and edges.
+
+    Small vibrations about the equilibrium: the motion is the imaginary part of this times exp(i w t), since the drive
+    is a sine.
+
+    Raises:
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    system, everything = linearise(rods, clamp, gravity), np.arange(4 * len(rods.nodes))
+    held = held_unknowns(rods, np.array(drive.nodes))
+    moved = np.concatenate([np.tile(drive.direction, len(drive.nodes)), np.zeros(len(held) - 3 * len(drive.nodes))])
+    receptance = _receptances(system, held, everything, np.array([2 * np.pi * drive.frequency]))[0]
+    return drive.amplitude * (np.linalg.solve(receptance[:, held].T, moved) @ receptance).reshape(-1, 4)
+
+
+def held_unknowns(rods: Rods, pad: NDArray[Any]) -> NDArray[Any]:
     """Return the unknowns 4 node + component that a grip holds: positions, then spins of the edges between the pads."""
     edges = gripped_edges(rods.parent, tuple(pad.tolist()))
     return np.concatenate([(4 * pad[:, None] + np.arange(3)).ravel(), 4 * edges + 3])
@@ -149,7 +165,7 @@ def _held_unknowns(rods: Rods, pad: NDArray[Any]) -> NDArray[Any]:
 
 def _receptances(system: Linear, loads: NDArray[Any], wanted: NDArray[Any], omegas: Array) -> ComplexArray:
     """Return (Q, L, W) the motion of the wanted unknowns per unit load on each of the loaded ones."""
-    rows = _towards_root(system.model, np.concatenate([loads, wanted]) // 4)
+    rows = towards_root(system.model, np.concatenate([loads, wanted]) // 4)
     out = np.zeros((len(omegas), len(loads), len(wanted)), np.complex128)
 
     def solve_some(which: NDArray[Any]) -> None:
@@ -180,7 +196,7 @@ def _solve_columns(model: Model, dynamic: Any, loads: Any, wanted: Any, rows: An
                 out[first + k, w] = complex(real[j, i, k], imaginary[j, i, k])
 
 
-def _towards_root(model: Model, nodes: NDArray[Any]) -> NDArray[Any]:
+def towards_root(model: Model, nodes: NDArray[Any]) -> NDArray[Any]:
     """Return the rows on the ways from the nodes to the root, in the order in which they can be substituted."""
     needed = np.zeros(len(model.near), dtype=np.bool_)
     for start in nodes:

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from anther.checks import check_array, check_range
-from anther.elastic_rod.assembly import new_blocks
+from anther.elastic_rod.assembly import move_frames, new_blocks
 from anther.elastic_rod.equilibrium import static_state
+from anther.elastic_rod.lanes import new_lanes
 from anther.elastic_rod.model import Model, build_model
 from anther.elastic_rod.motion import Clamp, Motion, gripped_edges
 from anther.elastic_rod.newton import State, Work, new_state
@@ -109,6 +110,7 @@ def simulate(
     record_every: int = 1,
     newton_limit: int = 30,
     predictor: Literal["inertia", "guess displacement", "none"] = "inertia",
+    moving: tuple[Array, Array] | None = None,
 ) -> Trajectory:
     """Step the rods through time.
 
@@ -129,6 +131,8 @@ def simulate(
         predictor: where Newton starts: each node goes on with its velocity; the four nodes on either side of the grip
             go along with it, less the farther away (the paper's guess displacement, P21); or nothing moves. The
             result does not depend on it beyond the tolerance.
+        moving: displacements [m] and spins [rad] (N, 4) from `start`, and their rates (N, 4), with which to begin
+            instead of at rest, for instance those of `steady_motion`; the drive must begin likewise.
 
     Raises:
         InputError: arguments out of range.
@@ -136,8 +140,9 @@ def simulate(
             splitting, or when no stable equilibrium exists.
     """
     run = prepare(
-        rods, clamp, drive, duration, dt, gravity, integrator, start, tolerance, record_every, newton_limit, predictor
-    )
+        rods, clamp, drive, duration, dt, gravity, integrator, start, tolerance, record_every, newton_limit, predictor,
+        moving,
+    )  # fmt: skip
     return run.trajectory()
 
 
@@ -154,6 +159,7 @@ def prepare(
     record_every: int,
     newton_limit: int = 30,
     predictor: str = "inertia",
+    moving: tuple[Array, Array] | None = None,
 ) -> Run:
     """Return a simulation ready to be stepped; arguments and errors as of `simulate`."""
     steps = _check_steps(duration, dt, record_every)
@@ -169,11 +175,38 @@ def prepare(
         state = static_state(model, frames, rods.nodes, clamp.free(rods))
     else:
         state = new_state(rods.nodes, frames)
+    if moving is not None:
+        state = _set_moving(model, state, *moving, () if drive is None else drive.nodes)
     settings = Settings(dt, integrator == "midpoint", float(predictor == "inertia"), tolerance, newton_limit, True)
     run = Run(model, free, state, drive, settings, steps, record_every)
     if predictor == "guess displacement":
         run.guess = _guess_shares(rods.parent, run.nodes)
     return run
+
+
+def _set_moving(model: Model, rest: State, displacement: Array, rate: Array, grip: tuple[int, ...]) -> State:
+    """Return the state displaced from rest, and moving.
+
+    Off the way from the root to the grip, edges are only turned: a displacement that is linear in the angle would
+    stretch them, and stretching is what rods do fastest.
+    """
+    x, v = rest.x + displacement[:, :3], rate.copy()
+    between = np.zeros(len(x), dtype=bool)
+    way = list(grip)
+    while way:
+        between[node := way.pop()] = True
+        way += [int(model.parent[node])] if node > 0 else []
+    for j in np.flatnonzero(~between)[1:]:
+        p = model.parent[j]
+        edge = rest.x[j] + displacement[j, :3] - rest.x[p] - displacement[p, :3]
+        unit, swing = edge / np.linalg.norm(edge), rate[j, :3] - rate[p, :3]
+        x[j] = x[p] + np.linalg.norm(rest.x[j] - rest.x[p]) * unit
+        v[j, :3] = v[p, :3] + swing - (swing @ unit) * unit
+    state = new_state(x, rest.frames)
+    turn = 2 * np.tan(displacement[:, 3] / 2)
+    move_frames(model, rest.x, rest.frames.m1, state.x, turn, state.frames.m1, new_lanes())
+    state.v[:] = v
+    return state
 
 
 def _guess_shares(parent: Any, grip: Any) -> Array:

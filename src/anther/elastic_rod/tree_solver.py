@@ -178,6 +178,14 @@ def solve_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary:
         if b >= 0:
             _transposed(V, j, M)
             _less_matrix(real, imaginary, b, M, j)
+    substitute_columns(model, blocks, rows, real, imaginary)
+
+
+@compiled
+def substitute_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary: Any) -> None:
+    """Do the second half of `solve_columns`: what the rows do when those they hang on move as they stand there."""
+    near, far, D, U, V = model.near, model.far, blocks.diagonal, blocks.near, blocks.far
+    M = np.zeros((2, 4, 4))
     for k in range(len(rows)):
         j = rows[k]
         a, b = near[j], far[j]

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 
 from anther.elastic_rod.model import bend_stiffness
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod.rods import Array, Rods
 from anther.plant import PlantModel
 
 ComplexArray = NDArray[np.complex128]
@@ -49,11 +49,15 @@ def observables(plant: PlantModel) -> Observables:
     gives at most g, so that a limit in g is a share of the leaf's own weight (facts: pollination 1d, safety factor
     1.7 of petioles).
     """
-    n = len(plant.rods.nodes)
-    blocks = [_flower_rows(plant, n), *_strain_rows(plant, n), *_base_rows(plant, n)]
-    ends = np.cumsum([0] + [block.shape[0] // 3 for block in blocks])
+    kinds = [_flowers(plant), *_strains(plant), *_bases(plant)]
+    ends = np.cumsum([0] + [count for count, *_ in kinds])
     rows = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    operator = coo_array(np.concatenate(blocks)).tocsr()
+    vector = np.concatenate([first + which for first, (_, which, _, _) in zip(ends[:-1], kinds, strict=True)])
+    node, block = (np.concatenate([kind[part] for kind in kinds]) for part in (2, 3))
+    at = [np.broadcast_to(3 * index[:, None, None] + axis, block.shape) for index, axis in zip((vector, node), _AXES)]  # noqa: B905
+    shape = (3 * ends[-1], 3 * len(plant.rods.nodes))
+    operator = csr_array((block.ravel(), (at[0].ravel(), at[1].ravel())), shape)
+    operator.eliminate_zeros()
     return Observables(operator, *rows)
 
 
@@ -66,90 +70,86 @@ def semi_major(vectors: ComplexArray) -> Array:
     return np.sqrt(0.5 * (square + np.abs(np.sum(vectors * vectors, axis=-1))))
 
 
-def _flower_rows(plant: PlantModel, n: int) -> Array:
-    rows = np.zeros((len(plant.flower_nodes), 3, n, 3))
-    for k, node in enumerate(plant.flower_nodes):
-        rows[k, :, node, :] = np.eye(3)
-    return rows.reshape(-1, 3 * n)
+_AXES = (np.arange(3)[:, None], np.arange(3))
+
+Blocks = tuple[int, NDArray[Any], NDArray[Any], Array]
+"""Vectors that are sums of (3, 3) blocks times node displacements: how many vectors, then of each of B blocks which
+vector (B,) and node (B,), and the blocks (B, 3, 3)."""
 
 
-def _strain_rows(plant: PlantModel, n: int) -> tuple[Array, Array]:
-    """Return rows for the joints of the main stem and for those of the pedicels."""
+def _flowers(plant: PlantModel) -> Blocks:
+    count = len(plant.flower_nodes)
+    return count, np.arange(count), plant.flower_nodes, np.tile(np.eye(3), (count, 1, 1))
+
+
+def _strains(plant: PlantModel) -> tuple[Blocks, Blocks]:
+    """Return the strains of the joints of the main stem and of those of the pedicels."""
     rods = plant.rods
-    parent, radius = rods.parent, np.asarray(rods.edge_radius)
-    stiffness, EI = bend_stiffness(rods), np.asarray(rods.youngs) * np.pi * radius**4 / 4
-    stem, pedicel = [], []
-    on_stem = np.isin(np.arange(n), plant.stem_nodes)
-    for j in range(1, n):
-        p = int(parent[j])
-        if p == 0 or not (plant.is_pedicel[j] or (on_stem[j] and on_stem[p])):
-            continue
-        strain = stiffness[j] * max(radius[p] / EI[p], radius[j] / EI[j])
-        (pedicel if plant.is_pedicel[j] else stem).append(strain * _bend_row(rods.nodes, int(parent[p]), p, j))
-    return _stack(stem, n), _stack(pedicel, n)
+    j = np.flatnonzero(rods.parent > 0)
+    p = rods.parent[j]
+    of_pedicel, on_stem = plant.is_pedicel[j], np.isin(np.arange(len(rods.nodes)), plant.stem_nodes)
+    radius = np.asarray(rods.edge_radius)
+    softness = radius / (np.asarray(rods.youngs) * np.pi * radius**4 / 4)
+    strain = bend_stiffness(rods)[j] * np.maximum(softness[p], softness[j])
+    nodes, blocks = (
+        np.stack([rods.parent[p], p, j], axis=1),
+        strain[:, None, None, None] * _bend(rods.nodes, p, j, rods),
+    )
+    kinds = []
+    for chosen in (~of_pedicel & on_stem[j] & on_stem[p], of_pedicel):
+        count = int(chosen.sum())
+        kinds.append((count, np.repeat(np.arange(count), 3), nodes[chosen].ravel(), blocks[chosen].reshape(-1, 3, 3)))
+    return kinds[0], kinds[1]
 
 
-def _bend_row(nodes: Array, a: int, b: int, c: int) -> Array:
-    """Return (3, 3N): the change of direction from edge a-b to edge b-c, less their common rotation.
+def _bend(x: Array, p: NDArray[Any], j: NDArray[Any], rods: Rods) -> Array:
+    """Return (J, 3, 3, 3): the change of direction from edge p to edge j, less their common rotation, by nodes.
 
-    A rigid rotation across the tangents gives nothing; of one about the tangents, a share sin(kink) / 2 remains.
+    Nodes are the parent of p, p and j. A rigid rotation across the tangents gives nothing; of one about the tangents, a
+    share sin(kink) / 2 remains.
     """
-    n = len(nodes)
     turns, spins, tangents = [], [], []
-    for start, end in ((a, b), (b, c)):
-        edge = nodes[end] - nodes[start]
-        size = float(np.linalg.norm(edge))
+    for start, end in ((rods.parent[p], p), (p, j)):
+        edge = x[end] - x[start]
+        size = np.linalg.norm(edge, axis=1)[:, None]
         t = edge / size
-        turn = np.zeros((3, n, 3))
-        turn[:, end] = (np.eye(3) - np.outer(t, t)) / size
-        turn[:, start] -= turn[:, end]
-        turns.append(turn.reshape(3, -1))
-        spins.append(_cross(t) @ turns[-1])
+        turn = (np.eye(3) - t[:, :, None] * t[:, None]) / size[:, None]
+        turns.append(turn)
+        spins.append(_cross(t) @ turn)
         tangents.append(t)
-    common = 0.5 * (spins[0] + spins[1])
-    return turns[1] - turns[0] + _cross(tangents[1] - tangents[0]) @ common
+    half = 0.5 * _cross(tangents[1] - tangents[0])
+    first, last = turns[0] - half @ spins[0], turns[1] + half @ spins[1]
+    return np.stack([first, -first - last, last], axis=1)
 
 
-def _base_rows(plant: PlantModel, n: int) -> tuple[Array, Array]:
-    """Return rows (3B, 3N) for the branches' bases, per squared angular frequency: their strain, and the leaves' load.
+def _bases(plant: PlantModel) -> tuple[Blocks, Blocks]:
+    """Return, for the branches' bases and per squared angular frequency, their strain, and the leaves' load.
 
     A leaf's load is the inertia torque about its base over sum of m |r| [m]. Flowers and pedicels do not count in it,
     nor do branches without leaves (trusses) where the leaves are known: the flowers are meant to move, and their
     stalks have their own limits.
     """
-    rods, strains, loads = plant.rods, [], []
-    leaf = np.array(rods.lumped_mass)
-    leaf[plant.flower_nodes] = 0
-    tissue = np.where(plant.is_pedicel, 0, rods.node_mass)
-    tissue[plant.flower_nodes] = 0
+    rods, bases = plant.rods, plant.branch_bases
+    branch = np.full(len(rods.nodes), -1)
+    branch[bases] = np.arange(len(bases))
+    for j in range(1, len(branch)):
+        branch[j] = max(branch[j], branch[rods.parent[j]])
+    node = np.flatnonzero(branch >= 0)
+    of, count = branch[node], len(bases)
+    lever = rods.nodes[node] - rods.nodes[rods.parent[bases[of]]]
     radius, youngs = np.asarray(rods.edge_radius), np.asarray(rods.youngs)
-    for base in plant.branch_bases:
-        beyond = np.zeros(n, dtype=bool)
-        beyond[base] = True
-        for j in range(int(base) + 1, n):
-            beyond[j] = beyond[rods.parent[j]]
-        lever = rods.nodes - rods.nodes[rods.parent[base]]
-        section = youngs[base] * np.pi * radius[base] ** 3 / 4
-        strains.append(_torque_row(lever, np.where(beyond, rods.node_mass, 0)) / section)
-        if leaf.sum() > 0 and leaf[beyond].sum() < 1e-4:
-            continue
-        mass = np.where(beyond, tissue, 0)
-        loads.append(_torque_row(lever, mass) / max(np.sum(mass * np.linalg.norm(lever, axis=1)), 1e-12))
-    return _stack(strains, n), _stack(loads, n)
+    section = youngs[bases] * np.pi * radius[bases] ** 3 / 4
+    strain = (rods.node_mass[node] / section[of])[:, None, None] * _cross(lever)
 
-
-def _torque_row(lever: Array, mass: Array) -> Array:
-    """Return (3, 3N): sum of m r x displacement."""
-    row = np.zeros((3, len(mass), 3))
-    for j in np.flatnonzero(mass):
-        row[:, j] = mass[j] * _cross(lever[j])
-    return row.reshape(3, -1)
+    leaf, tissue = np.array(rods.lumped_mass), np.where(plant.is_pedicel, 0, rods.node_mass)
+    leaf[plant.flower_nodes] = tissue[plant.flower_nodes] = 0
+    moment = np.bincount(of, tissue[node] * np.linalg.norm(lever, axis=1), count)
+    load = (tissue[node] / np.maximum(moment, 1e-12)[of])[:, None, None] * _cross(lever)
+    leafy = (np.bincount(of, leaf[node], count) >= 1e-4) | (leaf.sum() == 0)
+    some, number = leafy[of], np.cumsum(leafy) - 1
+    return (count, of, node, strain), (int(leafy.sum()), number[of[some]], node[some], load[some])
 
 
 def _cross(v: Array) -> Array:
-    """Return the matrix of v x."""
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def _stack(rows: list[Array], n: int) -> Array:
-    return np.concatenate(rows) if rows else np.zeros((0, 3 * n))
+    """Return the matrices (..., 3, 3) of v x."""
+    return np.cross(np.eye(3), v[..., None, :])

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from anther.elastic_rod.response import ComplexArray, driven_response
+from anther.elastic_rod.observed import observed_response
 from anther.elastic_rod.rods import Array
+from anther.elastic_rod.vectors import compiled
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
-from anther.vibration.observables import Observables, observables, semi_major
+from anther.vibration.observables import observables
 
 
 class Gains(NamedTuple):
@@ -120,26 +121,30 @@ def gains(versions: Sequence[PlantModel], grips: NDArray[Any], directions: Array
 
 def _gains_of(plant: PlantModel, grips: NDArray[Any], directions: Array, frequencies: Array) -> tuple[Array, ...]:
     """Return the gains of one scenario; its damping ratio is the same at every frequency (hysteretic)."""
-    seen, everything = observables(plant), np.arange(len(plant.rods.nodes))
-    loss = 2 * plant.material.damping_ratio
-    response = driven_response(
-        plant.rods, plant.clamp, grips, np.eye(3), frequencies, observe=everything, loss_factor=loss
-    )
-    each = [
-        _gains_at(seen, motion, force, directions, float(f))
-        for motion, force, f in zip(response.motion, response.force, frequencies, strict=True)
-    ]
-    return tuple(np.stack(a) for a in zip(*each, strict=True))
-
-
-def _gains_at(
-    seen: Observables, motion: ComplexArray, force: ComplexArray, directions: Array, frequency: float
-) -> tuple[Array, ...]:
-    flat = motion.reshape(len(motion) * 3, -1)
-    vectors = (seen.operator @ flat.T).reshape(-1, 3, len(motion), 3)
-    size = semi_major(np.einsum("kigj,gdj->gdki", vectors, directions))
-    omega2 = (2 * np.pi * frequency) ** 2
+    seen, loss = observables(plant), 2 * plant.material.damping_ratio
+    response = observed_response(plant.rods, plant.clamp, grips, seen.operator, frequencies, loss_factor=loss)
+    size = _sizes(response.vectors, directions)
+    omega2 = (2 * np.pi * frequencies[:, None, None]) ** 2
     kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
     stem, joint, base, load = (size[..., rows].max(axis=-1, initial=0.0) for rows in kinds)
-    pull = semi_major(np.einsum("gji,gdj->gdi", force, directions))
+    pull = _sizes(response.force[:, :, None], directions)[..., 0]
     return size[..., seen.flowers], stem, joint, omega2 * base, omega2 * load, pull
+
+
+@compiled
+def _sizes(vectors: Any, directions: Any) -> Any:
+    """Return (Q, G, D, K) the `semi_major` of vectors (Q, G, K, 3, 3) times directions (G, D, 3)."""
+    Q, G, K = vectors.shape[:3]
+    out = np.empty((Q, G, directions.shape[1], K))
+    for q in range(Q):
+        for g in range(G):
+            for d in range(directions.shape[1]):
+                x, y, z = directions[g, d]
+                for k in range(K):
+                    square, product = 0.0, 0j
+                    for i in range(3):
+                        v = vectors[q, g, k, i, 0] * x + vectors[q, g, k, i, 1] * y + vectors[q, g, k, i, 2] * z
+                        square += v.real * v.real + v.imag * v.imag
+                        product += v * v
+                    out[q, g, d, k] = np.sqrt(0.5 * (square + abs(product)))
+    return out

@@ -10,14 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.elastic_rod.motion import Drive, Straight
+from anther.elastic_rod.response import steady_motion
 from anther.elastic_rod.rods import Array
 from anther.elastic_rod.simulation import Trajectory, simulate
 from anther.plant import PlantModel
-from anther.vibration.observables import observables, semi_major
+from anther.vibration.observables import Observables, observables, semi_major
 from anther.vibration.waveforms import Waveform
 
 TRIES = 3
 """How often a shake that passes a limit is made smaller and simulated again."""
+
+STEPS, PERIODS = 24, 3
+"""Of a sine that is simulated: steps a period, and periods, of which the last counts."""
+
+TOLERANCE = 1e-5
+"""Accepted residual force [N], a hundredth of a flower's weight; 1e-9 changes no result by 1e-5 of itself."""
 
 
 class Shaken(NamedTuple):
@@ -99,42 +106,63 @@ def shaken(plant: PlantModel, shake: Shake) -> Shaken:
     highest = shake.frequency * shake.waveform.ratio
     dt = min(1 / (30 * highest), 0.004)
     rods = plant.rods_at(np.sqrt(shake.frequency * highest))
-    path = simulate(rods, plant.clamp, shake, shake.duration, dt, start="scanned", tolerance=1e-7)
-    moved = path.positions[:, plant.flower_nodes] - path.positions[0, plant.flower_nodes]
-    swing = np.linalg.norm(moved, axis=-1).max(axis=0)
-    jolt = np.linalg.norm(np.diff(moved, 2, axis=0), axis=-1).max(axis=0) / dt**2
-    return Shaken(swing, jolt, _peaks(plant, path))
+    path = simulate(rods, plant.clamp, shake, shake.duration, dt, start="scanned", tolerance=TOLERANCE)
+    seen = observables(plant)
+    vectors = _vectors(plant, seen, path)
+    jolts = np.diff(vectors, 2, axis=0) / dt**2
+    swing, jolt = (np.linalg.norm(x[:, seen.flowers], axis=2).max(axis=0) for x in (vectors, jolts))
+    return Shaken(swing, jolt, _peaks(seen, vectors, jolts))
 
 
 def steadily_shaken(plant: PlantModel, drive: Drive) -> Shaken:
     """Return what the plant does in steady sinusoidal shaking.
 
-    The shake grows slowly, so that few transients arise, and the last quarter of the simulated time is fitted by sine
-    and cosine at the drive's frequency (least squares); the amplitude is the semi-major axis of that path. 30 steps a
-    period, and at most 4 ms, keep the midpoint rule's phase error small.
+    The simulation begins in the steady state of linear theory, so that only what is not linear has to settle. Its last
+    period counts: three harmonics and what still drifts are fitted to it. The midpoint rule at step h does at a
+    frequency f what the rods do at tan(pi f h) / (pi h) (the bilinear transform); h is such that this is the drive's
+    frequency, and 24 steps a period are enough. Against 24 periods of 120 steps, begun slowly, amplitudes and peaks of
+    seven development plants agree within 2.2 %.
     """
-    dt = min(1 / (30 * drive.frequency), 0.004)
-    time = float(np.clip(20 / drive.frequency, 1.5, 8.0))
-    slow = replace(drive, ramp=0.4 * time)
-    path = simulate(plant.rods_at(drive.frequency), plant.clamp, slow, time, dt, start="scanned", tolerance=1e-7)
-    late = path.times >= time - max(np.floor(time / 4 * drive.frequency), 1) / drive.frequency
-    t, x = path.times[late], path.positions[late][:, plant.flower_nodes]
-    angle = 2 * np.pi * drive.frequency * t
-    basis = np.stack([np.cos(angle), -np.sin(angle), np.ones_like(t), t - t.mean()], axis=1)
-    parts = np.linalg.lstsq(basis, x.reshape(len(t), -1), rcond=None)[0].reshape(4, -1, 3)
-    amplitude = semi_major(parts[0] + 1j * parts[1])
-    return Shaken(amplitude, (2 * np.pi * drive.frequency) ** 2 * amplitude, _peaks(plant, path))
+    dt = float(np.tan(np.pi / STEPS) / (np.pi * drive.frequency))
+    omega, rods = 2 * np.pi * drive.frequency, plant.rods_at(drive.frequency)
+    linear = steady_motion(rods, plant.clamp, drive)
+    path = simulate(
+        rods,
+        plant.clamp,
+        replace(drive, frequency=1 / (STEPS * dt), ramp=0),
+        PERIODS * STEPS * dt,
+        dt,
+        start="scanned",
+        tolerance=TOLERANCE,
+        moving=(linear.imag, omega * linear.real),
+    )
+    seen = observables(plant)
+    vectors = _vectors(plant, seen, path)[-STEPS - 1 :]
+    angle, order = 2 * np.pi * (np.arange(STEPS + 1) / STEPS - 0.5), np.array([1, 2, 3])
+    phase = order * angle[:, None]
+    basis = np.concatenate([np.ones((STEPS + 1, 1)), angle[:, None], np.cos(phase), np.sin(phase)], axis=1)
+    parts = np.linalg.lstsq(basis, vectors.reshape(STEPS + 1, -1), rcond=None)[0].reshape(-1, *vectors.shape[1:])
+    jolts = np.tensordot(basis[:, 2:] * -np.tile((order * omega) ** 2, 2), parts[2:], axes=1)
+    amplitude = semi_major(parts[2] - 1j * parts[5])[seen.flowers]
+    return Shaken(amplitude, omega**2 * amplitude, _peaks(seen, vectors, jolts))
 
 
 PEAKS = ("stem bending strain [-]", "pedicel bending strain [-]", "branch-base strain [-]", "leaf-base load [m/s2]")
 """The limits of the plant that the nonlinear solver is asked about."""
 
 
-def _peaks(plant: PlantModel, path: Trajectory) -> dict[str, float]:
-    """Return the largest values over the time, of strains and (from second differences) of the load of leaf bases."""
-    seen = observables(plant)
-    moved = (path.positions - path.positions[0]).reshape(len(path.times), -1)
-    vectors = (seen.operator @ moved.T).reshape(-1, 3, len(path.times))
-    twice = np.diff(vectors, 2, axis=2) / (path.times[1] - path.times[0]) ** 2
-    kinds = (vectors[seen.stem_strain], vectors[seen.joint_strain], twice[seen.base_strain], twice[seen.leaf_load])
-    return {n: float(np.linalg.norm(v, axis=1).max(initial=0.0)) for n, v in zip(PEAKS, kinds, strict=True)}
+def _vectors(plant: PlantModel, seen: Observables, path: Trajectory) -> Array:
+    """Return (T, K, 3) the observed vectors over time."""
+    moved = (path.positions - plant.rods.nodes).reshape(len(path.times), -1)
+    return (seen.operator @ moved.T).T.reshape(len(moved), -1, 3)
+
+
+def _peaks(seen: Observables, vectors: Array, jolts: Array) -> dict[str, float]:
+    """Return the largest values over the time, of strains and of the load of leaf bases, from second derivatives."""
+    kinds = (
+        vectors[:, seen.stem_strain],
+        vectors[:, seen.joint_strain],
+        jolts[:, seen.base_strain],
+        jolts[:, seen.leaf_load],
+    )
+    return {n: float(np.linalg.norm(v, axis=2).max(initial=0.0)) for n, v in zip(PEAKS, kinds, strict=True)}
