@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +12,8 @@ from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
 from anther.arm import dynamics, kinematics, sawyer, shaking, timing
-from anther.arm.collision import GROUP, CollisionWorld
+from anther.arm.collision import ARM_MARGIN, GROUP, CollisionWorld
+from anther.arm.outline import outline
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -25,6 +25,7 @@ SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
 WAYS_FOLLOWED, WAYS_CONNECTED = 5, 2  # branches of a grasp of which the way in, and then the path there, is tried
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
+ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
 SEARCHES = 3  # for a path, each with half the step of the one before
 SEEDS = 4  # of each search: the quickest way found is taken
 SHIFTS, SHIFT = 24, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
@@ -107,10 +108,7 @@ class Planner:
         poses = _poses_between(T_world_grasp, check_transform("pre-grasp", T_world_pregrasp), REACH_STEP)
         if not len(branches):
             return None
-        ranked = branches[np.argsort(-_shake_rank(branches), kind="stable")]
-        free = islice((q for q in ranked if self.world.free(q)), WAYS_FOLLOWED)
-        followed = (kinematics.follow(q[None], poses)[0] for q in free)
-        ways = (way for way in followed if _steady(way) and self.world.path_free(way))
+        ways = self._ways_in(branches, poses)
         for _ in range(WAYS_CONNECTED):
             with self.world.touching_plant():
                 way = next(ways, None)
@@ -161,8 +159,11 @@ class Planner:
         return dynamics.check_effort(motion)
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,), see `shake_limit`."""
-        return shake_limit(q, direction, frequencies)
+        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,): see `shake_limit`, and what is free."""
+        here, way = check_array("joints", q, (7,)), shaking.unit(direction)
+        rate = np.linalg.pinv(sawyer.jacobian(here))[:, :3] @ way
+        room = next((size for size in ROOMS if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
+        return np.minimum(shake_limit(here, way, frequencies), room)
 
     def shake(
         self,
@@ -186,10 +187,26 @@ class Planner:
         period = int(np.ceil(len(motion.times) / duration / frequency))
         farthest = int(np.linalg.norm(motion.positions - q, axis=1).argmax())
         swing = motion.positions[max(farthest - period, 0) : farthest + period]
-        with self.world.touching_plant():
-            if not self.world.path_free(swing):
-                raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
+        if not self._may_swing(q, swing):
+            raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
         return dynamics.check_effort(motion)
+
+    def _ways_in(self, branches: Array, poses: Array) -> Iterator[Array]:
+        """Yield free joint ways (N, 7) from the grasp back through poses (N, 4, 4), those that shake hardest first."""
+        free = branches[[self.world.free(q) for q in branches]]
+        ranked = free[np.argsort(-_shake_rank(free), kind="stable")] if len(free) else free
+        followed = (kinematics.follow(q[None], poses)[0] for q in ranked[:WAYS_FOLLOWED])
+        yield from (way for way in followed if _steady(way) and self.world.path_free(way))
+
+    def _may_swing(self, q: Array, swing: Array) -> bool:
+        """Return whether joints (N, 7) about the resting q (7,) are free, where gripper and camera touch the plant.
+
+        A swing that moves no part of the arm by more than half of `ARM_MARGIN` needs no more than that q is free: asked
+        for the whole margin, an arm that rests at its edge could not shake at all.
+        """
+        moved = np.linalg.norm((outline(swing) - outline(q))[..., :3], axis=-1).max()
+        with self.world.touching_plant():
+            return self.world.free(q) if moved <= ARM_MARGIN / 2 else self.world.path_free(swing)
 
     def _connected(self, q: Array) -> bool:
         """Return whether a path from home to q, or to where q can be backed out to, is found quickly."""
