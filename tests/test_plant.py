@@ -63,10 +63,10 @@ def test_leaf_mass_is_area_times_areal_density_whatever_the_attitude() -> None:
     rng = np.random.default_rng(0)
     skeleton, stem, _ = branched(1)
     masses = []
-    for _ in range(12):
-        points = skeleton.nodes[30] + [0.02, 0.05, 0.05] + sheet(rng, 0.1, 0.003, 0.0008)
+    for noise in np.repeat([0.0, 0.0005, 0.001], 4):
+        points = skeleton.nodes[30] + [0.02, 0.05, 0.05] + sheet(rng, 0.1, 0.001, noise)
         cloud = Cloud(np.concatenate([skeleton.nodes[:25], points]))
-        masses.append(leaf_mass(skeleton, stem, cloud, areal_density=0.3, voxel=0.006, thickness=0.001))
+        masses.append(leaf_mass(skeleton, stem, cloud, areal_density=0.3, voxel=0.006))
     total = np.sum(masses, axis=1)
     assert np.mean(total) == pytest.approx(0.3 * 0.01, rel=0.2)
     assert np.ptp(total) < 0.5 * np.mean(total)
@@ -80,7 +80,7 @@ def test_stem_points_and_flowers_weigh_nothing() -> None:
     around = around + 4e-3 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     petals = skeleton.nodes[30] + np.random.default_rng(0).normal(0, 0.01, (200, 3))
     cloud = Cloud(np.concatenate([around, petals]), labels=np.array([1] * len(around) + [2] * 200, dtype=np.uint8))
-    assert leaf_mass(skeleton, stem, cloud, areal_density=0.3, voxel=0.006, thickness=0.001).sum() < 5e-5
+    assert leaf_mass(skeleton, stem, cloud, areal_density=0.3, voxel=0.006).sum() < 5e-5
 
 
 def test_first_frequency_of_a_stiff_stem_is_euler_bernoulli() -> None:
@@ -227,3 +227,34 @@ def test_the_papers_plants_stand(data: Path, name: str, flower: int) -> None:
     lowest = natural_frequencies(plant.rods, plant.clamp, 1)[0][0]
     assert 0.2 < lowest < 10
     assert plant.material.youngs >= 1.49 * plant.least_youngs
+
+
+def test_the_rib_in_a_blade_falls_to_the_tip() -> None:
+    skeleton, stem, _ = branched(1)
+    flat = np.where(np.arange(len(skeleton.nodes)) >= 27, 1.0, 0.2)
+    seen = Skeleton(skeleton.nodes, skeleton.parent, np.where(flat > 0.5, 8e-3, skeleton.radius), flatness=flat)
+    edges = edge_radii(seen, stem, branch_share=0.7, least=1e-4)
+    assert np.all(np.diff(edges[26:]) < 0)
+    assert edges[-1] < 0.5e-3
+    bare = edge_radii(skeleton, stem, branch_share=0.7, least=1e-4)
+    assert edges[:26] == pytest.approx(bare[:26])
+
+
+def test_a_leaf_too_heavy_for_its_thin_rib_does_not_stiffen_the_plant() -> None:
+    skeleton, stem, _ = branched(1)
+    leaf = skeleton.nodes[30] + 0.1 * np.random.default_rng(0).uniform(-0.5, 0.5, (40000, 3)) * [1, 1, 0]
+    thin = np.where(np.arange(len(skeleton.nodes)) < 25, skeleton.radius, 5e-4)
+    light, heavy = (
+        build_plant(
+            Skeleton(skeleton.nodes, skeleton.parent, radius),
+            stem,
+            NO_FLOWERS,
+            Cloud(np.concatenate([skeleton.nodes[:25], leaf])),
+            TOMATO,
+        )
+        for radius in (skeleton.radius, thin)
+    )
+    assert heavy.least_youngs == pytest.approx(light.least_youngs, rel=0.1)
+    stiffer = np.asarray(heavy.rods.youngs) / heavy.material.youngs
+    assert np.all(stiffer[1:25] == 1)
+    assert np.all(stiffer[26:31] > 2)

@@ -24,8 +24,8 @@ from anther.files import read_npz, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.plant.material import LEARNED, PEPPER, TOMATO, Material
-from anther.plant.shape import edge_radii, hang_flowers, leaf_mass
-from anther.plant.stability import least_youngs, stout_radii
+from anther.plant.shape import edge_radii, hang_flowers, in_blade, leaf_mass
+from anther.plant.stability import branch_stiffening, least_youngs
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
@@ -44,7 +44,6 @@ class Params:
         least_radius: of any stem or branch edge [m].
         areal_density: of a leaf blade [kg/m2]. A prior of ours; no source found.
         leaf_voxel: size of the cubes that count leaf area [m].
-        blade_thickness: apparent thickness of a blade in the cloud, from depth noise [m].
         leaf_drag: drag per leaf area [N s/m3]; 0 because the material's damping ratio has the leaves' share already.
         flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
         flower_radius: of its mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm).
@@ -63,7 +62,6 @@ class Params:
     least_radius: float = 0.5e-3
     areal_density: float = 0.25
     leaf_voxel: float = 0.006
-    blade_thickness: float = 0.001
     leaf_drag: float = 0.0
     flower_mass: float = 1e-4
     flower_radius: float = 5e-3
@@ -82,7 +80,6 @@ class Params:
         check_range("least_radius", self.least_radius, 1e-5, 0.1, "m")
         check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
         check_range("leaf_voxel", self.leaf_voxel, 1e-4, 0.1, "m")
-        check_range("blade_thickness", self.blade_thickness, 0, 0.05, "m")
         check_range("leaf_drag", self.leaf_drag, 0, 1e3, "N s/m3")
         check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
         check_range("flower_radius", self.flower_radius, 0, 0.05, "m")
@@ -234,7 +231,10 @@ def build_plant(
     """
     _check(skeleton, stem, flowers)
     rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
-    least = least_youngs(rods, Clamp.root(rods), is_pedicel)
+    stiffening = branch_stiffening(
+        rods, _marked(rods, stem.node_ids), is_pedicel, _marked(rods, np.flatnonzero(in_blade(skeleton, stem)))
+    )
+    least = least_youngs(rods, Clamp.root(rods), is_pedicel, stiffening)
     if least is None:
         raise StageFailure(
             "no_convergence",
@@ -242,7 +242,7 @@ def build_plant(
             "flower. Raise pedicel_youngs or pedicel_radius.",
         )
     chosen, note = _youngs_that_holds(material, least, params)
-    rods = replace(rods, youngs=np.where(is_pedicel, rods.youngs, chosen.youngs))
+    rods = replace(rods, youngs=np.where(is_pedicel, rods.youngs, chosen.youngs * stiffening))
     return PlantModel(
         rods=with_gravity_equilibrium(rods, Clamp.root(rods)),
         stem_nodes=stem.node_ids,
@@ -280,7 +280,6 @@ def _rods(
             cloud,
             areal_density=params.areal_density,
             voxel=params.leaf_voxel,
-            thickness=params.blade_thickness,
         )
     leaves, drag, inertia = float(mass.sum()), mass * params.leaf_drag / max(params.areal_density, 1e-9), 0 * mass
     mass[stalks.tips] += params.flower_mass
@@ -299,9 +298,11 @@ def _rods(
         lumped_inertia=inertia,
         node_drag=drag,
     )
-    stout = stout_radii(rods, margin=2 * params.margin)
-    keeps = is_pedicel | np.isin(np.arange(len(mass)), stem.node_ids)
-    return replace(rods, edge_radius=np.where(keeps, rods.edge_radius, stout)), is_pedicel, stalks.tips, leaves
+    return rods, is_pedicel, stalks.tips, leaves
+
+
+def _marked(rods: Rods, nodes: NDArray[Any]) -> NDArray[np.bool_]:
+    return np.isin(np.arange(len(rods.nodes)), nodes)
 
 
 def _youngs_that_holds(material: Material, least: float, params: Params) -> tuple[Material, tuple[str, ...]]:

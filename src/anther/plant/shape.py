@@ -16,6 +16,10 @@ from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
+BLADE = 0.65
+"""Flatness of a skeleton node beyond which a branch runs in a leaf blade [-]; midribs have 0.85 in the median, petioles
+0.4 (measured on development plants of the simulation)."""
+
 
 class Pedicels(NamedTuple):
     """The modelled stalks of the flowers, to be appended to the skeleton's nodes.
@@ -39,29 +43,30 @@ def edge_radii(skeleton: Skeleton, stem: Stem, *, branch_share: float, least: fl
     """Return the radius (J,) of edge j, which joins the parent of j to j [m]; entry 0 repeats entry 1.
 
     The stem's taper is a straight line, robust against single bad radii (Theil-Sen). On a branch the radius never
-    grows towards the tip and starts at most at `branch_share` of the stem's, so that a leaf blade, which looks thick,
-    does not become a thick beam; a branch's first edge uses the branch's radius, not the stem's. A tapered edge gets
-    the radius of the uniform bar with the same bending compliance.
+    grows towards the tip and starts at most at `branch_share` of what it stands on; its first edge uses the branch's
+    radius, not the stem's. In a leaf blade the scan shows the blade, not the rib in it: there the radius falls in a
+    straight line to nothing at the tip, never below `least`. A tapered edge gets the radius of the uniform bar with
+    the same bending compliance.
 
     Args:
-        skeleton: gives the measured radii.
+        skeleton: gives the measured radii, and by its flatness where it runs in a blade.
         stem: which nodes are main stem.
-        branch_share: largest radius of a branch at its base, as a share of the stem's there [-].
+        branch_share: largest radius of a branch at its base, as a share of what it stands on [-].
         least: smallest radius [m].
     """
     node = np.maximum(_smooth(skeleton, stem), least)
     node[stem.node_ids] = _stem_taper(stem, skeleton.radius, least)
-    edge = node.copy()
-    on_stem = _on_main_stem(stem, len(node))
+    edge, rib = node.copy(), _ribs(skeleton, stem)
+    on_stem, heir = _on_main_stem(stem, len(node)), _heirs(skeleton)
     for j in range(1, len(node)):
         p = int(skeleton.parent[j])
         if on_stem[j] and on_stem[p]:
             edge[j] = bar_radius(node[p], node[j])
-        elif on_stem[p]:
-            edge[j] = node[j] = max(min(node[j], branch_share * node[p]), least)
-        else:
-            node[j] = min(node[j], node[p])
-            edge[j] = bar_radius(node[p], node[j])
+            continue
+        begins = on_stem[p] or heir[p] != j
+        largest = (branch_share if begins else 1.0) * node[p] * rib[j]
+        node[j] = max(min(node[j], largest), least)
+        edge[j] = node[j] if begins else bar_radius(node[p], node[j])
     edge[0] = edge[1]
     return edge
 
@@ -74,13 +79,12 @@ def bar_radius(a: float, b: float) -> float:
     return float((3 * (a * b) ** 3 / (a * a + a * b + b * b)) ** 0.25)
 
 
-def leaf_mass(
-    skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float, voxel: float, thickness: float
-) -> Array:
+def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float, voxel: float) -> Array:
     """Return the leaf mass (J,) that hangs at each node [kg]: blade area seen in the cloud times areal density.
 
     Points beside the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
-    of area A and apparent thickness t, turned at random, meets A (3/2 h + t) / h^3 cubes of side h (Crofton).
+    of area A and apparent thickness t, turned at random, meets A (3/2 h + t) / h^3 cubes of side h (Crofton). On ten
+    development plants of the simulation the mass is 1.14-1.23 times the truth, the area 1.0-1.1 times.
 
     Args:
         skeleton: carries the leaves.
@@ -88,7 +92,6 @@ def leaf_mass(
         cloud: the plant's points; points labelled flower are left out.
         areal_density: of a blade [kg/m2].
         voxel: side h of the cubes [m]; larger where the cloud is sparser.
-        thickness: apparent thickness t of a blade, from depth noise [m].
     """
     mass = np.zeros(len(skeleton.nodes))
     points = _leaf_points(skeleton, stem, cloud)
@@ -98,7 +101,7 @@ def leaf_mass(
     h = max(voxel, 2 * _spacing(points))
     cubes = np.unique(np.floor(points / h).astype(np.int64), axis=0)
     nearest = branch[KDTree(skeleton.nodes[branch]).query((cubes + 0.5) * h)[1]]
-    area = len(cubes) * h**3 / (1.5 * h + thickness)
+    area = len(cubes) * h**3 / (1.5 * h + _thickness(points))
     np.add.at(mass, nearest, areal_density * area / len(cubes))
     return mass
 
@@ -149,6 +152,45 @@ def _stalk(skeleton: Skeleton, position: Array, base: int, length: float, pieces
     return start + np.concatenate([bridge, pedicel])[:, None] * unit
 
 
+def _heirs(skeleton: Skeleton) -> NDArray[Any]:
+    """Return (J,) the child of each node that carries the longest way to a tip; -1 at a tip."""
+    beyond, heir = _way_to_tip(skeleton), np.full(len(skeleton.nodes), -1)
+    for p, j in skeleton.edges.tolist():
+        if heir[p] < 0 or beyond[j] + _length(skeleton, j) > beyond[heir[p]] + _length(skeleton, int(heir[p])):
+            heir[p] = j
+    return heir
+
+
+def in_blade(skeleton: Skeleton, stem: Stem) -> NDArray[np.bool_]:
+    """Return (J,) which nodes are branch in a leaf blade: where it is flat, and all beyond; none if unknown."""
+    blade = np.zeros(len(skeleton.nodes), dtype=bool)
+    if skeleton.flatness is not None:
+        blade = (skeleton.flatness > BLADE) & ~_on_main_stem(stem, len(blade))
+        for p, j in skeleton.edges.tolist():
+            blade[j] |= blade[p]
+    return blade
+
+
+def _ribs(skeleton: Skeleton, stem: Stem) -> Array:
+    """Return (J,) the largest share of its parent's radius a node may have: 1, and less and less in a blade."""
+    beyond, share = _way_to_tip(skeleton), np.ones(len(skeleton.nodes))
+    for j in np.flatnonzero(in_blade(skeleton, stem)).tolist():
+        share[j] = beyond[j] / (beyond[j] + _length(skeleton, j))
+    return share
+
+
+def _way_to_tip(skeleton: Skeleton) -> Array:
+    """Return (J,) the longest way from each node along the tree to a tip [m]."""
+    beyond = np.zeros(len(skeleton.nodes))
+    for p, j in skeleton.edges[::-1].tolist():
+        beyond[p] = max(beyond[p], beyond[j] + _length(skeleton, j))
+    return beyond
+
+
+def _length(skeleton: Skeleton, j: int) -> float:
+    return float(np.linalg.norm(skeleton.nodes[j] - skeleton.nodes[skeleton.parent[j]]))
+
+
 def _on_main_stem(stem: Stem, count: int) -> NDArray[np.bool_]:
     on_stem = np.zeros(count, dtype=bool)
     on_stem[stem.node_ids] = True
@@ -175,8 +217,12 @@ def _stem_taper(stem: Stem, radius: Array, least: float) -> Array:
 
 
 def _leaf_points(skeleton: Skeleton, stem: Stem, cloud: Cloud) -> Array:
+    """Return the points that are neither flower nor beside wood: main stem, and branches outside blades."""
     points = cloud.points[cloud.labels != FLOWER] if cloud.labels is not None else cloud.points
-    nodes, radius = skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids]
+    wood = _on_main_stem(stem, len(skeleton.nodes))
+    if skeleton.flatness is not None:
+        wood |= skeleton.flatness <= BLADE
+    nodes, radius = skeleton.nodes[wood], skeleton.radius[wood]
     if not len(points):
         return points
     distance, nearest = KDTree(nodes).query(points)
@@ -188,6 +234,17 @@ def _spacing(points: Array) -> float:
     """Return the median distance to the nearest other point [m], from at most 2000 points."""
     some = points[:: max(1, len(points) // 2000)]
     return float(np.median(KDTree(points).query(some, k=2)[0][:, 1]))
+
+
+def _thickness(points: Array) -> float:
+    """Return how thick blades look [m]: 3.5 times the rms distance of points to the plane through what is within 8 mm.
+
+    The factor is the cubes' own, counted on noisy sheets and on development plants (3.2-5.2).
+    """
+    some = points[:: max(1, len(points) // 500)]
+    near = [points[q] for q in KDTree(points).query_ball_point(some, 0.008) if len(q) >= 10]
+    off = [np.sqrt(max(np.linalg.eigvalsh(np.cov(p.T))[0], 0.0)) for p in near]
+    return 3.5 * float(np.median(off)) if off else 0.0
 
 
 def _outward(skeleton: Skeleton, node: int) -> Array:
