@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-
 from typing import Any
 
 import numpy as np
@@ -68,7 +67,7 @@ def test_the_short_check_agrees_with_a_long_and_fine_simulation(plant: PlantMode
     path = simulate(rods, plant.clamp, replace(drive, ramp=2.5), 5.0, period / 80, start="scanned", tolerance=1e-6)
     late: Any = path.positions[-80:, plant.flower_nodes]
     turn: Any = np.exp(-2j * np.pi * np.arange(80) / 80)
-    amplitude = semi_major(2 * np.tensordot(turn, late, axes=1) / 80)
+    amplitude = semi_major(np.tensordot(turn, late, axes=1).astype(np.complex128) / 40)
     assert found.amplitude == pytest.approx(amplitude, rel=0.02)
     seen = observables(plant)
     moved = (path.positions[-80:] - plant.rods.nodes).reshape(80, -1)
