@@ -12,8 +12,9 @@ from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
 from anther.arm import dynamics, kinematics, sawyer, shaking, timing
-from anther.arm.collision import ARM_MARGIN, GROUP, CollisionWorld
+from anther.arm.collision import ARM_MARGIN, FREE_STEP, GROUP, CollisionWorld
 from anther.arm.outline import outline
+from anther.arm.tours import least_times
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -24,11 +25,12 @@ SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of 
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
 WAYS_FOLLOWED, WAYS_CONNECTED = 5, 2  # branches of a grasp of which the way in, and then the path there, is tried
+HURRY = 0.1  # share of the shake's amplitude that a second less on the way to a grasp is worth; an estimate
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
 SEARCHES = 3  # for a path, each with half the step of the one before
-SEEDS = 4  # of each search: the quickest way found is taken
-SHIFTS, SHIFT = 24, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
+SEEDS = 3  # of each search: the quickest way found is taken
+SHIFTS, SHIFT = 20, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
 
@@ -101,7 +103,7 @@ class Planner:
         """Return joints (7,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
 
         On that way gripper and camera may touch the plant (grasp planning has judged that), the arm may not. Of several
-        branches the one that can shake hardest, in its worst direction, is returned, provided a path from
+        branches one that can shake hard, in its worst direction, and is soon reached is returned, if a path from
         `Params.home` to its pre-grasp is found quickly. Satisfies `grasp.Reach`.
         """
         branches = kinematics.inverse(check_transform("grasp", T_world_grasp))
@@ -192,9 +194,10 @@ class Planner:
         return dynamics.check_effort(motion)
 
     def _ways_in(self, branches: Array, poses: Array) -> Iterator[Array]:
-        """Yield free joint ways (N, 7) from the grasp back through poses (N, 4, 4), those that shake hardest first."""
+        """Yield free joint ways (N, 7) from the grasp back through poses (N, 4, 4), hard shakers near home first."""
         free = branches[[self.world.free(q) for q in branches]]
-        ranked = free[np.argsort(-_shake_rank(free), kind="stable")] if len(free) else free
+        worth = _shake_rank(free) * np.exp(-HURRY * least_times(free, np.array([self.params.home]))[:, 0])
+        ranked = free[np.argsort(-worth, kind="stable")]
         followed = (kinematics.follow(q[None], poses)[0] for q in ranked[:WAYS_FOLLOWED])
         yield from (way for way in followed if _steady(way) and self.world.path_free(way))
 
@@ -223,27 +226,34 @@ class Planner:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
         p, line = self.params, np.stack([start, goal])
         motion = timing.straight(start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
-        return dynamics.within_effort(motion if self._open(line, motion.positions) else self._around(start, goal))
+        return dynamics.within_effort(
+            motion if self._open(line, motion.positions, FREE_STEP) else self._around(start, goal)
+        )
 
     def _around(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the quickest of several ways found by RRT-Connect, its waypoints then shifted to save time."""
         tried = (map(self._timed, paths) for paths in self._detours(start, goal))
-        found = [way for ways in tried if (way := next(filter(None, ways), None))]
-        if not found:
-            given = f"no free path found in {SEARCHES * self.params.search_time:g} s to joints {goal.round(2)}"
-            raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
-        motion, path = min(found, key=lambda way: way[0].duration)
+        ways = [way for some in tried if (way := next(filter(None, some), None))]
         rng = np.random.default_rng(self.params.seed)
-        for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False):
+        for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False) if ways else ():
+            quickest, path = min(ways, key=lambda way: way[0].duration)
             shifts = left * sawyer.VELOCITY / sawyer.VELOCITY.mean() * rng.normal(size=(len(path) - 2, 7))
             moved = np.concatenate([path[:1], np.clip(path[1:-1] + shifts, sawyer.LOWER, sawyer.UPPER), path[-1:]])
-            motion, path = self._timed(moved, BLENDS[:1], motion.duration) or (motion, path)
-        return motion
+            better = self._timed(moved, BLENDS[:1], quickest.duration)
+            ways += [better] if better else []
+        for motion, _ in sorted(ways, key=lambda way: way[0].duration):
+            if self.world.path_free(motion.positions[::4]):
+                return motion
+        given = f"no free path found in {SEARCHES * self.params.search_time:g} s to joints {goal.round(2)}"
+        raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
 
     def _timed(
         self, path: Array, blends: Sequence[float] = BLENDS, within: float = np.inf
     ) -> tuple[JointTrajectory, Array] | None:
-        """Return a free motion by way of joints (N, 7), and them, if it lasts less than `within` [s]; else None."""
+        """Return a motion by way of joints (N, 7), and them, if it lasts less than `within` [s]; else None.
+
+        It is free as far as steps of `SEARCH_STEP` tell.
+        """
         p = self.params
         if (np.abs(np.diff(path, axis=0)).sum(axis=0) / sawyer.VELOCITY).max() >= within * p.velocity_share:
             return None
@@ -259,10 +269,10 @@ class Planner:
         motion = timing.stopping(path, p.velocity_share, p.acceleration_share, p.flange_speed)
         return (motion, path) if motion.duration < within and self._open(path, motion.positions) else None
 
-    def _open(self, path: Array, passed: Array) -> bool:
+    def _open(self, path: Array, passed: Array, step: float = SEARCH_STEP) -> bool:
         """Return whether the flange stays within its space at joints (T, 7) passed, and the path (N, 7) is free."""
         inside = self.space is None or bool(self.space.contains(sawyer.forward(passed)[:, :3, 3]).all())
-        return inside and self.world.path_free(path, SEARCH_STEP) and self.world.path_free(path)
+        return inside and self.world.path_free(path, step)
 
     def _detours(self, start: Array, goal: Array) -> Iterator[Iterator[Array]]:
         """Yield for each way found by RRT-Connect its waypoints (N, 7) shortened, and as they are.
