@@ -85,8 +85,9 @@ def search(
 ) -> Search:
     """Return every shake at the largest amplitude that all limits allow, and its worth.
 
-    The plant's limits must hold in the `caution` quantile of the scenarios; a scenario in which one is passed gains
-    nothing: its flowers set as if they had not been shaken.
+    The plant's limits must hold for the plant as believed, at which the nonlinear solver will look, and in the
+    `caution` quantile of the scenarios; a scenario in which one is passed gains nothing: its flowers set as if they had
+    not been shaken.
     """
     omega = 2 * np.pi * frequencies[:, None, None]
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
@@ -136,7 +137,7 @@ def _one(
     amplitude = np.full(flower.shape[2:4], np.inf)
     worst = {name: over_time(values).max(axis=0) for name, (values, _) in per_metre.items()}  # (M or 1, G, D)
     for name, (into, limit) in bounds.items():
-        into[at] = np.quantile(worst[name], params.caution, axis=0)
+        into[at] = np.maximum(worst[name][0], np.quantile(worst[name], params.caution, axis=0))
         amplitude = np.minimum(amplitude, limit / np.maximum(into[at], 1e-12))
     kept = np.all([amplitude * v <= per_metre[name][1] * (1 + 1e-9) for name, v in worst.items() if len(v) > 1], axis=0)
     if params.objective == "amplitude":
