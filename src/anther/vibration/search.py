@@ -74,7 +74,7 @@ def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs:
     """
     drawn = replace(
         material,
-        youngs=max(material.youngs * float(np.exp(material.youngs_spread * z[0])), 1.1 * least_youngs),
+        youngs=float(np.clip(material.youngs * np.exp(material.youngs_spread * z[0]), 1.1 * least_youngs, 1e11)),
         damping_ratio=float(np.clip(material.damping_ratio * np.exp(material.damping_spread * z[1]), 1e-3, 0.9)),
         bend_over_twist=float(np.clip(material.bend_over_twist * np.exp(material.twist_spread * z[2]), 0.2, 500)),
     )
