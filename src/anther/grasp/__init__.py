@@ -82,7 +82,7 @@ class Params:
     leaf_size: float = 0.006
     touch: float = 0.002
     doubt: float = 0.003
-    wanted: int = 6
+    wanted: int = 5
     apart: float = 0.012
     slack: float = 0.6
     asked: int = 150
@@ -238,7 +238,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         depth=gripper.depth,
     )
     if toward_base:
-        candidates = candidates.only(candidates.outward() > 0)
+        few = (candidates.arc_length <= stem.arc_length[stem.fork]) | (candidates.station % 4 == 0)
+        candidates = candidates.only(few & (candidates.outward() > 0))
     around = surroundings_of(stem, skeleton, cloud, leaf_size=params.leaf_size)
     boxes, closing = gripper.boxes(params.pregrasp_distance), gripper.closing(params.doubt)
     met = clearance(candidates.T_world_flange, around, boxes, closing, touch=params.touch)
