@@ -44,7 +44,7 @@ def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening:
 
 
 def branch_stiffening(
-    rods: Rods, stem: NDArray[np.bool_], pedicel: NDArray[np.bool_], blade: NDArray[np.bool_]
+    rods: Rods, stem: NDArray[np.bool_], pedicel: NDArray[np.bool_], blade: NDArray[np.bool_], least: float
 ) -> Array:
     """Return (N,) factors on Young's modulus with which no leaf and no branch buckles before the main stem does.
 
@@ -54,8 +54,9 @@ def branch_stiffening(
     Args:
         rods: tissue, leaves and flowers, of one Young's modulus but for the pedicels.
         stem, pedicel, blade: (N,) which edges are main stem, pedicel, and branch in a leaf blade.
+        least: factor of every edge in a blade [-].
     """
-    factor = np.ones(len(rods.nodes))
+    factor = np.where(blade, least, 1.0)
     stem_needs = least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, _RIGID))
     if stem_needs is None:
         return factor
