@@ -51,7 +51,9 @@ class Params:
             the plant is looked at as if shrunk until its stem fits, and a collision only lowers the score.
         spacing: of the stations along the stem [m].
         directions: approach directions tried at each; with an arm, only those that lead away from its base.
-        window: half length of the stem piece that gives its direction [m].
+        straight: half length of the stem piece that gives its direction [m]: little more than the pads hold. With 30 mm
+            the pads bent stems that change direction at a node nearly twice as much (measured).
+        window: how far along a branch the paper's rule takes its direction [m].
         base_margin, top_margin: stem left out at its ends [m]; each at most a quarter of the stem.
         stroke_margin: the stem must be thinner than the stroke by this [m].
         pregrasp_distance: length of the straight way in [m]: `execution.Params.stand_off`, where it begins.
@@ -72,8 +74,9 @@ class Params:
     fit_gripper: bool = True
     spacing: float = 0.005
     directions: int = 24
+    straight: float = 0.014
     window: float = 0.03
-    base_margin: float = 0.05
+    base_margin: float = 0.065
     top_margin: float = 0.05
     stroke_margin: float = 0.008
     pregrasp_distance: float = 0.12
@@ -233,7 +236,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         skeleton,
         directions=params.directions,
         spacing=max(params.spacing, length / 60),
-        window=min(params.window, length / 8),
+        window=min(params.straight, length / 8),
         ends=(min(params.base_margin, length / 4), min(params.top_margin, length / 4)),
         depth=gripper.depth,
     )
@@ -283,7 +286,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
         "a branch between the fingers": np.minimum(squeezed / 0.002, 6),
         "leaves between the fingers": np.minimum(met.enclosed[:, LEAF] / 10, 1),
         "near a flower": np.exp(-flower_distance / 0.03),
-        "near the root": 2.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
+        "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
         "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.002,
         "thick for the gripper": 2.5 * np.maximum(2 * c.radius / params.gripper.stroke - 0.6, 0),
