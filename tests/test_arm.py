@@ -239,6 +239,32 @@ def test_move_draws_back_out_of_leaves():
     np.testing.assert_allclose(early[:, 1:], 0, atol=1e-5)
 
 
+def test_an_arm_that_rests_at_the_edge_of_its_margin_may_still_shake_a_little():
+    leaf = GRASP[:3, 3] + [0.02, 0.05, 0] + np.random.default_rng(0).uniform(-0.02, 0.02, (200, 3))
+    planner = Planner(leaf, NOTHING)
+    q = planner.reach(PREGRASP, GRASP)
+    for direction in np.eye(3):
+        amplitude = planner.shake_limit(q, direction, [1.0])[0]
+        assert amplitude > 0.001
+        assert planner.shake(q, direction, amplitude, 1.0, duration=5.0).duration == pytest.approx(5.0)
+
+
+def test_where_the_wrist_would_stand_in_the_plant_nothing_is_reached(monkeypatch):
+    rng = np.random.default_rng(3)
+    leaves = GRASP[:3, 3] + [-0.1, 0, 0] + rng.uniform(-0.15, 0.15, (8, 3))
+    planner, refused = Planner(leaves, NOTHING), 0
+    for aside in rng.uniform(-0.1, 0.1, (12, 3)):
+        poses = PREGRASP.copy(), GRASP.copy()
+        for pose in poses:
+            pose[:3, 3] += aside
+        if planner.reach(*poses) is None:
+            refused += 1
+            with monkeypatch.context() as patch:
+                patch.setattr(planner, "_wrist_in_plant", lambda *_: False)
+                assert planner.reach(*poses) is None
+    assert 0 < refused < 12
+
+
 def test_move_from_inside_an_obstacle_fails(planner):
     with pytest.raises(StageFailure) as failure:
         planner.move(np.array([0, 0.6, 0, 0.3, 0, 0.5, 0]), sawyer.NEUTRAL)

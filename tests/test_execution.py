@@ -14,7 +14,7 @@ from small_planner import SmallPlanner, solve
 
 from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, Watch
-from anther.errors import InputError
+from anther.errors import InputError, StageFailure
 from anther.execution import PHASES, Params, Trial, choose_rate, execute
 from anther.geometry import Array
 from anther.grasp import Grasp
@@ -58,6 +58,21 @@ def test_the_shake_is_what_was_planned() -> None:
     y = sawyer.forward(trial.measured)[:, 1, 3]
     assert np.ptp(y) / 2 == pytest.approx(0.003, rel=0.05)
     assert trial.shake_times[-1] - trial.shake_times[0] == pytest.approx(0.6, abs=1e-6)
+
+
+def test_a_refused_shake_is_known_before_anything_moves() -> None:
+    class Hits(SmallPlanner):
+        def shake(
+            self, q: Array, direction: Array, amplitude: float, frequency: float, duration: float, waveform: Waveform
+        ) -> JointTrajectory:
+            raise StageFailure("collision", "a shake of 3 mm hits something")
+
+    arm, gripper = FakeArm(), FakeGripper(0.008)
+    trial = execute(Hits(), Plan(), fake_robot(arm, gripper), LIMITS)
+    assert trial.failure == "collision"
+    assert trial.phases == ("open",)
+    assert arm.done == 0
+    assert gripper.commands == [Params().opening], "it is let go of whatever was held"
 
 
 @pytest.mark.parametrize(

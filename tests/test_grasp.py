@@ -78,7 +78,9 @@ def test_ranked_and_one_per_place():
     grasps = plan_grasps(*make_plant())
     scores = [g.score for g in grasps]
     assert scores == sorted(scores, reverse=True)
-    assert len({g.arc_length for g in grasps}) == len(grasps) > 20
+    arcs = np.sort([g.arc_length for g in grasps])
+    assert len(arcs) > 20
+    assert np.diff(arcs).min() > Params().apart - 1e-6, "the next grasp is another place"
 
 
 def test_best_grasp_is_away_from_branches_and_leaf():
@@ -109,6 +111,20 @@ def test_a_leaf_wall_is_brushed_only_when_there_is_no_other_way():
     best = plan_grasps(stem, skeleton, add_points(cloud, cage))[0]
     assert best.clearance < 0
     assert "brushes leaves" in best.reason
+
+
+def test_pads_close_beside_no_petiole():
+    """With a petiole every 2 cm, all to +x, pads that close along x would fold one; along y they pass beside it."""
+    crowded = make_plant(branches=tuple((h, 0.0) for h in np.arange(0.06, 0.48, 0.02)))
+    best = plan_grasps(*crowded)[0]
+    assert abs(best.approach[0]) > 0.95
+    assert "a branch between the fingers" not in best.reason
+
+
+def test_pads_may_close_where_an_internode_is_longer_than_they_are():
+    stem, skeleton, cloud = make_plant(branches=((0.1, 0.0), (0.14, 0.0), (0.18, 0.0), (0.3, 0.0), (0.34, 0.0)))
+    best = plan_grasps(stem, skeleton, cloud)[0]
+    assert 0.21 < best.arc_length < 0.3
 
 
 def test_keeps_away_from_flowers():

@@ -14,6 +14,7 @@ from small_planner import SmallPlanner, solve
 
 from anther import pipeline
 from anther.devices import GripperState
+from anther.errors import StageFailure
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.plant import TOMATO
@@ -70,26 +71,47 @@ class Meets(FakeGripper):
 def test_the_next_grasp_is_tried_until_one_holds(
     widths: list[float], failure: str | None, tried: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arm, plans = FakeArm(), list[Plan]()
+    plans = list[Plan]()
 
     def plan_shake(rods: Any, grasps: list[Grasp], *_: Any) -> Plan:
         plans.append(Plan(grasps[0]))
         return plans[-1]
 
-    monkeypatch.setattr(pipeline, "perceive", lambda *_: SimpleNamespace(**dict.fromkeys(_SEEN)))
-    monkeypatch.setattr(pipeline, "rank_grasps", lambda *_: list(GRASPS))
-    monkeypatch.setattr(pipeline, "model_plant", lambda *_: SimpleNamespace(material=TOMATO))
-    monkeypatch.setattr(pipeline.vibration, "plan_shake", plan_shake)
-    robot = replace(fake_robot(arm, Meets(*widths)), side_camera=None)
-    planner: Any = SmallPlanner()
-    planner.reach = None
-    workspace = Box(-np.ones(3), np.ones(3))
-    cell = pipeline.Cell(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
-    done = pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params())  # type: ignore[arg-type]
+    done, robot = _pollinated(monkeypatch, plan_shake, FakeArm(), Meets(*widths))
     assert done.trial.failure == failure
     assert [plan.grasp.point[2] for plan in plans] == list(HEIGHTS[:tried])
     assert done.trial.phases[-1] == "retreat"
     assert robot.gripper.state().opening == pipeline.execution.Params().opening
+
+
+def test_where_no_shake_is_allowed_the_lesser_grasps_are_offered(monkeypatch: pytest.MonkeyPatch) -> None:
+    offered = list[list[float]]()
+
+    def plan_shake(rods: Any, grasps: list[Grasp], *_: Any) -> Plan:
+        offered.append([grasp.score for grasp in grasps])
+        if grasps[0].score == 0:
+            raise StageFailure("limits_exceeded", "no shake is allowed")
+        return Plan(grasps[0])
+
+    ranked = [replace(grasp, score=score) for grasp, score in zip(GRASPS, (0.0, -0.1, -5.0), strict=True)]
+    done, _ = _pollinated(monkeypatch, plan_shake, FakeArm(), Meets(0.008), ranked)
+    assert offered == [[0.0, -0.1], [-5.0]]
+    assert done.trial.finished
+
+
+def _pollinated(
+    monkeypatch: pytest.MonkeyPatch, plan_shake: Any, arm: FakeArm, gripper: FakeGripper, ranked: Any = GRASPS
+) -> tuple[pipeline.Done, Any]:
+    monkeypatch.setattr(pipeline, "perceive", lambda *_: SimpleNamespace(**dict.fromkeys(_SEEN)))
+    monkeypatch.setattr(pipeline, "rank_grasps", lambda *_: list(ranked))
+    monkeypatch.setattr(pipeline, "model_plant", lambda *_: SimpleNamespace(material=TOMATO))
+    monkeypatch.setattr(pipeline.vibration, "plan_shake", plan_shake)
+    robot = replace(fake_robot(arm, gripper), side_camera=None)
+    planner: Any = SmallPlanner()
+    planner.reach = None
+    workspace = Box(-np.ones(3), np.ones(3))
+    cell = pipeline.Cell(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
+    return pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params()), robot  # type: ignore[arg-type]
 
 
 _SEEN = ("masks", "cloud", "skeleton", "stem", "flowers")
