@@ -280,7 +280,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     squeezed = np.maximum(met.spread[:, BRANCH] - c.radius, 0)  # what the pads fold, and push the stem aside with
     aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
     return {
-        "brushes leaves": np.minimum(met.touched[:, LEAF] / 60, 1.5),  # which press with less than 0.1 N (measured)
+        "brushes leaves": np.minimum(met.touched[:, LEAF] / 60, 1.5),  # they press with 0.5 N at most (measured)
         "brushes a flower": met.touched[:, FLOWER_POINT] / 3,
         "pushes a petiole": 0.7 * np.clip(1 - met.distance[:, BRANCH] / params.doubt, 0, 3),
         "a branch between the fingers": np.minimum(squeezed / 0.002, 6),
