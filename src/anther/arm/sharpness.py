@@ -94,9 +94,14 @@ def standing_times(motions: Sequence[JointTrajectory], T_flange_cam: Array, poin
 
     After the last nothing follows: the arm waits for its frame.
     """
-    braking = np.array([_sharp_time(motion.backwards(), T_flange_cam, points, params) for motion in motions])
     leaving = np.array([_sharp_time(motion, T_flange_cam, points, params) for motion in motions[1:]])
+    braking = braking_times(motions, T_flange_cam, points, params)
     return np.maximum(params.span - braking - np.append(leaving, 0), 0)
+
+
+def braking_times(motions: Sequence[JointTrajectory], T_flange_cam: Array, points: Array, params: Params) -> Array:
+    """Return (V,) how long before its end each motion is slow enough for a sharp picture [s], `Params.span` at most."""
+    return np.array([_sharp_time(motion.backwards(), T_flange_cam, points, params) for motion in motions])
 
 
 def _sharp_time(motion: JointTrajectory, T_flange_cam: Array, points: Array, params: Params) -> float:

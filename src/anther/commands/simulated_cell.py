@@ -40,7 +40,7 @@ pass the safety limits: flange speed, and joint acceleration where a corner is r
 WAITING = np.array([0.972, -0.046, 0.307, 1.759, -2.142, 1.903, 1.694])
 """Joints [rad] at which the arm waits for what the views tell, driven to while masks, cloud and plan are computed. They
 are near those of most grasps of eight development captures: the way to the best took 1.1 s in the median, by a straight
-line of the joints in five of eight, instead of 1.8 s from the last view. The gripper's tip is 0.44 m from the
+line of the joints in four of eight, instead of 1.8 s from the last view. The gripper's tip is 0.44 m from the
 plant's axis."""
 
 PRESETS = {"full": ViewParams(), "fast": ViewParams(count=10, widest=75.0)}
