@@ -1,0 +1,244 @@
+"""One plant of vibration.py: shaken in MuJoCo, scanned, modelled, probed once, and every model's prediction beside it.
+
+R shakes, F flowers that were seen and are there, G grips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from vibration_models import PRIOR, Model, Seen, anther_model, paper_model, perceive, scanned, true_model
+
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.devices import Frame
+from anther.errors import StageFailure
+from anther.files import read_json, write_json
+from anther.geometry import Array
+from anther.grasp import Grasp
+from anther.identification import refine
+from anther.plant import Material, PlantModel
+from anther.response import measure_response
+from anther.sim import plant_mechanics
+from anther.sim.capture import CameraErrors, noisy_rgb
+from anther.sim.depth_noise import noisy_depth
+from anther.sim.plant import SimPlant
+from anther.sim.render import Scene, d455
+from anther.sim.robot import cut_out
+from anther.sim.shaken_plant import Params, Shaken, ShakenPlant
+from anther.vibration import ShakePlan
+from anther.vibration.limits import sawyer_limit
+from anther.vibration.observables import semi_major
+from anther.vibration.waveforms import SINE
+
+HEIGHTS = (0.2, 0.35, 0.5, 0.65, 0.8)
+"""Grips, in shares of the main stem's length."""
+MIDDLE = 1
+"""Of `HEIGHTS`: held there, the plant is shaken by every amplitude."""
+DIRECTION = np.array([0.0, 1.0, 0.0])
+"""Sideways, where the arm can shake farthest (facts: sawyer 6)."""
+PAPER_FREQUENCIES = (0.7, 1.0, 1.3, 1.6, 1.9)
+"""[Hz], the authors' (facts: pollination 0)."""
+FAST_FREQUENCIES = (3.0, 5.0, 10.0, 30.0)
+AMPLITUDES = (4e-3, 6e-3, 8e-3, 10e-3, 12e-3)
+"""[m], the authors'; smaller where the arm cannot."""
+ARM_SHARE = 0.8
+"""Of what the arm can do."""
+LINEAR_FROM = 20.0
+"""[Hz]: from here on the plant's linear equations are the truth, see `sim.shaken_plant`."""
+PROBE_HEIGHT, PROBE_FREQUENCY, PROBE_AMPLITUDE = 0, 1.0, 4e-3
+CAMERA_RATE = 15.0
+"""Of the side camera, slow for a D455 and enough for a slow probe [Hz]."""
+NEAR = 0.02
+"""A flower seen this close to a true one is that one [m]."""
+TWIST = 12.0
+"""EI/GJ of a judge whose stems can twist (facts: pollination 2); the cell's plants cannot."""
+NO_TWIST = 0.2
+"""EI/GJ so small that twist does not matter; 0 is not allowed in a `Material`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One plant, and how thoroughly it is shaken.
+
+    Attributes:
+        species, seed: of the plant.
+        frequencies: [Hz].
+        amplitudes: [m].
+        stepped_below: slower shakes are stepped through time, faster ones follow from linear equations [Hz].
+    """
+
+    species: Species
+    seed: int
+    frequencies: tuple[float, ...] = PAPER_FREQUENCIES + FAST_FREQUENCIES
+    amplitudes: tuple[float, ...] = AMPLITUDES
+    stepped_below: float = LINEAR_FROM
+
+    @property
+    def name(self) -> str:
+        """Return "tomato-0"."""
+        return f"{self.species}-{self.seed}"
+
+
+def one_plant(case: Case, out: Path) -> dict[str, Any]:
+    """Return what is found for one plant; kept in `out` and not done again."""
+    file = out / f"{case.name}.json"
+    if file.exists():
+        return read_json(file)
+    plant, box = grow(case.species, case.seed, 0, USUAL_DISTANCE), layout(USUAL_DISTANCE).workspace
+    scene = Scene.of_plant(plant)
+    views = views_at(USUAL_DISTANCE, PRESETS["full"])
+    seen = perceive(photograph(scene, views.joints, case.seed)[0], box)
+    row = judged(case, plant, scene, seen)
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(file, row)
+    return row
+
+
+def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, Any]:
+    """Shake, model and compare one plant that was scanned.
+
+    Returns:
+        what vibration.json keeps of a plant: see `experiments/vibration.py`.
+    """
+    model = scanned(seen, PRIOR[case.species])
+    i, j = matched(seen.flowers.positions, plant.flower_position)
+    grips = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
+    points = np.array([grip.point for grip in grips])
+    material, probe = probed(case, model, grips[PROBE_HEIGHT], scene, seen, i=i, j=j)
+    shakes = plan(case)
+    truth = [_shaken(case, grips[g], a, f) for g, a, f in shakes]
+    models, soft, notes = predictors(case, plant, seen, model, material)
+    frequencies = np.array(case.frequencies)
+    predicted: dict[str, Any] = {}
+    for name, (predictor, flowers) in models.items():
+        gain = predictor.response(points, DIRECTION, frequencies)[:, :, j if flowers == "true" else i]
+        predicted[name] = [a * gain[g, case.frequencies.index(f)] for g, a, f in shakes]
+    twisting = [_twisting(plant, grip.point) for grip in grips]
+    gains = np.array([semi_major(grip.linear(frequencies))[:, j] for grip in twisting])
+    return {
+        "species": case.species,
+        "seed": case.seed,
+        "flowers": {"true": len(plant.flower_position), "seen": len(seen.flowers.positions), "matched": len(i)},
+        "youngs_mpa": {"true": plant.youngs[0] / 1e6, "prior": model.material.youngs / 1e6}
+        | {"probe": material.youngs / 1e6},
+        "damping_ratio": {"true": plant.damping_ratio[0], "probe": material.damping_ratio},
+        "mass_g": {"true": 1e3 * (plant.mass + plant.lump_mass).sum(), "model": 1e3 * model.rods.node_mass.sum()},
+        "paper_soft": soft,
+        "probe": probe,
+        "notes": notes,
+        "shakes": [{"height": HEIGHTS[g], "amplitude_m": a, "frequency_hz": f} for g, a, f in shakes],
+        "unsteadiness": [unsteady for _, unsteady in truth],
+        "true_m": [amplitude[j] for amplitude, _ in truth],
+        "twisting_m": [a * gains[g, case.frequencies.index(f)] for g, a, f in shakes],
+        "predicted_m": predicted,
+    }
+
+
+def stem_points(plant: SimPlant, shares: tuple[float, ...]) -> Array:
+    """Return (G, 3) points on the main stem at shares of its length."""
+    points, _, arc = plant.stem_centreline()
+    return np.stack([np.interp(np.multiply(shares, arc[-1]), arc, x) for x in points.T], axis=1)
+
+
+def matched(seen: Array, true: Array) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return which seen flowers are which true ones."""
+    apart = np.linalg.norm(seen[:, None] - true[None], axis=2).reshape(len(seen), len(true))
+    i, j = linear_sum_assignment(apart)
+    near = apart[i, j] < NEAR
+    return i[near], j[near]
+
+
+def plan(case: Case) -> list[tuple[int, float, float]]:
+    """Return (number of the grip, amplitude [m], frequency [Hz]) of every shake."""
+    shakes = []
+    for f in case.frequencies:
+        scale = min(1.0, arm_amplitude(f) / AMPLITUDES[-1])
+        sizes = [scale * a for a in case.amplitudes]
+        shakes += [(MIDDLE, a, f) for a in sizes]
+        shakes += [(g, sizes[len(sizes) // 2], f) for g in range(len(HEIGHTS)) if g != MIDDLE]
+    return shakes
+
+
+def arm_amplitude(frequency: float) -> float:
+    """Return what the Sawyer can shake sideways at a frequency [Hz], with a margin [m]."""
+    from_the_front = cast(Grasp, SimpleNamespace(approach=np.array([1.0, 0.0, 0.0])))
+    return ARM_SHARE * float(sawyer_limit(from_the_front, DIRECTION, np.array([frequency]))[0])
+
+
+def _shaken(case: Case, grip: ShakenPlant, amplitude: float, frequency: float) -> tuple[Array, float]:
+    """Return every flower's true amplitude (F,) [m], and the unsteadiness of the record."""
+    if frequency >= case.stepped_below:
+        return amplitude * semi_major(grip.linear([frequency])[0]), 0.0
+    done = grip.steady(amplitude, frequency)
+    return done.amplitude, done.unsteadiness
+
+
+def _twisting(plant: SimPlant, point: Array) -> ShakenPlant:
+    return ShakenPlant(plant, point, DIRECTION, Params(plant=plant_mechanics.Params(twist=TWIST)))
+
+
+def probed(
+    case: Case, model: PlantModel, grip: ShakenPlant, scene: Scene, seen: Seen, *, i: NDArray[Any], j: NDArray[Any]
+) -> tuple[Material, dict[str, Any]]:
+    """Shake once, measure in the side camera's frames, and return the refined material and what was measured."""
+    camera = replace(grip.params, samples=round(CAMERA_RATE / PROBE_FREQUENCY), measure=2.0)
+    shaken = ShakenPlant(grip.plant, grip.point, DIRECTION, camera)
+    done = shaken.steady(PROBE_AMPLITUDE, PROBE_FREQUENCY)
+    intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
+    frames = filmed(scene, shaken, done, pose, case.seed)
+    answer = measure_response(frames, intrinsics, pose, seen.flowers, PROBE_FREQUENCY)
+    expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([PROBE_FREQUENCY]))[0, 0]
+    shake: Any = SimpleNamespace(
+        grasp=SimpleNamespace(point=grip.point),
+        direction=DIRECTION,
+        amplitude=PROBE_AMPLITUDE,
+        frequency=PROBE_FREQUENCY,
+        predicted_amplitude=PROBE_AMPLITUDE * expected,
+        waveform=SINE,
+    )
+    learned = refine(model, cast(ShakePlan, shake), answer.amplitude, answer.amplitude_std)
+    told = {"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]}
+    return learned.material, {**told, "notes": [*answer.notes, *learned.notes]}
+
+
+def filmed(scene: Scene, shaken: ShakenPlant, done: Shaken, pose: Array, seed: int) -> list[Frame]:
+    """Return what the side camera sees of a shake."""
+    intrinsics, errors = cut_out(d455(848, 480), 480, 480), CameraErrors()
+    frames = []
+    for time, qpos, rng in zip(done.times, done.qpos, np.random.default_rng(seed).spawn(len(done.times)), strict=True):
+        moved = scene.moved(shaken.plant.posed_vertices(shaken.segment_poses(qpos)))
+        image = moved.render(intrinsics, pose)
+        depth = noisy_depth(image.depth, intrinsics, rng, errors.depth)
+        frames.append(Frame(float(time), noisy_rgb(image.rgb, rng, errors), depth))
+    return frames
+
+
+def predictors(
+    case: Case, plant: SimPlant, seen: Seen, model: PlantModel, material: Material
+) -> tuple[dict[str, tuple[Model, str]], float, list[str]]:
+    """Return the models by name, each with whose flowers it has ("seen" or "true").
+
+    Then how many times too soft the authors' E is for the paper's model to stand, and which models there are not.
+    """
+    radius = float(np.mean(plant.stem_centreline()[1]))
+    paper, soft = paper_model(seen, case.species, radius)
+    scripts, _ = paper_model(seen, case.species, radius, as_scripted=True)
+    notes = []
+    stiff = {"youngs": float(plant.youngs[0]), "damping_ratio": float(plant.damping_ratio[0])}
+    wanted = {"prior": model.material, "probe": material, "true material": replace(model.material, **stiff)}
+    wanted["true material, no twist"] = replace(wanted["true material"], bend_over_twist=NO_TWIST)
+    out = {"paper": (paper, "seen"), "paper as scripted": (scripts, "seen")}
+    for name, matter in wanted.items():
+        try:
+            out[name] = (anther_model(model.with_material(matter)), "seen")
+        except StageFailure as failure:
+            notes.append(f"{name}: {failure}")
+    out["true plant"] = (true_model(plant, PRIOR[case.species].bend_over_twist), "true")
+    out["true plant, no twist"] = (true_model(plant, 0.0), "true")
+    return out, soft, notes

@@ -1,0 +1,212 @@
+"""What vibration.py says of its plants: correlation, error and bias of every model. R shakes, F flowers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from grasping_page import rows_of
+from numpy.typing import NDArray
+from vibration_plant import HEIGHTS, MIDDLE
+
+from anther.geometry import Array
+
+Row = dict[str, Any]
+"""What `vibration_plant.one_plant` returns."""
+
+MODELS = ("paper", "paper as scripted", "prior", "probe")
+CAUSES = ("probe", "true material", "true material, no twist", "true plant", "true plant, no twist")
+BANDS = {"paper": (0.0, 2.0), "fast": (2.0, 20.0), "flowers": (20.0, 100.0)}
+"""[Hz]: the authors' shakes; the arm's; where flowers resonate on their pedicels."""
+
+
+class Score(NamedTuple):
+    """How well a model says what one plant does in one band.
+
+    Attributes:
+        amplitude_r: Pearson's r over flowers, frequencies and shaking amplitudes, held at one place.
+        location_r: over frequencies and the five heights, means of the flowers.
+        error: mean of |predicted / true - 1|.
+        bias: mean of predicted / true - 1.
+        reversed: share of the frequencies at which location goes the wrong way.
+    """
+
+    amplitude_r: float
+    location_r: float
+    error: float
+    bias: float
+    reversed: float
+
+
+class Shakes(NamedTuple):
+    """The shakes of one plant in one band: height (R,), frequency (R,) [Hz], and the whole row's rows of them (R,)."""
+
+    height: Array
+    frequency: Array
+    rows: NDArray[Any]
+
+
+def shakes_in(row: Row, band: str) -> Shakes:
+    """Return the shakes in a band."""
+    low, high = BANDS[band]
+    height, f = (np.array([shake[name] for shake in row["shakes"]]) for name in ("height", "frequency_hz"))
+    chosen = np.flatnonzero((f >= low) & (f < high))
+    return Shakes(height[chosen], f[chosen], chosen)
+
+
+def score(row: Row, model: str, band: str, truth: str = "true_m") -> Score | None:
+    """Return how well a model did on one plant; None where it has no prediction or no flower was seen."""
+    shakes = shakes_in(row, band)
+    if model not in row["predicted_m"] or not row["flowers"]["matched"] or not len(shakes.rows):
+        return None
+    true, said = np.array(row[truth])[shakes.rows], np.array(row["predicted_m"][model])[shakes.rows]
+    ratio = said / true - 1
+    held = shakes.height == HEIGHTS[MIDDLE]
+    at_heights = [location(row, f) for f in np.unique(shakes.frequency)]
+    by_location = [
+        (np.array(row[truth])[k].mean(1), np.array(row["predicted_m"][model])[k].mean(1)) for k in at_heights
+    ]
+    every = [np.concatenate(parts) for parts in zip(*by_location, strict=True)]
+    return Score(
+        correlation(true[held].ravel(), said[held].ravel()),
+        correlation(*every),
+        float(np.abs(ratio).mean()),
+        float(ratio.mean()),
+        float(np.mean([correlation(*pair) < 0 for pair in by_location])),
+    )
+
+
+def location(row: Row, frequency: float) -> NDArray[Any]:
+    """Return the rows of the five heights at one frequency, all with the same shaking amplitude."""
+    shakes = row["shakes"]
+    here = [k for k, shake in enumerate(shakes) if shake["frequency_hz"] == frequency]
+    size = next(shakes[k]["amplitude_m"] for k in here if shakes[k]["height"] != HEIGHTS[MIDDLE])
+    same = [k for k in here if shakes[k]["amplitude_m"] == size]
+    return np.array(sorted(same, key=lambda k: shakes[k]["height"]))
+
+
+def correlation(a: Array, b: Array) -> float:
+    """Return Pearson's r; 0 where one of both does not vary."""
+    if min(np.ptp(a), np.ptp(b)) <= 1e-12:
+        return 0.0
+    return float(np.corrcoef(a, b)[0, 1])
+
+
+def metrics(rows: Sequence[Row]) -> dict[str, float]:
+    """Return flat means over the plants: of the paper's band under the plain names, of the others with the band's."""
+    out: dict[str, float] = {
+        "plants": len(rows),
+        "flowers": sum(row["flowers"]["matched"] for row in rows),
+        "unsteadiness_median": float(np.median([u for row in rows for u in row["unsteadiness"]])),
+    }
+    for band in BANDS:
+        for model in dict.fromkeys(MODELS + CAUSES):
+            scores = [s for row in rows if (s := score(row, model, band))]
+            if scores:
+                out |= _named(scores, model, band)
+        twisting = [s for row in rows if (s := score(row, "true plant", band, "twisting_m"))]
+        if twisting:
+            out |= _named(twisting, "true plant, twisting judge", band)
+    out["paper_buckles"] = sum(row["paper_soft"] > 1 for row in rows)
+    return out
+
+
+def _named(scores: Sequence[Score], model: str, band: str) -> dict[str, float]:
+    word = model.replace(", ", "_").replace(" ", "_")
+    word = {"paper": "paper_model", "paper_as_scripted": "paper_scripts"}.get(word, word)
+    end = "" if band == "paper" else f"_{band}"
+    r, location_r, error, bias, backward = np.array(scores).T
+    return {
+        f"r_{word}{end}": float(r.mean()),
+        f"r_least_{word}{end}": float(r.min()),
+        f"r_location_{word}{end}": float(location_r.mean()),
+        f"r_location_least_{word}{end}": float(location_r.min()),
+        f"error_{word}{end}": float(error.mean()),
+        f"error_median_{word}{end}": float(np.median(error)),
+        f"bias_{word}{end}": float(bias.mean()),
+        f"reversed_trends_{word}{end}": int(np.sum(location_r < 0)),
+        f"reversed_frequencies_{word}{end}": float(backward.mean()),
+    }
+
+
+def report(rows: Sequence[Row]) -> str:
+    """Return the tables as Markdown."""
+    parts = [f"### {_title(row)}\n\n{_table([row])}" for row in rows[:2]]
+    if len(rows) > 2:
+        parts.append(f"### All {len(rows)} plants\n\nMeans over the plants (worst plant).\n\n{_table(rows)}")
+        parts.append(f"### Where the error comes from\n\n{_causes(rows)}")
+    return "\n\n".join(parts)
+
+
+PAPER = (
+    "the paper, real plants",
+    "1 tomato, 1 pepper",
+    "> 0.96",
+    "about 0.92; about −0.85",
+    "45–50 %",
+    "−45 %",
+    "pepper",
+)
+"""What it published (R2, R3)."""
+WORDS = {
+    "paper": "(a) the paper's model",
+    "paper as scripted": "(a) as its scripts have it",
+    "prior": "(b) Anther, crop prior",
+    "probe": "(c) Anther, one probe shake",
+    "true material": "scan, true material",
+    "true material, no twist": "scan, true material, no twist",
+    "true plant": "true geometry and material",
+    "true plant, no twist": "true geometry and material, no twist",
+}
+HEADS = ("model", "Hz", "r over amplitude", "r over location", "error", "bias", "reversed")
+BAND_WORDS = {"paper": "0.7–1.9", "fast": "3–10", "flowers": "30"}
+
+
+def _title(row: Row) -> str:
+    flowers, youngs = row["flowers"], row["youngs_mpa"]
+    return (
+        f"{row['species'].capitalize()} {row['seed']}: {flowers['matched']} of {flowers['true']} flowers seen; E "
+        f"{youngs['true']:.0f} MPa, believed {youngs['prior']:.0f}, after the probe {youngs['probe']:.0f}"
+    )
+
+
+def _table(rows: Sequence[Row]) -> str:
+    lines: list[tuple[str, ...]] = [PAPER] if len(rows) == 1 else []
+    for band in BANDS:
+        for model in MODELS:
+            scores = [s for row in rows if (s := score(row, model, band))]
+            if scores:
+                lines.append((WORDS[model], BAND_WORDS[band], *_cells(scores)))
+    return rows_of(HEADS, lines)
+
+
+def _cells(scores: Sequence[Score]) -> tuple[str, ...]:
+    r, location_r, error, bias, backward = np.array(scores).T
+    if len(scores) == 1:
+        shown = (f"{r[0]:.2f}", f"{location_r[0]:.2f}", f"{error[0]:.0%}", f"{bias[0]:+.0%}")
+        return (*shown, f"{backward[0]:.0%} of frequencies")
+    return (
+        f"{r.mean():.2f} ({r.min():.2f})",
+        f"{location_r.mean():.2f} ({location_r.min():.2f})",
+        f"{error.mean():.0%}, median {np.median(error):.0%}",
+        f"{bias.mean():+.0%}",
+        f"{np.sum(location_r < 0)} of {len(scores)} plants",
+    )
+
+
+def _causes(rows: Sequence[Row]) -> str:
+    lines = []
+    for model in CAUSES:
+        cells = [_both(rows, model, band, "true_m") for band in BANDS]
+        twisting = _both(rows, model, "paper", "twisting_m")
+        lines.append((WORDS[model], *cells, twisting))
+    return rows_of(("model", *(f"{hz} Hz" for hz in BAND_WORDS.values()), "0.7–1.9 Hz, twisting judge"), lines)
+
+
+def _both(rows: Sequence[Row], model: str, band: str, truth: str) -> str:
+    scores = [s for row in rows if (s := score(row, model, band, truth))]
+    if not scores:
+        return "–"
+    errors = [s.error for s in scores]
+    return f"{np.mean(errors):.0%}, median {np.median(errors):.0%} ({len(scores)})"
