@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -13,6 +13,9 @@ from anther.devices import Frame
 from anther.geometry import Array, Intrinsics
 
 Image = NDArray[np.float32]
+
+LEAFY = 0.06
+"""(2 green - red - blue) / (red + green + blue) above which a pixel counts as leaf or stem [-]; set on ten plants."""
 
 
 def petal_weight(frame: Frame, nearest: float, farthest: float) -> Image:
@@ -84,61 +87,114 @@ def centre_of_petals(weight: Image, pixel: Array, radius: float) -> Array | None
     return first if np.linalg.norm(first - pixel) < 0.7 * radius else None
 
 
-def coverage(weight: Image, pixel: Array, radius: float) -> float:
-    """Return which share of the disc around a pixel (2,) petals cover."""
-    v, u = np.nonzero(weight > 0.3)
-    return float(np.count_nonzero((u - pixel[0]) ** 2 + (v - pixel[1]) ** 2 <= radius**2) / (np.pi * radius**2))
+class Patch(NamedTuple):
+    """A flower as it looks in one frame: the pixels that are its own, in a square around a whole pixel.
+
+    Attributes:
+        image: (S, S, 3) colours, S odd.
+        weight: (S, S) how much each pixel counts; 0 where it is not the flower's.
+        centre: (2,) the middle pixel.
+        radius: of the flower [px].
+    """
+
+    image: Image
+    weight: Image
+    centre: NDArray[Any]
+    radius: float
+
+    @property
+    def cover(self) -> float:
+        """Share of the flower's disc that its own pixels cover."""
+        return float(np.count_nonzero(self.weight) / (np.pi * self.radius**2))
 
 
-def follow(weights: Sequence[Image], start: Array, half: NDArray[Any], *, reach: int, least: float) -> Array:
-    """Return the pixels (T, 2) of the petals that are at `start` (2,) in the first image; NaN where not found again.
+def smoothed(frame: Frame) -> Image:
+    """Return the colours (H, W, 3), smoothed as far as sub-pixel matching needs."""
+    return np.asarray(cv2.GaussianBlur(frame.rgb.astype(np.float32), (0, 0), 0.8), dtype=np.float32)
 
-    They are looked for where their last two places point to: first their patch of the first image, to a fraction of a
-    pixel; where that has changed too much to be recognised, the centre of the petals there. A place with less than half
-    or more than twice the petals of the first image is another flower's, or the flower is being hidden.
+
+def cut_patch(
+    frame: Frame, image: Image, petals: Image, pixel: Array, radius: float, depth: float, gap: float
+) -> Patch:
+    """Return the flower at a pixel (2,) of a frame.
+
+    Its own pixels are petals, and whatever else is not green and stands within `gap` of its depth: in shade or against
+    a bright house white petals cannot be told by their colour. The farther from the middle, the less they count.
 
     Args:
-        weights: T petal images.
-        start: middle of the patch [px].
-        half: (2,) whole pixels from there to the patch's sides and to its top and bottom.
-        reach: how far from there the patch is looked for [px].
-        least: correlation below which it is not recognised.
+        frame: whose colours are `image` (see `smoothed`) and `petals` (see `petal_weight`).
+        image, petals: (H, W, 3) and (H, W).
+        pixel: (2,) where the flower is.
+        radius: of the flower [px].
+        depth: of the flower [m].
+        gap: [m].
     """
-    pad = int(half.max()) + reach + 2
-    padded = [np.pad(w, pad) for w in weights]
-    corner = np.rint(start).astype(int) + pad
-    patch = _cut(padded[0], corner, half)
-    petals = max(float(patch.sum()), 1.0)
-    centre = centre_of_petals(padded[0], start + pad, float(half.max()))
-    lag = np.zeros(2) if centre is None else start + pad - centre
-    found = np.full((len(weights), 2), np.nan)
-    place, step = start + pad, np.zeros(2)
-    for i, image in enumerate(padded):
-        expected = np.clip(np.rint(place + step).astype(int), pad, np.array(image.shape[::-1]) - pad - 1)
-        score = cv2.matchTemplate(_cut(image, expected, half + reach), patch, cv2.TM_CCOEFF_NORMED)
-        row, column = (int(x) for x in np.unravel_index(int(np.argmax(score)), score.shape))
-        if score[row, column] >= least:
-            peak = np.array([column + _vertex(score[row], column), row + _vertex(score[:, column], row)])
-            now = expected + peak - reach + (start + pad - corner)
-        else:
-            centre = centre_of_petals(image, place + step - lag, float(half.max()))
-            now = None if centre is None else centre + lag
-        if now is None or not 0.5 < _petals(image, now, half) / petals < 2:
-            step = np.zeros(2)
+    half, centre = int(np.ceil(1.5 * radius)), np.rint(pixel).astype(int)
+    box = (slice(centre[1] - half, centre[1] + half + 1), slice(centre[0] - half, centre[0] + half + 1))
+    if np.any(centre < half) or np.any(centre + half >= petals.shape[::-1]):
+        nothing = np.zeros((2 * half + 1, 2 * half + 1, 4), np.float32)
+        return Patch(nothing[..., :3], nothing[..., 3], centre, radius)
+    away = np.hypot(*np.meshgrid(*(np.arange(-half, half + 1) + centre[a] - pixel[a] for a in (0, 1))))
+    red, green, blue = np.moveaxis(frame.rgb[box].astype(np.float32), 2, 0)
+    leafy = (2 * green - red - blue) / (red + green + blue + 1) > LEAFY
+    near = np.abs(frame.depth[box] - depth) < gap
+    own = ((near & ~leafy) | ((petals[box] > 0.3) & (near | (frame.depth[box] == 0)))) & (away < 1.4 * radius)
+    return Patch(image[box], (own * np.exp(-0.5 * (away / radius) ** 2)).astype(np.float32), centre, radius)
+
+
+def seek(images: Sequence[Image], patch: Patch, places: Array, reach: int, worst: float) -> Array:
+    """Return the pixels (T, 2) of the patch in T images, within `reach` pixels of `places` (T, 2); NaN where not found.
+
+    The place is where the sum of the weighted squared differences of the colours is least, to a fraction of a pixel.
+
+    Args:
+        images: see `smoothed`.
+        patch: what is looked for.
+        places: (T, 2) [px].
+        reach: [px].
+        worst: the least sum must be below this share of the window's median, or else nothing there is like the patch.
+    """
+    half, found = patch.weight.shape[0] // 2 + reach, np.full((len(images), 2), np.nan)
+    mask = np.repeat(patch.weight[..., None], 3, axis=2)
+    for i, image in enumerate(images):
+        if not np.isfinite(places[i]).all():
             continue
-        step = now - place if i else step
-        place = now
-        found[i] = place - pad
+        middle = np.rint(places[i]).astype(int)
+        if np.any(middle < half) or np.any(middle + half >= image.shape[1::-1]):
+            continue
+        window = image[middle[1] - half : middle[1] + half + 1, middle[0] - half : middle[0] + half + 1]
+        miss = cv2.matchTemplate(window, patch.image, cv2.TM_SQDIFF, mask=mask)
+        row, column = (int(x) for x in np.unravel_index(int(np.argmin(miss)), miss.shape))
+        if miss[row, column] < worst * np.median(miss):
+            shift = np.array([column + _vertex(-miss[row], column), row + _vertex(-miss[:, column], row)]) - reach
+            found[i] = middle + shift
     return found
 
 
-def petal_depths(frame: Frame, weight: Image, pixel: Array, half: NDArray[Any]) -> Array:
-    """Return the depths (N,) [m] of the petals in a box around a pixel (2,) that have a reading."""
+def follow(images: Sequence[Image], patch: Patch, *, reach: int, worst: float) -> Array:
+    """Return the pixels (T, 2) of a patch of the first image in all: each looked for where the last two point to."""
+    found = np.full((len(images), 2), np.nan)
+    place, step = patch.centre.astype(float), np.zeros(2)
+    for i in range(len(images)):
+        now = seek(images[i : i + 1], patch, (place + step)[None], reach, worst)[0]
+        if not np.isfinite(now).all():
+            step = np.zeros(2)
+            continue
+        step, place = (np.clip(now - place, -reach, reach) if i else np.zeros(2)), now
+        found[i] = now
+    return found
+
+
+def patch_depth(frame: Frame, patch: Patch, pixel: Array, depth: float, gap: float) -> float:
+    """Return the median depth [m] of a patch's own pixels, at a pixel (2,), within `gap` of `depth`; NaN if too few."""
     if not np.isfinite(pixel).all():
-        return np.zeros(0)
-    u, v = np.rint(pixel).astype(int)
-    box = np.s_[max(v - half[1], 0) : max(v + half[1] + 1, 0), max(u - half[0], 0) : max(u + half[0] + 1, 0)]
-    return frame.depth[box][(weight[box] > 0.3) & (frame.depth[box] > 0)].astype(np.float64)
+        return float("nan")
+    half, middle = patch.weight.shape[0] // 2, np.rint(pixel).astype(int)
+    if np.any(middle < half) or np.any(middle + half >= frame.depth.shape[::-1]):
+        return float("nan")
+    box = frame.depth[middle[1] - half : middle[1] + half + 1, middle[0] - half : middle[0] + half + 1]
+    own = box[(patch.weight > 0) & (np.abs(box - depth) < gap)]
+    return float(np.median(own)) if len(own) >= 3 else float("nan")
 
 
 def back_projected(intrinsics: Intrinsics, pixels: Array, depth: Array) -> Array:
@@ -146,18 +202,6 @@ def back_projected(intrinsics: Intrinsics, pixels: Array, depth: Array) -> Array
     x = (pixels[:, 0] - intrinsics.cx) / intrinsics.fx * depth
     y = (pixels[:, 1] - intrinsics.cy) / intrinsics.fy * depth
     return np.stack([x, y, depth], axis=1)
-
-
-def _cut(image: Image, centre: NDArray[Any], half: NDArray[Any]) -> Image:
-    (left, top), (right, bottom) = centre - half, centre + half + 1
-    return image[top:bottom, left:right]
-
-
-def _petals(image: Image, pixel: Array, half: NDArray[Any]) -> float:
-    """Return how much petal there is in a box around a pixel (2,); 0 outside the image."""
-    corner = np.rint(pixel).astype(int)
-    inside = np.all(corner >= half) and np.all(corner + half < image.shape[::-1])
-    return float(_cut(image, corner, half).sum()) if inside else 0.0
 
 
 def _vertex(values: NDArray[Any], i: int) -> float:

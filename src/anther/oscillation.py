@@ -29,7 +29,7 @@ class Swing:
         amplitude: the ellipse's semi-major axis [m].
         amplitude_std: its standard deviation, from the residual along that axis [m].
         axis_std: (3,) standard deviation of the amplitude along x, y and z, from the residual along each [m].
-        direction: (3,) unit vector along that axis.
+        direction: (3,) unit vector along that axis, its largest component positive.
         frequency: [Hz].
         residual: root mean square distance of the samples from the fit, per axis [m].
         coefficients: (2 + slow terms, 3) of the fit: a, b, then the Legendre series.
@@ -44,6 +44,12 @@ class Swing:
     residual: float
     coefficients: Array
     span: tuple[float, float]
+
+    @property
+    def phase(self) -> float:
+        """Phase p of the swing along `direction` [rad]: sin(2 pi f t + p), t on the clock of the samples."""
+        a, b = self.coefficients[:2] @ self.direction
+        return float(np.mod(np.pi / 2 - np.arctan2(b, a) - 2 * np.pi * self.frequency * self.span[0], 2 * np.pi))
 
     def at(self, times: Array) -> Array:
         """Return the fitted path (T, 3) [m] at `times` (T,) [s]."""
@@ -88,7 +94,7 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
         amplitude=float(size[0]),
         amplitude_std=float(np.linalg.norm(axes[0] * axis_std)),
         axis_std=axis_std,
-        direction=axes[0],
+        direction=axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))]),
         frequency=float(frequency),
         residual=float(np.sqrt(misses.mean())),
         coefficients=coefficients,

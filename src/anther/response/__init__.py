@@ -1,0 +1,227 @@
+"""Response: how the flowers moved during the shake, measured in the side camera's frames. T frames, F flowers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.checks import check_array, check_range, check_transform
+from anther.devices import Frame
+from anther.errors import InputError, bad_input
+from anther.files import read_npz, write_npz
+from anther.flowers import Flowers
+from anther.geometry import Array, Intrinsics, inverse, transform_points
+from anther.oscillation import find_frequency, fit_swing
+from anther.response.following import Followed, Remarks, follow_flowers, without_outliers
+from anther.response.params import Params
+
+__all__ = ["Params", "Response", "measure_response"]
+
+SCHEMA = 2
+DEFAULTS = Params()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Measured flower motion. What could not be measured is NaN.
+
+    Attributes:
+        times: (T,) of the frames [s].
+        tracks: (T, F, 3) flower centres, world [m]; NaN where not seen.
+        amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency [m].
+        amplitude_std: (F,) its standard deviation [m].
+        frequency: (F,) of the swing [Hz].
+        frequency_std: (F,) its standard deviation [Hz] (Rife & Boorstyn 1974, the bound that least squares reaches).
+        phase: (F,) of the swing at the clock's zero, along its main direction [rad]; see `oscillation.Swing.phase`.
+        phase_std: (F,) its standard deviation [rad].
+        acceleration_peak: (F,) amplitude x (2 pi frequency)^2 [m/s2].
+        visible: (F,) bool, whether it could be measured.
+        notes: what the stage wants the user to know.
+    """
+
+    times: Array
+    tracks: Array
+    amplitude: Array
+    amplitude_std: Array
+    frequency: Array
+    frequency_std: Array
+    phase: Array
+    phase_std: Array
+    acceleration_peak: Array
+    visible: NDArray[Any]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        frames, flowers = len(self.times), len(self.amplitude)
+        object.__setattr__(self, "times", check_array("response times", self.times, (frames,)))
+        tracks = check_array("response tracks", self.tracks, (frames, flowers, 3), finite=False)
+        object.__setattr__(self, "tracks", tracks)
+        for name in _Motion._fields:
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
+        object.__setattr__(self, "visible", check_array("visible", self.visible, (flowers,), dtype="bool"))
+
+    def save(self, path: Path | str) -> None:
+        """Write the response to an .npz."""
+        values = {name: getattr(self, name) for name in ("times", "tracks", "visible", *_Motion._fields)}
+        write_npz(path, "response", SCHEMA, notes=json.dumps(self.notes), **values)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Response:
+        """Read a response written by `save`.
+
+        Raises:
+            InputError: missing, truncated or of another kind.
+        """
+        arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
+        return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), **arrays)
+
+
+def measure_response(
+    frames: Sequence[Frame],
+    intrinsics: Intrinsics,
+    T_world_cam: Array,
+    flowers: Flowers,
+    frequency_hint: float,
+    *,
+    params: Params = DEFAULTS,
+) -> Response:
+    """Follow every flower through the frames and fit its swing.
+
+    Each flower is looked for where its position at rest projects, all flowers shifted together first because the held
+    plant stands a little differently; then followed by its own pixels, lifted to 3-D by their depth, and a sinusoid of
+    the shake's frequency is fitted (`oscillation.fit_swing`). Flowers that overlap in the image may be mixed up, which
+    their deviation contains. A swing below what the camera can tell is NaN, never a guess; notes say why, one for each
+    reason.
+
+    Args:
+        frames: of a camera that stands still, while the plant was shaken.
+        intrinsics: of the camera.
+        T_world_cam: (4, 4) its pose.
+        flowers: at rest, as perception found them.
+        frequency_hint: the shake's frequency [Hz].
+        params: of finding and following.
+
+    Raises:
+        InputError: fewer than 8 frames, or frames of another size.
+    """
+    _check(frames, intrinsics)
+    check_range("frequency_hint", frequency_hint, 1e-3, 1e3, "Hz")
+    T = check_transform("T_world_cam", T_world_cam)
+    times = np.array([f.time for f in frames])
+    rest = transform_points(inverse(T), flowers.positions)
+    found, mixed, remarks = follow_flowers(frames, intrinsics, rest, frequency_hint, params)
+    tracks, numbers = np.full((len(frames), len(rest), 3), np.nan), np.full((len(rest), len(_Motion._fields)), np.nan)
+    for one in found:
+        who = np.array([one.flower])
+        tracks[:, one.flower] = one.track @ T[:3, :3].T + T[:3, 3]
+        measured = _motion(times, one, frequency_hint, params)
+        if isinstance(measured, str):
+            remarks.append((measured, who))
+        else:
+            numbers[one.flower] = measured
+            remarks += [] if one.deep else [("no sure depth: motion towards the camera is left out", who)]
+    values = dict(zip(_Motion._fields, numbers.T, strict=True))
+    visible = np.isfinite(values["amplitude"])
+    return Response(times, tracks, **values, visible=visible, notes=(*_overlaps(mixed), *_merged(remarks)))
+
+
+def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
+    if len(frames) < 8:
+        raise bad_input("frames", given=len(frames), allowed="8 or more", do="Record longer or faster.")
+    size = (intrinsics.height, intrinsics.width)
+    wrong = [f for f in frames if f.depth.shape != size or f.rgb.shape != (*size, 3)]
+    if wrong:
+        raise bad_input(
+            "frame", given=f"{wrong[0].depth.shape}", allowed=f"{size}", do="Give this camera's intrinsics."
+        )
+
+
+_FAINT = "moved less than the camera can tell"
+
+
+class _Motion(NamedTuple):
+    """What `Response` says of one flower."""
+
+    amplitude: float
+    amplitude_std: float
+    frequency: float
+    frequency_std: float
+    phase: float
+    phase_std: float
+    acceleration_peak: float
+
+
+def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion | str:
+    """Return the motion of a flower, or why it is not measured."""
+    lost = f"lost in more than {1 - params.seen_share:.0%} of the frames. Move the side camera"
+    least = max(params.seen_share * len(times), 8)
+    if np.isfinite(one.track[:, 0]).sum() < least:
+        return lost
+    try:
+        own = without_outliers(times, one.track, hint, params.outlier)
+        clean, unseen = _without_noisy_depth(times, own, hint, one.deep, params)
+        swing = fit_swing(times, clean, hint)
+    except InputError as error:
+        return f"could not be measured: {error}"
+    if np.isfinite(clean[:, 0]).sum() < least:
+        return lost
+    amplitude, noise = swing.amplitude, swing.amplitude_std
+    limit = max(params.significance * noise, params.least_pixels * one.pixel)
+    sideways = float(np.linalg.norm(np.nanstd(clean - swing.at(times), axis=0)[:2]))
+    jumps = sideways > max(params.residual_pixels * one.pixel, params.relative_residual * amplitude)
+    if jumps or noise > max(params.least_error, params.relative_error * amplitude):
+        return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
+    if amplitude < limit:
+        return f"{_FAINT} (about {1000 * limit:.1f} mm)"
+    frequency, span = find_frequency(times, clean, hint), float(np.ptp(times))
+    towards = params.depth_error * abs(swing.direction[2]) * amplitude
+    mixed = params.member_spread * amplitude if one.mixed else 0.0
+    spread = float(np.linalg.norm([noise, mixed, towards, np.hypot(amplitude, unseen) - amplitude]))
+    return _Motion(
+        amplitude=amplitude,
+        amplitude_std=spread,
+        frequency=frequency,
+        frequency_std=float(np.sqrt(3) / np.pi * noise / amplitude / span),
+        phase=swing.phase,
+        phase_std=noise / amplitude,
+        acceleration_peak=amplitude * (2 * np.pi * frequency) ** 2,
+    )
+
+
+def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool, params: Params) -> tuple[Array, float]:
+    """Return the track (T, 3), without motion in depth where that is only noise, and how large it may have been [m]."""
+    swing = fit_swing(times, track, hint)
+    sizes, noise = np.linalg.norm(swing.coefficients[:2], axis=0), float(swing.axis_std[2])
+    sideways = float(np.hypot(sizes[0], sizes[1]))
+    sure = deep and noise <= max(params.least_error, params.relative_error * sideways)
+    if sure and sizes[2] >= params.significance * noise:
+        return track, 0.0
+    unseen = params.significance * noise if sure else sideways * np.sqrt((1 + params.depthless) ** 2 - 1)
+    return np.where(np.isfinite(track), track * [1, 1, 0], np.nan), float(unseen)
+
+
+def _named(flowers: NDArray[Any]) -> str:
+    return f"Flower{'s' if len(flowers) > 1 else ''} {', '.join(str(i + 1) for i in flowers)}"
+
+
+def _overlaps(groups: list[NDArray[Any]]) -> list[str]:
+    """Return the one note about flowers that overlap, if any."""
+    who = "; ".join(", ".join(str(i + 1) for i in group) for group in groups)
+    return [f"Flowers {who} overlap in the view: their motions may be mixed up."] if groups else []
+
+
+def _merged(remarks: Remarks) -> list[str]:
+    """Return one note for each kind of remark; of the limits in the faint ones the largest is told."""
+    faint = max((text for text, _ in remarks if text.startswith(_FAINT)), default="")
+    kind_of = {text: faint if text.startswith(_FAINT) else text for text, flowers in remarks if len(flowers)}
+    notes: list[str] = []
+    for kind in dict.fromkeys(kind_of.values()):
+        who = np.concatenate([flowers for text, flowers in remarks if kind_of.get(text) == kind])
+        notes.append(f"{_named(np.sort(who))}: {kind}.")
+    return notes

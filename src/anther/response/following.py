@@ -1,0 +1,181 @@
+"""Following flowers through the side camera's frames, and lifting them to 3-D. T frames, F flowers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+
+from anther.devices import Frame
+from anther.errors import InputError
+from anther.flower_tracking import (
+    Image,
+    Patch,
+    back_projected,
+    centre_of_petals,
+    common_shift,
+    cut_patch,
+    follow,
+    patch_depth,
+    petal_weight,
+    seek,
+    smoothed,
+)
+from anther.geometry import Array, Intrinsics
+from anther.oscillation import fit_swing
+from anther.response.params import Params
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Followed:
+    """One flower through the frames.
+
+    Attributes:
+        flower: which.
+        track: (T, 3) its middle, camera frame [m]; NaN where not seen.
+        pixel: what a pixel measures there [m].
+        deep: whether the track's depth was measured.
+        mixed: whether another flower overlaps it in the image.
+    """
+
+    flower: int
+    track: Array
+    pixel: float
+    deep: bool
+    mixed: bool
+
+
+Remarks = list[tuple[str, NDArray[Any]]]
+"""What there is to say, and about which flowers."""
+
+
+def follow_flowers(
+    frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, hint: float, params: Params
+) -> tuple[list[Followed], list[NDArray[Any]], Remarks]:
+    """Follow the flowers that are at `rest` (F, 3), camera frame, when still; also return those that overlap.
+
+    Args:
+        frames: T of them.
+        intrinsics: of the camera.
+        rest: (F, 3) [m].
+        hint: the shake's frequency [Hz].
+        params: see `Params`.
+    """
+    everyone = np.arange(len(rest))
+    if not len(rest) or rest[:, 2].min() <= params.depth_gate:
+        return [], [], [("not in front of the side camera", everyone)]
+    begin = _begin(frames, intrinsics, rest, params)
+    inside = np.all((begin.pixels >= 0) & (begin.pixels < [intrinsics.width, intrinsics.height]), axis=1)
+    shown = np.array([patch.cover >= params.least_cover for patch in begin.own])
+    mixed = _overlapping(begin.pixels, params.overlap * begin.radius, np.flatnonzero(inside & shown))
+    found = []
+    for k in np.flatnonzero(inside & shown):
+        path = _path(frames, begin, int(k), hint, params)
+        deep, depth = _depth(frames, begin.own[k], path, float(rest[k, 2]), params)
+        lifted = _lifted(intrinsics, path + begin.pixels[k] - begin.own[k].centre, depth)
+        found.append(Followed(int(k), lifted, rest[k, 2] / intrinsics.fx, deep, any(k in group for group in mixed)))
+    hidden = np.flatnonzero(inside & ~shown)
+    remarks = [("outside the side camera's picture", everyone[~inside]), ("hidden from the side camera", hidden)]
+    return found, mixed, remarks
+
+
+class _Begin(NamedTuple):
+    """Where the following begins.
+
+    Attributes:
+        frame: number of the frame.
+        pixels: (F, 2) where the flowers are in it.
+        radius: (F,) of a flower [px].
+        own, wide: each flower alone, and with its surroundings.
+        images: T smoothed frames.
+    """
+
+    frame: int
+    pixels: Array
+    radius: Array
+    own: list[Patch]
+    wide: list[Patch]
+    images: list[Image]
+
+
+def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params: Params) -> _Begin:
+    """Begin where the flowers stand most like at rest: there neighbours are told apart most surely."""
+    pixels, per_metre = intrinsics.project(rest), intrinsics.fx / rest[:, 2]
+    gate = rest[:, 2].min() - params.depth_gate, rest[:, 2].max() + params.depth_gate
+    petals = [petal_weight(frame, *gate) for frame in frames]
+    fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in petals]
+    first = int(np.argmax([fit for fit, _ in fits]))
+    radius = params.flower_radius * per_metre
+    pixels = np.array([_settled(petals[first], p, r) for p, r in zip(pixels + fits[first][1], radius, strict=True)])
+    images = [smoothed(frame) for frame in frames]
+
+    def patches(size: float) -> list[Patch]:
+        return [
+            cut_patch(frames[first], images[first], petals[first], pixel, size * r, z, size * params.depth_reach)
+            for pixel, r, z in zip(pixels, radius, rest[:, 2], strict=True)
+        ]
+
+    return _Begin(first, pixels, radius, patches(1.0), patches(params.wide), images)
+
+
+def _settled(petals: Image, pixel: Array, radius: float) -> Array:
+    centre = centre_of_petals(petals, pixel, radius)
+    return pixel if centre is None else centre
+
+
+def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float, params: Params) -> Array:
+    """Return where flower k's own patch is in all frames (T, 2) [px].
+
+    The flower with its surroundings is followed from frame to frame, on and back, as that is not mistaken for a
+    neighbour; then the flower alone is looked for near the swing that fits best.
+    """
+    reach = int(np.ceil(params.reach / params.flower_radius * begin.radius[k]))
+    ways = begin.images[begin.frame :], begin.images[begin.frame :: -1]
+    onward, back = (follow(way, begin.wide[k], reach=reach, worst=params.likeness) for way in ways)
+    path, times = np.concatenate([back[:0:-1], onward]), np.array([frame.time for frame in frames])
+    for _ in range(params.again):
+        flat = np.column_stack([path, np.where(np.isfinite(path[:, 0]), 0.0, np.nan)])
+        try:
+            swing = fit_swing(times, without_outliers(times, flat, hint, params.outlier), hint)
+        except InputError:
+            return path
+        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], params.near, params.likeness)
+    return path
+
+
+def _depth(frames: Sequence[Frame], patch: Patch, path: Array, rest: float, params: Params) -> tuple[bool, Array]:
+    """Return whether a flower's depth is sure along its path (T, 2), and that depth (T,) [m], or `rest` where not."""
+    depth = np.array([patch_depth(f, patch, p, rest, params.depth_reach) for f, p in zip(frames, path, strict=True)])
+    sure = bool(np.isfinite(depth).mean() >= params.depth_share * np.isfinite(path[:, 0]).mean() > 0)
+    return sure, depth if sure else np.full(len(frames), rest)
+
+
+def _overlapping(pixels: Array, apart: Array, seen: NDArray[Any]) -> list[NDArray[Any]]:
+    """Return the groups of two or more of the `seen` flowers linked by gaps of less than `apart` (F,) [px]."""
+    if not len(seen):
+        return []
+    gaps = np.linalg.norm(pixels[seen, None] - pixels[seen], axis=2)
+    count, label = connected_components(gaps < apart[seen, None])
+    groups = [seen[label == k] for k in range(count)]
+    return [group for group in groups if len(group) > 1]
+
+
+def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
+    """Return camera-frame points (T, 3) of a pixel path (T, 2) at depths (T,); NaN where either is missing.
+
+    Sideways motion is measured at the median depth: depth noise would otherwise leak into it.
+    """
+    points = back_projected(intrinsics, path, np.full(len(path), np.nanmedian(depth)))
+    points[:, 2] = depth
+    return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
+
+
+def without_outliers(times: Array, track: Array, frequency: float, most: float) -> Array:
+    """Return the track (T, 3) with NaN where it lies more than `most` robust deviations off its swing on any axis."""
+    miss = np.abs(track - fit_swing(times, track, frequency).at(times))
+    spread = 1.4826 * np.nanmedian(miss, axis=0)
+    return np.where((miss <= most * np.maximum(spread, 1e-5)).all(axis=1, keepdims=True), track, np.nan)
