@@ -36,7 +36,7 @@ from anther.vibration.limits import sawyer_limit
 from anther.vibration.observables import semi_major
 from anther.vibration.waveforms import SINE
 
-HEIGHTS = (0.2, 0.35, 0.5, 0.65, 0.8)
+HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Grips, in shares of the main stem's length."""
 MIDDLE = 1
 """Of `HEIGHTS`: held there, the plant is shaken by every amplitude."""

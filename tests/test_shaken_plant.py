@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from straight_plant import BASE, chain, plant_of, straight_plant
 
+from anther.sim.pepper import grow_pepper
 from anther.sim.shaken_plant import ShakenPlant
 from anther.vibration.observables import semi_major
 
@@ -49,8 +50,14 @@ def test_poses_put_the_flower_where_it_was_measured() -> None:
     assert np.ptp(found.flowers[:, 0, 1]) > 1e-3
 
 
-def test_the_nearest_piece_of_the_stem_is_held_and_never_the_one_in_the_soil() -> None:
+def test_the_nearest_piece_of_the_stem_is_held_and_never_the_two_lowest() -> None:
     plant = straight_plant()
     high, low = (ShakenPlant(plant, BASE + z * UP, SIDEWAYS).point for z in (0.4, -0.1))
     assert abs(high[2] - BASE[2] - 0.4) < 0.016
-    assert low[2] > BASE[2] + 0.02
+    assert low[2] == pytest.approx(BASE[2] + 2.5 * 0.025)
+
+
+def test_a_slow_shake_turns_no_crooked_stem_about_itself() -> None:
+    plant = grow_pepper(11)
+    shaken = ShakenPlant(plant, plant.stem_centreline()[0][1], SIDEWAYS)
+    assert semi_major(shaken.linear([0.01])[0]) == pytest.approx(1, abs=0.02)

@@ -205,8 +205,11 @@ class ShakenPlant:
 
 
 def _nearest_piece(plant: SimPlant, pieces: plant_mechanics.Pieces, point: Array) -> tuple[int, Array]:
-    """Return the stem piece, not the one in the soil, whose middle is nearest to a point, and that middle."""
-    stem = [b for b in range(1, len(pieces.first)) if plant.organ[pieces.first[b]] == Organ.STEM]
+    """Return the stem piece whose middle is nearest to a point, and that middle.
+
+    The two lowest are left out: a crooked stem that cannot twist cannot move them without turning them about itself.
+    """
+    stem = [b for b in range(2, len(pieces.first)) if plant.organ[pieces.first[b]] == Organ.STEM]
     middles = []
     for b in stem:
         k = np.flatnonzero(pieces.body == b)
