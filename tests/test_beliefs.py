@@ -58,9 +58,17 @@ def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
     where = tmp_path / "h.sqlite"
     taught = trial("a", TOMATO, Material(youngs=3e8, youngs_spread=0.1))
     record_trial(replace(taught, success=False, failure="branch_or_leaf_grasped"), where)
-    record_trial(replace(taught, measured_amplitude=(float("nan"),)), where)
+    record_trial(replace(taught, measured_amplitude=(float("nan"),), material=TOMATO), where)
     assert starting_material("tomato", "a", where).source == "facts"
     assert starting_material("tomato", "b", where).source == "facts"
+
+
+def test_flowers_that_only_moved_too_little_teach_as_well(tmp_path: Path) -> None:
+    where = tmp_path / "h.sqlite"
+    after = TOMATO.changed(response_gain=0.6, response_spread=0.4)
+    record_trial(replace(trial("a", TOMATO, after), measured_amplitude=(float("nan"),)), where)
+    assert starting_material("tomato", "a", where).source == "plant"
+    assert starting_material("tomato", "b", where).material.response_gain < 1
 
 
 def test_no_plants_give_the_facts_and_many_give_the_crop() -> None:

@@ -170,6 +170,17 @@ def test_what_all_flowers_do_alike_is_the_models_gain(plant: PlantModel, plan: S
     assert again.response_spread <= after.response_spread
 
 
+def test_flowers_that_moved_too_little_to_be_measured_lower_the_gain(plant: PlantModel, plan: ShakePlan) -> None:
+    nothing = np.full(len(plan.predicted_amplitude), np.nan)
+    low = refine(plant, plan, nothing, nothing, at_most=0.3 * plan.predicted_amplitude)
+    high = refine(plant, plan, nothing, nothing, at_most=30 * plan.predicted_amplitude)
+    assert low.material.response_gain < 0.8
+    assert low.predicted_amplitude.mean() < plan.predicted_amplitude.mean()
+    assert high.material.response_gain == pytest.approx(plant.material.response_gain, rel=0.1)
+    with pytest.raises(InputError):
+        refine(plant, plan, nothing, nothing, at_most=0 * plan.predicted_amplitude)
+
+
 def test_motion_hardly_tells_the_radius_from_the_stiffness(plant: PlantModel, plan: ShakePlan) -> None:
     measured = amplitude_of(plant.with_material(replace(plant.material, youngs=3e8)), plant, plan)
     after = refine(plant, plan, measured, 0.02 * measured, Params(model_error=0.05)).material

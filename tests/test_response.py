@@ -128,6 +128,7 @@ def test_white_petals_in_shade_before_a_bright_wall_are_followed_by_their_depth(
 def test_a_swing_too_small_to_tell_is_nan_with_one_note() -> None:
     response = measure_response(record(3e-5, 5.0), CAMERA, T_WORLD_CAM, flowers(), 5.0)
     assert not response.visible.any()
+    assert np.all((response.at_most > 3e-5) & (response.at_most < 5e-4))
     assert len(response.notes) == 1
     assert response.notes[0].startswith("Flowers 1, 2, 3: moved less than the camera can tell")
 

@@ -184,9 +184,10 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     rods = run.stage("plant model", PlantModel.load, lambda _: model_plant(seen, material, params))
     shake, trial = _shaken(cell, planner, rods, grasps, run, params=params)
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
-    if answer is None or not answer.visible.any():
+    if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material)
-    learned = run.timed("learning", lambda _: refine(rods, shake, answer.amplitude, answer.amplitude_std))
+    told = answer.amplitude, answer.amplitude_std
+    learned = run.timed("learning", lambda _: refine(rods, shake, *told, at_most=answer.at_most))
     return Done(shake, trial, answer, learned.material, rods.material)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
+from scipy.stats import t as student
 
 from anther.checks import check_array, check_range
 from anther.elastic_rod.rods import Array
@@ -65,6 +66,8 @@ def refine(
     measured: ArrayLike,
     uncertainty: ArrayLike,
     params: Params = Params(),
+    *,
+    at_most: ArrayLike | None = None,
 ) -> Refinement:
     """Update what is believed of a plant's material from one measured response.
 
@@ -75,6 +78,9 @@ def refine(
     the likelihood is raised to a power below 1. The new material has the weighted means and spreads of the logarithms
     of what `plant.LEARNED` names.
 
+    A flower that was followed but moved too little to be measured is left-censored: it counts with the probability of
+    moving less than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.
+
     Limits: one amplitude near a resonance fits two stiffnesses, one on either side; the result then lies between them
     with a spread that says so. The pedicels' stiffness is averaged over, not learned.
 
@@ -84,6 +90,7 @@ def refine(
         measured: (F,) flower amplitudes [m]; NaN where not measurable.
         uncertainty: (F,) their standard errors [m]; read only where `measured` is finite.
         params: of the ensemble.
+        at_most: (F,) bounds of flowers that moved too little to be measured [m]; NaN elsewhere. None: no such flowers.
 
     Raises:
         InputError: wrong number of flowers, or an uncertainty that is not > 0.
@@ -91,16 +98,20 @@ def refine(
     count = len(plant.flower_nodes)
     amplitude = check_array("measured amplitude", measured, (count,), finite=False)
     error = check_array("amplitude uncertainty", uncertainty, (count,), finite=False)
-    seen = np.isfinite(amplitude)
-    if np.any(~(error[seen] > 0)) or np.any(amplitude[seen] < 0):
-        raise bad_input("response", given="a negative amplitude or an uncertainty <= 0", allowed="> 0 m", do="Check.")
-    if not seen.any() or shake.waveform.kind != "sine":
-        why = "no flower's motion was measurable" if not seen.any() else f"a {shake.waveform} has no one frequency"
+    bound = check_array("at_most", np.full(count, np.nan) if at_most is None else at_most, (count,), finite=False)
+    seen, faint = np.isfinite(amplitude), np.isfinite(bound) & ~np.isfinite(amplitude)
+    if np.any(~(error[seen] > 0)) or np.any(amplitude[seen] < 0) or np.any(~(bound[faint] > 0)):
+        given = "a negative amplitude, or an uncertainty or bound <= 0"
+        raise bad_input("response", given=given, allowed="> 0 m", do="Check.")
+    if not (seen | faint).any() or shake.waveform.kind != "sine":
+        unseen = not (seen | faint).any()
+        why = "no flower's motion was measurable" if unseen else f"a {shake.waveform} has no one frequency"
         note = f"refinement: {why}; the material stays as it was."
         return Refinement(plant.material, shake.predicted_amplitude, float(params.members), 0.0, (note,))
     members = scenarios(plant, params.members, params.seed)
     predicted = _ensemble_amplitude(members, shake)
     likelihood = _log_likelihood(predicted[:, seen], amplitude[seen], error[seen], params.model_error)
+    likelihood += student.logcdf(np.log(bound[faint] / predicted[:, faint]) / params.model_error, 4).sum(axis=1)
     weights, evidence = _weights(likelihood, params.least_members)
     return Refinement(
         _moments(plant.material, [m.material for m in members], weights),
@@ -117,13 +128,13 @@ def _ensemble_amplitude(members: list[PlantModel], shake: ShakePlan) -> Array:
     response = gains(members, grip, shake.direction[None, None], np.array([shake.frequency]))
     answer = np.array([member.material.response_gain for member in members])
     linear = shake.amplitude * answer[:, None] * response.flower[:, 0, 0, 0]
-    return linear * shake.predicted_amplitude / np.maximum(linear[0], 1e-12)
+    return np.maximum(linear * shake.predicted_amplitude / np.maximum(linear[0], 1e-12), 1e-12)
 
 
 def _log_likelihood(predicted: Array, measured: Array, error: Array, model_error: float) -> Array:
     """Return (M,) log-likelihoods of ln measured, Student-t with 4 degrees of freedom, up to a constant."""
     certain = np.maximum(measured, error)
-    miss = np.log(certain / np.maximum(predicted, 1e-12)) / np.hypot(model_error, error / certain)
+    miss = np.log(certain / predicted) / np.hypot(model_error, error / certain)
     return np.sum(-2.5 * np.log1p(miss**2 / 4), axis=1)
 
 

@@ -41,6 +41,7 @@ class Response:
         phase: (F,) of the swing at the clock's zero, along its main direction [rad]; see `oscillation.Swing.phase`.
         phase_std: (F,) its standard deviation [rad].
         acceleration_peak: (F,) amplitude x (2 pi frequency)^2 [m/s2].
+        at_most: (F,) where a flower was followed but moved less than can be told: that least amplitude [m].
         visible: (F,) bool, whether it could be measured.
         notes: what the stage wants the user to know.
     """
@@ -54,6 +55,7 @@ class Response:
     phase: Array
     phase_std: Array
     acceleration_peak: Array
+    at_most: Array
     visible: NDArray[Any]
     notes: tuple[str, ...] = ()
 
@@ -123,9 +125,12 @@ def measure_response(
         measured = _motion(times, one, frequency_hint, params)
         if isinstance(measured, str):
             remarks.append((measured, who))
-        else:
-            numbers[one.flower] = measured
-            remarks += [] if one.deep else [("no sure depth: motion towards the camera is left out", who)]
+            continue
+        numbers[one.flower] = measured
+        if np.isfinite(measured.at_most):
+            remarks.append((f"{_FAINT} (about {1000 * measured.at_most:.1f} mm)", who))
+        elif not one.deep:
+            remarks.append(("no sure depth: motion towards the camera is left out", who))
     values = dict(zip(_Motion._fields, numbers.T, strict=True))
     visible = np.isfinite(values["amplitude"])
     return Response(times, tracks, **values, visible=visible, notes=(*_overlaps(mixed), *_merged(remarks)))
@@ -155,6 +160,10 @@ class _Motion(NamedTuple):
     phase: float
     phase_std: float
     acceleration_peak: float
+    at_most: float
+
+
+_UNSEEN = _Motion(*[float("nan")] * len(_Motion._fields))
 
 
 def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion | str:
@@ -178,7 +187,7 @@ def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion
     if jumps or noise > max(params.least_error, params.relative_error * amplitude):
         return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
     if amplitude < limit:
-        return f"{_FAINT} (about {1000 * limit:.1f} mm)"
+        return _UNSEEN._replace(at_most=limit)
     frequency, span = find_frequency(times, clean, hint), float(np.ptp(times))
     towards = params.depth_error * abs(swing.direction[2]) * amplitude
     mixed = params.member_spread * amplitude if one.mixed else 0.0
@@ -191,6 +200,7 @@ def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion
         phase=swing.phase,
         phase_std=noise / amplitude,
         acceleration_peak=amplitude * (2 * np.pi * frequency) ** 2,
+        at_most=float("nan"),
     )
 
 

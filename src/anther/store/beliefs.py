@@ -58,7 +58,7 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     """Return what to believe of a plant before its next shake.
 
     Only trials that succeeded teach: of a plant held by a leaf, say, the model that learned was wrong. A plant that was
-    shaken, and whose flowers were measured, has its last belief. It is not widened with time: no rate at which stems
+    shaken, and whose flowers taught something, has its last belief. It is not widened with time: no rate at which stems
     stiffen was found (facts: pollination, "Not found"); the reason says how old the belief is. Another plant has the
     crop's prior, learned from all plants of the crop in the history (`crop_prior`), which is the facts' prior as long
     as nothing was learned.
@@ -67,7 +67,7 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
         InputError: the history cannot be read.
     """
     trials = read_trials(where, species=species, result="success")
-    trials = [t for t in trials if t.measured and t.material is not None]
+    trials = [t for t in trials if t.taught]
     own = [t for t in trials if t.plant == plant]
     if own and own[-1].material is not None:
         last = own[-1]

@@ -124,6 +124,11 @@ class TrialRecord:
         """Whether any flower's motion was measured."""
         return any(np.isfinite(self.measured_amplitude))
 
+    @property
+    def taught(self) -> bool:
+        """Whether it taught anything: a flower was measured, or seen to move less than could be measured."""
+        return self.material is not None and (self.measured or self.material != (self.believed or self.material))
+
     def motions(self) -> dict[str, tuple[float, ...]]:
         """Return name of `MOTIONS` -> (F,) values, NaN where unknown."""
         return {name: getattr(self, name) or (float("nan"),) * self.flowers for name in MOTIONS}

@@ -1,0 +1,297 @@
+"""What learning changes: successive plants of a crop, each shaken with and without what the plants before it taught.
+
+    python tools/record.py experiments/learning.py --figure docs/pictures/learning.png --out runs/learning --jobs 2
+
+Each plant is seen in rendered views (preset fast), modelled, and its shake planned (the Sawyer's table of amplitudes,
+facts: sawyer 6); MuJoCo's plant is held at the grasp and shaken (`sim.shaken_plant`). What the camera would measure is
+drawn from the truth with the stated errors of `SEEN`. Arm "facts" begins every plant with the facts' prior. In the
+other, plants are visited twice: "crop", begun with what the history says of the crop, and "plant", begun with what the
+plant's first shake taught. The history is a real one, in SQLite. One JSON a plant is kept under --out, so that a run
+that was stopped goes on.
+
+Keys of the --json file: <crop>_<arm>_error, the mean |ln(true / predicted amplitude)| of a flower; _bias, its signed
+mean; _within, the share of flowers inside the predicted interval (0.9 is right); _more, the share of flowers that sets
+because of the shake, by the true accelerations; _acceleration, their mean [m/s2]; _strain, the largest share of the
+stem's strain limit used; the same with _late for the last half of the plants; and the crop's last belief.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from learning_figure import draw
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.optimize import linear_sum_assignment
+
+from anther import cloud, masks, skeleton, stem
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.errors import StageFailure
+from anther.files import read_json, replacing, write_json
+from anther.flowers import find_flowers, flower_centres
+from anther.geometry import Array
+from anther.grasp import Grasp, plan_grasps
+from anther.identification import refine
+from anther.plant import Material, PlantModel, build_plant
+from anther.sim.plant import SimPlant
+from anther.sim.shaken_plant import ShakenPlant
+from anther.store import ShakeRecord, TrialRecord, facts_prior, record_trial, starting_material
+from anther.vibration import Params as ShakeParams
+from anther.vibration import ShakePlan, plan_shake
+from anther.vibration.dose import freed_share, set_probability
+
+ARMS = ("facts", "crop", "plant")
+CROPS: tuple[Species, ...] = ("tomato", "pepper")
+SEEN = (0.6, 0.08, 0.15e-3)
+"""How often a flower's amplitude can be measured; its error, relative and absolute [m] (docs/response.md)."""
+SAME = 0.02
+"""A found flower is the true one nearest to it if that is no farther away [m]."""
+BEGIN = datetime(2026, 5, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One shake of one plant; the flowers' lists are of those found that are true ones.
+
+    Attributes:
+        arm: of `ARMS`.
+        why: how the belief came about, or why nothing was shaken.
+        shake: (Hz, m), or None.
+        predicted, low, high, true, measured: amplitudes [m]; measured is None where the camera could not.
+        more: share of all flowers that sets because of the shake.
+        acceleration: mean peak acceleration of all flowers [m/s2].
+        strain: largest bending strain of the stem over its limit.
+        before, after: the belief, as plain values.
+    """
+
+    arm: str
+    why: str
+    shake: tuple[float, float] | None
+    predicted: list[float]
+    low: list[float]
+    high: list[float]
+    true: list[float]
+    measured: list[float | None]
+    more: float
+    acceleration: float
+    strain: float
+    before: dict[str, float]
+    after: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A plant as truth and as perception has it: flowers[k] is the true number of found flower k, or -1."""
+
+    truth: SimPlant
+    model: Any
+    grasps: list[Grasp]
+    flowers: NDArray[Any]
+
+
+def see(species: Species, seed: int) -> Scene:
+    """Photograph a plant, perceive it, and rank its grasps. `Scene.model` makes the plant model of a material."""
+    truth, place = grow(species, seed, 0.0, USUAL_DISTANCE), layout(USUAL_DISTANCE)
+    capture, _ = photograph(truth, views_at(USUAL_DISTANCE, PRESETS["fast"]).joints, seed)
+    labels = masks.segment(capture, place.workspace)
+    points = cloud.fuse(capture, labels, place.workspace)
+    tree, centres = skeleton.skeletonize(points), flower_centres(points)
+    main = stem.find_stem(tree, flowers_at=centres)
+    found = find_flowers(points, tree, main, centres=centres)
+    gap = np.linalg.norm(found.positions[:, None] - truth.flower_position, axis=2)
+    same = np.full(len(found.positions), -1)
+    for k, true in zip(*linear_sum_assignment(gap), strict=True):
+        same[k] = true if gap[k, true] < SAME else -1
+    return Scene(truth, partial(build_plant, tree, main, found, points), plan_grasps(main, tree, points), same)
+
+
+def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Generator) -> Visit:
+    """Plan a shake with a belief, shake the true plant, measure it, and learn."""
+    before = asdict(belief)
+    try:
+        model: PlantModel = scene.model(belief)
+        plan = plan_shake(model, scene.grasps)
+        true, more, jolt, strain = shaken(scene.truth, plan)
+    except StageFailure as failure:
+        return Visit(arm, str(failure), None, [], [], [], [], [], 0.0, 0.0, 0.0, before, before)
+    known = scene.flowers >= 0
+    answer = np.where(known, true[scene.flowers], np.nan)
+    share, relative, absolute = SEEN
+    error = np.hypot(relative * answer, absolute)
+    measured = np.abs(answer + error * rng.normal(size=len(answer)))
+    faint = measured < 3 * absolute
+    measured[(rng.random(len(answer)) > share)] = np.nan
+    bound = np.where(faint & np.isfinite(measured), 3 * absolute, np.nan)
+    measured[faint] = np.nan
+    learned = refine(model, plan, measured, error, at_most=bound)
+    low, high = plan.predicted_amplitude_interval[known].T
+    return Visit(
+        arm=arm,
+        why=why,
+        shake=(plan.frequency, plan.amplitude),
+        predicted=plan.predicted_amplitude[known].tolist(),
+        low=low.tolist(),
+        high=high.tolist(),
+        true=answer[known].tolist(),
+        measured=[float(m) if np.isfinite(m) else None for m in measured[known]],
+        more=more,
+        acceleration=jolt,
+        strain=strain,
+        before=asdict(model.material),
+        after=asdict(learned.material),
+    )
+
+
+def shaken(truth: SimPlant, plan: ShakePlan) -> tuple[Array, float, float, float]:
+    """Return the true flowers' amplitudes (F,) [m], what more sets, their mean acceleration [m/s2], and the strain."""
+    plant, limits = ShakenPlant(truth, plan.grasp.point, plan.direction), ShakeParams()
+    done = plant.steady(plan.amplitude, plan.frequency)
+    jolt = (2 * np.pi * plan.frequency) ** 2 * done.amplitude
+    freed = freed_share(jolt[None], np.array([plan.duration]), limits.half_dose, limits.release_time)
+    more = set_probability(freed, limits.unshaken, limits.gain).mean() - limits.unshaken
+    on_stem = np.isin(plant.mechanics.pieces.first, truth.stem_segments())
+    strain = np.max([plant.mechanics.strain(q)[on_stem].max() for q in done.qpos])
+    return done.amplitude, float(more), float(jolt.mean()), float(strain / limits.stem_strain)
+
+
+def learn(species: Species, seeds: Sequence[int], out: Path, console: Console) -> list[list[Visit]]:
+    """Return the visits of each plant in turn; plants done already are read from `out`."""
+    history, rows = out / f"{species}.sqlite", []
+    history.unlink(missing_ok=True)
+    for number, seed in enumerate(track(seeds, species, console=console)):
+        kept = out / f"{species}-{seed}.json"
+        if not kept.exists():
+            write_json(kept, [asdict(v) for v in visits(species, seed, history)])
+        done = [Visit(**row) for row in read_json(kept)]
+        for k, arm in enumerate(ARMS[1:]):
+            record(species, seed, done[ARMS.index(arm)], history, BEGIN + timedelta(days=number, hours=k))
+        rows.append(done)
+    return rows
+
+
+def visits(species: Species, seed: int, history: Path) -> list[Visit]:
+    """Return one plant's visits in the order of `ARMS`."""
+    rng = np.random.default_rng([seed, 7])
+    try:
+        scene = see(species, seed)
+    except StageFailure as failure:
+        empty = asdict(facts_prior(species))
+        return [Visit(arm, str(failure), None, [], [], [], [], [], 0.0, 0.0, 0.0, empty, empty) for arm in ARMS]
+    crop = starting_material(species, f"{seed}", history)
+    unlearned = visit(scene, "facts", facts_prior(species), "the facts", rng)
+    first = visit(scene, "crop", crop.material, crop.reason, rng)
+    own = Material(**first.after)
+    return [unlearned, first, visit(scene, "plant", own, "its own first shake", rng)]
+
+
+def record(species: str, seed: int, done: Visit, history: Path, time: datetime) -> None:
+    """Keep a visit in the history, as `anther trial` would."""
+    if done.shake is None:
+        return
+    amplitude = tuple(float("nan") if m is None else m for m in done.measured)
+    trial = TrialRecord(
+        species,
+        f"{seed}",
+        success=True,
+        shake=ShakeRecord(*done.shake),
+        predicted_amplitude=tuple(done.predicted),
+        measured_amplitude=amplitude,
+        believed=Material(**done.before),
+        material=Material(**done.after),
+        time=time,
+    )
+    record_trial(trial, history)
+
+
+def summary(rows: Sequence[Visit]) -> dict[str, float]:
+    """Return the numbers that the module's docstring names, over one arm's visits; errors are means over plants."""
+    shaken_ones = [v for v in rows if v.true]
+    miss = [np.log(np.array(v.true) / np.array(v.predicted)) for v in shaken_ones]
+    held = [np.mean((np.array(v.low) <= v.true) & (np.array(v.true) <= v.high)) for v in shaken_ones]
+    return {
+        "error": float(np.mean([np.abs(m).mean() for m in miss])),
+        "bias": float(np.mean([m.mean() for m in miss])),
+        "within": float(np.mean(held)),
+        "more": float(np.mean([v.more for v in rows])),
+        "acceleration": float(np.mean([v.acceleration for v in rows])),
+        "strain": float(max(v.strain for v in rows)),
+    }
+
+
+def metrics(species: str, rows: list[list[Visit]], belief: Material) -> dict[str, float]:
+    """Return the metrics of one crop."""
+    out: dict[str, float] = {f"{species}_plants": len(rows)}
+    for k, arm in enumerate(ARMS):
+        mine = [row[k] for row in rows]
+        out |= {f"{species}_{arm}_{name}": value for name, value in summary(mine).items()}
+        out |= {f"{species}_{arm}_{name}_late": value for name, value in summary(mine[len(mine) // 2 :]).items()}
+    names = ("youngs", "youngs_spread", "damping_ratio", "damping_spread", "bend_over_twist", "twist_spread")
+    names += ("radius_scale", "radius_spread", "response_gain", "response_spread")
+    return out | {f"{species}_learned_{name}": getattr(belief, name) for name in names}
+
+
+def main() -> None:
+    """Visit the plants, print a table, draw the figure, write --json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="three tomatoes only")
+    parser.add_argument("--seed", type=int, default=2200, help="of the first plant")
+    parser.add_argument("--plants", type=int, default=20, help="of each crop")
+    parser.add_argument("--crops", nargs="+", default=list(CROPS), choices=CROPS)
+    parser.add_argument("--jobs", type=int, default=1, help="crops at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/learning"), help="where each plant's visits are kept")
+    parser.add_argument("--figure", type=Path)
+    args = parser.parse_args()
+    crops = args.crops[:1] if args.quick else args.crops
+    seeds = range(args.seed, args.seed + (3 if args.quick else args.plants))
+    args.out.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    with ProcessPoolExecutor(min(args.jobs, len(crops)), mp_context=get_context("spawn")) as pool:
+        done = dict(zip(crops, pool.map(partial(_crop, seeds=seeds, out=args.out), crops), strict=True))
+    found: dict[str, float] = {}
+    for species, rows in done.items():
+        belief = starting_material(species, "the next", args.out / f"{species}.sqlite").material
+        found |= metrics(species, rows, belief)
+    console.print(_table(found, crops))
+    if args.json:
+        write_json(args.json, found)
+    if args.figure:
+        with replacing(args.figure) as temporary:
+            draw(done).savefig(temporary, dpi=110)
+
+
+def _crop(species: Species, seeds: Sequence[int], out: Path) -> list[list[Visit]]:
+    return learn(species, seeds, out, Console())
+
+
+def _table(found: dict[str, float], crops: Sequence[str]) -> Table:
+    table = Table("crop", "begun with", "|ln(true/predicted)|", "bias", "in interval", "sets more", "flowers [m/s²]")
+    for crop in crops:
+        for arm in ARMS:
+            value = {n: found[f"{crop}_{arm}_{n}"] for n in ("error", "bias", "within", "more", "acceleration")}
+            late = {n: found[f"{crop}_{arm}_{n}_late"] for n in ("error", "bias", "within")}
+            table.add_row(
+                crop,
+                arm,
+                f"{value['error']:.2f} (late {late['error']:.2f})",
+                f"{value['bias']:+.2f} ({late['bias']:+.2f})",
+                f"{value['within']:.0%} ({late['within']:.0%})",
+                f"{value['more']:+.1%}",
+                f"{value['acceleration']:.1f}",
+            )
+    return table
+
+
+if __name__ == "__main__":
+    main()
