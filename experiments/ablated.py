@@ -159,7 +159,7 @@ CHANGES: dict[str, tuple[str, Change]] = {
     "straight": ("curvature: each organ straight", straightened),
     "stairs": ("smooth centreline: 8 mm stair-steps", in_steps),
     "no_leaves": ("leaf mass: none", without_leaves),
-    "euler": ("integrator: implicit Euler, 10 ms", by_implicit_euler),
+    "euler": ("integrator: implicit Euler, 10 ms (1 ms from 2 Hz)", by_implicit_euler),
     "all": ("all of these", all_at_once),
     "stiffer": ("for comparison: E 20 % higher", stiffer),
 }

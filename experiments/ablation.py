@@ -166,17 +166,17 @@ def draw(found: dict[str, float]) -> Figure:
                 continue
             height = np.arange(len(features)) + 0.28 * k - 0.14
             low, high = (
-                np.array([found[f"{name}_{f}_{band}_change_{end}"] for f in features]).clip(1e-3)
+                np.array([found[f"{name}_{f}_{band}_change_{end}"] for f in features]).clip(5e-3)
                 for end in ("median", "p90")
             )
             axes.hlines(height, low, high, colour, alpha=0.4, linewidth=2)
             axes.plot(low, height, "o", color=colour, markersize=6, label=f"{name} plants")
-        axes.set(xscale="log", xlim=(1e-3, 12), title=words, xlabel="change of amplitude")
-        axes.set_xticks([1e-3, 1e-2, 1e-1, 1, 10], ["0.1 %", "1 %", "10 %", "100 %", "× 11"])
+        axes.set(xscale="log", xlim=(5e-3, 12), title=words, xlabel="change of amplitude")
+        axes.set_xticks([1e-2, 1e-1, 1], ["1 %", "10 %", "100 %"])
         axes.grid(axis="x", alpha=0.3)
     figure.axes[0].set_yticks(range(len(features)), [words for words, _ in CHANGES.values()])
     figure.axes[0].invert_yaxis()
-    figure.axes[-1].legend(loc="lower left", fontsize=8)
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
     return figure
 
 
