@@ -182,3 +182,14 @@ def test_a_pedicel_of_two_segments_swings_as_a_cantilever_with_a_tip_mass() -> N
     pedicel["lump_mass"][-1], pedicel["lump_centre"][-1] = mass, pedicel["end"][-1]
     theory = np.sqrt(3 * youngs * np.pi / 4 * radius**4 / (mass * length**3)) / (2 * np.pi)
     assert Cell(plant_of(pedicel)).mechanics.frequencies[0] == pytest.approx(theory, rel=1e-2)
+
+
+def test_a_leaf_pushed_too_far_stops_short_of_a_right_angle() -> None:
+    cell = Cell(grow_tomato(10))
+    heavy = [
+        b for b in range(cell.model.nbody) if "plant_" in cell.model.body(b).name and cell.model.body_mass[b] > 2e-3
+    ]
+    cell.data.xfrc_applied[heavy[-1], 2] = -2.0  # N, on a part of a few grams
+    idle(cell, 0.4)
+    angles = cell.log().qpos[:, cell.model.jnt_qposadr[cell.mechanics.joints]]
+    assert 1.0 < np.abs(angles).max() < np.pi / 2

@@ -101,11 +101,11 @@ class Params:
     """
 
     stand_off: float = 0.12
-    approach_speed: float = 0.08
+    approach_speed: float = 0.1
     squeeze: float = 0.0015
     thinnest: float = 0.002
     steps: int = 4
-    settle: float = 0.5
+    settle: float = 0.3
     opening: float = 0.0416
     thickest: float = 0.012
     rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)

@@ -26,6 +26,11 @@ CONTINUES = {int(Organ.STEM): int(Organ.BRANCH), int(Organ.PETIOLE): int(Organ.R
 """Organs that run on into another without a clamp between them."""
 
 
+FOLDED = 1.2
+"""Angle at which a hinge stops [rad]: far beyond what tissue bears, and short of a right angle, where two crossed
+hinges lose a direction and a plant pushed aside would spin without bound."""
+
+
 @dataclass(frozen=True, slots=True)
 class Params:
     """How finely the plant is cut and how it is damped.
@@ -190,6 +195,7 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, stiffness: float, params: Pa
         joint.damping = [beta * stiffness * share, 0, 0]
         # no hinge is faster than `stiffest`: contact forces stay steady, and 30 Hz moves by 30^2 / (2 stiffest^2) only
         joint.armature = stiffness * share / (2 * np.pi * params.stiffest) ** 2
+        joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
 
 
 def _mass_properties(plant: SimPlant, pieces: Pieces) -> tuple[Array, Array, Array]:
