@@ -44,7 +44,7 @@ from anther.sim.render import Scene
 from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.vibration.observables import semi_major
 
-HEIGHTS = (0.2, 0.5, 0.8)
+HEIGHTS = (0.35, 0.6, 0.85)
 """Grips, in shares of the main stem's length."""
 FREQUENCIES = np.array(PAPER_FREQUENCIES + FAST_FREQUENCIES)
 BANDS = {"slow": FREQUENCIES < 2} | {f"{f:g}hz": f == FREQUENCIES for f in FAST_FREQUENCIES}
