@@ -13,6 +13,8 @@ import numpy as np
 
 from anther.files import write_text
 from anther.pictures import report as figures
+from anther.plant import LEARNED, Material
+from anther.response import Response
 from anther.results import RunResults
 
 STYLE = """
@@ -36,6 +38,9 @@ td.n, th.n { text-align:right } tr:last-child td { border-bottom:0 }
 li { margin-bottom:4px } footer { margin-top:28px; color:var(--soft); font-size:14px }
 """
 
+SPREADS = {"youngs": "youngs_spread"} | {name: spread for name, spread in LEARNED.items() if name != "scanned_youngs"}
+"""Attribute of `plant.Material` -> its spread."""
+
 PALETTE = (
     "#2f7d4f", "#6fae7b", "#b7cf8b", "#e3c567", "#d98f4e", "#b3594a", "#8a5a83", "#5b6fa8", "#4f97a6", "#8fa39a",
     "#c4b59d", "#7a7a7a",
@@ -56,6 +61,7 @@ def write_report(path: Path, results: RunResults) -> None:
         _section("The grasp", _grasp(results)),
         _section("The shake", _shake(results)),
         _section("How the flowers moved", _motion(results)),
+        _section("What was learned", _learned(results)),
         _section("What to know", _notes(results)),
         _section("Where the time went", _timing(results)),
         _section("Parameters", _parameters(results)),
@@ -170,20 +176,63 @@ def _motion(results: RunResults) -> str:
     if results.shake is None or results.response is None:
         return ""
     picture = _image(lambda: figures.motion(results.shake, results.response), "predicted and measured flower motion")
+    shake, response = results.shake, results.response
     rows = [
-        [f"Flower {i + 1}", *(_milli(v) for v in (p, m)), *(_number(v) for v in (pa, ma))]
-        for i, (p, m, pa, ma) in enumerate(
-            zip(
-                results.shake.predicted_amplitude,
-                results.response.amplitude,
-                results.shake.predicted_acceleration,
-                results.response.acceleration_peak,
-                strict=True,
-            )
-        )
+        [
+            f"Flower {i + 1}",
+            f"{_milli(shake.predicted_amplitude[i])} ({1e3 * low:.2f} to {1e3 * high:.2f})",
+            _measured(response, i),
+            _number(shake.predicted_acceleration[i]),
+            _number(response.acceleration_peak[i]),
+        ]
+        for i, (low, high) in enumerate(shake.predicted_amplitude_interval)
     ]
-    header = ["", "Predicted amplitude", "Measured amplitude", "Predicted acceleration", "Measured acceleration"]
-    return picture + _table(header, rows)
+    held = response.visible & np.all(
+        (response.amplitude[:, None] >= shake.predicted_amplitude_interval) == [1, 0], axis=1
+    )
+    text = f"<p>{held.sum()} of {response.visible.sum()} measured amplitudes lie within the predicted interval.</p>"
+    header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
+    return text + picture + _table(header, rows)
+
+
+def _measured(response: Response, flower: int) -> str:
+    """Return a flower's measured amplitude with its deviation, or what is known instead."""
+    if np.isfinite(response.at_most[flower]):
+        return f"less than {_milli(response.at_most[flower])}"
+    value = _milli(response.amplitude[flower])
+    return value if not response.visible[flower] else f"{value} ± {1e3 * response.amplitude_std[flower]:.2f}"
+
+
+LEARNED_ROWS = (
+    ("Young's modulus of the stem", "youngs", 1e-6, "MPa"),
+    ("Damping ratio", "damping_ratio", 1.0, ""),
+    ("Bending over twisting stiffness", "bend_over_twist", 1.0, ""),
+    ("True over scanned radius", "radius_scale", 1.0, ""),
+    ("True over modelled flower motion", "response_gain", 1.0, ""),
+)
+"""Name, attribute of `plant.Material`, factor to the shown unit, unit."""
+
+
+def _learned(results: RunResults) -> str:
+    """Return what was believed of the plant before and after the shake, each with nine in ten."""
+    visit = results.visit
+    if visit is None or visit.believed is None or visit.material is None:
+        return ""
+    if visit.material == visit.believed:
+        return "<p>Nothing: no flower's motion could be measured, or the shake had no one frequency.</p>"
+    rows = [
+        [name, *(_belief(m, attribute, factor, unit) for m in (visit.believed, visit.material))]
+        for name, attribute, factor, unit in LEARNED_ROWS
+    ]
+    why = str((results.summary or {}).get("material_reason") or "")
+    text = f"<p>Believed before: {escape(why)}. The next shake of this plant begins with what is believed after.</p>"
+    return text + _table(["Quantity", "Before (nine in ten)", "After (nine in ten)"], rows)
+
+
+def _belief(material: Material, attribute: str, factor: float, unit: str) -> str:
+    middle, spread = factor * getattr(material, attribute), getattr(material, SPREADS[attribute])
+    low, high = (middle * np.exp(sign * 1.645 * spread) for sign in (-1, 1))
+    return f"{middle:.3g} ({low:.3g} to {high:.3g}) {unit}".strip()
 
 
 def _milli(value: float) -> str:

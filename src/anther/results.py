@@ -18,6 +18,7 @@ from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt
+from anther.store.records import TrialRecord
 from anther.vibration import ShakePlan
 
 
@@ -30,6 +31,7 @@ class RunResults:
         params: what the run was asked for (00_params.json).
         summary: the verdict (trial.json), or None for an offline reconstruction.
         seconds: stage -> time it took [s].
+        visit: what the history keeps of the trial (visit.json).
     """
 
     folder: Path
@@ -45,6 +47,7 @@ class RunResults:
     grasps: tuple[Grasp, ...] = ()
     shake: ShakePlan | None = None
     response: Response | None = None
+    visit: TrialRecord | None = None
 
     @property
     def title(self) -> str:
@@ -108,12 +111,13 @@ def read_run(folder: Path | str) -> RunResults:
     }
     grasps = folder / FILES["grasp"]
     timing = folder / "timing.json"
-    summary = folder / "trial.json"
+    summary, visit = folder / "trial.json", folder / "visit.json"
     return RunResults(
         folder=folder,
         params=read_json(folder / "00_params.json"),
         summary=read_json(summary) if summary.exists() else None,
         seconds=read_json(timing) if timing.exists() else {},
         grasps=tuple(load_grasps(grasps)) if grasps.exists() else (),
+        visit=TrialRecord.of(read_json(visit)) if visit.exists() else None,
         **found,
     )
