@@ -129,7 +129,7 @@ def motion(shake: ShakePlan | None, response: Response | None) -> Figure:
 
 
 def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
-    """Draw predicted amplitude with its interval and measured amplitude, flower by flower."""
+    """Draw predicted amplitude with its interval, and measured amplitude with its deviation or its bound."""
     index = np.arange(len(shake.predicted_amplitude))
     low, high = 1000 * shake.predicted_amplitude_interval.T
     middle = 1000 * shake.predicted_amplitude
@@ -143,9 +143,13 @@ def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
         capsize=3,
         lw=1,
     )
-    axes.bar(index + 0.2, np.nan_to_num(1000 * response.amplitude), 0.38, color=ORANGE, label="measured")
+    found, error, bound = (1000 * x for x in (response.amplitude, response.amplitude_std, response.at_most))
+    axes.bar(index + 0.2, np.nan_to_num(found), 0.38, color=ORANGE, label="measured")
+    axes.errorbar(index + 0.2, found, error, fmt="none", ecolor=INK, capsize=3, lw=1)
+    if np.isfinite(bound).any():
+        axes.plot(index + 0.2, bound, "v", mfc="none", color=ORANGE, label="moved less than this")
     axes.set(xlabel="flower", ylabel="amplitude [mm]", xticks=index, xticklabels=[str(i + 1) for i in index])
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
 
 
 def draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
