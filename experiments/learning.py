@@ -46,7 +46,7 @@ from anther.identification import refine
 from anther.plant import Material, PlantModel, build_plant
 from anther.sim.plant import SimPlant
 from anther.sim.shaken_plant import ShakenPlant
-from anther.store import ShakeRecord, TrialRecord, facts_prior, record_trial, starting_material
+from anther.store import ShakeRecord, TrialRecord, add_missing, facts_prior, starting_material
 from anther.vibration import Params as ShakeParams
 from anther.vibration import ShakePlan, plan_shake
 from anther.vibration.dose import freed_share, set_probability
@@ -170,17 +170,17 @@ def learn(species: Species, seeds: Sequence[int], out: Path, console: Console) -
     history, rows = out / f"{species}.sqlite", []
     history.unlink(missing_ok=True)
     for number, seed in enumerate(track(seeds, species, console=console)):
-        kept = out / f"{species}-{seed}.json"
+        kept, day = out / f"{species}-{seed}.json", BEGIN + timedelta(days=number)
         if not kept.exists():
-            write_json(kept, [asdict(v) for v in visits(species, seed, history)])
+            write_json(kept, [asdict(v) for v in visits(species, seed, history, day)])
         done = [Visit(**row) for row in read_json(kept)]
-        for k, arm in enumerate(ARMS[1:]):
-            record(species, seed, done[ARMS.index(arm)], history, BEGIN + timedelta(days=number, hours=k))
+        for hours, learner in enumerate(done[1:]):
+            record(species, seed, learner, history, day + timedelta(hours=hours))
         rows.append(done)
     return rows
 
 
-def visits(species: Species, seed: int, history: Path) -> list[Visit]:
+def visits(species: Species, seed: int, history: Path, day: datetime) -> list[Visit]:
     """Return one plant's visits in the order of `ARMS`."""
     rng = np.random.default_rng([seed, 7])
     try:
@@ -191,12 +191,13 @@ def visits(species: Species, seed: int, history: Path) -> list[Visit]:
     crop = starting_material(species, f"{seed}", history)
     unlearned = visit(scene, "facts", facts_prior(species), "the facts", rng)
     first = visit(scene, "crop", crop.material, crop.reason, rng)
-    own = Material(**first.after)
-    return [unlearned, first, visit(scene, "plant", own, "its own first shake", rng)]
+    record(species, seed, first, history, day)
+    own = starting_material(species, f"{seed}", history)
+    return [unlearned, first, visit(scene, "plant", own.material, own.reason, rng)]
 
 
 def record(species: str, seed: int, done: Visit, history: Path, time: datetime) -> None:
-    """Keep a visit in the history, as `anther trial` would."""
+    """Keep a visit in the history, once, as `anther trial` would."""
     if done.shake is None:
         return
     amplitude = tuple(float("nan") if m is None else m for m in done.measured)
@@ -211,7 +212,7 @@ def record(species: str, seed: int, done: Visit, history: Path, time: datetime) 
         material=Material(**done.after),
         time=time,
     )
-    record_trial(trial, history)
+    add_missing(trial, history)
 
 
 def summary(rows: Sequence[Visit]) -> dict[str, float]:

@@ -134,6 +134,18 @@ def test_a_crop_teaches_its_gain_and_its_radius() -> None:
     assert learned.scanned_youngs == pytest.approx(TOMATO.youngs)
 
 
+def test_a_plant_keeps_its_stiffness_and_begins_with_the_crops_gain(tmp_path: Path) -> None:
+    where = tmp_path / "h.sqlite"
+    low = told(TOMATO, np.log(3e8), 0.2).changed(response_gain=0.3, response_spread=0.3)
+    record_trial(trial("a", TOMATO, low), where)
+    for k in range(6):
+        other = TOMATO.changed(response_gain=1.0, response_spread=0.3)
+        record_trial(trial(f"{k}", TOMATO, other, hours=k + 1), where)
+    own, crop = (starting_material("tomato", plant, where).material for plant in ("a", "new"))
+    assert own.youngs == pytest.approx(low.youngs)
+    assert own.response_gain == crop.response_gain > 0.6
+
+
 def test_histories_from_before_radius_and_gain_teach_neither(tmp_path: Path) -> None:
     old = material_of({"youngs": 2e8, "youngs_spread": 0.2})
     assert old is not None

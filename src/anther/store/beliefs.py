@@ -58,28 +58,29 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     """Return what to believe of a plant before its next shake.
 
     Only trials that succeeded teach: of a plant held by a leaf, say, the model that learned was wrong. A plant that was
-    shaken, and whose flowers taught something, has its last belief. It is not widened with time: no rate at which stems
-    stiffen was found (facts: pollination, "Not found"); the reason says how old the belief is. Another plant has the
-    crop's prior, learned from all plants of the crop in the history (`crop_prior`), which is the facts' prior as long
-    as nothing was learned.
+    shaken, and whose flowers taught something, has its last belief, but for the gain, which is the crop's: what a
+    plant's flowers do beyond the model at one frequency says little a fifth away from it, and nothing two fifths away
+    (correlations 0.35 and 0.05, docs/learning.md). The belief is not widened with time: no rate at which stems stiffen
+    was found (facts: pollination, "Not found"); the reason says how old it is. Another plant has the crop's prior,
+    learned from all plants of the crop in the history (`crop_prior`), which is the facts' prior as long as nothing was
+    learned.
 
     Raises:
         InputError: the history cannot be read.
     """
-    trials = read_trials(where, species=species, result="success")
-    trials = [t for t in trials if t.taught]
+    trials = [t for t in read_trials(where, species=species, result="success") if t.taught]
     own = [t for t in trials if t.plant == plant]
+    facts, trials = facts_prior(species), [t for t in trials if t.believed is not None]
+    crop, count = crop_prior(trials, facts), len({t.plant for t in trials})
     if own and own[-1].material is not None:
         last = own[-1]
         reason = f"{plant}'s own, learned in {_count(len(own), 'trial')}, the last on {last.time:%Y-%m-%d %H:%M} UTC"
-        return Belief(own[-1].material, "plant", 1, f"{reason} (visit {last.id})")
-    facts = facts_prior(species)
-    trials = [t for t in trials if t.believed is not None]
-    count = len({t.plant for t in trials})
+        material = own[-1].material.changed(response_gain=crop.response_gain, response_spread=crop.response_spread)
+        return Belief(material, "plant", 1, f"{reason} (visit {last.id})")
     if not count:
-        crop = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
-        return Belief(facts, "facts", 0, f"the facts' prior of {crop}; no plant has taught anything yet")
-    return Belief(crop_prior(trials, facts), "crop", count, f"learned from {_count(count, f'other {species} plant')}")
+        known = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
+        return Belief(facts, "facts", 0, f"the facts' prior of {known}; no plant has taught anything yet")
+    return Belief(crop, "crop", count, f"learned from {_count(count, f'other {species} plant')}")
 
 
 def crop_prior(trials: Sequence[TrialRecord], facts: Material) -> Material:
