@@ -15,6 +15,7 @@ from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
 from anther.plant import LEARNED, Material, PlantModel
 from anther.vibration import ShakePlan
+from anther.vibration.params import FLOWER_SPREAD
 from anther.vibration.search import gains, grip_rows, pad_nodes, scenarios
 
 
@@ -24,14 +25,14 @@ class Params:
 
     Attributes:
         members: drawn from the present belief.
-        model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what material
-            and gain explain [-]; 0.4 measured by us on ten simulated plants (docs/learning.md).
+        model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what material and gain
+            explain [-]; `vibration.params.FLOWER_SPREAD`.
         least_members: the evidence is weakened until at least this many members count.
         seed: of the draws.
     """
 
     members: int = 128
-    model_error: float = 0.4
+    model_error: float = FLOWER_SPREAD
     least_members: float = 8.0
     seed: int = 1
 

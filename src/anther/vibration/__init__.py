@@ -17,7 +17,7 @@ from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
 from anther.vibration.choice import Grips, Place, Search, best, closest, grips_of, limit_rows, plant_limits, search
 from anther.vibration.limits import sawyer_limit
-from anther.vibration.params import WAVEFORMS, Params
+from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params
 from anther.vibration.search import Gains, gains, scenarios
 from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan
 from anther.vibration.verification import Shake, Shaken, verified
@@ -46,7 +46,7 @@ def plan_shake(
     over the scenarios, and a scenario in which it would pass a limit of the plant gains nothing, so that a resonance
     that would only help if the stiffness were exactly right is not trusted. The winner is checked by the nonlinear
     solver, whose amplitudes are the prediction, and made smaller where that says a limit is passed; the interval is
-    that of the scenarios.
+    that of the scenarios, widened by how far one flower differs from its plant.
 
     Args:
         plant: from `build_plant`.
@@ -166,6 +166,7 @@ def _check(
     shake, done, notes = _verified(plant, asked, Shaken(size * gain[0], size * jolt[0], {}), least, params)
     span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
     spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)
+    spread = np.exp([-1, 1] * np.hypot(np.log(np.maximum(spread, 1e-6)), 1.645 * FLOWER_SPREAD))
     return _Checked(shake, done.amplitude, done.acceleration, spread, _limits(found, at, shake, done, params), notes)
 
 

@@ -9,6 +9,10 @@ from anther.checks import check_range
 from anther.errors import bad_input
 from anther.vibration.waveforms import SINE, Waveform
 
+FLOWER_SPREAD = 0.5
+"""Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on eleven
+simulated plants (docs/learning.md): how far one flower differs from its plant whatever material and gain."""
+
 
 @dataclass(frozen=True, slots=True)
 class Params:

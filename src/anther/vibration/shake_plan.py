@@ -81,7 +81,8 @@ class ShakePlan:
         waveform: its shape in time; the displacement is `waveform.motion(t, amplitude, frequency, duration)`.
         predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path; of a sweep or burst the
             largest distance from rest [m].
-        predicted_amplitude_interval: (F, 2) what nine scenarios in ten stay between, by the material's spread [m].
+        predicted_amplitude_interval: (F, 2) nine flowers in ten stay between, by the spreads of the material, of
+            the gain, and of one flower about its plant [m].
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
         score: of the objective by linear theory, averaged over the scenarios: flowers that set, or mean flower
