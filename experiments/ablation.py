@@ -7,8 +7,8 @@ the first `--scanned` of each crop, as the pipeline reconstructs them from 30 no
 ("scanned"). One feature at a time is taken away (ablated.py), all else stays. Shaken sideways at three heights of the
 stem at the paper's frequencies and at 3, 5, 10 and 30 Hz; linear theory, so the amplitude of the shake does not count.
 
-Beside it the error against MuJoCo, where the same plants are rigid pieces on sprung hinges and their stems can twist
-(EI/GJ 12; sim/shaken_plant.py), with and without each feature.
+Beside it the error against MuJoCo, where the same plants are rigid pieces of 15 mm or less on sprung hinges that bend
+and twist (EI/GJ 12; sim/shaken_plant.py), with and without each feature.
 
 Keys of the --json file: <true|scanned>_<feature>_<band>_change_median, _change_p90 (of |without / with - 1|),
 _change_signed (median of without / with - 1), _error_median, _error_p90 (of |predicted / MuJoCo - 1|); the feature
@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from ablated import CHANGES
+from finer_plant import divided
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -46,6 +47,10 @@ from anther.vibration.observables import semi_major
 
 HEIGHTS = (0.35, 0.6, 0.85)
 """Grips, in shares of the main stem's length."""
+PIECE = 0.015
+"""Longest rigid piece in MuJoCo [m]."""
+STIFFEST = 1000.0
+"""Its hinges swing this fast at most [Hz]; nothing is stepped through time."""
 FREQUENCIES = np.array(PAPER_FREQUENCIES + FAST_FREQUENCIES)
 BANDS = {"slow": FREQUENCIES < 2} | {f"{f:g}hz": f == FREQUENCIES for f in FAST_FREQUENCIES}
 BAND_WORDS = {"slow": "0.7–1.9 Hz"} | {f"{f:g}hz": f"{f:g} Hz" for f in FAST_FREQUENCIES}
@@ -67,8 +72,9 @@ def one_plant(case: Case, out: Path) -> dict[str, Any]:
     if file.exists():
         return read_json(file)
     plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
-    twisting = Params(plant=plant_mechanics.Params(twist=TWIST))
-    judges = [ShakenPlant(plant, point, DIRECTION, twisting) for point in stem_points(plant, HEIGHTS)]
+    twisting = Params(plant=plant_mechanics.Params(twist=TWIST, piece=PIECE, stiffest=STIFFEST))
+    fine = divided(plant, PIECE)
+    judges = [ShakenPlant(fine, point, DIRECTION, twisting) for point in stem_points(plant, HEIGHTS)]
     points = np.array([judge.point for judge in judges])
     truth = np.array([semi_major(judge.linear(FREQUENCIES)) for judge in judges])
     models = {"true": (true_model(plant, TWIST), np.arange(truth.shape[2]), truth)}
