@@ -40,8 +40,8 @@ HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Grips, in shares of the main stem's length."""
 MIDDLE = 1
 """Of `HEIGHTS`: held there, the plant is shaken by every amplitude."""
-DIRECTION = np.array([0.0, 1.0, 0.0])
-"""Sideways, where the arm can shake farthest (facts: sawyer 6)."""
+DIRECTION = np.array([1.0, 0.0, 0.0])
+"""Along x, as the authors: towards the plant and back. The side camera looks across it."""
 PAPER_FREQUENCIES = (0.7, 1.0, 1.3, 1.6, 1.9)
 """[Hz], the authors' (facts: pollination 0)."""
 FAST_FREQUENCIES = (3.0, 5.0, 10.0, 30.0)
@@ -51,9 +51,11 @@ ARM_SHARE = 0.8
 """Of what the arm can do."""
 LINEAR_FROM = 20.0
 """[Hz]: from here on the plant's linear equations are the truth, see `sim.shaken_plant`."""
-PROBE_HEIGHT, PROBE_FREQUENCY, PROBE_AMPLITUDE = 0, 1.0, 4e-3
+PROBE_HEIGHT, PROBE_FREQUENCY, PROBE_AMPLITUDE = 1, 1.3, 4e-3
 CAMERA_RATE = 15.0
 """Of the side camera, slow for a D455 and enough for a slow probe [Hz]."""
+CAMERA_ERROR = 3e-4
+"""With which a perfect camera, that sees every flower, would measure an amplitude [m] (docs/response.md)."""
 NEAR = 0.02
 """A flower seen this close to a true one is that one [m]."""
 TWIST = 12.0
@@ -110,10 +112,10 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
     i, j = matched(seen.flowers.positions, plant.flower_position)
     grips = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
     points = np.array([grip.point for grip in grips])
-    material, probe = probed(case, model, grips[PROBE_HEIGHT], scene, seen, i=i, j=j)
+    refined, probe = probed(case, model, grips[PROBE_HEIGHT], scene, seen, i=i, j=j)
     shakes = plan(case)
     truth = [_shaken(case, grips[g], a, f) for g, a, f in shakes]
-    models, soft, notes = predictors(case, plant, seen, model, material)
+    models, soft, notes = predictors(case, plant, seen, model, refined)
     frequencies = np.array(case.frequencies)
     predicted: dict[str, Any] = {}
     for name, (predictor, flowers) in models.items():
@@ -126,8 +128,8 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
         "seed": case.seed,
         "flowers": {"true": len(plant.flower_position), "seen": len(seen.flowers.positions), "matched": len(i)},
         "youngs_mpa": {"true": plant.youngs[0] / 1e6, "prior": model.material.youngs / 1e6}
-        | {"probe": material.youngs / 1e6},
-        "damping_ratio": {"true": plant.damping_ratio[0], "probe": material.damping_ratio},
+        | {name: material.youngs / 1e6 for name, material in refined.items()},
+        "damping_ratio": {"true": plant.damping_ratio[0], "probe": refined["probe"].damping_ratio},
         "mass_g": {"true": 1e3 * (plant.mass + plant.lump_mass).sum(), "model": 1e3 * model.rods.node_mass.sum()},
         "paper_soft": soft,
         "probe": probe,
@@ -166,7 +168,7 @@ def plan(case: Case) -> list[tuple[int, float, float]]:
 
 
 def arm_amplitude(frequency: float) -> float:
-    """Return what the Sawyer can shake sideways at a frequency [Hz], with a margin [m]."""
+    """Return what the Sawyer can shake along `DIRECTION` at a frequency [Hz], with a margin [m]."""
     from_the_front = cast(Grasp, SimpleNamespace(approach=np.array([1.0, 0.0, 0.0])))
     return ARM_SHARE * float(sawyer_limit(from_the_front, DIRECTION, np.array([frequency]))[0])
 
@@ -185,26 +187,29 @@ def _twisting(plant: SimPlant, point: Array) -> ShakenPlant:
 
 def probed(
     case: Case, model: PlantModel, grip: ShakenPlant, scene: Scene, seen: Seen, *, i: NDArray[Any], j: NDArray[Any]
-) -> tuple[Material, dict[str, Any]]:
-    """Shake once, measure in the side camera's frames, and return the refined material and what was measured."""
-    camera = replace(grip.params, samples=round(CAMERA_RATE / PROBE_FREQUENCY), measure=2.0)
+) -> tuple[dict[str, Material], dict[str, Any]]:
+    """Shake once; return the material refined from what the side camera measured, or saw perfectly, and the numbers.
+
+    The gain of the response is not refined: far below resonance a flower moves as the grip does, and no gain helps.
+    """
+    camera = replace(grip.params, samples=round(CAMERA_RATE / PROBE_FREQUENCY), measure=1.5)
     shaken = ShakenPlant(grip.plant, grip.point, DIRECTION, camera)
     done = shaken.steady(PROBE_AMPLITUDE, PROBE_FREQUENCY)
     intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
     frames = filmed(scene, shaken, done, pose, case.seed)
     answer = measure_response(frames, intrinsics, pose, seen.flowers, PROBE_FREQUENCY)
     expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([PROBE_FREQUENCY]))[0, 0]
-    shake: Any = SimpleNamespace(
-        grasp=SimpleNamespace(point=grip.point),
-        direction=DIRECTION,
-        amplitude=PROBE_AMPLITUDE,
-        frequency=PROBE_FREQUENCY,
-        predicted_amplitude=PROBE_AMPLITUDE * expected,
-        waveform=SINE,
-    )
-    learned = refine(model, cast(ShakePlan, shake), answer.amplitude, answer.amplitude_std)
+    facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": PROBE_FREQUENCY, "waveform": SINE}
+    place = SimpleNamespace(point=grip.point)
+    shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=PROBE_AMPLITUDE * expected, **facts))
+    believed = replace(model, material=replace(model.material, response_spread=0.0))
+    true, error = np.full(len(expected), np.nan), np.full(len(expected), CAMERA_ERROR)
+    true[i] = done.amplitude[j] + np.random.default_rng(case.seed).normal(0, CAMERA_ERROR, len(j))
+    learned = refine(believed, shake, answer.amplitude, answer.amplitude_std, at_most=answer.at_most)
+    perfect = refine(believed, shake, np.abs(true), error)
     told = {"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]}
-    return learned.material, {**told, "notes": [*answer.notes, *learned.notes]}
+    materials = {"probe": learned.material, "probe, every flower seen": perfect.material}
+    return materials, {**told, "notes": [*answer.notes, *learned.notes]}
 
 
 def filmed(scene: Scene, shaken: ShakenPlant, done: Shaken, pose: Array, seed: int) -> list[Frame]:
@@ -220,7 +225,7 @@ def filmed(scene: Scene, shaken: ShakenPlant, done: Shaken, pose: Array, seed: i
 
 
 def predictors(
-    case: Case, plant: SimPlant, seen: Seen, model: PlantModel, material: Material
+    case: Case, plant: SimPlant, seen: Seen, model: PlantModel, refined: dict[str, Material]
 ) -> tuple[dict[str, tuple[Model, str]], float, list[str]]:
     """Return the models by name, each with whose flowers it has ("seen" or "true").
 
@@ -231,7 +236,7 @@ def predictors(
     scripts, _ = paper_model(seen, case.species, radius, as_scripted=True)
     notes = []
     stiff = {"youngs": float(plant.youngs[0]), "damping_ratio": float(plant.damping_ratio[0])}
-    wanted = {"prior": model.material, "probe": material, "true material": replace(model.material, **stiff)}
+    wanted = {"prior": model.material, **refined, "true material": replace(model.material, **stiff)}
     wanted["true material, no twist"] = replace(wanted["true material"], bend_over_twist=NO_TWIST)
     out = {"paper": (paper, "seen"), "paper as scripted": (scripts, "seen")}
     for name, matter in wanted.items():
