@@ -17,6 +17,7 @@ from vibration_models import PRIOR, Model, Seen, anther_model, paper_model, perc
 
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.devices import Frame
+from anther.elastic_rod import Drive
 from anther.errors import StageFailure
 from anther.files import read_json, write_json
 from anther.geometry import Array
@@ -34,6 +35,8 @@ from anther.sim.shaken_plant import Params, Shaken, ShakenPlant
 from anther.vibration import ShakePlan
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.observables import semi_major
+from anther.vibration.search import grip_rows, pad_nodes
+from anther.vibration.verification import steadily_shaken
 from anther.vibration.waveforms import SINE
 
 HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)
@@ -122,7 +125,12 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
         gain = predictor.response(points, DIRECTION, frequencies)[:, :, j if flowers == "true" else i]
         predicted[name] = [a * gain[g, case.frequencies.index(f)] for g, a, f in shakes]
     twisting = [_twisting(plant, grip.point) for grip in grips]
-    gains = np.array([semi_major(grip.linear(frequencies))[:, j] for grip in twisting])
+    small, gains = (
+        np.array([semi_major(grip.linear(frequencies))[:, j] for grip in some]) for some in (grips, twisting)
+    )
+    middle = len(case.amplitudes) // 2
+    first = [n for n, (g, _, _) in enumerate(shakes) if g == MIDDLE][:: len(case.amplitudes)]
+    checked = [n + middle for n in first] if case.stepped_below >= LINEAR_FROM else []
     return {
         "species": case.species,
         "seed": case.seed,
@@ -137,9 +145,23 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
         "shakes": [{"height": HEIGHTS[g], "amplitude_m": a, "frequency_hz": f} for g, a, f in shakes],
         "unsteadiness": [unsteady for _, unsteady in truth],
         "true_m": [amplitude[j] for amplitude, _ in truth],
+        "linear_m": [a * small[g, case.frequencies.index(f)] for g, a, f in shakes],
         "twisting_m": [a * gains[g, case.frequencies.index(f)] for g, a, f in shakes],
+        "nonlinear_m": {
+            str(k): _nonlinear(model, refined["probe"], points[MIDDLE], *shakes[k][1:])[i] for k in checked
+        },
         "predicted_m": predicted,
     }
+
+
+def _nonlinear(model: PlantModel, material: Material, point: Array, amplitude: float, frequency: float) -> Array:
+    """Return what the nonlinear solver says of every flower's amplitude (F,) [m]; NaN where it finds no solution."""
+    node, also = pad_nodes(model, grip_rows(model, point[None]))[0]
+    drive = Drive(int(node), DIRECTION, amplitude, frequency, 0, (int(also),))
+    try:
+        return steadily_shaken(model.with_material(material), drive).amplitude
+    except StageFailure:
+        return np.full(len(model.flower_nodes), np.nan)
 
 
 def stem_points(plant: SimPlant, shares: tuple[float, ...]) -> Array:
