@@ -9,8 +9,9 @@ as in sight if half of its petals' outline or more is seen from the camera at re
 frame rate hides the shake: the stage must refuse them. One JSON a case is kept under --out.
 
 Keys: in_sight, flowers in the picture and not hidden; measured, how many of them; within, the share of those whose
-amplitude is right within 10 % or 0.3 mm; frequency_within, within 1 %; honest, within two stated deviations; the same
-by true amplitude (_1mm: below 1.5, _3mm: to 5, _12mm: above) and for flowers alone or in groups; blind_refused.
+amplitude is right within 10 % or 0.3 mm; sideways_within, the same of its part across the line of sight;
+frequency_within, within 1 %; honest, within two stated deviations; the same by true amplitude (_1mm: below 1.5, _3mm:
+to 5, _12mm: above), by frequency, and for flowers alone or overlapping others; blind_refused.
 """
 
 from __future__ import annotations
@@ -33,11 +34,13 @@ from rich.table import Table
 
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
 from anther.devices import Frame
+from anther.errors import InputError
 from anther.execution import Params as ExecutionParams
 from anther.execution import choose_rate
 from anther.files import read_json, replacing, write_json
 from anther.flowers import Flowers
 from anther.geometry import Array, inverse, transform_points
+from anther.oscillation import fit_swing
 from anther.response import measure_response
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.depth_noise import noisy_depth
@@ -64,9 +67,11 @@ class Measured:
     """One flower of one shake; amplitudes [m], frequencies [Hz], phases [rad]; None where not measured."""
 
     true: float
+    sideways: float
     in_sight: bool
     alone: bool
     amplitude: float | None
+    seen_sideways: float | None
     deviation: float | None
     frequency: float | None
     asked: float
@@ -105,18 +110,20 @@ def in_sight(plant: SimPlant) -> Array:
     return seen & inside
 
 
-def judge(plant: SimPlant, frames: Sequence[Frame], true: Array, frequency: float, rate: float) -> list[Measured]:
-    """Measure the frames and compare with the true amplitudes (F,) [m]."""
-    count, rng = len(true), np.random.default_rng([plant.seed, 12])
+def judge(plant: SimPlant, frames: Sequence[Frame], true: Shaken, frequency: float, rate: float) -> list[Measured]:
+    """Measure the frames and compare with the true motion."""
+    count, rng = len(true.amplitude), np.random.default_rng([plant.seed, 12])
     flowers = Flowers(plant.flower_position + rng.normal(0, PLACED, (count, 3)), np.zeros(count, dtype=int))
     found = measure_response(frames, CAMERA, layout(USUAL_DISTANCE).T_world_side_camera, flowers, frequency)
     together = {int(k) - 1 for note in found.notes if "overlap" in note for k in re.findall(r"\d+", note)}
     return [
         Measured(
-            true=float(true[k]),
+            true=float(true.amplitude[k]),
+            sideways=_sideways(true.times, true.flowers[:, k], frequency),
             in_sight=bool(sight),
             alone=k not in together,
             amplitude=float(found.amplitude[k]) if found.visible[k] else None,
+            seen_sideways=_sideways(found.times, found.tracks[:, k], frequency) if found.visible[k] else None,
             deviation=float(found.amplitude_std[k]) if found.visible[k] else None,
             frequency=float(found.frequency[k]) if found.visible[k] else None,
             asked=frequency,
@@ -126,6 +133,15 @@ def judge(plant: SimPlant, frames: Sequence[Frame], true: Array, frequency: floa
     ]
 
 
+def _sideways(times: Array, path: Array, frequency: float) -> float:
+    """Return the amplitude of a path (N, 3) across the camera's line of sight [m]; NaN where the rate hides it."""
+    across = (path - np.nanmean(path, axis=0)) @ layout(USUAL_DISTANCE).T_world_side_camera[:3, :3] * [1, 1, 0]
+    try:
+        return fit_swing(times, across, frequency).amplitude
+    except InputError:
+        return float("nan")
+
+
 def case(job: tuple[Species, int, float, float, float], out: Path) -> list[Measured]:
     """Return one shake's flowers: (species, seed, amplitude, frequency, rate); read from `out` if done before."""
     species, seed, amplitude, frequency, rate = job
@@ -133,7 +149,7 @@ def case(job: tuple[Species, int, float, float, float], out: Path) -> list[Measu
     if not kept.exists():
         plant = grow(species, seed, 0.0, USUAL_DISTANCE)
         frames, done = film(plant, amplitude, frequency, rate, seed)
-        write_json(kept, [asdict(row) for row in judge(plant, frames, done.amplitude, frequency, rate)])
+        write_json(kept, [asdict(row) for row in judge(plant, frames, done, frequency, rate)])
     return [Measured(**row) for row in read_json(kept)]
 
 
@@ -143,11 +159,14 @@ def summary(rows: Sequence[Measured]) -> dict[str, float]:
     got = [r for r in sight if r.amplitude is not None]
     miss = np.array([abs((r.amplitude or 0) - r.true) for r in got])
     true, deviation = np.array([r.true for r in got]), np.array([r.deviation or 0 for r in got])
+    wide = np.array([r.sideways or 0 for r in got])
+    aside = np.abs(np.array([r.seen_sideways or 0 for r in got]) - wide)
     hertz = np.array([abs((r.frequency or 0) / r.asked - 1) for r in got])
     return {
         "in_sight": len(sight),
         "measured": len(got) / max(len(sight), 1),
         "within": float(np.mean(miss <= np.maximum(0.1 * true, 3e-4))) if got else float("nan"),
+        "sideways_within": float(np.mean(aside <= np.maximum(0.1 * wide, 3e-4))) if got else float("nan"),
         "frequency_within": float(np.mean(hertz <= 0.01)) if got else float("nan"),
         "honest": float(np.mean(miss <= 2 * deviation)) if got else float("nan"),
     }
@@ -193,9 +212,11 @@ def main() -> None:
 
 
 def _table(found: dict[str, float]) -> Table:
-    table = Table("", "in sight", "measured", "within 10 % or 0.3 mm", "frequency within 1 %", "within 2 deviations")
+    table = Table("", "in sight", "measured", "right", "sideways right", "frequency right", "within 2 sd")
     for name in ["", *(key.removesuffix("in_sight") for key in found if key.endswith("_in_sight"))]:
-        shares = [found[f"{name}{key}"] for key in ("measured", "within", "frequency_within", "honest")]
+        shares = [
+            found[f"{name}{key}"] for key in ("measured", "within", "sideways_within", "frequency_within", "honest")
+        ]
         table.add_row(
             name.strip("_") or "all", f"{found[f'{name}in_sight']:.0f}", *(f"{share:.0%}" for share in shares)
         )

@@ -57,7 +57,7 @@ def test_plants_done_are_read_and_taught_again(tmp_path: Path) -> None:
 def measured(true: float, amplitude: float | None, *, in_sight: bool = True) -> response_experiment.Measured:
     seen = amplitude is not None
     return response_experiment.Measured(
-        true, in_sight, True, amplitude, 1e-4 if seen else None, 5.02 if seen else None, 5.0, 60.0
+        true, true, in_sight, True, amplitude, amplitude, 1e-4 if seen else None, 5.02 if seen else None, 5.0, 60.0
     )
 
 

@@ -135,11 +135,21 @@ def cut_patch(
         nothing = np.zeros((2 * half + 1, 2 * half + 1, 4), np.float32)
         return Patch(nothing[..., :3], nothing[..., 3], centre, radius)
     away = np.hypot(*np.meshgrid(*(np.arange(-half, half + 1) + centre[a] - pixel[a] for a in (0, 1))))
-    red, green, blue = np.moveaxis(frame.rgb[box].astype(np.float32), 2, 0)
-    leafy = (2 * green - red - blue) / (red + green + blue + 1) > LEAFY
     near = np.abs(frame.depth[box] - depth) < gap
-    own = ((near & ~leafy) | ((petals[box] > 0.3) & (near | (frame.depth[box] == 0)))) & (away < 1.4 * radius)
+    own = (near & ~_leafy(frame.rgb[box])) | ((petals[box] > 0.3) & (near | (frame.depth[box] == 0)))
+    own &= away < 1.4 * radius
     return Patch(image[box], (own * np.exp(-0.5 * (away / radius) ** 2)).astype(np.float32), centre, radius)
+
+
+def _leafy(rgb: NDArray[Any]) -> NDArray[np.bool_]:
+    red, green, blue = np.moveaxis(rgb.astype(np.float32), 2, 0)
+    return (2 * green - red - blue) / (red + green + blue + 1) > LEAFY
+
+
+def flower_weight(frame: Frame, petals: Image, nearest: float, farthest: float) -> Image:
+    """Return (H, W) in 0..1 how much a pixel looks like a flower: as a petal or, half as much, not green at a depth."""
+    pale = (frame.depth >= nearest) & (frame.depth <= farthest) & ~_leafy(frame.rgb)
+    return np.maximum(petals, 0.5 * pale).astype(np.float32)
 
 
 def seek(images: Sequence[Image], patch: Patch, places: Array, reach: int, worst: float) -> Array:

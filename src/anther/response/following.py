@@ -19,6 +19,7 @@ from anther.flower_tracking import (
     centre_of_petals,
     common_shift,
     cut_patch,
+    flower_weight,
     follow,
     patch_depth,
     petal_weight,
@@ -107,10 +108,14 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
     pixels, per_metre = intrinsics.project(rest), intrinsics.fx / rest[:, 2]
     gate = rest[:, 2].min() - params.depth_gate, rest[:, 2].max() + params.depth_gate
     petals = [petal_weight(frame, *gate) for frame in frames]
-    fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in petals]
+    alike = [flower_weight(frame, w, *gate) for frame, w in zip(frames, petals, strict=True)]
+    fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in alike]
     first = int(np.argmax([fit for fit, _ in fits]))
     radius = params.flower_radius * per_metre
-    pixels = np.array([_settled(petals[first], p, r) for p, r in zip(pixels + fits[first][1], radius, strict=True)])
+    pixels = pixels + fits[first][1]
+    crowd = np.concatenate([np.zeros(0, int), *_overlapping(pixels, params.crowd * radius, np.arange(len(pixels)))])
+    for k in np.setdiff1d(np.arange(len(pixels)), crowd):  # in a crowd the petals' centre is that of the crowd
+        pixels[k] = _settled(petals[first], pixels[k], float(radius[k]))
     images = [smoothed(frame) for frame in frames]
 
     def patches(size: float) -> list[Patch]:

@@ -20,6 +20,7 @@ class Params:
         depth_share: of the frames in which depth must be sure; else only the sideways motion is measured.
         least_cover: a flower's own pixels must cover this share of its disc, or else it counts as hidden.
         overlap: flowers closer than this many flower radii in the image may be mixed up.
+        crowd: flowers closer than this many are looked for where they should be, not where the petals' middle is.
         member_spread: standard deviation that this adds to their amplitudes, relative.
         depthless: standard deviation of the whole amplitude relative to its sideways part, where depth is not sure.
         depth_error: relative standard deviation of motion in depth: sensors mix a small thing's depth with what is
@@ -46,8 +47,9 @@ class Params:
     depth_reach: float = 0.025
     depth_share: float = 0.8
     least_cover: float = 0.12
-    overlap: float = 1.0
-    member_spread: float = 0.2
+    overlap: float = 1.5
+    crowd: float = 2.0
+    member_spread: float = 0.15
     depthless: float = 0.2
     depth_error: float = 0.2
     likeness: float = 0.6
