@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import track
 from vibration_figures import draw
-from vibration_plant import Case, one_plant
+from vibration_plant import FAST_FREQUENCIES, PAPER_FREQUENCIES, Case, one_plant
 from vibration_table import metrics, report
 
 from anther.commands.simulated_cell import Species
@@ -45,8 +45,8 @@ def chosen(args: argparse.Namespace) -> list[Case]:
 
 
 def brief(species: Species, seed: int) -> Case:
-    """Return a plant shaken at two of the authors' frequencies by three amplitudes; from 3 Hz on linear."""
-    return Case(species, seed, (1.0, 1.6, 3.0, 5.0, 10.0, 30.0), (4e-3, 8e-3, 12e-3), stepped_below=2.0)
+    """Return a plant whose truth is linear, with fewer amplitudes."""
+    return Case(species, seed, PAPER_FREQUENCIES + FAST_FREQUENCIES, (4e-3, 8e-3, 12e-3), stepped_below=0.0)
 
 
 def _plant(word: str) -> tuple[Species, int]:

@@ -109,8 +109,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     out: dict[str, float] = {
         "plants": len(rows),
         "flowers": sum(row["flowers"]["matched"] for row in rows),
-        "unsteadiness_median": float(np.median([u for row in rows for u in row["unsteadiness"]])),
-    }
+    } | checks(rows)
     for band in BANDS:
         for model in dict.fromkeys(MODELS + CAUSES):
             scores = [s for row in rows if (s := score(row, model, band))]
@@ -121,6 +120,24 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
             out |= _named(twisting, "true plant, twisting judge", band)
     out["paper_buckles"] = sum(row["paper_soft"] > 1 for row in rows)
     return out
+
+
+def checks(rows: Sequence[Row]) -> dict[str, float]:
+    """Return how steady the shakes that were stepped are, and how far linear theory is from them and in the rods."""
+    stepped, rods = [], []
+    for row in rows:
+        true, small = np.array(row["true_m"]), np.array(row["linear_m"])
+        stepped += [np.abs(small[k] / true[k] - 1) for k, u in enumerate(row["unsteadiness"]) if u > 0]
+        said = row["predicted_m"].get("probe", ())
+        rods += [np.abs(np.array(said[int(k)]) / np.array(v, dtype=float) - 1) for k, v in row["nonlinear_m"].items()]
+    out: dict[str, float] = {}
+    for name, parts in (("linear_truth", stepped), ("linear_rods", rods)):
+        values = np.concatenate([np.zeros(0), *parts])
+        values = values[np.isfinite(values)]
+        if len(values):
+            out |= {f"{name}_median": float(np.median(values)), f"{name}_p90": float(np.quantile(values, 0.9))}
+    shaky = [u for row in rows for u in row["unsteadiness"] if u > 0]
+    return out | ({"unsteadiness_median": float(np.median(shaky))} if shaky else {})
 
 
 def _named(scores: Sequence[Score], model: str, band: str) -> dict[str, float]:

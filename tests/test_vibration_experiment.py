@@ -36,6 +36,8 @@ def row(said: Any, seed: int = 0) -> dict[str, Any]:
         "unsteadiness": [0.01] * len(shakes),
         "true_m": true,
         "twisting_m": 2 * true,
+        "linear_m": 1.1 * true,
+        "nonlinear_m": {},
         "predicted_m": {"paper": said(true), "probe": true, "true plant": true},
     }
 
@@ -58,6 +60,7 @@ def test_a_model_that_turns_the_trend_over_location_round_is_caught() -> None:
     assert numbers["reversed_trends_probe"] == 0
     assert numbers["error_true_plant_twisting_judge"] == pytest.approx(0.5)
     assert numbers["paper_buckles"] == 2
+    assert numbers["linear_truth_median"] == pytest.approx(0.1)
 
 
 def test_a_model_without_a_prediction_has_no_score_and_no_row_in_the_report() -> None:
