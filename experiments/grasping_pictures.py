@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from anther.arm import sawyer
 from anther.capture import Capture
@@ -77,12 +78,16 @@ def sheet(pictures: Sequence[tuple[Path, str, bool]], columns: int, path: Path) 
     Args:
         pictures: (picture, words, success) of each.
         columns: tiles a row.
-        path: of the PNG; colours are cut to 16 steps so that it stays small.
+        path: of the PNG, of 96 colours so that it stays small.
     """
     tiles = [_labelled(*picture) for picture in pictures]
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
-    _write(path, np.vstack(rows) // 16 * 16)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
+        Image.fromarray(np.vstack(rows)).quantize(96, dither=Image.Dither.NONE).save(
+            temporary, format="PNG", optimize=True
+        )
 
 
 def _labelled(picture: Path, words: str, success: bool) -> NDArray[Any]:
