@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, StrMethodFormatter
 from vibration_plant import HEIGHTS
 from vibration_table import BANDS, Row, location, score, shakes_in
 
@@ -66,8 +67,10 @@ def locations(rows: Sequence[Row]) -> Figure:
                 label = "MuJoCo" if name == "true" else SHOWN[name]
                 axes.plot(HEIGHTS, values / size, style, ms=3.5, lw=1, color=COLOURS[name], label=label)
             axes.set_yscale("log")
+            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
             axes.set_title(f"{row['species']} {row['seed']}, {f:g} Hz", fontsize=8)
-            axes.tick_params(labelsize=7)
+            axes.tick_params(which="both", labelsize=7)
         line[0].set_ylabel("flowers / grip", fontsize=8)
     for axes in panels[-1]:
         axes.set_xlabel("held at (share of stem)", fontsize=8)

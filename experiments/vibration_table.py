@@ -123,7 +123,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
 
 
 def checks(rows: Sequence[Row]) -> dict[str, float]:
-    """Return how steady the shakes that were stepped are, and how far linear theory is from them and in the rods."""
+    """Return how steady and how linear the shakes that were stepped are, and how far the rods are from linear."""
     stepped, rods = [], []
     for row in rows:
         true, small = np.array(row["true_m"]), np.array(row["linear_m"])
@@ -137,7 +137,22 @@ def checks(rows: Sequence[Row]) -> dict[str, float]:
         if len(values):
             out |= {f"{name}_median": float(np.median(values)), f"{name}_p90": float(np.quantile(values, 0.9))}
     shaky = [u for row in rows for u in row["unsteadiness"] if u > 0]
-    return out | ({"unsteadiness_median": float(np.median(shaky))} if shaky else {})
+    if shaky:
+        straight = np.concatenate([_straightness(row) for row in rows])
+        out |= {"unsteadiness_median": float(np.median(shaky)), "linearity_r_least": float(straight.min())}
+    return out
+
+
+def _straightness(row: Row) -> Array:
+    """Return Pearson's r between shaking and true amplitude of each flower at each frequency that was stepped."""
+    held = {
+        f: [] for f, u in zip((s["frequency_hz"] for s in row["shakes"]), row["unsteadiness"], strict=True) if u > 0
+    }
+    for k, shake in enumerate(row["shakes"]):
+        if shake["frequency_hz"] in held and shake["height"] == HEIGHTS[MIDDLE]:
+            held[shake["frequency_hz"]].append(k)
+    size, true = np.array([shake["amplitude_m"] for shake in row["shakes"]]), np.array(row["true_m"])
+    return np.array([correlation(size[k], swing) for k in held.values() for swing in true[k].T])
 
 
 def _named(scores: Sequence[Score], model: str, band: str) -> dict[str, float]:
@@ -164,6 +179,9 @@ def report(rows: Sequence[Row]) -> str:
     if len(rows) > 2:
         parts.append(f"### All {len(rows)} plants\n\nMeans over the plants (worst plant).\n\n{_table(rows)}")
         parts.append(f"### Where the error comes from\n\n{_causes(rows)}")
+        parts.append(
+            f"### By crop, and by how much farther than the grip a flower swings (0.7–1.9 Hz)\n\n{_splits(rows)}"
+        )
     return "\n\n".join(parts)
 
 
@@ -189,6 +207,9 @@ WORDS = {
     "true plant, no twist": "true geometry and material, no twist",
 }
 HEADS = ("model", "Hz", "r over amplitude", "r over location", "mean error (median)", "bias", "reversed")
+CROPS = ("tomato", "pepper")
+GAINS = ((0.0, 0.8), (0.8, 1.5), (1.5, 3.0), (3.0, np.inf))
+"""Ranges of true flower amplitude over grip amplitude."""
 BAND_WORDS = {"paper": "0.7–1.9", "fast": "3–10", "flowers": "30"}
 
 
@@ -231,6 +252,28 @@ def _causes(rows: Sequence[Row]) -> str:
         twisting = _both(rows, model, "paper", "twisting_m")
         lines.append((WORDS[model], *cells, twisting))
     return rows_of(("model", *(f"{hz} Hz" for hz in BAND_WORDS.values()), "0.7–1.9 Hz, twisting judge"), lines)
+
+
+def _splits(rows: Sequence[Row]) -> str:
+    """Return the table of errors below 2 Hz by crop, and by how much the flower swings more than the grip."""
+    lines = []
+    for model in (m for m in dict.fromkeys(MODELS + CAUSES) if any(m in row["predicted_m"] for row in rows)):
+        crops = [_both([r for r in rows if r["species"] == crop], model, "paper", "true_m") for crop in CROPS]
+        parts = [part for row in rows if model in row["predicted_m"] for part in [_gains(row, model)] if len(part[0])]
+        gain, error = (np.concatenate(values) for values in zip(*parts, strict=True))
+        some = [error[(gain >= low) & (gain < high)] for low, high in GAINS]
+        cells = [f"{part.mean():.0%} ({np.median(part):.0%})" if len(part) else "–" for part in some]
+        lines.append((WORDS[model], *crops, *cells))
+    shares = [f"gain {low:g}–{high:g}" if np.isfinite(high) else f"gain over {low:g}" for low, high in GAINS]
+    return rows_of(("model", *CROPS, *shares), lines)
+
+
+def _gains(row: Row, model: str) -> tuple[Array, Array]:
+    """Return true flower amplitudes per grip amplitude, and relative errors, of all shakes and flowers below 2 Hz."""
+    k = shakes_in(row, "paper").rows
+    true, said = np.array(row["true_m"])[k], np.array(row["predicted_m"][model])[k]
+    size = np.array([shake["amplitude_m"] for shake in row["shakes"]])[k, None]
+    return (true / size).ravel(), np.abs(said / true - 1).ravel()
 
 
 def _both(rows: Sequence[Row], model: str, band: str, truth: str) -> str:
