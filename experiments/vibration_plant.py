@@ -124,7 +124,11 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
     frequencies = np.array(case.frequencies)
     predicted: dict[str, Any] = {}
     for name, (predictor, flowers) in models.items():
-        gain = predictor.response(points, DIRECTION, frequencies)[:, :, j if flowers == "true" else i]
+        try:
+            gain = predictor.response(points, DIRECTION, frequencies)[:, :, j if flowers == "true" else i]
+        except StageFailure as failure:
+            notes.append(f"{name}: {failure}")
+            continue
         predicted[name] = [a * gain[g, case.frequencies.index(f)] for g, a, f in shakes]
     twisting = [_twisting(plant, grip.point) for grip in grips]
     small, gains = (
