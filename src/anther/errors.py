@@ -46,6 +46,10 @@ class StageFailure(AntherError):
         super().__init__(message)
         self.kind: FailureKind = kind
 
+    def __reduce__(self) -> tuple[type[StageFailure], tuple[FailureKind, str]]:
+        """Pickle with both arguments: a failure in a worker process reaches the one that waits for it."""
+        return type(self), (self.kind, str(self))
+
 
 def bad_input(what: str, *, given: object, allowed: str, do: str) -> InputError:
     """Return an `InputError` that says what was given, what is allowed and what to do next."""
