@@ -56,8 +56,8 @@ def edge_radii(skeleton: Skeleton, stem: Stem, *, branch_share: float, least: fl
     """
     node = np.maximum(_smooth(skeleton, stem), least)
     node[stem.node_ids] = _stem_taper(stem, skeleton.radius, least)
-    edge, rib = node.copy(), _ribs(skeleton, stem)
-    on_stem, heir = _on_main_stem(stem, len(node)), _heirs(skeleton)
+    edge, beyond = node.copy(), _way_to_tip(skeleton)
+    rib, heir, on_stem = _ribs(skeleton, stem, beyond), _heirs(skeleton, beyond), _on_main_stem(stem, len(node))
     for j in range(1, len(node)):
         p = int(skeleton.parent[j])
         if on_stem[j] and on_stem[p]:
@@ -152,9 +152,9 @@ def _stalk(skeleton: Skeleton, position: Array, base: int, length: float, pieces
     return start + np.concatenate([bridge, pedicel])[:, None] * unit
 
 
-def _heirs(skeleton: Skeleton) -> NDArray[Any]:
+def _heirs(skeleton: Skeleton, beyond: Array) -> NDArray[Any]:
     """Return (J,) the child of each node that carries the longest way to a tip; -1 at a tip."""
-    beyond, heir = _way_to_tip(skeleton), np.full(len(skeleton.nodes), -1)
+    heir = np.full(len(skeleton.nodes), -1)
     for p, j in skeleton.edges.tolist():
         if heir[p] < 0 or beyond[j] + _length(skeleton, j) > beyond[heir[p]] + _length(skeleton, int(heir[p])):
             heir[p] = j
@@ -171,9 +171,9 @@ def in_blade(skeleton: Skeleton, stem: Stem) -> NDArray[np.bool_]:
     return blade
 
 
-def _ribs(skeleton: Skeleton, stem: Stem) -> Array:
+def _ribs(skeleton: Skeleton, stem: Stem, beyond: Array) -> Array:
     """Return (J,) the largest share of its parent's radius a node may have: 1, and less and less in a blade."""
-    beyond, share = _way_to_tip(skeleton), np.ones(len(skeleton.nodes))
+    share = np.ones(len(skeleton.nodes))
     for j in np.flatnonzero(in_blade(skeleton, stem)).tolist():
         share[j] = beyond[j] / (beyond[j] + _length(skeleton, j))
     return share
