@@ -24,6 +24,7 @@ from anther.response import Response, measure_response
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
 T_WORLD_CAM = look_at([0.72, -0.55, 0.1], [0.72, 0.0, 0.1])
 REST = np.array([[0.70, 0.0, 0.12], [0.722, 0.01, 0.11], [0.75, -0.01, 0.09]])
+DIRECTION = np.array([0.8, 0.3, 0.52]) / np.linalg.norm([0.8, 0.3, 0.52])
 FINE = 4  # drawn this many times finer, so that petals move by fractions of a pixel
 
 
@@ -53,12 +54,11 @@ def record(
 ) -> list[Frame]:
     rng = np.random.default_rng(0)
     rate = choose_rate(frequency, ExecutionParams().rates)
-    direction = np.array([0.8, 0.3, 0.52]) / np.linalg.norm([0.8, 0.3, 0.52])
     gain = np.array([1.0, 0.5, 1.5])[:, None]
     frames = []
     for i in range(count):
         shift = amplitude * np.sin(2 * np.pi * frequency * i / rate + 0.4)
-        frames.append(draw(REST + 0.002 + gain * shift * direction, i / rate, rng, colour))
+        frames.append(draw(REST + 0.002 + gain * shift * DIRECTION, i / rate, rng, colour))
     return frames
 
 
@@ -105,10 +105,12 @@ def test_flowers_that_overlap_in_the_view_are_told_apart_and_said_to_be_unsure()
 
 def test_phase_and_frequency_come_with_deviations() -> None:
     response = measure_response(record(0.003, 5.0), CAMERA, T_WORLD_CAM, flowers(), 5.0)
-    miss = np.mod(response.phase - 0.4 + np.pi, 2 * np.pi) - np.pi
-    assert np.all(np.abs(miss) < np.maximum(3 * response.phase_std, 0.05))
+    along = response.direction @ DIRECTION
+    miss = np.mod(response.phase - np.where(along > 0, 0.4, 0.4 + np.pi) + np.pi, 2 * np.pi) - np.pi
+    assert np.all(np.abs(along) > 0.9)
+    assert np.all(np.abs(miss) < 3 * response.phase_std)
     assert np.all(np.abs(response.frequency - 5.0) < np.maximum(3 * response.frequency_std, 0.01))
-    assert np.all((response.phase_std < 0.1) & (response.frequency_std < 0.05))
+    assert np.all((response.phase_std < 0.15) & (response.frequency_std < 0.05))
 
 
 def test_a_frame_rate_that_hides_the_shake_is_refused_with_the_reason() -> None:

@@ -23,7 +23,7 @@ from anther.response.params import Params
 
 __all__ = ["Params", "Response", "measure_response"]
 
-SCHEMA = 2
+SCHEMA = 3
 DEFAULTS = Params()
 
 
@@ -38,7 +38,9 @@ class Response:
         amplitude_std: (F,) its standard deviation [m].
         frequency: (F,) of the swing [Hz].
         frequency_std: (F,) its standard deviation [Hz] (Rife & Boorstyn 1974, the bound that least squares reaches).
-        phase: (F,) of the swing at the clock's zero, along its main direction [rad]; see `oscillation.Swing.phase`.
+        direction: (F, 3) unit vector along which it swung most, world; without what the camera could not see of it.
+        phase: (F,) [rad] of the swing along `direction`: sin(2 pi f t + phase), f the shake's frequency, t the cameras'
+            clock. Where the flower moves on an ellipse, other directions have other phases.
         phase_std: (F,) its standard deviation [rad].
         acceleration_peak: (F,) amplitude x (2 pi frequency)^2 [m/s2].
         at_most: (F,) where a flower was followed but moved less than can be told: that least amplitude [m].
@@ -56,6 +58,7 @@ class Response:
     phase_std: Array
     acceleration_peak: Array
     at_most: Array
+    direction: Array
     visible: NDArray[Any]
     notes: tuple[str, ...] = ()
 
@@ -64,13 +67,15 @@ class Response:
         object.__setattr__(self, "times", check_array("response times", self.times, (frames,)))
         tracks = check_array("response tracks", self.tracks, (frames, flowers, 3), finite=False)
         object.__setattr__(self, "tracks", tracks)
-        for name in _Motion._fields:
+        direction = check_array("response direction", self.direction, (flowers, 3), finite=False)
+        object.__setattr__(self, "direction", direction)
+        for name in _NUMBERS:
             object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
         object.__setattr__(self, "visible", check_array("visible", self.visible, (flowers,), dtype="bool"))
 
     def save(self, path: Path | str) -> None:
         """Write the response to an .npz."""
-        values = {name: getattr(self, name) for name in ("times", "tracks", "visible", *_Motion._fields)}
+        values = {name: getattr(self, name) for name in ("times", "tracks", "direction", "visible", *_NUMBERS)}
         write_npz(path, "response", SCHEMA, notes=json.dumps(self.notes), **values)
 
     @classmethod
@@ -118,7 +123,7 @@ def measure_response(
     times = np.array([f.time for f in frames])
     rest = transform_points(inverse(T), flowers.positions)
     found, mixed, remarks = follow_flowers(frames, intrinsics, rest, frequency_hint, params)
-    tracks, numbers = np.full((len(frames), len(rest), 3), np.nan), np.full((len(rest), len(_Motion._fields)), np.nan)
+    tracks, motions = np.full((len(frames), len(rest), 3), np.nan), [_UNSEEN] * len(rest)
     for one in found:
         who = np.array([one.flower])
         tracks[:, one.flower] = one.track @ T[:3, :3].T + T[:3, 3]
@@ -126,14 +131,15 @@ def measure_response(
         if isinstance(measured, str):
             remarks.append((measured, who))
             continue
-        numbers[one.flower] = measured
+        motions[one.flower] = measured._replace(direction=T[:3, :3] @ measured.direction)
         if np.isfinite(measured.at_most):
             remarks.append((f"{_FAINT} (about {1000 * measured.at_most:.1f} mm)", who))
         elif not one.deep:
             remarks.append(("no sure depth: motion towards the camera is left out", who))
-    values = dict(zip(_Motion._fields, numbers.T, strict=True))
-    visible = np.isfinite(values["amplitude"])
-    return Response(times, tracks, **values, visible=visible, notes=(*_overlaps(mixed), *_merged(remarks)))
+    values = {name: np.array([getattr(motion, name) for motion in motions], dtype=float) for name in _NUMBERS}
+    direction = np.array([motion.direction for motion in motions]).reshape(-1, 3)
+    visible, notes = np.isfinite(values["amplitude"]), (*_overlaps(mixed), *_merged(remarks))
+    return Response(times, tracks, **values, direction=direction, visible=visible, notes=notes)
 
 
 def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
@@ -153,6 +159,7 @@ _FAINT = "moved less than the camera can tell"
 class _Motion(NamedTuple):
     """What `Response` says of one flower."""
 
+    direction: Array
     amplitude: float
     amplitude_std: float
     frequency: float
@@ -163,7 +170,8 @@ class _Motion(NamedTuple):
     at_most: float
 
 
-_UNSEEN = _Motion(*[float("nan")] * len(_Motion._fields))
+_NUMBERS = tuple(name for name in _Motion._fields if name != "direction")
+_UNSEEN = _Motion(np.full(3, np.nan), *[float("nan")] * len(_NUMBERS))
 
 
 def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion | str:
@@ -193,12 +201,13 @@ def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion
     mixed = params.member_spread * amplitude if one.mixed else 0.0
     spread = float(np.linalg.norm([noise, mixed, towards, np.hypot(amplitude, unseen) - amplitude]))
     return _Motion(
+        direction=swing.direction,
         amplitude=amplitude,
         amplitude_std=spread,
         frequency=frequency,
         frequency_std=float(np.sqrt(3) / np.pi * noise / amplitude / span),
         phase=swing.phase,
-        phase_std=noise / amplitude,
+        phase_std=float(np.hypot(noise / amplitude, params.phase_error)),
         acceleration_peak=amplitude * (2 * np.pi * frequency) ** 2,
         at_most=float("nan"),
     )
