@@ -33,6 +33,8 @@ class Params:
         elevations: of the camera above its target [degrees].
         azimuth_step: of the viewpoints tried [degrees].
         widest: greatest azimuth, to either side of the arm [degrees].
+        first: azimuth and elevation near which the spread of directions begins [degrees]; None is the arm's side. It
+            decides how evenly few views lie, and how short their tour can be.
         height_shares: at which share of the region's height each elevation aims.
         dwell: standing still for each image [s], for a camera that is asked for a frame when the arm has come to rest;
             None is as long as a camera that runs freely needs for a sharp one, see `sharpness`.
@@ -44,6 +46,7 @@ class Params:
     elevations: tuple[float, ...] = (-5.0, 15.0, 35.0, 55.0)
     azimuth_step: float = 7.5
     widest: float = 180.0
+    first: tuple[float, float] | None = None
     height_shares: tuple[float, ...] = (0.4, 0.65, 0.45, 0.6)
     dwell: float | None = None
     camera: sharpness.Params = field(default_factory=sharpness.Params)
@@ -103,9 +106,10 @@ class Viewpoints:
         """(V, 4, 4) camera poses, each by its first branch."""
         return sawyer.forward(np.array([choices[0] for choices in self.branches])) @ self.T_flange_cam
 
-    def spread(self, count: int) -> list[int]:
-        """Return up to `count` of the views, each the farthest in direction from those before it."""
-        return _spread(_unit_rays(np.stack([self.azimuth, self.elevation], axis=1)), count)
+    def spread(self, count: int, first: tuple[float, float] | None = None) -> list[int]:
+        """Return up to `count` of the views, each the farthest in direction from those before; see `Params.first`."""
+        rays = _unit_rays(np.stack([self.azimuth, self.elevation], axis=1))
+        return _spread(rays, count, np.array([1.0, 0, 0]) if first is None else _unit_rays(np.array([first]))[0])
 
 
 def plan_views(
@@ -138,7 +142,7 @@ def plan_views(
     planner = _planner(region, boxes, start, motion)
     viewpoints = _reachable(region, planner, params, check_transform("T_flange_cam", T_flange_cam))
     begin = np.asarray(start, dtype=np.float64)
-    return _visit(viewpoints, viewpoints.spread(params.count), planner, begin, params, region)
+    return _visit(viewpoints, viewpoints.spread(params.count, params.first), planner, begin, params, region)
 
 
 def reachable_views(
@@ -273,9 +277,9 @@ def _unit_rays(directions: Array) -> Array:
     )
 
 
-def _spread(rays: Array, count: int) -> list[int]:
-    """Return up to `count` indices of rays (V, 3), each the farthest from those before it."""
-    chosen = [int(np.argmax(rays[:, 0]))]
+def _spread(rays: Array, count: int, first: Array) -> list[int]:
+    """Return up to `count` indices of rays (V, 3): the nearest to `first` (3,), each next the farthest from those."""
+    chosen = [int(np.argmax(rays @ first))]
     distance = np.linalg.norm(rays - rays[chosen[0]], axis=1)
     while len(chosen) < min(count, len(rays)):
         chosen.append(int(np.argmax(distance)))
