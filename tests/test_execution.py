@@ -47,7 +47,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert np.all(trial.phase_times[:, 1] >= trial.phase_times[:, 0])
     assert np.all(np.diff(trial.phase_times[:, 0]) >= 0)
     assert seen == [(i, len(PHASES)) for i in range(len(PHASES))]
-    assert gripper.commands == [Params().opening, pytest.approx(0.008 - Params().squeeze), Params().opening]
+    assert gripper.commands == pytest.approx([Params().opening, 0.0085, 0.008, 0.0075, Params().opening])
     away = sawyer.forward(arm.joints())[:3, 3]
     assert away == pytest.approx(GRASP.pregrasp(Params().stand_off)[:3, 3], abs=1e-4)
     assert len(trial.frames) == len(trial.frame_times) > 8
@@ -88,14 +88,24 @@ def test_a_wrong_grip_is_let_go(width: float, kind: str) -> None:
     assert trial.phases[-1] == "retreat"
 
 
-def test_a_stem_thinner_than_it_looked_is_closed_upon_in_steps() -> None:
-    gripper = FakeGripper(0.005)
+class SoftStem(FakeGripper):
+    """Presses with 4 N for each millimetre that it is closed further than the stem is wide."""
+
+    def state(self) -> GripperState:
+        force = 4e3 * max(self.width - self.commands[-1], 0) if self.opening <= self.width else 0.0
+        return GripperState(self.opening, force, force > 1)
+
+
+@pytest.mark.parametrize("width", [0.0031, 0.0078, 0.011])
+def test_the_pads_close_in_steps_and_press_no_more_than_they_need(width: float) -> None:
+    gripper, params = SoftStem(width), Params()
     trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
     assert trial.finished
-    closing = [w for w in gripper.commands if w < Params().opening]
-    assert len(closing) > 1
+    closing = [w for w in gripper.commands if w < params.opening]
     assert np.all(np.diff(closing) < 0)
-    assert trial.gripper[0, 0] == pytest.approx(0.005)
+    assert trial.gripper[0, 0] == pytest.approx(width)
+    assert trial.gripper[0, 1] >= params.hold
+    assert trial.gripper[0, 1] < params.hold + 4e3 * params.step or len(closing) == 1
 
 
 @pytest.mark.parametrize("when", range(5))

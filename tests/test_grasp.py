@@ -12,7 +12,8 @@ from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import Grasp, Gripper, Params, load_grasps, plan_grasps, save_grasps
 from anther.grasp.candidates import branch_directions, directions_across, flange_pose, paper_approach, paper_grasp_arc
-from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance
+from anther.grasp.clearance import BRANCH as PETIOLE
+from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
 from anther.grasp.paper import paper_grasp
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
@@ -228,7 +229,7 @@ def test_branch_directions_point_outward():
 )
 def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance):
     gripper = Gripper(body=())
-    ball = Surroundings(np.array([point]), np.zeros(1), np.array([OBSTACLE]))
+    ball = Surroundings(np.array([point]), np.zeros(1), np.array([OBSTACLE]), np.zeros(1))
     met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
     assert met.distance.shape == (1, KINDS)
     assert met.distance[0, OBSTACLE] == pytest.approx(distance, abs=1e-5)
@@ -237,12 +238,31 @@ def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance)
 
 def test_the_whole_way_in_counts():
     """A ball that the gripper's body passes on the way is met although the gripper at the grasp is clear of it."""
-    gripper, ball = Gripper(), Surroundings(np.array([[0.0, 0.05, -0.09]]), np.zeros(1), np.array([OBSTACLE]))
-    pose = np.eye(4)[None]
+    gripper, pose = Gripper(), np.eye(4)[None]
+    ball = Surroundings(np.array([[0.0, 0.05, -0.09]]), np.zeros(1), np.array([OBSTACLE]), np.zeros(1))
     at_end = clearance(pose, ball, gripper.boxes(0.0), gripper.closing(), touch=0.002)
     on_way = clearance(pose, ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
     assert at_end.distance[0, OBSTACLE] > 0.02
     assert on_way.distance[0, OBSTACLE] < 0
+
+
+@given(depth=st.floats(-0.01, 0.007), stiffness=st.floats(0, 1e-6))
+def test_what_is_pushed_aside_pushes_back(depth, stiffness):
+    """A petiole's ball `depth` inside a finger, which is 15 mm thick, moves by that and the margin."""
+    gripper = Gripper(body=())
+    ball = Surroundings(
+        np.array([[0, gripper.stroke / 2 + depth, 0.1]]), np.zeros(1), np.array([PETIOLE]), np.array([stiffness])
+    )
+    met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
+    assert met.push[0] == pytest.approx(max(0.002 + depth, 0) * stiffness)
+
+
+def test_a_short_petiole_is_stiffer_than_a_long_one():
+    around = surroundings_of(*make_plant(), leaf_size=0.006)
+    from_stem = np.linalg.norm(around.centers[:, :2] - [0.72, 0], axis=1)
+    of = lambda low, high: around.stiffness[(around.kind == PETIOLE) & (from_stem > low) & (from_stem < high)]  # noqa: E731
+    assert np.all(around.stiffness[around.kind != PETIOLE] == 0)
+    assert of(0.02, 0.03).min() > 5 * of(0.05, 0.06).max() > 0
 
 
 def test_save_and_load(tmp_path):

@@ -90,10 +90,11 @@ class Params:
     Attributes:
         stand_off: the straight approach begins this far back along the approach axis [m].
         approach_speed: on that line [m/s].
-        squeeze: the gripper closes to the measured stem diameter less this [m]; its force cannot be set (facts:
+        loose: closing begins at the measured stem diameter and this [m]. The gripper's force cannot be set (facts:
             sawyer 3), so the position is the gentleness.
-        thinnest: while nothing is felt, the gripper closes on, down to this [m].
-        steps: in how many steps.
+        step: by so much it closes on [m] until it presses with `hold`: pads that press hard straighten a stem.
+        hold: force with which the pads press at least [N].
+        thinnest: down to this [m].
         settle: wait between closing and shaking, in which the touched plant calms down [s].
         opening: before closing [m]; the stroke is 41.667 mm.
         thickest: a held thing may be wider than the measured diameter by this [m] before it counts as something else.
@@ -102,10 +103,11 @@ class Params:
 
     stand_off: float = 0.12
     approach_speed: float = 0.1
-    squeeze: float = 0.0015
+    loose: float = 0.0005
+    step: float = 0.0005
+    hold: float = 2.0
     thinnest: float = 0.002
-    steps: int = 4
-    settle: float = 0.3
+    settle: float = 0.1
     opening: float = 0.0416
     thickest: float = 0.012
     rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
@@ -114,8 +116,8 @@ class Params:
         check_range("stand_off", self.stand_off, 0.0, 0.5, "m")
         check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
         check_range("settle", self.settle, 0.01, 30.0, "s")
-        check_range("steps", self.steps, 1, 100)
-        check_range("squeeze", self.squeeze, 0.0, 0.02, "m")
+        check_range("step", self.step, 1e-4, 0.02, "m")
+        check_range("loose", self.loose, -0.02, 0.02, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -364,19 +366,18 @@ def _retire(work: _Work) -> None:
 
 
 def _close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
-    """Close to just under the measured diameter and, while nothing is felt, further in steps; verify the grip.
+    """Close to the measured diameter and on in steps until the pads press; verify the grip.
 
     Depth sensors see thin stems too thick (facts: perception, thin stems look fat).
 
     Raises:
         StageFailure: nothing_grasped, or branch_or_leaf_grasped when what is held is much too thick.
     """
-    widths = np.linspace(max(grasp.stem_diameter - params.squeeze, 0.0), params.thinnest, params.steps)
-    state = gripper.move(float(widths[0]))
-    for width in widths[1:]:
-        if state.is_gripping or width >= widths[0]:
-            break
-        state = gripper.move(float(width))
+    width = min(max(grasp.stem_diameter + params.loose, params.thinnest), params.opening)
+    state = gripper.move(width)
+    while not (state.is_gripping and state.force >= params.hold) and width - params.step >= params.thinnest:
+        width -= params.step
+        state = gripper.move(width)
     found = f"the pads stand {1000 * state.opening:.1f} mm apart with {state.force:.1f} N"
     expected = f"a stem of {1000 * grasp.stem_diameter:.1f} mm was measured"
     if not state.is_gripping:

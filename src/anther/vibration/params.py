@@ -49,7 +49,7 @@ class Params:
         stem_strain: largest bending strain of the main stem [-].
         joint_strain: of pedicels and of the joints at the branches' bases [-].
         leaf_load: largest torque at a leaf's base that the shake adds, in units of what 1 m/s2 gives [m/s2]: 0.7 g.
-        grip_force: with which the pads press [N]: the gripper holds with about 30 % of its 35 N (facts: sawyer 3).
+        grip_force: with which the pads press at least [N]: `execution.Params.hold`.
         pad_friction: of a soft pad on a stem [-]; no source found, an estimate on the safe side.
         flower_acceleration: more than this is not useful [m/s2].
         duration: of the shake [s]; longer at low frequency, to have five cycles.
@@ -78,7 +78,7 @@ class Params:
     stem_strain: float = 0.01
     joint_strain: float = 0.005
     leaf_load: float = 0.7 * 9.81
-    grip_force: float = 10.0
+    grip_force: float = 2.0
     pad_friction: float = 0.5
     flower_acceleration: float = 200.0
     duration: float = 3.0
