@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from anther.arm import dynamics, kinematics, sawyer, shaking, timing
 from anther.arm.collision import ARM_MARGIN, FREE_STEP, GROUP, VOXEL, CollisionWorld
 from anther.arm.outline import outline
-from anther.arm.tours import least_times
+from anther.arm.tours import DETOUR, least_times
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -25,7 +25,7 @@ SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of 
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
 WAYS_FOLLOWED, WAYS_CONNECTED = 5, 2  # branches of a grasp of which the way in, and then the path there, is tried
-HURRY = 0.1  # share of the shake's amplitude that a second less on the way to a grasp is worth; an estimate
+HURRY = 0.4  # share of the shake's amplitude that a second less on the way to a grasp is worth; an estimate
 WRIST = (-0.1345, -0.0525)
 """Where the axis of right_l5's round end begins and ends on the flange's z axis [m]: `sawyer.LINKS`, `T_L6_FLANGE`."""
 WRIST_RADIUS = sawyer.LINKS[5].capsules[1].radius + ARM_MARGIN
@@ -107,7 +107,7 @@ class Planner:
         """Return joints (7,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
 
         On that way gripper and camera may touch the plant (grasp planning has judged that), the arm may not. Of several
-        branches one that can shake hard, in its worst direction, and is soon reached is returned, if a path from
+        branches that can shake hard, in their worst direction, the one soonest reached is returned, if a path from
         `Params.home` to its pre-grasp is found quickly. Satisfies `grasp.Reach`.
         """
         grasp, pregrasp = check_transform("grasp", T_world_grasp), check_transform("pre-grasp", T_world_pregrasp)
@@ -117,15 +117,10 @@ class Planner:
         if not len(branches):
             return None
         poses = _poses_between(grasp, pregrasp, REACH_STEP)
-        ways = self._ways_in(branches, poses)
-        for _ in range(WAYS_CONNECTED):
-            with self.world.touching_plant():
-                way = next(ways, None)
-            if way is None:
-                return None
-            if self._connected(way[-1]):
-                return way[0]
-        return None
+        with self.world.touching_plant():
+            ways = list(self._ways_in(branches, poses))
+        ways.sort(key=lambda way: self._delay(way[-1]))
+        return next((way[0] for way in ways[:WAYS_CONNECTED] if self._connected(way[-1])), None)
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
         """Return a free motion between two joint vectors (7,).
@@ -227,6 +222,11 @@ class Planner:
         moved = np.linalg.norm((outline(swing) - outline(q))[..., :3], axis=-1).max()
         with self.world.touching_plant():
             return self.world.free(q) if moved <= ARM_MARGIN / 2 else self.world.path_free(swing)
+
+    def _delay(self, q: Array) -> float:
+        """Return about how long the way from home to joints (7,) takes [s]."""
+        line = np.array([self.params.home, q])
+        return least_times(line[:1], line[1:])[0, 0] + (0.0 if self.world.path_free(line, SEARCH_STEP) else DETOUR)
 
     def _connected(self, q: Array) -> bool:
         """Return whether a path from home to q, or to where q can be backed out to, is found quickly."""

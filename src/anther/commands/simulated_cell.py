@@ -33,7 +33,7 @@ Species = Literal["tomato", "pepper"]
 USUAL_DISTANCE = 0.72
 """Of the pot's axis in front of the arm [m]: where facts: sawyer 6 tabulates what the arm can shake."""
 
-BRISK = MotionParams(velocity_share=0.9, acceleration_share=0.7)
+BRISK = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1)
 """How the arm moves to a grasp: between sawyer_moveit's "medium" and "fast" (facts: sawyer 1). With "fast" some motions
 pass the safety limits: flange speed, and joint acceleration where a corner is rounded."""
 
