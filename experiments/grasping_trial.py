@@ -13,19 +13,20 @@ import numpy as np
 from grasping_pictures import portrait
 
 from anther.arm.planner import Planner
+from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
 from anther.commands.trial_summary import summarise
 from anther.errors import StageFailure
 from anther.execution import execute
 from anther.files import read_json, write_json
 from anther.grasp.paper import paper_grasp
-from anther.pipeline import Done, Params, Seen, model_plant, pollinate
+from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
 from anther.sim.judge import judge
 from anther.vibration import ArmShaker, plan_shake
 
-COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan")
+COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan", "motions")
 LISTED = ("grasp_pose7", "true_held_beside")  # of a trial's summary; other lists, one number a flower, are left out
 LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
 
@@ -122,11 +123,30 @@ def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
     return row
 
 
+@dataclass(frozen=True)
+class TimedPlanner:
+    """A motion planner; planning what is executed is timed."""
+
+    planner: MotionPlanner
+    run: Memory
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a method of the planner, one that plans a motion with the clock around it."""
+        method = getattr(self.planner, name)
+        if name not in ("move", "line", "shake"):
+            return method
+        return lambda *args: self.run.timed("motions", lambda _: method(*args))
+
+
 def watched(cell: SimulatedCell, run: Memory) -> Any:
-    """Return the robot's side of the cell without its side camera, which no grasp needs; making a planner is timed."""
+    """Return the robot's side of the cell without its side camera, which no grasp needs; planning motions is timed."""
     side = cell.robot_side
     robot = replace(side.robot, side_camera=None, T_world_side_camera=None)
-    return replace(side, robot=robot, plan_around=lambda cloud: run.timed("planner", lambda _: side.plan_around(cloud)))
+
+    def plan_around(cloud: Cloud) -> Any:
+        return TimedPlanner(run.timed("planner", lambda _: side.plan_around(cloud)), run)
+
+    return replace(side, robot=robot, plan_around=plan_around)
 
 
 def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[str, Any], Done | None]:
