@@ -43,7 +43,7 @@ from anther.files import read_json, replacing, write_json
 from anther.flowers import find_flowers, flower_centres
 from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps
-from anther.identification import refine
+from anther.identification import Observed, refine
 from anther.plant import Material, PlantModel, build_plant
 from anther.sim.plant import SimPlant
 from anther.sim.shaken_plant import ShakenPlant
@@ -137,7 +137,7 @@ def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Gen
     measured[(rng.random(len(answer)) > share)] = np.nan
     bound = np.where(faint & np.isfinite(measured), 3 * absolute, np.nan)
     measured[faint] = np.nan
-    learned = refine(model, plan, measured, error, at_most=bound)
+    learned = refine(model, [Observed(plan, measured, error, bound)])
     low, high = plan.predicted_amplitude_interval[known].T
     return Visit(
         arm=arm,

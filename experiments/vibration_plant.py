@@ -23,7 +23,7 @@ from anther.errors import StageFailure
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import Grasp
-from anther.identification import refine
+from anther.identification import Observed, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
 from anther.sim import plant_mechanics
@@ -236,8 +236,8 @@ def probed(
     believed = replace(model, material=replace(model.material, response_spread=0.0))
     true, error = np.full(len(expected), np.nan), np.full(len(expected), CAMERA_ERROR)
     true[i] = done.amplitude[j] + np.random.default_rng(case.seed).normal(0, CAMERA_ERROR, len(j))
-    learned = refine(believed, shake, answer.amplitude, answer.amplitude_std, at_most=answer.at_most)
-    perfect = refine(believed, shake, np.abs(true), error)
+    learned = refine(believed, [Observed.of(shake, answer)])
+    perfect = refine(believed, [Observed(shake, np.abs(true), error)])
     told = {"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]}
     materials = {"probe": learned.material, "probe, every flower seen": perfect.material}
     return materials, {**told, "notes": [*answer.notes, *learned.notes]}

@@ -65,7 +65,7 @@ def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
 
 def test_flowers_that_only_moved_too_little_teach_as_well(tmp_path: Path) -> None:
     where = tmp_path / "h.sqlite"
-    after = TOMATO.changed(response_gain=0.6, response_spread=0.4)
+    after = TOMATO.changed(response_gain=0.6, response_spread=0.2)
     record_trial(replace(trial("a", TOMATO, after), measured_amplitude=(float("nan"),)), where)
     assert starting_material("tomato", "a", where).source == "plant"
     assert starting_material("tomato", "b", where).material.response_gain < 1

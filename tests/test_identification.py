@@ -15,6 +15,7 @@ from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import Rods
 from anther.errors import InputError
 from anther.identification import (
+    Observed,
     Params,
     density_from_samples,
     fit_free_vibration,
@@ -24,7 +25,8 @@ from anther.identification import (
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import Params as ShakeParams
 from anther.vibration import ShakePlan, Waveform, plan_shake
-from anther.vibration.search import gains, grip_rows, pad_nodes
+from anther.vibration.observables import semi_major
+from anther.vibration.search import flower_motion, gains, grip_rows, pad_nodes
 
 
 @pytest.mark.parametrize(("tip_mass", "youngs"), [(0, 21.6), (5e-3, 71), (10e-3, 120), (20e-3, 218)])
@@ -131,9 +133,9 @@ def test_a_measured_response_improves_prediction_and_belief(plant: PlantModel, p
     truth = plant.with_material(replace(plant.material, youngs=factor * plant.material.youngs))
     measured = amplitude_of(truth, plant, plan)
     params = Params(model_error=0.05)
-    after = refine(plant, plan, measured, np.full(len(measured), 1e-4 * measured.max()), params)
+    after = refine(plant, [Observed(plan, measured, np.full(len(measured), 1e-4 * measured.max()))], params)
     before = np.abs(np.log(plan.predicted_amplitude / measured)).mean()
-    assert np.abs(np.log(after.predicted_amplitude / measured)).mean() < before + 0.05
+    assert np.abs(np.log(after.predicted_amplitude[0] / measured)).mean() < before + 0.05
     assert after.material.youngs_spread < 0.8 * plant.material.youngs_spread
     assert abs(np.log(after.material.youngs / truth.material.youngs)) < 2 * after.material.youngs_spread + 0.05
     assert after.effective_members >= params.least_members * 0.98
@@ -141,13 +143,13 @@ def test_a_measured_response_improves_prediction_and_belief(plant: PlantModel, p
 
 
 def test_an_unmeasurable_response_teaches_nothing(plant: PlantModel, plan: ShakePlan) -> None:
-    after = refine(plant, plan, np.full(3, np.nan), np.full(3, np.nan))
+    after = refine(plant, [Observed(plan, np.full(3, np.nan), np.full(3, np.nan))])
     assert after.material == plant.material
     assert "no flower" in after.notes[0]
 
 
 def test_a_vague_measurement_leaves_the_belief_nearly_as_it_was(plant: PlantModel, plan: ShakePlan) -> None:
-    after = refine(plant, plan, plan.predicted_amplitude, np.full(3, 10.0), Params(model_error=10))
+    after = refine(plant, [Observed(plan, plan.predicted_amplitude, np.full(3, 10.0))], Params(model_error=10))
     assert abs(np.log(after.material.youngs / plant.material.youngs)) < 0.5
     assert after.material.youngs_spread > 0.6 * plant.material.youngs_spread
 
@@ -157,33 +159,103 @@ def test_one_flower_mistaken_for_another_does_not_decide_alone(plant: PlantModel
     wrong = fair.copy()
     wrong[0] *= 30
     error = 0.05 * fair
-    one, two = (refine(plant, plan, m, error).material.youngs for m in (fair, wrong))
+    one, two = (refine(plant, [Observed(plan, m, error)]).material.youngs for m in (fair, wrong))
     assert abs(np.log(one / two)) < plant.material.youngs_spread
 
 
-def test_what_all_flowers_do_alike_is_the_models_gain(plant: PlantModel, plan: ShakePlan) -> None:
-    half = 0.5 * plan.predicted_amplitude
-    after = refine(plant, plan, half, 0.02 * half).material
+@pytest.fixture(scope="module")
+def known(plant: PlantModel) -> PlantModel:
+    """A plant of known material, whose model may be off."""
+    spreads = {"youngs_spread": 0.05, "damping_spread": 0.05, "twist_spread": 0.05, "response_spread": 0.6}
+    return plant.with_material(replace(plant.material, **spreads))
+
+
+STIFF_BRANCHES = Params(branch_spread=0.05, model_error=0.1)
+
+
+def test_what_all_flowers_do_alike_is_the_models_gain(known: PlantModel, plan: ShakePlan) -> None:
+    half = amplitude_of(known.with_material(replace(known.material, response_gain=0.5)), known, plan)
+    after = refine(known, [Observed(plan, half, 0.02 * half)], STIFF_BRANCHES).material
     assert after.response_gain < 0.8
-    assert after.response_spread < 0.8 * plant.material.response_spread
-    again = refine(plant.with_material(after), plan, half, 0.02 * half).material
+    assert after.response_spread < 0.8 * known.material.response_spread
+    again = refine(known.with_material(after), [Observed(plan, half, 0.02 * half)], STIFF_BRANCHES).material
     assert again.response_spread <= after.response_spread
 
 
-def test_flowers_that_moved_too_little_to_be_measured_lower_the_gain(plant: PlantModel, plan: ShakePlan) -> None:
+def test_flowers_that_moved_too_little_to_be_measured_lower_the_gain(known: PlantModel, plan: ShakePlan) -> None:
     nothing = np.full(len(plan.predicted_amplitude), np.nan)
-    low = refine(plant, plan, nothing, nothing, at_most=0.3 * plan.predicted_amplitude)
-    high = refine(plant, plan, nothing, nothing, at_most=30 * plan.predicted_amplitude)
+    low = refine(known, [Observed(plan, nothing, nothing, 0.3 * plan.predicted_amplitude)], STIFF_BRANCHES)
+    high = refine(known, [Observed(plan, nothing, nothing, 30 * plan.predicted_amplitude)], STIFF_BRANCHES)
     assert low.material.response_gain < 0.8
     assert low.predicted_amplitude.mean() < plan.predicted_amplitude.mean()
-    assert high.material.response_gain == pytest.approx(plant.material.response_gain, rel=0.1)
+    assert high.material.response_gain == pytest.approx(known.material.response_gain, rel=0.1)
     with pytest.raises(InputError):
-        refine(plant, plan, nothing, nothing, at_most=0 * plan.predicted_amplitude)
+        Observed(plan, nothing, nothing, 0 * plan.predicted_amplitude)
+
+
+def swing(truth: PlantModel, plan: ShakePlan, frequency: float) -> tuple[ShakePlan, np.ndarray]:
+    """A shake of the plan's grasp and size at another frequency, and the phasors (F, 3) of what a plant does in it."""
+    pads = pad_nodes(truth, grip_rows(truth, plan.grasp.point[None]))
+    motion = plan.amplitude * flower_motion(truth, pads, plan.direction, np.array([frequency]))[0, 0]
+    return replace(plan, frequency=frequency, predicted_amplitude=semi_major(motion)), motion
+
+
+def test_a_phase_tells_on_which_side_of_a_resonance_the_shake_is(plant: PlantModel, plan: ShakePlan) -> None:
+    frequencies = np.linspace(2, 40, 200)
+    pads = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
+    size = semi_major(flower_motion(plant, pads, plan.direction, frequencies)[:, 0]).mean(axis=1)
+    shake, motion = swing(plant, plan, 1.15 * float(frequencies[size.argmax()]))
+    expected, error = shake.predicted_amplitude, 0.05 * shake.predicted_amplitude
+    along = np.tile(plan.direction, (len(expected), 1))
+    phase, std = np.angle(motion @ plan.direction), np.full(len(expected), 0.05)
+    params = Params(members=64, branch_spread=0.05, phase_error=0.3)
+    alone = refine(plant, [Observed(shake, expected, error)], params)
+    timed = refine(plant, [Observed(shake, expected, error, phase=phase, phase_std=std, axis=along)], params)
+    flipped = Observed(shake, expected, error, phase=phase + 2 * np.pi, phase_std=std, axis=along)
+    assert refine(plant, [flipped], params).material.youngs == pytest.approx(timed.material.youngs)
+    assert timed.material.youngs_spread < alone.material.youngs_spread
+    assert abs(np.log(timed.material.youngs / plant.material.youngs)) < 2 * timed.material.youngs_spread
+
+
+def test_two_shakes_teach_more_than_either(plant: PlantModel, plan: ShakePlan) -> None:
+    truth = plant.with_material(replace(plant.material, youngs=1.6 * plant.material.youngs))
+    seen = []
+    for frequency in (3.0, 8.0):
+        shake, motion = swing(truth, plan, frequency)
+        believed = swing(plant, plan, frequency)[0]
+        seen.append(Observed(believed, semi_major(motion), 0.02 * shake.predicted_amplitude))
+    params = Params(members=64, branch_spread=0.05, model_error=0.2)
+    both, *single = (refine(plant, some, params).material for some in (seen, seen[:1], seen[1:]))
+    assert both.youngs_spread < min(one.youngs_spread for one in single)
+    assert abs(np.log(both.youngs / truth.material.youngs)) < 2 * both.youngs_spread + 0.05
+
+
+def test_the_members_of_a_belief_predict_other_shakes(plant: PlantModel, plan: ShakePlan) -> None:
+    unshaken = refine(plant, [], Params(members=16))
+    assert unshaken.material == plant.material
+    points, frequencies = plant.rods.nodes[plant.stem_nodes[[6, 8]]], np.array([0.01, 4.0])
+    assert unshaken.amplitude_at(points, plan.direction, frequencies).shape == (2, 2, 3)
+    sure = dict.fromkeys(("youngs_spread", "damping_spread", "twist_spread", "radius_spread", "response_spread"), 0.0)
+    known = replace(plant, material=replace(plant.material, **sure), pedicel_spread=0.0)
+    alike = refine(known, [], Params(members=8, least_members=1, branch_spread=0))
+    pads = pad_nodes(plant, grip_rows(plant, points))
+    own = semi_major(flower_motion(plant, pads, plan.direction, frequencies))
+    assert np.allclose(alike.amplitude_at(points, plan.direction, frequencies), np.swapaxes(own, 0, 1), rtol=1e-4)
+
+
+def test_a_gain_does_nothing_where_the_flowers_move_as_the_grip_does(plant: PlantModel, plan: ShakePlan) -> None:
+    pads, frequencies = pad_nodes(plant, np.array([8])), np.array([0.01, 4.0])
+    half = replace(plant, material=replace(plant.material, response_gain=0.5))
+    one, other = (flower_motion(p, pads, plan.direction, frequencies)[:, 0] for p in (plant, half))
+    assert np.allclose(other - plan.direction, 0.5 * (one - plan.direction))
+    sizes = [gains([p], pads, plan.direction[None, None], frequencies).flower[0, :, 0, 0] for p in (plant, half)]
+    assert np.allclose(sizes[1], semi_major(other))
+    assert abs(np.log(sizes[1][1] / sizes[0][1])).max() > 3 * abs(np.log(sizes[1][0] / sizes[0][0])).max()
 
 
 def test_motion_hardly_tells_the_radius_from_the_stiffness(plant: PlantModel, plan: ShakePlan) -> None:
     measured = amplitude_of(plant.with_material(replace(plant.material, youngs=3e8)), plant, plan)
-    after = refine(plant, plan, measured, 0.02 * measured, Params(model_error=0.05)).material
+    after = refine(plant, [Observed(plan, measured, 0.02 * measured)], Params(model_error=0.05)).material
     assert after.youngs_spread < 0.8 * plant.material.youngs_spread
     assert after.radius_spread > 0.6 * plant.material.radius_spread
     assert after.radius_scale == pytest.approx(1.0, abs=0.05)
@@ -204,11 +276,11 @@ def test_bad_measurements_are_refused(plant: PlantModel, plan: ShakePlan) -> Non
     good = plan.predicted_amplitude
     for measured, error in ((good[:2], good[:2]), (good, 0 * good), (-good, good), (good, np.full(3, np.nan))):
         with pytest.raises(InputError):
-            refine(plant, plan, measured, error)
+            refine(plant, [Observed(plan, measured, error)])
 
 
 def test_a_sweep_teaches_nothing(plant: PlantModel, plan: ShakePlan) -> None:
     swept = replace(plan, waveform=Waveform("sweep", ratio=1.5))
-    found = refine(plant, swept, 3 * plan.predicted_amplitude, 0.1 * plan.predicted_amplitude)
+    found = refine(plant, [Observed(swept, 3 * plan.predicted_amplitude, 0.1 * plan.predicted_amplitude)])
     assert found.material == plant.material
     assert "has no one frequency" in found.notes[0]

@@ -15,7 +15,7 @@ from anther.execution import Trial
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
-from anther.identification import refine
+from anther.identification import Observed, refine
 from anther.masks import Masks, by_words
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response
@@ -186,8 +186,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material)
-    told = answer.amplitude, answer.amplitude_std
-    learned = run.timed("learning", lambda _: refine(rods, shake, *told, at_most=answer.at_most))
+    learned = run.timed("learning", lambda _: refine(rods, [Observed.of(shake, answer)]))
     return Done(shake, trial, answer, learned.material, rods.material)
 
 

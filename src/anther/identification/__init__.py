@@ -17,6 +17,7 @@ from anther.identification.material_test import (
     read_material,
     write_material,
 )
+from anther.identification.observed import Observed
 from anther.identification.refinement import Params, Refinement, refine
 from anther.identification.stiffness import (
     straight_line_youngs,
@@ -34,6 +35,7 @@ __all__ = [
     "Identification",
     "InstrumentErrors",
     "MaterialTest",
+    "Observed",
     "Orientation",
     "Params",
     "Refinement",

@@ -1,142 +1,192 @@
-"""Refinement: a plant's material after one measured shake. F flowers, M members of an ensemble."""
+"""Refinement: a plant's material after shakes that were measured. F flowers, M members of an ensemble, K shakes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.stats import t as student
 
-from anther.checks import check_array, check_range
+from anther.checks import check_range
 from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
+from anther.identification.observed import Observed
 from anther.plant import LEARNED, Material, PlantModel
-from anther.vibration import ShakePlan
-from anther.vibration.params import FLOWER_SPREAD
-from anther.vibration.search import gains, grip_rows, pad_nodes, scenarios
+from anther.vibration.observables import branch_of, semi_major
+from anther.vibration.search import flower_motion, grip_rows, pad_nodes, scenarios
+
+COUNTS = 1e-3
+"""A member with less than this share of the largest weight is left out of predictions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """How a measured response refines a material.
+    """How measured responses refine a material.
 
     Attributes:
         members: drawn from the present belief.
-        model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what material and gain
-            explain [-]; `vibration.params.FLOWER_SPREAD`.
+        branch_spread: standard deviation of ln of a branch's stiffness about the stem's: scanned radii of branches are
+            off by 15 %, stiffness goes with the fourth power (docs/vibration_accuracy.md).
+        model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what the draws explain
+            [-]; measured by us on simulated plants that were scanned.
+        phase_error: the same of the phase [rad].
+        likeness: correlation of these errors between flowers of one branch [-], measured by us likewise.
         least_members: the evidence is weakened until at least this many members count.
         seed: of the draws.
     """
 
     members: int = 128
-    model_error: float = FLOWER_SPREAD
+    branch_spread: float = 0.5
+    model_error: float = 0.5
+    phase_error: float = 1.0
+    likeness: float = 0.5
     least_members: float = 8.0
     seed: int = 1
 
     def __post_init__(self) -> None:
         check_range("members", self.members, 8, 100_000)
+        check_range("branch_spread", self.branch_spread, 0, 3)
         check_range("model_error", self.model_error, 0.01, 10)
+        check_range("phase_error", self.phase_error, 0.01, 100)
+        check_range("likeness", self.likeness, 0, 1)
         check_range("least_members", self.least_members, 1, self.members)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refinement:
-    """What one measured response taught.
+    """What measured responses taught.
 
     Attributes:
         material: the belief afterwards; its stiffness and damping have moved and their spreads shrunk.
-        predicted_amplitude: (F,) what the ensemble would now predict for the same shake [m].
+        predicted_amplitude: (K, F) what the ensemble would now predict for the same shakes [m].
         effective_members: members that count, 1 / sum of squared weights.
         evidence: power to which the likelihood was raised, 1 = full weight.
         notes: what the user should know.
+        members: (M,) plants that were drawn.
+        weights: (M,) of the members, sum 1.
     """
 
     material: Material
     predicted_amplitude: Array
     effective_members: float
     evidence: float
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
+    members: Sequence[PlantModel] = field(repr=False)
+    weights: Array = field(repr=False)
+
+    def amplitude_at(self, points: Array, direction: Array, frequencies: Array) -> Array:
+        """Return (G, Q, F) flower amplitudes per metre of other shakes: the weighted geometric mean over the members.
+
+        A member's own amplitude near a resonance is that of its own stiffness; the mean of a belief's members, and not
+        what the mean material does, is what is believed of the amplitude.
+
+        Args:
+            points: (G, 3) where the stem is held, world [m].
+            direction: (3,) unit vector of the shake.
+            frequencies: (Q,) [Hz].
+        """
+        counts = self.weights >= COUNTS * self.weights.max()
+        share = self.weights[counts] / self.weights[counts].sum()
+        grips = pad_nodes(self.members[0], grip_rows(self.members[0], points))
+        which = [member for member, used in zip(self.members, counts, strict=True) if used]
+        logs = [_log_amplitude(flower_motion(member, grips, direction, frequencies)) for member in which]
+        return np.swapaxes(np.exp(np.tensordot(share, np.array(logs), axes=1)), 0, 1)
 
 
-def refine(
-    plant: PlantModel,
-    shake: ShakePlan,
-    measured: ArrayLike,
-    uncertainty: ArrayLike,
-    params: Params = Params(),
-    *,
-    at_most: ArrayLike | None = None,
-) -> Refinement:
-    """Update what is believed of a plant's material from one measured response.
+def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Params()) -> Refinement:
+    """Update what is believed of a plant's material from measured responses.
 
     An ensemble is drawn from the present belief (`vibration.search.scenarios`: E, damping, EI/GJ, pedicels, radius,
-    gain), each member's flower amplitudes for this shake follow from linear theory times the nonlinear correction of
-    the plan, and the members are weighted by a Student-t likelihood (4 degrees of freedom, so that a flower mistaken
-    for another does not decide alone) of the logarithms of the measured amplitudes. Where too few members would count,
-    the likelihood is raised to a power below 1. The new material has the weighted means and spreads of the logarithms
-    of what `plant.LEARNED` names.
+    gain; and each branch's own stiffness), each member's flowers' motion in every shake follows from linear theory
+    times the nonlinear correction of the plan, and the members are weighted by a Student-t likelihood (4 degrees of
+    freedom, so that a flower mistaken for another does not decide alone) of ln amplitude and of phase. Flowers of one
+    branch err alike, so n of them count as n / (1 + (n - 1) `likeness`) (the variance of a mean of equally correlated
+    values). Where too few members would count, the likelihood is raised to a power below 1. The new material has the
+    weighted means and spreads of the logarithms of what `plant.LEARNED` names; `Refinement.amplitude_at` predicts with
+    the members themselves.
 
     A flower that was followed but moved too little to be measured is left-censored: it counts with the probability of
     moving less than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.
 
-    Limits: one amplitude near a resonance fits two stiffnesses, one on either side; the result then lies between them
-    with a spread that says so. The pedicels' stiffness is averaged over, not learned.
+    Limits: one amplitude near a resonance fits two stiffnesses, one on either side; a phase, or a second frequency,
+    tells them apart. The pedicels' and branches' own stiffness is averaged over, not kept.
 
     Args:
-        plant: the model the shake was planned with.
-        shake: what was done.
-        measured: (F,) flower amplitudes [m]; NaN where not measurable.
-        uncertainty: (F,) their standard errors [m]; read only where `measured` is finite.
+        plant: the model the shakes were planned with.
+        observed: shakes of this plant; with none, the members stand for the belief as it is.
         params: of the ensemble.
-        at_most: (F,) bounds of flowers that moved too little to be measured [m]; NaN elsewhere. None: no such flowers.
 
     Raises:
-        InputError: wrong number of flowers, or an uncertainty that is not > 0.
+        InputError: wrong number of flowers.
     """
-    count = len(plant.flower_nodes)
-    amplitude = check_array("measured amplitude", measured, (count,), finite=False)
-    error = check_array("amplitude uncertainty", uncertainty, (count,), finite=False)
-    bound = check_array("at_most", np.full(count, np.nan) if at_most is None else at_most, (count,), finite=False)
-    seen, faint = np.isfinite(amplitude), np.isfinite(bound) & ~np.isfinite(amplitude)
-    if np.any(~(error[seen] > 0)) or np.any(amplitude[seen] < 0) or np.any(~(bound[faint] > 0)):
-        given = "a negative amplitude, or an uncertainty or bound <= 0"
-        raise bad_input("response", given=given, allowed="> 0 m", do="Check.")
-    if not (seen | faint).any() or shake.waveform.kind != "sine":
-        unseen = not (seen | faint).any()
-        why = "no flower's motion was measurable" if unseen else f"a {shake.waveform} has no one frequency"
-        note = f"refinement: {why}; the material stays as it was."
-        return Refinement(plant.material, shake.predicted_amplitude, float(params.members), 0.0, (note,))
-    members = scenarios(plant, params.members, params.seed)
-    predicted = _ensemble_amplitude(members, shake)
-    likelihood = _log_likelihood(predicted[:, seen], amplitude[seen], error[seen], params.model_error)
-    likelihood += student.logcdf(np.log(bound[faint] / predicted[:, faint]) / params.model_error, 4).sum(axis=1)
-    weights, evidence = _weights(likelihood, params.least_members)
+    flowers = len(plant.flower_nodes)
+    for one in observed:
+        if len(one.amplitude) != flowers:
+            given = f"{len(one.amplitude)} flowers"
+            raise bad_input("response", given=given, allowed=f"the plant's {flowers}", do="Use its own response.")
+    members = scenarios(plant, params.members, params.seed, branch_spread=params.branch_spread)
+    phasors = [_phasors(members, one) for one in observed]
+    told = np.zeros((len(members), flowers))
+    for one, motion in zip(observed, phasors, strict=True):
+        told += 0 if one.useless else _log_likelihood(motion, one, params)
+    weights, evidence = _weights(told @ _counts(plant, observed, params.likeness), params.least_members)
+    useful = any(not one.useless for one in observed)
+    notes = tuple(f"refinement: {one.useless}; the shake teaches nothing." for one in observed if one.useless)
+    amplitude = [np.exp(weights @ _log_amplitude(motion)) for motion in phasors]
     return Refinement(
-        _moments(plant.material, [m.material for m in members], weights),
-        weights @ predicted,
+        _moments(plant.material, [m.material for m in members], weights) if useful else plant.material,
+        np.array(amplitude).reshape(len(observed), flowers),
         float(1 / np.sum(weights**2)),
-        evidence,
+        evidence if useful else 0.0,
+        notes,
+        members,
+        weights,
     )
 
 
-def _ensemble_amplitude(members: list[PlantModel], shake: ShakePlan) -> Array:
-    """Return (M, F) flower amplitudes [m]; member 0 is the plant as believed, for which the plan is reproduced."""
-    plant = members[0]
-    grip = pad_nodes(plant, grip_rows(plant, shake.grasp.point[None]))
-    response = gains(members, grip, shake.direction[None, None], np.array([shake.frequency]))
-    answer = np.array([member.material.response_gain for member in members])
-    linear = shake.amplitude * answer[:, None] * response.flower[:, 0, 0, 0]
-    return np.maximum(linear * shake.predicted_amplitude / np.maximum(linear[0], 1e-12), 1e-12)
+def _phasors(members: Sequence[PlantModel], one: Observed) -> NDArray[np.complex128]:
+    """Return (M, F, 3) the flowers' motion [m]; member 0 is the plant as believed, for which the plan is reproduced."""
+    shake = one.shake
+    grip = pad_nodes(members[0], grip_rows(members[0], shake.grasp.point[None]))
+    frequency = np.array([shake.frequency])
+    motion = np.array([flower_motion(member, grip, shake.direction, frequency)[0, 0] for member in members])
+    linear = np.maximum(semi_major(motion[0]), 1e-12)
+    return (motion * (shake.predicted_amplitude / linear)[:, None]).astype(np.complex128)
 
 
-def _log_likelihood(predicted: Array, measured: Array, error: Array, model_error: float) -> Array:
-    """Return (M,) log-likelihoods of ln measured, Student-t with 4 degrees of freedom, up to a constant."""
-    certain = np.maximum(measured, error)
-    miss = np.log(certain / predicted) / np.hypot(model_error, error / certain)
-    return np.sum(-2.5 * np.log1p(miss**2 / 4), axis=1)
+def _log_amplitude(motion: NDArray[np.complex128]) -> Array:
+    return np.log(np.maximum(semi_major(motion), 1e-12))
+
+
+def _log_likelihood(motion: NDArray[np.complex128], one: Observed, params: Params) -> Array:
+    """Return (M, F) log-likelihoods of each flower's amplitude, bound and phase, up to a constant."""
+    predicted, out = _log_amplitude(motion), np.zeros(motion.shape[:2])
+    certain = np.maximum(one.amplitude, one.uncertainty)[one.seen]
+    error = one.uncertainty[one.seen] / certain
+    out[:, one.seen] = _student((np.log(certain) - predicted[:, one.seen]) / np.hypot(params.model_error, error))
+    room = np.log(one.at_most[one.faint]) - predicted[:, one.faint]
+    out[:, one.faint] = student.logcdf(room / params.model_error, 4)
+    timed = np.isfinite(one.phase) & np.isfinite(one.phase_std)
+    ahead = np.angle(np.einsum("mfi,fi->mf", motion[:, timed], one.axis[timed]) * np.exp(-1j * one.phase[timed]))
+    out[:, timed] += _student(ahead / np.hypot(params.phase_error, one.phase_std[timed]))
+    return out
+
+
+def _student(miss: Array) -> Array:
+    """Return the log-density at `miss` standard errors, Student-t with 4 degrees of freedom, up to a constant."""
+    return -2.5 * np.log1p(miss**2 / 4)
+
+
+def _counts(plant: PlantModel, observed: Sequence[Observed], likeness: float) -> Array:
+    """Return (F,) the share of a flower's evidence that is its own and not the other flowers' of its branch."""
+    branch = branch_of(plant)[plant.flower_nodes]
+    used = np.any([one.seen | one.faint for one in observed] or [branch >= 0], axis=0)
+    alike = np.array([np.sum(used & (branch == b)) if b >= 0 else 1 for b in branch])
+    return 1 / (1 + np.maximum(alike - 1, 0) * likeness)
 
 
 def _weights(log_likelihood: Array, least: float) -> tuple[Array, float]:

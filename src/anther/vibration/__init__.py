@@ -66,8 +66,6 @@ def plan_shake(
     grips, frequencies = grips_of(plant, grasps, params), _frequencies(actuator, params)
     versions = scenarios(plant, params.draws, params.seed)
     response = gains(versions, grips.nodes, grips.directions, frequencies)
-    answer = np.array([version.material.response_gain for version in versions])
-    response = response._replace(flower=response.flower * answer[:, None, None, None, None])
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     found = search(response, grips, grasps, frequencies, actuator=actuator, least=least, params=params)
     if not np.any(found.score[:, :, : len(grasps)] >= 0):
@@ -178,8 +176,6 @@ def _verified(
         shake, done, notes = verified(plant, asked, plant_limits(params), least)
     except StageFailure as failure:
         return asked, linear, (f"shake: not verified by the nonlinear solver, prediction is linear ({failure})",)
-    answer = plant.material.response_gain
-    done = done._replace(amplitude=answer * done.amplitude, acceleration=answer * done.acceleration)
     expected = linear.amplitude * shake.amplitude / asked.amplitude
     largest = float(np.max(np.abs(done.amplitude - expected) / np.maximum(expected, 1e-9)))
     if asked.waveform.kind == "sine" and largest > 0.25:

@@ -61,6 +61,15 @@ def observables(plant: PlantModel) -> Observables:
     return Observables(operator, *rows)
 
 
+def branch_of(plant: PlantModel) -> NDArray[Any]:
+    """Return (N,) on which branch a node lies, as a row of `PlantModel.branch_bases`; -1 on the main stem."""
+    branch = np.full(len(plant.rods.nodes), -1)
+    branch[plant.branch_bases] = np.arange(len(plant.branch_bases))
+    for j in range(1, len(branch)):
+        branch[j] = max(branch[j], branch[plant.rods.parent[j]])
+    return branch
+
+
 def semi_major(vectors: ComplexArray) -> Array:
     """Return the largest length (...) that the real part of vectors (..., 3) exp(i w t) reaches.
 
@@ -129,11 +138,7 @@ def _bases(plant: PlantModel) -> tuple[Blocks, Blocks]:
     nor do branches without leaves (trusses) where the leaves are known: the flowers are meant to move, and their
     stalks have their own limits.
     """
-    rods, bases = plant.rods, plant.branch_bases
-    branch = np.full(len(rods.nodes), -1)
-    branch[bases] = np.arange(len(bases))
-    for j in range(1, len(branch)):
-        branch[j] = max(branch[j], branch[rods.parent[j]])
+    rods, bases, branch = plant.rods, plant.branch_bases, branch_of(plant)
     node = np.flatnonzero(branch >= 0)
     of, count = branch[node], len(bases)
     lever = rods.nodes[node] - rods.nodes[rods.parent[bases[of]]]

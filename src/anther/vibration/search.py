@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.stats import qmc
 
 from anther.elastic_rod.observed import observed_response
@@ -18,14 +19,15 @@ from anther.elastic_rod.rods import Array
 from anther.elastic_rod.vectors import compiled
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
-from anther.vibration.observables import observables
+from anther.vibration.observables import ComplexArray, branch_of, observables
 
 
 class Gains(NamedTuple):
     """What one metre of grip amplitude does, within linear theory. Leading axes (M, Q, G, D).
 
     Attributes:
-        flower: (M, Q, G, D, F) amplitude of each flower, the semi-major axis of its path [m/m].
+        flower: (M, Q, G, D, F) amplitude of each flower, the semi-major axis of its path, with the material's gain of
+            what it moves relative to the grip [m/m].
         stem_strain, joint_strain, base_strain: (M, Q, G, D) largest bending strain of main stem, of pedicels and of
             branch bases [1/m].
         leaf_load: (M, Q, G, D) largest equivalent acceleration at a branch base [1/s2].
@@ -40,21 +42,38 @@ class Gains(NamedTuple):
     grip_force: Array
 
 
-def scenarios(plant: PlantModel, count: int, seed: int = 0) -> list[PlantModel]:
+def scenarios(plant: PlantModel, count: int, seed: int = 0, *, branch_spread: float = 0.0) -> list[PlantModel]:
     """Return the plant as believed, and `count` versions of it drawn from the spreads of its material.
 
     Stiffness, damping, EI/GJ, the pedicels' stiffness, the radius (at the same bending stiffness) and the gain of the
     response are lognormal and independent, drawn by a scrambled Halton sequence so that few draws cover the range
     evenly. A draw in which the plant would buckle is stiffened until it stands, because it stands; one that still
     cannot (its pedicels are too soft) is left out.
+
+    Args:
+        plant: as believed.
+        count: of the draws.
+        seed: of the draws.
+        branch_spread: standard deviation of ln of what the stiffness of each branch is drawn off besides, one by one.
     """
     generator = np.random.default_rng(seed)
     draws = qmc.MultivariateNormalQMC(np.zeros(6), engine=qmc.Halton(6, rng=generator), rng=generator)
-    versions = [plant]
+    versions, branch = [plant], branch_of(plant)
     for z in draws.random(count) if count else ():
-        version = _standing(plant, drawn_material(plant.material, z, plant.least_youngs), plant.pedicel_spread * z[3])
+        own = (
+            plant
+            if branch_spread == 0
+            else _with_branches(plant, branch, branch_spread * generator.normal(size=len(plant.branch_bases)))
+        )
+        version = _standing(own, drawn_material(plant.material, z, plant.least_youngs), plant.pedicel_spread * z[3])
         versions += [] if version is None else [version]
     return versions
+
+
+def _with_branches(plant: PlantModel, branch: NDArray[Any], logs: Array) -> PlantModel:
+    """Return the plant with each branch's stiffness times exp(its log); not at rest before it is given a material."""
+    factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(logs, 0.0))[branch])
+    return replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
 
 
 def _standing(plant: PlantModel, material: Material, log_pedicel: float) -> PlantModel | None:
@@ -123,12 +142,34 @@ def _gains_of(plant: PlantModel, grips: NDArray[Any], directions: Array, frequen
     """Return the gains of one scenario; its damping ratio is the same at every frequency (hysteretic)."""
     seen, loss = observables(plant), 2 * plant.material.damping_ratio
     response = observed_response(plant.rods, plant.clamp, grips, seen.operator, frequencies, loss_factor=loss)
+    response.vectors[:, :, seen.flowers] = _answered(response.vectors[:, :, seen.flowers], plant.material)
     size = _sizes(response.vectors, directions)
     omega2 = (2 * np.pi * frequencies[:, None, None]) ** 2
     kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
     stem, joint, base, load = (size[..., rows].max(axis=-1, initial=0.0) for rows in kinds)
     pull = _sizes(response.force[:, :, None], directions)[..., 0]
     return size[..., seen.flowers], stem, joint, omega2 * base, omega2 * load, pull
+
+
+def flower_motion(plant: PlantModel, grips: NDArray[Any], direction: Array, frequencies: Array) -> ComplexArray:
+    """Return (Q, G, F, 3) the motion of the flowers per metre of grip motion along `direction` (3,), as phasors.
+
+    Args:
+        plant: one scenario.
+        grips: (G, 2) rod nodes between the pads, see `pad_nodes`.
+        direction: (3,) of the shake.
+        frequencies: (Q,) [Hz].
+    """
+    at = (3 * plant.flower_nodes[:, None] + np.arange(3)).ravel()
+    flowers = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 3 * len(plant.rods.nodes)))
+    loss = 2 * plant.material.damping_ratio
+    response = observed_response(plant.rods, plant.clamp, grips, flowers, frequencies, loss_factor=loss)
+    return _answered(response.vectors, plant.material) @ direction
+
+
+def _answered(vectors: ComplexArray, material: Material) -> ComplexArray:
+    """Return flowers' motion (..., 3, 3) per axis of the shake, with the gain of what is relative to the grip."""
+    return np.eye(3) + material.response_gain * (vectors - np.eye(3))
 
 
 @compiled

@@ -108,7 +108,7 @@ def shaken(plant: PlantModel, shake: Shake) -> Shaken:
     rods = plant.rods_at(np.sqrt(shake.frequency * highest))
     path = simulate(rods, plant.clamp, shake, shake.duration, dt, start="scanned", tolerance=TOLERANCE)
     seen = observables(plant)
-    vectors = _vectors(plant, seen, path)
+    vectors = _vectors(plant, seen, path, shake.node)
     jolts = np.diff(vectors, 2, axis=0) / dt**2
     swing, jolt = (np.linalg.norm(x[:, seen.flowers], axis=2).max(axis=0) for x in (vectors, jolts))
     return Shaken(swing, jolt, _peaks(seen, vectors, jolts))
@@ -137,7 +137,7 @@ def steadily_shaken(plant: PlantModel, drive: Drive) -> Shaken:
         moving=(linear.imag, omega * linear.real),
     )
     seen = observables(plant)
-    vectors = _vectors(plant, seen, path)[-STEPS - 1 :]
+    vectors = _vectors(plant, seen, path, drive.node)[-STEPS - 1 :]
     angle, order = 2 * np.pi * (np.arange(STEPS + 1) / STEPS - 0.5), np.array([1, 2, 3])
     phase = order * angle[:, None]
     basis = np.concatenate([np.ones((STEPS + 1, 1)), angle[:, None], np.cos(phase), np.sin(phase)], axis=1)
@@ -151,10 +151,13 @@ PEAKS = ("stem bending strain [-]", "pedicel bending strain [-]", "branch-base s
 """The limits of the plant that the nonlinear solver is asked about."""
 
 
-def _vectors(plant: PlantModel, seen: Observables, path: Trajectory) -> Array:
-    """Return (T, K, 3) the observed vectors over time."""
-    moved = (path.positions - plant.rods.nodes).reshape(len(path.times), -1)
-    return (seen.operator @ moved.T).T.reshape(len(moved), -1, 3)
+def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, held: int) -> Array:
+    """Return (T, K, 3) the observed vectors over time; what flowers do relative to the grip has the material's gain."""
+    moved = path.positions - plant.rods.nodes
+    vectors: Array = (seen.operator @ moved.reshape(len(moved), -1).T).T.reshape(len(moved), -1, 3)
+    grip = moved[:, held, None]
+    vectors[:, seen.flowers] = grip + plant.material.response_gain * (vectors[:, seen.flowers] - grip)
+    return vectors
 
 
 def _peaks(seen: Observables, vectors: Array, jolts: Array) -> dict[str, float]:

@@ -1,0 +1,88 @@
+"""Observed: what one shake of a plant did to its flowers, as `refine` takes it. F flowers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.checks import check_array
+from anther.elastic_rod.rods import Array
+from anther.errors import bad_input
+from anther.response import Response
+from anther.vibration import ShakePlan
+
+
+def _unknown() -> Array:
+    return np.array(np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observed:
+    """What one shake did. What was not measured is NaN, and so is what is not given.
+
+    Attributes:
+        shake: what was done.
+        amplitude: (F,) of the flowers [m].
+        uncertainty: (F,) standard errors [m]; read only where `amplitude` is finite.
+        at_most: (F,) bounds of flowers that moved too little to be measured [m].
+        phase: (F,) by which a flower's motion along `axis` is ahead of the grip's along the shake [rad].
+        phase_std: (F,) its standard deviation [rad].
+        axis: (F, 3) unit vectors, world.
+    """
+
+    shake: ShakePlan
+    amplitude: Array
+    uncertainty: Array
+    at_most: Array = field(default_factory=_unknown)
+    phase: Array = field(default_factory=_unknown)
+    phase_std: Array = field(default_factory=_unknown)
+    axis: Array = field(default_factory=_unknown)
+
+    def __post_init__(self) -> None:
+        count = np.size(self.amplitude)
+        for name in ("amplitude", "uncertainty", "at_most", "phase", "phase_std", "axis"):
+            shape = (count, 3) if name == "axis" else (count,)
+            given = getattr(self, name)
+            values = np.broadcast_to(given, shape) if np.ndim(given) == 0 else given
+            values = check_array(name, values, shape, finite=False)
+            object.__setattr__(self, name, values)
+        seen, faint = self.seen, self.faint
+        wrong = np.any(~(self.uncertainty[seen] > 0)) or np.any(self.amplitude[seen] < 0)
+        if wrong or np.any(~(self.at_most[faint] > 0)):
+            given = "a negative amplitude, or an uncertainty or bound <= 0"
+            raise bad_input("response", given=given, allowed="> 0 m", do="Check.")
+
+    @classmethod
+    def of(cls, shake: ShakePlan, response: Response, began: float | None = None) -> Observed:
+        """Return what a camera measured of a shake.
+
+        Args:
+            shake: what was done.
+            response: what was seen.
+            began: when the grip's motion sin(2 pi f (t - began)) began, on the frames' clock [s]; None: not known, and
+                the phases are left out.
+        """
+        measured = response.amplitude, response.amplitude_std, response.at_most
+        if began is None:
+            return cls(shake, *measured)
+        ahead = response.phase + 2 * np.pi * shake.frequency * began
+        return cls(shake, *measured, ahead, response.phase_std, response.direction)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(F,) bool: the amplitude was measured."""
+        return np.isfinite(self.amplitude)
+
+    @property
+    def faint(self) -> NDArray[np.bool_]:
+        """(F,) bool: the flower was followed, and moved too little to be measured."""
+        return np.isfinite(self.at_most) & ~self.seen
+
+    @property
+    def useless(self) -> str:
+        """Why it teaches nothing; empty when it does."""
+        if not np.any(self.seen | self.faint):
+            return "no flower's motion was measurable"
+        return "" if self.shake.waveform.kind == "sine" else f"a {self.shake.waveform} has no one frequency"
