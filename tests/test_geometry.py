@@ -15,6 +15,7 @@ from anther.geometry import (
     Intrinsics,
     inverse,
     look_at,
+    occupied_cells,
     pose7,
     small_transform,
     transform,
@@ -108,3 +109,8 @@ def test_box_knows_its_inside() -> None:
     assert box.contains([[0.5, 0.5, 0.5], [0.5, 0.5, 1.5]]).tolist() == [True, False]
     with pytest.raises(InputError, match="Swap"):
         Box(np.ones(3), np.zeros(3))
+
+
+@given(arrays(float, st.tuples(st.integers(1, 40), st.just(3)), elements=numbers))
+def test_occupied_cells_hold_every_point_and_are_sorted(points) -> None:
+    assert np.array_equal(occupied_cells(points, 0.5), np.unique(np.floor(points / 0.5), axis=0))

@@ -165,3 +165,12 @@ class Box:
         """Return (N,) whether each of (N, 3) points lies within."""
         p = np.asarray(points)
         return np.all((p >= self.lower) & (p <= self.upper), axis=-1)
+
+
+def occupied_cells(points: Array, edge: float) -> NDArray[np.int64]:
+    """Return floor(point / edge) of points (N, 3), N >= 1: the cubes (M, 3) that hold any, each once, sorted."""
+    cells = np.floor(points / edge).astype(np.int64)
+    lower = cells.min(axis=0)
+    size = cells.max(axis=0) - lower + 1
+    held = np.unique(np.ravel_multi_index(tuple((cells - lower).T), size))  # many times quicker than by rows
+    return np.stack(np.unravel_index(held, size), axis=1) + lower

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
 from anther.arm.sawyer import Capsule, Solid
-from anther.geometry import Array, Box, transform
+from anther.geometry import Array, Box, occupied_cells, transform
 
 GROUP = "arm"
 VOXEL = 0.008  # m, edge of the octree's cubes (facts: libraries, pin + coal: 20 us a check)
@@ -85,7 +85,7 @@ class CollisionWorld:
     def _add_points(self, name: str, points: Array) -> bool:
         if len(points) == 0:
             return False
-        centers = VOXEL * (np.unique(np.floor(np.asarray(points) / VOXEL), axis=0) + 0.5)
+        centers = cube_centres(points)
         rows = np.column_stack(
             [centers, np.full(len(centers), VOXEL), np.ones(len(centers)), np.full(len(centers), 0.5)]
         )
@@ -101,6 +101,11 @@ class CollisionWorld:
     def _stands_still(self, name: str) -> None:
         self.scene.setCollisions([(name, other) for other in self._still], False)
         self._still.append(name)
+
+
+def cube_centres(points: Array) -> Array:
+    """Return the centres (M, 3) of the octree's cubes that hold points (N, 3) [m]."""
+    return VOXEL * (occupied_cells(points, VOXEL).astype(np.float64) + 0.5) if len(points) else np.zeros((0, 3))
 
 
 _GREY = np.array([0.5, 0.5, 0.5, 1.0])

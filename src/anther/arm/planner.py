@@ -12,7 +12,7 @@ from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
 from anther.arm import dynamics, kinematics, sawyer, shaking, timing
-from anther.arm.collision import ARM_MARGIN, FREE_STEP, GROUP, VOXEL, CollisionWorld
+from anther.arm.collision import ARM_MARGIN, FREE_STEP, GROUP, CollisionWorld, cube_centres
 from anther.arm.outline import outline
 from anther.arm.tours import DETOUR, least_times
 from anther.checks import check_array, check_range, check_transform
@@ -96,7 +96,7 @@ class Planner:
         self.params, self.space = params, space
         points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
         self.world = CollisionWorld(*points, boxes)
-        self.plant = VOXEL * (np.unique(np.floor(points[0] / VOXEL), axis=0) + 0.5)
+        self.plant = cube_centres(points[0])
 
     def inverse(self, T_world_flange: ArrayLike, *, near: ArrayLike | None = None) -> Array:
         """Return the collision-free joint solutions (B, 7) of a flange pose, those nearest to `near` (7,) first."""

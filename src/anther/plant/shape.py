@@ -11,7 +11,7 @@ from scipy.stats import theilslopes
 
 from anther.cloud import Cloud
 from anther.flowers import Flowers
-from anther.geometry import Array
+from anther.geometry import Array, occupied_cells
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
@@ -99,7 +99,7 @@ def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: fl
     if len(points) < 10 or not len(branch):
         return mass
     h = max(voxel, 2 * _spacing(points))
-    cubes = np.unique(np.floor(points / h).astype(np.int64), axis=0)
+    cubes = occupied_cells(points, h)
     nearest = branch[KDTree(skeleton.nodes[branch]).query((cubes + 0.5) * h)[1]]
     area = len(cubes) * h**3 / (1.5 * h + _thickness(points))
     np.add.at(mass, nearest, areal_density * area / len(cubes))
