@@ -78,28 +78,33 @@ def covering_paths(points: Array, distance: Array, before: NDArray[Any], cover: 
         distance, before: of `shortest_paths`.
         cover: (N,) how far a path covers the surroundings of a voxel [m].
     """
-    at = blocks(points, float(cover.max()))
+    edge = float(cover.min())
+    at = blocks(points, edge)
     rank = np.empty(len(points), dtype=np.int64)
     rank[at.order] = np.arange(len(points))
     tips = rank[np.argsort(-distance, kind="stable")]
     before = np.where(before >= 0, rank[before], -1)[at.order]
-    on_tree = _walked(points[at.order], tips, before, cover[at.order], at.key, at.held, at.start, at.stride)
+    on_tree = _walked(points[at.order], tips, before, cover[at.order], edge, at.key, at.held, at.start, at.stride)
     chosen = at.order[on_tree]
     return chosen[np.lexsort((chosen, distance[chosen]))]
 
 
 @numba.njit(cache=True, nogil=True)
-def _walked(points, tips, before, cover, key, held, start, stride):
-    """Return (N,) which voxels are on a path; points are sorted as in `nearby.Blocks`, whose edge no cover exceeds."""
+def _walked(points, tips, before, cover, edge, key, held, start, stride):
+    """Return (N,) which voxels are on a path; points are sorted as in `nearby.Blocks` of side `edge`.
+
+    A run of blocks may go round a corner of the grid: what it then holds is too far away to be covered.
+    """
     waiting, on_tree = np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
     for tip in tips:
         n = tip if waiting[tip] else -1
         while n >= 0 and not on_tree[n]:
             on_tree[n] = True
-            for a in range(-1, 2):
-                for b in range(-1, 2):
-                    first = key[n] + a * stride[0] + b * stride[1] - 1
-                    low, high = np.searchsorted(held, first), np.searchsorted(held, first + 3)
+            reach = int(np.ceil(cover[n] / edge))
+            for a in range(-reach, reach + 1):
+                for b in range(-reach, reach + 1):
+                    first = key[n] + a * stride[0] + b * stride[1] - reach
+                    low, high = np.searchsorted(held, first), np.searchsorted(held, first + 2 * reach + 1)
                     for m in range(start[low], start[high]):
                         if waiting[m]:
                             x, y, z = points[m] - points[n]
