@@ -195,18 +195,6 @@ def follow(images: Sequence[Image], patch: Patch, *, reach: int, worst: float) -
     return found
 
 
-def patch_depth(frame: Frame, patch: Patch, pixel: Array, depth: float, gap: float) -> float:
-    """Return the median depth [m] of a patch's own pixels, at a pixel (2,), within `gap` of `depth`; NaN if too few."""
-    if not np.isfinite(pixel).all():
-        return float("nan")
-    half, middle = patch.weight.shape[0] // 2, np.rint(pixel).astype(int)
-    if np.any(middle < half) or np.any(middle + half >= frame.depth.shape[::-1]):
-        return float("nan")
-    box = frame.depth[middle[1] - half : middle[1] + half + 1, middle[0] - half : middle[0] + half + 1]
-    own = box[(patch.weight > 0) & (np.abs(box - depth) < gap)]
-    return float(np.median(own)) if len(own) >= 3 else float("nan")
-
-
 def back_projected(intrinsics: Intrinsics, pixels: Array, depth: Array) -> Array:
     """Return the camera-frame points (T, 3) of pixels (T, 2) at depths (T,)."""
     x = (pixels[:, 0] - intrinsics.cx) / intrinsics.fx * depth

@@ -73,8 +73,7 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
     if seen.sum() < 8:
         raise bad_input("swing", given=f"{seen.sum()} samples", allowed="8 or more", do="Record longer.")
     t, x = times[seen], path[seen]
-    span, slow = (float(t[0]), float(t[-1])), _slow_terms(t, frequency)
-    basis = _basis(t, span, frequency, slow)
+    basis = swing_basis(t, frequency)
     # normal equations: a decomposition of the basis would wake BLAS threads, which cost more than the work
     gram = np.einsum("ti,tj->ij", basis, basis)
     # how much larger the variance of a and b is than with evenly spread phases
@@ -98,8 +97,13 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
         frequency=float(frequency),
         residual=float(np.sqrt(misses.mean())),
         coefficients=coefficients,
-        span=span,
+        span=(float(t[0]), float(t[-1])),
     )
+
+
+def swing_basis(times: Array, frequency: float) -> Array:
+    """Return (T, 2 + slow terms) what `fit_swing` fits to samples at `times` (T,): cosine, sine, Legendre series."""
+    return _basis(times, (float(times[0]), float(times[-1])), frequency, _slow_terms(times, frequency))
 
 
 def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1) -> float:

@@ -197,9 +197,8 @@ def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion
     if amplitude < limit:
         return _UNSEEN._replace(at_most=limit)
     frequency, span = find_frequency(times, clean, hint), float(np.ptp(times))
-    towards = params.depth_error * abs(swing.direction[2]) * amplitude
-    mixed = params.member_spread * amplitude if one.mixed else 0.0
-    spread = float(np.linalg.norm([noise, mixed, towards, np.hypot(amplitude, unseen) - amplitude]))
+    usual = amplitude * (params.member_spread if one.mixed else params.spread)
+    spread = float(np.linalg.norm([noise, params.least_spread, usual, np.hypot(amplitude, unseen) - amplitude]))
     return _Motion(
         direction=swing.direction,
         amplitude=amplitude,
@@ -214,15 +213,18 @@ def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion
 
 
 def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool, params: Params) -> tuple[Array, float]:
-    """Return the track (T, 3), without motion in depth where that is only noise, and how large it may have been [m]."""
-    swing = fit_swing(times, track, hint)
-    sizes, noise = np.linalg.norm(swing.coefficients[:2], axis=0), float(swing.axis_std[2])
-    sideways = float(np.hypot(sizes[0], sizes[1]))
-    sure = deep and noise <= max(params.least_error, params.relative_error * sideways)
-    if sure and sizes[2] >= params.significance * noise:
+    """Return the track (T, 3), without motion in depth where that is only noise, and how large it may have been [m].
+
+    Without it the flower is where its rays pass the plane of its median depth: its motion across the line of sight.
+    """
+    flat = track * (np.nanmedian(track[:, 2]) / track[:, 2:])
+    swing, across = fit_swing(times, track, hint), fit_swing(times, flat, hint).amplitude
+    size, noise = float(np.linalg.norm(swing.coefficients[:2, 2])), float(swing.axis_std[2])
+    sure = deep and noise <= max(params.least_error, params.relative_error * across)
+    if sure and size >= params.significance * noise:
         return track, 0.0
-    unseen = params.significance * noise if sure else sideways * np.sqrt((1 + params.depthless) ** 2 - 1)
-    return np.where(np.isfinite(track), track * [1, 1, 0], np.nan), float(unseen)
+    unseen = params.significance * noise if sure else across * np.sqrt((1 + params.depthless) ** 2 - 1)
+    return flat, float(unseen)
 
 
 def _named(flowers: NDArray[Any]) -> str:

@@ -21,13 +21,13 @@ from anther.flower_tracking import (
     cut_patch,
     flower_weight,
     follow,
-    patch_depth,
     petal_weight,
     seek,
     smoothed,
 )
 from anther.geometry import Array, Intrinsics
 from anther.oscillation import fit_swing
+from anther.response.depth import depth_along
 from anther.response.params import Params
 
 
@@ -76,7 +76,7 @@ def follow_flowers(
     found = []
     for k in np.flatnonzero(inside & shown):
         path = _path(frames, begin, int(k), hint, params)
-        deep, depth = _depth(frames, begin.own[k], path, float(rest[k, 2]), params)
+        deep, depth = _depth(frames, begin.own[k], path, hint, float(rest[k, 2]), params)
         lifted = _lifted(intrinsics, path + begin.pixels[k] - begin.own[k].centre, depth)
         found.append(Followed(int(k), lifted, rest[k, 2] / intrinsics.fx, deep, any(k in group for group in mixed)))
     hidden = np.flatnonzero(inside & ~shown)
@@ -152,9 +152,11 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float, params: P
     return path
 
 
-def _depth(frames: Sequence[Frame], patch: Patch, path: Array, rest: float, params: Params) -> tuple[bool, Array]:
+def _depth(
+    frames: Sequence[Frame], patch: Patch, path: Array, hint: float, rest: float, params: Params
+) -> tuple[bool, Array]:
     """Return whether a flower's depth is sure along its path (T, 2), and that depth (T,) [m], or `rest` where not."""
-    depth = np.array([patch_depth(f, patch, p, rest, params.depth_reach) for f, p in zip(frames, path, strict=True)])
+    depth = depth_along(frames, patch, path, hint, rest, params.own_depth)
     sure = bool(np.isfinite(depth).mean() >= params.depth_share * np.isfinite(path[:, 0]).mean() > 0)
     return sure, depth if sure else np.full(len(frames), rest)
 
@@ -170,12 +172,8 @@ def _overlapping(pixels: Array, apart: Array, seen: NDArray[Any]) -> list[NDArra
 
 
 def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
-    """Return camera-frame points (T, 3) of a pixel path (T, 2) at depths (T,); NaN where either is missing.
-
-    Sideways motion is measured at the median depth: depth noise would otherwise leak into it.
-    """
-    points = back_projected(intrinsics, path, np.full(len(path), np.nanmedian(depth)))
-    points[:, 2] = depth
+    """Return camera-frame points (T, 3) of a pixel path (T, 2) at depths (T,); NaN where either is missing."""
+    points = back_projected(intrinsics, path, depth)
     return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
 
 

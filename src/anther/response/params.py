@@ -17,14 +17,16 @@ class Params:
         shift: farthest that the held plant may stand from where it was seen at rest [m].
         reach: farthest that a flower may be, in the next frame, from where its last two places point to [m].
         depth_reach: what stands further than this from a flower's depth at rest is not its own [m].
+        own_depth: nor are readings further from it than this counted when its depth is measured [m].
         depth_share: of the frames in which depth must be sure; else only the sideways motion is measured.
         least_cover: a flower's own pixels must cover this share of its disc, or else it counts as hidden.
         overlap: flowers closer than this many flower radii in the image may be mixed up.
         crowd: flowers closer than this many are looked for where they should be, not where the petals' middle is.
-        member_spread: standard deviation that this adds to their amplitudes, relative.
+        least_spread, spread: standard deviation of an amplitude beside what the fit's residual tells [m], and relative:
+            a flower turns as it swings, so that what is seen of it moves a little more or less than its middle, and
+            its depth is mixed with that of what is beside it. Measured on twenty films of development plants.
+        member_spread: the latter, for flowers that may be mixed up.
         depthless: standard deviation of the whole amplitude relative to its sideways part, where depth is not sure.
-        depth_error: relative standard deviation of motion in depth: sensors mix a small thing's depth with what is
-            beside it.
         phase_error: of each flower, beside what the fit's residual tells [rad]; so that 98 % of the phases measured in
             films of development plants lay within two deviations.
         likeness: a patch is recognised where it differs from its first picture by less than this share of what the
@@ -47,13 +49,15 @@ class Params:
     shift: float = 0.025
     reach: float = 0.012
     depth_reach: float = 0.025
+    own_depth: float = 0.02
     depth_share: float = 0.8
     least_cover: float = 0.12
     overlap: float = 1.5
     crowd: float = 2.0
+    least_spread: float = 0.00015
+    spread: float = 0.08
     member_spread: float = 0.15
     depthless: float = 0.2
-    depth_error: float = 0.2
     phase_error: float = 0.05
     likeness: float = 0.6
     again: int = 2
