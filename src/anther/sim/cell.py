@@ -175,17 +175,21 @@ class Cell:
     def _note(self) -> None:
         d, sample = self.data, len(self._samples)
         self._samples.append((d.time, d.qpos.copy(), d.qfrc_actuator[self._arm_dofs].copy(), self.grip_command))
-        force = np.zeros(6)
-        for i in range(d.ncon):
-            a, b = self._codes[d.contact[i].geom]
-            pad, (_, other, blade) = (a[0], b) if a[0] >= 0 else (b[0], a)
-            mujoco.mj_contactForce(self.model, d, i, force)
-            self._contacts.append((sample, pad, other, blade, force[0], d.contact[i].pos.copy()))
+        if not d.ncon:
+            return
+        pair = self._codes[d.contact.geom]
+        robot_first = pair[:, :1, 0] >= 0
+        robot, other = np.where(robot_first, pair[:, 0], pair[:, 1]), np.where(robot_first, pair[:, 1], pair[:, 0])
+        row = d.contact.efc_address  # of the normal force, with elliptic cones; -1 without one
+        force = np.where(row >= 0, d.efc_force[row], 0.0)
+        here = np.full(d.ncon, sample)
+        self._contacts.append((here, robot[:, 0], other[:, 1], other[:, 2], force, d.contact.pos.copy()))
 
     def log(self) -> CellLog:
         """Return all samples so far."""
         times, qpos, torques, command = (np.array(x) for x in zip(*self._samples, strict=True))
-        sample, pad, other, blade, force, point = list(zip(*self._contacts, strict=True)) or [()] * 6
+        columns = [np.concatenate(x) for x in zip(*self._contacts, strict=True)] or [np.zeros(0)] * 6
+        sample, pad, other, blade, force, point = columns
         return CellLog(
             times=times,
             qpos=qpos,
@@ -193,12 +197,12 @@ class Cell:
             torques=torques,
             grip_command=command,
             opening=qpos[:, self._fingers].sum(axis=1),
-            contact_sample=np.array(sample, dtype=int),
-            contact_pad=np.array(pad, dtype=int),
-            contact_other=np.array(other, dtype=int),
-            contact_blade=np.array(blade, dtype=bool),
-            contact_force=np.array(force, dtype=float),
-            contact_point=np.array(point, dtype=float).reshape(-1, 3),
+            contact_sample=sample.astype(int),
+            contact_pad=pad.astype(int),
+            contact_other=other.astype(int),
+            contact_blade=blade.astype(bool),
+            contact_force=force.astype(float),
+            contact_point=point.reshape(-1, 3).astype(float),
         )
 
     def segment_poses(self, qpos: Array | None = None) -> Array:
