@@ -128,6 +128,19 @@ def test_pads_may_close_where_an_internode_is_longer_than_they_are():
     assert 0.21 < best.arc_length < 0.3
 
 
+def test_opens_half_where_it_is_narrow_and_wide_where_it_is_not():
+    """Posts 47 mm to the left and right of the stem: wide open fingers reach out to 36 mm, and must keep 15 mm off."""
+    stem, skeleton, cloud = make_plant(branches=())
+    reach = lambda *_: np.ones(7)  # noqa: E731
+    assert plan_grasps(stem, skeleton, cloud, reach=reach)[0].opening > 0.04
+    z, azimuth = (x.ravel() for x in np.meshgrid(np.arange(-0.3, 0.2, 0.005), np.radians([70, 80, 90, 100])))
+    posts = np.stack([0.72 + 0.047 * np.cos(azimuth), 0.047 * np.sin(azimuth), z], axis=1)
+    narrow = add_points(cloud, np.zeros((0, 3)), obstacles=np.concatenate([posts, posts * [1, -1, 1]]))
+    best = plan_grasps(stem, skeleton, narrow, reach=reach)[0]
+    assert best.opening == 0.024
+    assert best.approach[0] > 0.9
+
+
 def test_keeps_away_from_flowers():
     stem, skeleton, cloud = make_plant(branches=())
     near = plan_grasps(stem, skeleton, cloud)[0].point

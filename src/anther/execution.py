@@ -34,7 +34,6 @@ from anther.vibration.waveforms import Waveform
 
 Progress = Callable[[int, int], None]
 """Called with (phases done, phases in all)."""
-
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
 SCHEMA = 1
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
@@ -45,9 +44,7 @@ class Shake(Protocol):
 
     Attributes:
         grasp: where to hold; it must have arm joints.
-        direction: (3,) unit, world.
-        amplitude: of the flange [m].
-        frequency, duration: of a sweep the first [Hz], and [s].
+        direction, amplitude, frequency, duration: (3,) unit, world; of the flange [m]; of a sweep the first [Hz]; [s].
         waveform: shape in time.
     """
 
@@ -92,12 +89,10 @@ class Params:
         approach_speed: on that line [m/s].
         loose: closing begins at the measured stem diameter and this [m]. The gripper's force cannot be set (facts:
             sawyer 3), so the position is the gentleness.
-        step: by so much it closes on [m] until it presses with `hold`: pads that press hard straighten a stem.
-        hold: force with which the pads press at least [N].
-        thinnest: down to this [m].
+        step, hold, thinnest: it closes on in such steps [m] until it presses with this [N] or is so far closed [m].
         settle: wait between closing and shaking, in which the touched plant calms down [s].
-        opening: before closing [m]; the stroke is 41.667 mm.
-        thickest: a held thing may be wider than the measured diameter by this [m] before it counts as something else.
+        opening: before closing [m], or that of the grasp if it is less; the stroke is 41.667 mm.
+        thickest: what is wider than the measured diameter by this [m] is not the stem.
         rates: frame rates the side camera has [Hz] (D455).
     """
 
@@ -117,7 +112,6 @@ class Params:
         check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
         check_range("settle", self.settle, 0.01, 30.0, "s")
         check_range("step", self.step, 1e-4, 0.02, "m")
-        check_range("loose", self.loose, -0.02, 0.02, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,12 +120,11 @@ class Trial:
 
     Attributes:
         phases: (P,) names of the phases begun, in order, out of `PHASES`.
-        phase_times: (P, 2) begin and end of each [s], on the robot's clock. Only the arm tells the time, so a phase of
-            the gripper fills what lies between two motions.
-        shake_times: (T,) [s], on the robot's clock; empty if it never shook. Of a shake that was cut short, what the
-            arm's readings showed of it.
+        phase_times: (P, 2) begin and end of each [s], on the robot's clock. Only the arm tells the time: a phase of the
+            gripper fills what lies between two motions.
+        shake_times: (T,) [s], on the robot's clock; empty if it never shook; of a shake cut short what was read of it.
         commanded, measured: (T, 7) joints during the shake [rad].
-        gripper: the state after closing, after the shake and after release: (opening [m], force [N], held) rows (G, 3).
+        gripper: (G, 3) opening [m], force [N] and held after closing, after the shake and after release.
         frame_times: (N,) when the side camera's frames were taken [s].
         stop_reason: "finished", or why it stopped.
         failure: the failure's kind; None when it finished.
@@ -169,7 +162,7 @@ class Trial:
 
     def save(self, path: Path | str) -> None:
         """Write the trial, without the frames' pixels, to an .npz."""
-        words = json.dumps({"phases": self.phases, "stop_reason": self.stop_reason, "failure": self.failure})
+        words = json.dumps({name: getattr(self, name) for name in ("phases", "stop_reason", "failure")})
         names = ("phase_times", "shake_times", "commanded", "measured", "gripper", "frame_times")
         write_npz(path, "trial", SCHEMA, words=words, **{name: getattr(self, name) for name in names})
 
@@ -197,10 +190,9 @@ def execute(
     """Open, reach, approach, close, shake, let go and retreat.
 
     Whatever goes wrong, Ctrl-C included, the arm holds, the gripper opens, the arm retreats along the approach where it
-    still can, and the returned trial says what was done and why it stopped. Nothing is raised, so that no record is
-    lost: look at `Trial.finished`, `failure` and `stop_reason`. After "nothing_grasped" another grasp may be tried.
-    A side camera that fails stops nothing: the shake is done, and the trial is a "device_fault" that says so.
-    It may start anywhere, also with the gripper closed on a plant: it opens first, and the planner draws the arm back.
+    still can, and the returned trial says what was done and why it stopped (`finished`, `failure`, `stop_reason`).
+    Nothing is raised, so that no record is lost. A side camera that fails stops nothing: the trial is a "device_fault".
+    It may start with the gripper closed on a plant: it opens first, and the planner draws the arm back.
 
     Args:
         planner: of motions that start where the arm is.
@@ -238,6 +230,10 @@ class _Work:
     in_plant: bool = False
     stop_reason: str = "finished"
     failure: FailureKind | None = None
+
+    @property
+    def opening(self) -> float:
+        return min(self.plan.grasp.opening, self.params.opening)
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
@@ -293,7 +289,7 @@ def _forward(work: _Work) -> None:
     with work.phase("open"):  # whatever cannot be done at this grasp is refused before anything moves to it
         p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
         shake = work.planner.shake(grasp.joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
-        work.robot.gripper.move(params.opening)
+        work.robot.gripper.move(work.opening)
     with work.phase("reach"):
         work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
     with work.phase("approach"):
@@ -341,7 +337,7 @@ def _filmed(work: _Work) -> Iterator[None]:
 
 def _back(work: _Work) -> None:
     with work.phase("release"):
-        work.grips.append(work.robot.gripper.move(work.params.opening))
+        work.grips.append(work.robot.gripper.move(work.opening))
     with work.phase("retreat"):
         back = work.plan.grasp.pregrasp(work.params.stand_off)
         work.follow(work.planner.line(work.robot.arm.joints(), back, work.params.approach_speed))
@@ -360,7 +356,7 @@ def _retire(work: _Work) -> None:
         return True
 
     held = done(work.robot.arm.hold)
-    opened = done(lambda: work.robot.gripper.move(work.params.opening))
+    opened = done(lambda: work.robot.gripper.move(work.opening))
     if held and opened and work.in_plant:
         done(lambda: _back(work))
 
@@ -368,33 +364,37 @@ def _retire(work: _Work) -> None:
 def _close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
     """Close to the measured diameter and on in steps until the pads press; verify the grip.
 
-    Depth sensors see thin stems too thick (facts: perception, thin stems look fat).
+    Depth sensors see thin stems too thick (facts: perception). One that was measured too thin is pressed hard at once:
+    the pads let go a little and close again from where they met it.
 
     Raises:
-        StageFailure: nothing_grasped, or branch_or_leaf_grasped when what is held is much too thick.
+        StageFailure: nothing_grasped, or branch_or_leaf_grasped when it is much too thick.
     """
-    width = min(max(grasp.stem_diameter + params.loose, params.thinnest), params.opening)
+    expected = max(grasp.stem_diameter + params.loose, params.thinnest)
+    state = _press(gripper, expected, params)
+    if expected + params.step < state.opening < expected + params.thickest:
+        state = _press(gripper, state.opening + params.step, params)
+    if state.is_gripping and state.opening <= grasp.stem_diameter + params.thickest:
+        return state
+    kind, what = ("branch_or_leaf_grasped", "something thick") if state.is_gripping else ("nothing_grasped", "nothing")
+    found = f"the pads stand {1e3 * state.opening:.1f} mm apart with {state.force:.1f} N, not {1e3 * expected:.1f} mm"
+    raise StageFailure(kind, f"the gripper holds {what}: {found}. Try the next grasp.")
+
+
+def _press(gripper: Gripper, width: float, params: Params) -> GripperState:
+    """Close to a width [m], and on in steps until the pads press."""
     state = gripper.move(width)
     while not (state.is_gripping and state.force >= params.hold) and width - params.step >= params.thinnest:
         width -= params.step
         state = gripper.move(width)
-    found = f"the pads stand {1000 * state.opening:.1f} mm apart with {state.force:.1f} N"
-    expected = f"a stem of {1000 * grasp.stem_diameter:.1f} mm was measured"
-    if not state.is_gripping:
-        raise StageFailure("nothing_grasped", f"the gripper holds nothing: {found}; {expected}. Try the next grasp.")
-    if state.opening > grasp.stem_diameter + params.thickest:
-        raise StageFailure(
-            "branch_or_leaf_grasped", f"the gripper holds something too thick: {found}; {expected}. Try the next grasp."
-        )
     return state
 
 
 def choose_rate(frequency: float, rates: Sequence[float]) -> float:
     """Return the camera rate [Hz] to record a shake of `frequency` [Hz] with.
 
-    A sampled sinusoid of known frequency can be fitted below the Nyquist rate as well, but at f = rate/2 or a multiple
-    its phase is lost, and so is its amplitude. The slowest rate of eight or more frames a period is taken; if there is
-    none, the one whose aliased frequency lies nearest to rate/4, the middle between the two blind spots.
+    At f = rate/2 or a multiple a sampled sinusoid's phase and amplitude are lost. The slowest rate of eight or more
+    frames a period is taken; if there is none, the one whose aliased frequency lies nearest to rate/4, in the middle.
     """
     ample = [r for r in rates if r >= 8 * frequency]
     return min(ample) if ample else min(rates, key=lambda r: abs(alias(frequency, r) / r - 0.25))

@@ -34,7 +34,7 @@ from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
-SCHEMA = 2
+SCHEMA = 3
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
 ROOT_STRAIN = 0.01
@@ -66,6 +66,7 @@ class Params:
         touch: a piece nearer than this to the way in counts as touched [m].
         doubt: how far skeleton and cloud may lie beside the truth [m]: of petioles 1.8 to 3.2 mm in 90 of 100 places
             (measured on peppers); what comes this near the closing pads counts as between them.
+        openings: of the pads on the way in [m], all tried: wide open forgives errors, half open fits between petioles.
         wanted: how many grasps the arm must confirm.
         apart: along the stem, so that the next differs when one fails [m]; at most a twentieth of the stem.
         slack: a grasp whose score is lower than the best's by more than this is a last resort: it is tried when the
@@ -88,6 +89,7 @@ class Params:
     leaf_size: float = 0.006
     touch: float = 0.002
     doubt: float = 0.003
+    openings: tuple[float, ...] = (0.041667, 0.024)
     wanted: int = 5
     apart: float = 0.012
     slack: float = 0.6
@@ -118,6 +120,7 @@ class Grasp:
         joints: (7,) arm joints at the grasp [rad], or None when no arm was asked.
         confidence: probability that it is the main stem that closes between the fingers (pepper: below the first fork;
             docs/confidence.md), or None when the skeleton's confidence is unknown.
+        opening: between the pads on the way in and out [m].
     """
 
     T_world_flange: Array
@@ -131,6 +134,7 @@ class Grasp:
     reason: str
     joints: NDArray[Any] | None = None
     confidence: float | None = None
+    opening: float = 0.041667
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_world_flange", check_transform("T_world_flange", self.T_world_flange))
@@ -216,7 +220,7 @@ def load_grasps(path: Path | str) -> list[Grasp]:
 
 _SAVED = (
     "point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "score", "reason", "joints",
-    "confidence",
+    "confidence", "opening",
 )  # fmt: skip
 
 
@@ -246,9 +250,10 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     if toward_base:
         few = (candidates.arc_length <= stem.arc_length[stem.fork]) | (candidates.station % 4 == 0)
         candidates = candidates.only(few & (candidates.outward() > 0))
-    around = surroundings_of(stem, skeleton, cloud, leaf_size=params.leaf_size)
-    boxes, closing = gripper.boxes(params.pregrasp_distance), gripper.closing(params.doubt)
-    met = clearance(candidates.T_world_flange, around, boxes, closing, touch=params.touch)
+    around, poses = surroundings_of(stem, skeleton, cloud, leaf_size=params.leaf_size), candidates.T_world_flange
+    open_ = [(gripper.boxes(params.pregrasp_distance, o), gripper.closing(params.doubt, o)) for o in params.openings]
+    met = Clearance.of([clearance(poses, around, *shape, touch=params.touch) for shape in open_])
+    candidates = candidates.opened(params.openings)
     refusals = _refusals(candidates, met, params)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
@@ -295,6 +300,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
         "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
         "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.002,
+        "half open": 0.3 * (c.opening < max(params.openings)),
         "thick for the gripper": 2.5 * np.maximum(2 * c.radius / params.gripper.stroke - 0.6, 0),
         "far from the stem's middle": 0.4 * np.abs(c.arc_length / length - 0.5),
     }
@@ -347,6 +353,7 @@ def _grasp(ranking: _Ranking, i: int) -> Grasp:
         score=-sum(cost.values()),
         reason="; ".join([reason, *against]),
         confidence=None if ranking.confidence is None else float(ranking.confidence[i]),
+        opening=float(c.opening[i]),
     )
 
 
@@ -373,5 +380,6 @@ def _enlarged(grasp: Grasp, scale: float) -> Grasp:
         arc_length=grasp.arc_length * scale,
         stem_diameter=grasp.stem_diameter * scale,
         clearance=grasp.clearance * scale,
+        opening=grasp.opening * scale,
         reason=f"for a gripper {scale:.1f} times as large: {grasp.reason}",
     )

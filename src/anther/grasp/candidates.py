@@ -5,7 +5,7 @@ Holds the two rules of the paper (P12, P13) and the candidates that Anther's own
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from typing import Any
 
@@ -31,6 +31,7 @@ class Candidates:
         radius: (C,) stem radius [m].
         bend: (C,) rms distance of the centreline from its straight fit [m].
         attachment_distance: (C,) along the stem to the nearest attachment [m]; infinite without any.
+        opening: (C,) between the pads on the way in [m].
     """
 
     station: NDArray[Any]
@@ -42,14 +43,20 @@ class Candidates:
     radius: Array
     bend: Array
     attachment_distance: Array
+    opening: Array
 
     def outward(self) -> Array:
         """Return (C,) the cosine between approach and the horizontal direction from the base, the world's origin."""
         away = self.points[:, :2] / np.maximum(np.linalg.norm(self.points[:, :2], axis=1, keepdims=True), 1e-9)
         return np.sum(self.approach[:, :2] * away, axis=1)
 
-    def only(self, which: NDArray[np.bool_]) -> Candidates:
-        """Return those candidates of these (C,)."""
+    def opened(self, openings: tuple[float, ...]) -> Candidates:
+        """Return them all with the first opening [m], then all with the second, and so on."""
+        every = self.only(np.tile(np.arange(len(self.station)), len(openings)))
+        return replace(every, opening=np.repeat(openings, len(self.station)))
+
+    def only(self, which: NDArray[Any]) -> Candidates:
+        """Return those candidates of these (C,), or of these numbers."""
         return Candidates(*(getattr(self, f.name)[which] for f in fields(self)))
 
 
@@ -92,20 +99,24 @@ def candidates_along(
         radius[station],
         bend[station],
         free[station],
+        np.full(len(station), np.nan),
     )
 
 
 def _fits(stem: Stem, skeleton: Skeleton, arcs: Array, window: float) -> list[tuple[Array, Array, float, float]]:
-    """Return point, tangent, radius and bend of a straight fit to the stem around each arc length."""
+    """Return point, tangent, radius and bend of a straight fit to the stem around each arc length.
+
+    No place of a stem is much thinner than the stem about it: one that seems to be is half hidden.
+    """
     s, nodes = stem.arc_length, skeleton.nodes[stem.node_ids]
     dense = np.linspace(s[0], s[-1], max(int(10 * (s[-1] - s[0]) / window), 20))
     line = np.stack([np.interp(dense, s, nodes[:, i]) for i in range(3)], axis=1)
     radius = np.interp(dense, s, skeleton.radius[stem.node_ids])
     fits = []
     for arc in arcs:
-        near = np.abs(dense - arc) <= window
+        near, about = np.abs(dense - arc) <= window, np.abs(dense - arc) <= 4 * window
         point, tangent, bend = _straight_fit(dense[near] - arc, line[near])
-        fits.append((point, tangent, float(np.median(radius[near])), bend))
+        fits.append((point, tangent, float(max(np.median(radius[near]), np.median(radius[about]))), bend))
     return fits
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -59,18 +60,23 @@ class Gripper:
         (0.025, -0.02, 0.0, 0.09, 0.02, 0.006),
     )
 
-    def boxes(self, sweep: float) -> Array:
-        """Return (G, 6) corners of the open gripper's boxes, each stretched by `sweep` [m] back along the approach."""
-        inner, tip = self.stroke / 2, self.depth + self.pad[1] / 2
+    def boxes(self, sweep: float, opening: float | None = None) -> Array:
+        """Return (G, 6) corners of the open gripper's boxes, each stretched by `sweep` [m] back along the approach.
+
+        Args:
+            sweep: length of the way in [m].
+            opening: between the pads [m]; None: the whole stroke.
+        """
+        inner, tip = (self.stroke if opening is None else opening) / 2, self.depth + self.pad[1] / 2
         x, outer, start = self.pad[0] / 2, inner + self.finger[0], self.finger[1]
         fingers = [(-x, inner, start, x, outer, tip), (-x, -outer, start, x, -inner, tip)]
         boxes = np.array([*self.body, *fingers])
         boxes[:, 2] -= sweep
         return boxes
 
-    def closing(self, margin: float = 0.0) -> Array:
+    def closing(self, margin: float = 0.0, opening: float | None = None) -> Array:
         """Return (6,) corners of the space between the open pads, longer and broader than these by `margin` [m]."""
-        x, y, z = self.pad[0] / 2 + margin, self.stroke / 2, self.pad[1] / 2 + margin
+        x, y, z = self.pad[0] / 2 + margin, (self.stroke if opening is None else opening) / 2, self.pad[1] / 2 + margin
         return np.array([-x, -y, self.depth - z, x, y, self.depth + z])
 
 
@@ -109,6 +115,11 @@ class Clearance:
     enclosed: NDArray[Any]
     spread: Array
     push: Array
+
+    @classmethod
+    def of(cls, parts: Sequence[Clearance]) -> Clearance:
+        """Return what these meet, one after the other."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
 def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud, *, leaf_size: float) -> Surroundings:

@@ -19,6 +19,8 @@ from anther.oscillation import find_frequency, fit_swing
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
 
+TRAVEL, TRAVEL_TIME = 0.01, 0.2
+"""An arm travels while a joint turns by this [rad] in this time [s]: on the way in by 0.02 to 0.06 rad."""
 SATURATED = 0.999
 """Share of a motor's torque limit from which on it counts as reached."""
 
@@ -108,11 +110,11 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
     """
     params, log = params or Params(), cell.log()
     shaking = (log.times >= shake[0]) & (log.times <= shake[1]) if shake else np.zeros(len(log.times), dtype=bool)
-    holding = shaking if shake else _closed(log)
+    holding = shaking if shake else _closed(log, shake)
     segment, share = _grasped(log, holding, params)
     organ, *beside = _organs(cell, log, holding, segment, params)
     slip, height = _slip(cell, log, shaking, segment)
-    push = _push(log)
+    push = _push(log, shake)
     stem, joint = _strain(cell, log, shaking)
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses, params)
@@ -141,9 +143,20 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
     )
 
 
-def _closed(log: CellLog) -> NDArray[np.bool_]:
-    """(T,) whether the gripper was commanded below its largest command."""
-    return log.grip_command < log.grip_command.max() - 1e-3
+def _closed(log: CellLog, shake: tuple[float, float] | None) -> NDArray[np.bool_]:
+    """(T,) whether the gripper was commanded below what it was when the arm last and when it next travelled.
+
+    The arm travels with open pads, but how far they are open is the grasp's choice. Shaking is no travelling.
+    """
+    rows, end = np.arange(len(log.times)), len(log.times) - 1
+    ahead = np.searchsorted(log.times, log.times + TRAVEL_TIME).clip(max=end)
+    travels = np.abs(log.joints[ahead] - log.joints).max(axis=1) > TRAVEL
+    if shake is not None:
+        travels &= (log.times < shake[0] - TRAVEL_TIME) | (log.times > shake[1])
+    last = np.maximum.accumulate(np.where(travels, rows, 0))
+    after = np.minimum.accumulate(np.where(travels, rows, end + 1)[::-1])[::-1]
+    command = log.grip_command
+    return command < np.minimum(command[last], command[np.where(after > end, last, after)]) - 1e-3
 
 
 def _grasped(log: CellLog, when: NDArray[np.bool_], params: Params) -> tuple[int, float]:
@@ -199,9 +212,9 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
     return float(wander.max()), float(rest[2] - cell.plant.pot.soil_z)
 
 
-def _push(log: CellLog) -> float:
+def _push(log: CellLog, shake: tuple[float, float] | None) -> float:
     """Return the largest sum of the robot's forces on the plant while open, until it closes for the last time [N]."""
-    closed = _closed(log)
+    closed = _closed(log, shake)
     begins = np.flatnonzero(closed & np.diff(closed, prepend=False))
     open_ = ~closed & (np.arange(len(closed)) < (begins[-1] if len(begins) else len(closed)))
     before = (log.contact_other >= 0) & open_[log.contact_sample]
