@@ -97,7 +97,7 @@ class Params:
     """
 
     stand_off: float = 0.12
-    approach_speed: float = 0.1
+    approach_speed: float = 0.12
     loose: float = 0.0005
     step: float = 0.0005
     hold: float = 2.0

@@ -94,7 +94,7 @@ class SimGripper:
             )
         dt, start = self.cell.params.timestep, self.cell.grip_command
         ramp = abs(opening - start) / sawyer.FINGER_SPEED
-        settling = 0.3 if ramp > dt else 0.02  # a gripper that is there already says so at once
+        settling = 0.3 if ramp > 0.01 else 0.1 if ramp > dt else 0.02  # a short way is soon settled, and no way at once
         command = np.interp(np.arange(1, round((ramp + settling) / dt) + 1) * dt, [0, ramp + 1e-9], [start, opening])
         q = np.tile(self.cell.arm_command, (len(command), 1))
         self.cell.run(q, np.zeros_like(q), command)
