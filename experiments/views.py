@@ -93,10 +93,11 @@ def take_pool(plant: SimPlant, seed: int, viewpoints: Viewpoints, chosen: list[i
 
 def directions(viewpoints: Viewpoints) -> tuple[list[int], list[int]]:
     """Return the viewpoints in the order of the fixed and of the narrow choice."""
-    narrow = reachable_views(PLACE.region, PLACE.solids, PRESETS["fast"])
+    fast = PRESETS["fast"]
+    narrow = reachable_views(PLACE.region, PLACE.solids, fast)
     grid = list(zip(viewpoints.azimuth, viewpoints.elevation, strict=True))
-    among = [grid.index((narrow.azimuth[i], narrow.elevation[i])) for i in narrow.spread(max(COUNTS["narrow"]))]
-    return viewpoints.spread(POOL), among
+    chosen = narrow.spread(max(COUNTS["narrow"]), fast.first)
+    return viewpoints.spread(POOL), [grid.index((narrow.azimuth[i], narrow.elevation[i])) for i in chosen]
 
 
 def perceive(capture: Capture) -> Seen:
