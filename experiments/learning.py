@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from finer_plant import divided
 from learning_figure import draw
 from numpy.typing import NDArray
 from rich.console import Console
@@ -56,8 +55,6 @@ ARMS = ("facts", "crop", "plant")
 CROPS: tuple[Species, ...] = ("tomato", "pepper")
 SEEN = (0.6, 0.08, 0.15e-3)
 """How often a flower's amplitude can be measured; its error, relative and absolute [m] (docs/response.md)."""
-PIECE = 0.03
-"""Longest rigid piece of the true plant [m]: its modes are then within a few per cent."""
 SAME = 0.02
 """A found flower is the true one nearest to it if that is no farther away [m]."""
 BEGIN = datetime(2026, 5, 1, tzinfo=UTC)
@@ -158,7 +155,7 @@ def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Gen
 
 def shaken(truth: SimPlant, plan: ShakePlan) -> tuple[Array, float, float, float]:
     """Return the true flowers' amplitudes (F,) [m], what more sets, their mean acceleration [m/s2], and the strain."""
-    truth, limits = divided(truth, PIECE), ShakeParams()
+    limits = ShakeParams()
     plant = ShakenPlant(truth, plan.grasp.point, plan.direction)
     done = plant.steady(plan.amplitude, plan.frequency)
     jolt = (2 * np.pi * plan.frequency) ** 2 * done.amplitude

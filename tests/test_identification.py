@@ -231,7 +231,7 @@ def test_two_shakes_teach_more_than_either(plant: PlantModel, plan: ShakePlan) -
 
 
 def test_the_members_of_a_belief_predict_other_shakes(plant: PlantModel, plan: ShakePlan) -> None:
-    unshaken = refine(plant, [], Params(members=16))
+    unshaken = refine(plant, [], Params(members=16, least_members=8))
     assert unshaken.material == plant.material
     points, frequencies = plant.rods.nodes[plant.stem_nodes[[6, 8]]], np.array([0.01, 4.0])
     assert unshaken.amplitude_at(points, plan.direction, frequencies).shape == (2, 2, 3)

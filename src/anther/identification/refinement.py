@@ -44,7 +44,7 @@ class Params:
     model_error: float = 0.5
     phase_error: float = 1.0
     likeness: float = 0.5
-    least_members: float = 8.0
+    least_members: float = 16.0
     seed: int = 1
 
     def __post_init__(self) -> None:

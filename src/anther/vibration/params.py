@@ -9,9 +9,10 @@ from anther.checks import check_range
 from anther.errors import bad_input
 from anther.vibration.waveforms import SINE, Waveform
 
-FLOWER_SPREAD = 0.5
-"""Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on eleven
-simulated plants (docs/learning.md): how far one flower differs from its plant whatever material and gain."""
+FLOWER_SPREAD = 0.65
+"""Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
+simulated plants at 5 and 10 Hz (docs/identification.md): how far one flower differs from its plant whatever material
+and gain."""
 
 
 @dataclass(frozen=True, slots=True)
