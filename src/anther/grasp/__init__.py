@@ -257,7 +257,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     refusals = _refusals(candidates, met, params)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
-    costs["near or above a fork"] = np.where(below < 0, 10.0, 3.0 * np.clip(1 - below / NEAR_FORK, 0, 1))
+    costs["near or above a fork"] = 10.0 * np.clip(1 - below / NEAR_FORK, 0, 1)
     confidence = place_confidence(stem, skeleton, candidates.arc_length)
     if confidence is not None:
         costs["perhaps not the main stem"] = 2.0 * (1 - confidence)
