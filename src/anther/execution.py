@@ -102,7 +102,7 @@ class Params:
     step: float = 0.0005
     hold: float = 2.0
     thinnest: float = 0.002
-    settle: float = 0.1
+    settle: float = 0.6
     opening: float = 0.0416
     thickest: float = 0.012
     rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
