@@ -134,8 +134,11 @@ def judge(plant: SimPlant, frames: Sequence[Frame], true: Shaken, frequency: flo
 
 
 def _sideways(times: Array, path: Array, frequency: float) -> float:
-    """Return the amplitude of a path (N, 3) across the camera's line of sight [m]; NaN where the rate hides it."""
-    across = (path - np.nanmean(path, axis=0)) @ layout(USUAL_DISTANCE).T_world_side_camera[:3, :3] * [1, 1, 0]
+    """Return the amplitude of a path (N, 3) across the line of sight to it [m]; NaN where the rate hides it."""
+    middle = np.nanmean(path, axis=0)
+    sight = middle - layout(USUAL_DISTANCE).T_world_side_camera[:3, 3]
+    sight /= np.linalg.norm(sight)
+    across = (path - middle) @ (np.eye(3) - np.outer(sight, sight))
     try:
         return fit_swing(times, across, frequency).amplitude
     except InputError:

@@ -15,11 +15,12 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.execution import Params as ExecutionParams
 from anther.execution import choose_rate
-from anther.flower_tracking import petal_weight
+from anther.flower_tracking import Patch, petal_weight
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.oscillation import envelope_amplitude, find_frequency, fit_swing
 from anther.response import Response, measure_response
+from anther.response.depth import depth_along
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
 T_WORLD_CAM = look_at([0.72, -0.55, 0.1], [0.72, 0.0, 0.1])
@@ -142,7 +143,7 @@ def test_flowers_outside_the_picture_are_said_to_be_so() -> None:
     assert response.notes == ("Flower 4: outside the side camera's picture.",)
 
 
-@pytest.mark.parametrize("edge", [-0.004, -0.001, 0.002, 0.005])
+@pytest.mark.parametrize("edge", [-0.004, 0.002, 0.005, 0.006])
 def test_a_flower_that_swings_behind_a_post_is_not_underrated(edge: float) -> None:
     rng, swing = np.random.default_rng(0), 0.005 * np.sin(2 * np.pi * 5 * np.arange(45) / 60)
     frames = [draw(REST[:1] + np.array([x, 0, 0]), i / 60, rng, (245, 215, 40)) for i, x in enumerate(swing)]
@@ -180,6 +181,27 @@ def test_too_few_frames_and_a_wrong_size_are_refused() -> None:
     other = Intrinsics(320, 240, 424.0, 424.0, 160, 120)
     with pytest.raises(InputError, match="this camera's intrinsics"):
         measure_response(frames, other, T_WORLD_CAM, flowers(), 5.0)
+
+
+def test_depth_is_followed_through_gaps_slopes_and_other_things_readings() -> None:
+    rng, size, hint = np.random.default_rng(3), 64, 5.0
+    times = np.arange(60) / 60.0
+    true = 0.5 + 0.002 * np.sin(2 * np.pi * hint * times + 0.7)
+    path = 30.0 + np.outer(np.sin(2 * np.pi * hint * times + 0.7), [2.4, -1.3])
+    v, u = np.mgrid[:size, :size]
+    frames = []
+    for time, z, (x, y) in zip(times, true, path, strict=True):
+        depth = z + 0.001 * (u - x) + 0.0005 * rng.standard_normal((size, size))  # a petal at 45 degrees
+        depth[rng.random(depth.shape) < 0.3] = 0.0
+        depth[(v > y + 2) & (rng.random() < 0.4)] = 0.515  # a leaf's, now and then
+        frames.append(Frame(float(time), np.zeros((size, size, 3), np.uint8), depth.astype(np.float32)))
+    disc = (np.hypot(*np.mgrid[-8:9, -8:9]) < 6).astype(np.float32)
+    patch = Patch(np.zeros((17, 17, 3), np.float32), disc, np.array([30, 30]), 5.5)
+    found = depth_along(frames, patch, path, hint, 0.502, 0.02)
+    swing = fit_swing(times, np.column_stack([found] * 3), hint)
+    assert swing.amplitude / np.sqrt(3) == pytest.approx(0.002, abs=2e-4)
+    assert np.mod(swing.phase, np.pi) == pytest.approx(0.7, abs=0.1)
+    assert np.isnan(depth_along(frames, patch, path, hint, 0.9, 0.02)).all()  # nothing is there
 
 
 def test_a_response_survives_the_disk(tmp_path: Path) -> None:

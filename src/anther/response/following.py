@@ -148,7 +148,7 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float, params: P
             swing = fit_swing(times, without_outliers(times, flat, hint, params.outlier), hint)
         except InputError:
             return path
-        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], params.near, params.likeness)
+        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], params.near, params.own_likeness)
     return path
 
 

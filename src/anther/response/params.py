@@ -31,6 +31,7 @@ class Params:
             films of development plants lay within two deviations.
         likeness: a patch is recognised where it differs from its first picture by less than this share of what the
             places around it differ.
+        own_likeness: the same for the flower without its surroundings: what differs more is partly hidden.
         again: how often a flower is looked for anew along the swing that was found.
         near: within so many pixels of that swing.
         wide: a flower is first followed with what is around it, out to so many times its radius.
@@ -60,6 +61,7 @@ class Params:
     depthless: float = 0.2
     phase_error: float = 0.05
     likeness: float = 0.6
+    own_likeness: float = 0.4
     again: int = 2
     near: int = 3
     wide: float = 2.0
