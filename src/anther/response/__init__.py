@@ -196,7 +196,8 @@ def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion
         return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
     if amplitude < limit:
         return _UNSEEN._replace(at_most=limit)
-    frequency, span = find_frequency(times, clean, hint), float(np.ptp(times))
+    weight = 1 / np.maximum(swing.axis_std, 0.3 * swing.axis_std.max())  # the surer an axis, the more it tells
+    frequency, span = find_frequency(times, clean * weight, hint), float(np.ptp(times))
     usual = amplitude * (params.member_spread if one.mixed else params.spread)
     spread = float(np.linalg.norm([noise, params.least_spread, usual, np.hypot(amplitude, unseen) - amplitude]))
     return _Motion(
