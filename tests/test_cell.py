@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fake_robot import horizontal_grasp
@@ -11,7 +13,7 @@ from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 
 from anther.arm import sawyer
 from anther.errors import StageFailure
-from anther.sim import plant_mechanics
+from anther.sim import growth, plant_mechanics
 from anther.sim.blades import blades_of
 from anther.sim.cell import Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
@@ -102,7 +104,7 @@ def test_a_plant_that_swings_against_a_still_arm_only_loses_energy() -> None:
 
 
 def test_the_generated_shape_neither_sags_nor_drifts() -> None:
-    plant = straight_plant(leaf=0.02)
+    plant = straight_plant()
     cell = Cell(plant)
     idle(cell, 0.5)
     moved = np.einsum("kij,kj->ki", cell.segment_poses()[:, :3], np.c_[plant.end, np.ones(len(plant.end))]) - plant.end
@@ -128,11 +130,55 @@ def test_the_cut_keeps_mass_organs_and_order() -> None:
     assert mass == pytest.approx(plant.mass.sum() + plant.lump_mass.sum(), rel=1e-9)
 
 
-def test_twist_lowers_no_bending_frequency_but_adds_modes() -> None:
-    plant = straight_plant()
-    stiff, soft = (Cell(plant, params=Params(plant=plant_mechanics.Params(twist=t))).mechanics for t in (None, 12.0))
-    assert len(soft.dofs) == len(stiff.dofs) * 3 // 2
-    assert soft.frequencies[0] <= stiff.frequencies[0] + 1e-9
+def test_a_bar_with_a_heavy_arm_twists_as_theory_says_and_bending_strain_does_not_count_it() -> None:
+    """GJ = EI / 12; the arm's weights balance, so that twist does not bend the bar."""
+    inertia, ratio, mass, arm = np.pi / 4 * RADIUS**4, 12.0, 0.02, 0.15
+    arms = []
+    for side in (arm, -arm):
+        points = BASE + np.array([[0, 0, LENGTH], [side, 0, LENGTH]])
+        arms.append(chain(points, 0.01, organ=Organ.LEAF, youngs=1e11, joins=19))
+        arms[-1]["density"][:], arms[-1]["lump_mass"][:], arms[-1]["lump_centre"] = 1.0, mass, arms[-1]["end"]
+    bar = chain(BASE + np.linspace(0, LENGTH, 21)[:, None] * [0, 0, 1.0], RADIUS, youngs=1e10)
+    cell = Cell(plant_of(bar, *arms))
+    theory = np.sqrt(1e10 * inertia / ratio / LENGTH / (2 * mass * arm**2)) / (2 * np.pi)
+    found = cell.mechanics.frequencies
+    assert np.abs(found[:6] / theory - 1).min() < 0.02
+    m = cell.model
+    qpos = cell.data.qpos.copy()
+    up = [m.body_jntadr[b] + 2 for b in cell.mechanics.bodies if m.body_jntnum[b] == 3]
+    assert len(up) == 20 // plant_mechanics.Params().twist_every
+    qpos[m.jnt_qposadr[up]] = 0.3
+    assert cell.mechanics.strain(qpos).max() == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("taper", [1.0, 0.4])
+def test_a_rod_of_one_piece_bends_under_a_weight_at_its_end_as_beam_theory_says(taper: float) -> None:
+    """Cut in one or in many, tapered or not, what hangs at the end swings alike."""
+    frequencies = []
+    for pieces in (1, 16):
+        radius = RADIUS * np.linspace(1, taper, pieces + 1)
+        rod = chain(BASE + np.linspace(0, 0.1, pieces + 1)[:, None] * [0, 1.0, 0], radius, organ=Organ.PETIOLE)
+        rod["density"][:] = 1.0
+        rod["lump_mass"][-1], rod["lump_centre"][-1] = 1e-3, rod["end"][-1]
+        frequencies.append(Cell(plant_of(rod)).mechanics.frequencies[0])
+    assert frequencies[0] == pytest.approx(frequencies[1], rel=0.01)
+
+
+@pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
+def test_a_grown_plant_is_fine_enough_and_swings_as_one_cut_finer(grow, monkeypatch) -> None:
+    coarse = grow(11)
+    monkeypatch.setattr(growth, "LONGEST", 0.015)
+    fine = grow(11)
+    assert coarse.length.max() <= 0.05 + 1e-9
+    assert fine.length.max() <= 0.015 + 1e-9
+    assert fine.vertices == pytest.approx(coarse.vertices)
+    assert fine.mass.sum() == pytest.approx(coarse.mass.sum())
+    assert fine.lump_mass @ fine.lump_centre == pytest.approx(coarse.lump_mass @ coarse.lump_centre)
+    assert fine.end[fine.flower_segment] == pytest.approx(coarse.end[coarse.flower_segment])
+    fine = replace(fine, youngs=np.where(fine.organ == Organ.PEDICEL, fine.youngs, coarse.youngs[0]))
+    cut = replace(Params().plant, piece=0.015)
+    a, b = Cell(coarse).mechanics, Cell(fine, params=Params(plant=cut)).mechanics
+    assert a.frequencies[:10] == pytest.approx(b.frequencies[:10], rel=0.06)
 
 
 def test_flange_in_the_world_is_the_arm_models_flange() -> None:

@@ -17,7 +17,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.sim.cell import BENCH, Cell
 from anther.sim.judge import Params, Verdict, judge
-from anther.sim.plant import SimPlant
+from anther.sim.plant import Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper, robot_of
 from anther.vibration.waveforms import SINE, Waveform
 
@@ -127,7 +127,9 @@ def test_a_petiole_between_the_pads_beside_the_stem_is_told() -> None:
     fork = horizontal_grasp(np.add(BASE, [0, 0, 0.367]), np.zeros(7), diameter=0.0085)
     fork = replace(fork, joints=solve(fork.T_world_flange, GRASP.joints))
     assert fork.joints is not None
-    verdict = trial_of(near_plant(fork.joints, leaf=0.001), Plan(grasp=fork, duration=0.5))[1]
+    plant = straight_plant(leaf=0.001)
+    soft = replace(plant, youngs=np.where(plant.organ == Organ.PETIOLE, 0.5, 1.0) * plant.youngs)
+    verdict = trial_of(near_plant(fork.joints, soft), Plan(grasp=fork, duration=0.5))[1]
     assert verdict.organ_grasped == "stem"
     assert verdict.held_beside == ("petiole",)
     assert "with a petiole" in verdict.reason

@@ -32,7 +32,7 @@ def test_the_stem_above_the_grip_resonates_as_a_cantilever_does() -> None:
     assert tried[np.argmax(size)] == pytest.approx(theory, rel=0.02)  # its weight makes it softer by 1 %
 
 
-@pytest.mark.parametrize(("amplitude", "frequency"), [(4e-3, 1.5), (1e-3, 5.0)])
+@pytest.mark.parametrize(("amplitude", "frequency"), [(2e-3, 1.5), (1e-3, 5.0)])
 def test_small_shakes_are_steady_and_as_linear_theory_says(amplitude: float, frequency: float) -> None:
     shaken = ShakenPlant(straight_plant(), MIDDLE, SIDEWAYS)
     found = shaken.steady(amplitude, frequency)
@@ -50,11 +50,11 @@ def test_poses_put_the_flower_where_it_was_measured() -> None:
     assert np.ptp(found.flowers[:, 0, 1]) > 1e-3
 
 
-def test_the_nearest_piece_of_the_stem_is_held_and_never_the_two_lowest() -> None:
+def test_the_nearest_piece_of_the_stem_is_held_and_never_the_lowest() -> None:
     plant = straight_plant()
     high, low = (ShakenPlant(plant, BASE + z * UP, SIDEWAYS).point for z in (0.4, -0.1))
     assert abs(high[2] - BASE[2] - 0.4) < 0.016
-    assert low[2] == pytest.approx(BASE[2] + 2.5 * 0.025)
+    assert low[2] == pytest.approx(BASE[2] + 1.5 * 0.025)
 
 
 def test_a_slow_shake_turns_no_crooked_stem_about_itself() -> None:

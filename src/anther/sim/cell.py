@@ -31,7 +31,7 @@ BENCH_HALF = (0.35, 0.5, 0.02)  # m, half extents of the bench top under the pot
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """The world's numerics.
+    """The world's numerics. Petioles do not twist here: leaves that an arm crushed made the integrator unstable.
 
     Attributes:
         timestep: of the integrator [s]. With implicitfast every hinge needs damping/stiffness >= 0.7 dt, so the
@@ -42,7 +42,9 @@ class Params:
 
     timestep: float = 1e-3
     log_every: int = 2
-    plant: plant_mechanics.Params = field(default_factory=plant_mechanics.Params)
+    plant: plant_mechanics.Params = field(
+        default_factory=lambda: plant_mechanics.Params(twisting=plant_mechanics.TWISTING[:3])
+    )
     arm: arm_model.Params = field(default_factory=arm_model.Params)
 
 
@@ -161,11 +163,12 @@ class Cell:
 
     def _step(self, q: Array, v: Array, a: Array, opening: float) -> None:
         m, d = self.model, self.data
-        acceleration, torque = np.zeros(m.nv), np.empty(m.nv)
-        acceleration[self._arm_dofs] = a
-        mujoco.mj_mulM(m, d, torque, acceleration)
-        d.ctrl[:7], d.ctrl[7:14], d.ctrl[14:21], d.ctrl[21] = q, v, torque[self._arm_dofs], opening / 2
-        d.qfrc_applied[self.mechanics.dofs] = self.mechanics.air_force(d)
+        plant, inertia = self.mechanics.dofs, np.empty(m.nv)
+        motion = np.zeros(m.nv)  # arm and plant share no joint: one product serves both
+        motion[self._arm_dofs], motion[plant] = a, d.qvel[plant]
+        mujoco.mj_mulM(m, d, inertia, motion)
+        d.ctrl[:7], d.ctrl[7:14], d.ctrl[14:21], d.ctrl[21] = q, v, inertia[self._arm_dofs], opening / 2
+        d.qfrc_applied[plant] = -self.mechanics.mass_damping * inertia[plant]
         mujoco.mj_step(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")

@@ -16,6 +16,8 @@ from anther.sim.mechanics import supported_youngs
 from anther.sim.mesh import Mesh, revolve, tube
 from anther.sim.plant import POT_HEIGHT, Organ, Pot, SimPlant
 
+LONGEST = 0.05
+"""Longest segment [m]: `sim.plant_mechanics` bends a plant between its segments only."""
 SOIL_COLOUR = (58, 43, 33)
 POT_COLOURS = ((178, 98, 66), (42, 42, 45), (160, 88, 60))
 """Terracotta, black plastic, darker terracotta."""
@@ -57,7 +59,7 @@ class Growth:
         sides: int = 8,
         tip: bool = True,
     ) -> list[int]:
-        """Add tapered segments along a polyline (n, 3) that starts at the parent's end, and their tube.
+        """Add tapered segments, none over `LONGEST`, along a polyline (n, 3) from the parent's end, and their tube.
 
         Args:
             points: (n, 3) [m].
@@ -70,20 +72,38 @@ class Growth:
             tip: whether the tube's end is closed.
 
         Returns:
-            the n - 1 segment numbers.
+            the n - 1 numbers of the segments that end at points[1:].
         """
         radii = np.asarray(radii, dtype=np.float64)
-        added = []
-        for i in range(len(points) - 1):
-            ends = {"start": points[i], "end": points[i + 1], "radius_start": radii[i], "radius_end": radii[i + 1]}
-            tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": self.density}
-            carried = {"lump_mass": 0.0, "lump_moment": np.zeros(3)}
-            self._segments.append({"parent": added[-1] if added else parent, **ends, **tissue, **carried})
-            added.append(len(self._segments) - 1)
-        ring = np.repeat([added[0], *added], sides)
-        rides = np.concatenate([ring, added[-1:]]) if tip else ring
+        tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": self.density}
+        first, last = len(self._segments), []
+        for i, step in enumerate(np.diff(points, axis=0)):
+            count = int(np.ceil(np.linalg.norm(step) / LONGEST))
+            places, widths = (np.linspace(x[i], x[i + 1], count + 1) for x in (points, radii))
+            for j in range(count):
+                ends = {
+                    "start": places[j],
+                    "end": places[j + 1],
+                    "radius_start": widths[j],
+                    "radius_end": widths[j + 1],
+                }
+                carried = {"lump_mass": 0.0, "lump_moment": np.zeros(3)}
+                self._segments.append({"parent": parent, **ends, **tissue, **carried})
+                parent = len(self._segments) - 1
+            last.append(parent)
+        ring = np.repeat([first, *last], sides)
+        rides = np.concatenate([ring, last[-1:]]) if tip else ring
         self.surface(tube(points, radii, sides=sides, tip=tip), organ, colour, rides)
-        return added
+        return last
+
+    def beside(self, segment: int, point: Array) -> int:
+        """Return which segment lies beside a point (3,) [m]: this one, or one before it in the same organ."""
+        here = self._segments[segment]
+        above = here["parent"]
+        before = (point - here["start"]) @ (here["end"] - here["start"]) < 0
+        if before and above >= 0 and self._segments[above]["organ"] == here["organ"]:
+            return self.beside(above, point)
+        return segment
 
     def surface(self, mesh: Mesh, organ: Organ, colour: ArrayLike, segment: int | NDArray[Any]) -> None:
         """Add a mesh. `colour` is one sRGB colour, varied a little, or (n, 3); `segment` one or (n,)."""

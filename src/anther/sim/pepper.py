@@ -107,7 +107,7 @@ def _grow_branch(growth: Growth, parent: int, way: Array, *, length: float, radi
 
 
 def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, *, young: float) -> None:
-    """A simple leaf: petiole, then a midrib of two segments that carry an ovate, pointed blade."""
+    """A simple leaf: petiole, then a midrib that carries an ovate, pointed blade."""
     rng = growth.rng
     stalk = (0.45 - 0.2 * young) * length * rng.uniform(0.8, 1.2)
     rise = np.radians(rng.uniform(20, 50) + 15 * young)
@@ -128,13 +128,13 @@ def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, *, yo
     side = unit(np.cross(np.gradient(midrib, axis=0), [0, 0, 1.0]))
     wave = ripple(rng, 15, 0.03 * length)
     vertices, faces = blade(midrib, side, half_width, fold=rng.normal(0.12, 0.15) + 0.3 * young, ripple=wave)
-    rides = np.repeat(np.where(np.arange(15) <= 7, rib[0], rib[1]), wave.shape[1])
+    beside = [growth.beside(rib[-1], point) for point in midrib]
     colour = (1 - young) * np.array(LEAF_GREEN) + young * np.array(YOUNG_GREEN)
+    rides = np.repeat(beside, wave.shape[1])
     growth.surface((vertices, faces), Organ.LEAF, blade_colours(rng, colour, 15), rides)
     strip = AREAL_DENSITY * 2 * half_width * length / 14
-    for segment, rows in ((rib[0], slice(0, 8)), (rib[1], slice(8, 15))):
-        centre = np.average(midrib[rows], axis=0, weights=strip[rows])
-        growth.carry(segment, float(strip[rows].sum()), centre)
+    for segment, mass, point in zip(beside, strip, midrib, strict=True):
+        growth.carry(segment, float(mass), point)
 
 
 def _grow_flower(growth: Growth, parent: int, out: Array) -> None:

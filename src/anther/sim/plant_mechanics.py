@@ -1,8 +1,7 @@
 """The plant as MuJoCo bodies: rigid tapered pieces on sprung hinges. Its numbers come from plant truth alone.
 
-An unbranched run of segments becomes a chain of rigid pieces. Between two pieces stand two crossed hinges whose
-stiffness is that of half of either piece, 1/k = l1/(2 E I1) + l2/(2 E I2); where a chain is clamped only its own half
-bends, k = 2EI/l (facts: libraries, the root joint must be 2EI/l). Twist is left out unless `Params.twist` asks for it.
+An unbranched run of segments becomes a chain of rigid pieces. Between two pieces stand two crossed hinges, which share
+the softness of the pieces beside them; every few pieces a third one, along the piece, lets the run twist.
 K segments, B bodies, D degrees of freedom.
 """
 
@@ -22,9 +21,19 @@ from anther.sim.plant import Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
-CONTINUES = {int(Organ.STEM): int(Organ.BRANCH), int(Organ.PETIOLE): int(Organ.RACHIS)}
+CONTINUES = {(Organ.STEM, Organ.BRANCH), (Organ.PETIOLE, Organ.RACHIS), (Organ.PETIOLE, Organ.LEAF)}
 """Organs that run on into another without a clamp between them."""
 
+
+TWISTING = (Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE, Organ.PETIOLE)
+"""Organs that twist. Dicot petioles do (facts: pollination 2), and stems, branches and peduncles are taken to be like
+them, for which there is no source. Rachises and midribs, which blades stiffen, do not: with EI/GJ 12 some leaves would
+not hold themselves up (measured). Nor do pedicels: their flowers' measured frequency is that of bending alone (facts:
+pollination 1a)."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
+GAUSS_AT, GAUSS_WEIGHT = _NODES[:, None] / 2 + 0.5, _WEIGHTS[:, None] / 2
+"""Where along a segment integrals are evaluated, and with what weight; shares of its length."""
 
 FOLDED = 1.2
 """Angle at which a hinge stops [rad]: far beyond what tissue bears, and short of a right angle, where two crossed
@@ -36,13 +45,15 @@ class Params:
     """How finely the plant is cut and how it is damped.
 
     Attributes:
-        piece: longest rigid piece [m]; a cantilever of 20 pieces has its first frequency within 0.3 %.
+        piece: longest rigid piece of several segments [m]; a cantilever of 20 has its first frequency within 0.5 %.
         bend: a piece ends where the plant turns by more than this [rad].
         flutter: frequency [Hz] at which, beside the plant's first mode, damping equals `damping_ratio` (Rayleigh).
         stiffest: hinges carry so much rotor inertia that none swings faster than this [Hz]; a mode at f is slowed by
             f^2 / (2 stiffest^2), 0.5 % at 30 Hz.
         least: pieces in an unbranched run at least, where it has that many segments.
-        twist: EI/GJ of the stems, 12 for dicot petioles (facts: pollination 2), or None to leave twist out.
+        twist: EI/GJ of what twists, 11.5-13.3 in dicot petioles (facts: pollination 2); None: nothing twists.
+        twisting: organs that twist.
+        twist_every: of so many pieces of a run the middle one has a hinge for twist, as soft as all of theirs together.
     """
 
     piece: float = 0.03
@@ -50,7 +61,9 @@ class Params:
     stiffest: float = 300.0
     least: int = 4
     flutter: float = 30.0
-    twist: float | None = None
+    twist: float | None = 12.0
+    twisting: tuple[Organ, ...] = TWISTING
+    twist_every: int = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,12 +75,14 @@ class Pieces:
         first: (B,) the body's first segment, whose start carries the hinges.
         parent: (B,) parent body or -1.
         stiffness: (B,) bending stiffness of the body's hinges [N m/rad].
+        twist: (B,) stiffness of its hinge along itself [N m/rad], 0 where there is none.
     """
 
     body: NDArray[Any]
     first: NDArray[Any]
     parent: NDArray[Any]
     stiffness: Array
+    twist: Array
 
 
 def cut(plant: SimPlant, params: Params) -> Pieces:
@@ -90,22 +105,63 @@ def cut(plant: SimPlant, params: Params) -> Pieces:
             parent.append(int(body[p]) if p >= 0 else -1)
             size.append(plant.length[k])
     pieces = np.array(first)
-    return Pieces(body, pieces, np.array(parent), _stiffness(plant, heir, chain[pieces], body, pieces))
+    softness = _softness(plant)
+    twisting = np.isin(plant.organ[pieces], params.twisting)
+    whole: Array = np.bincount(body, softness.sum(axis=0)).astype(np.float64)
+    twist = _twist(whole, np.where(twisting, chain[pieces], -1), params)
+    return Pieces(body, pieces, np.array(parent), _stiffness(plant, heir, body, pieces, softness), twist)
 
 
-def _stiffness(
-    plant: SimPlant, heir: NDArray[Any], chain: NDArray[Any], body: NDArray[Any], first: NDArray[Any]
-) -> Array:
-    """Return (B,) hinge stiffnesses.
+def _softness(plant: SimPlant) -> Array:
+    """Return (6, K) the shares of each segment's integral of ds / (E I) at Gauss's points [rad/(N m)]."""
+    radius = plant.radius_start + GAUSS_AT * (plant.radius_end - plant.radius_start)
+    return GAUSS_WEIGHT * plant.length / (plant.youngs * np.pi / 4 * radius**4)
 
-    Half-piece sums overstate a cantilever's deflection by 1 + 1/(2 n^2) for n equal pieces (the trapezoid rule's error
-    on the integral of (L - s)^2), which is taken out: it matters for a pedicel of two pieces.
+
+def _twist(softness: Array, run: NDArray[Any], params: Params) -> Array:
+    """Return (B,) stiffnesses of the hinges for twist: one for every few pieces of a run; those in run -1 do not."""
+    out = np.zeros(len(softness))
+    for number in np.unique(run[run >= 0]) if params.twist else ():
+        pieces = np.flatnonzero(run == number)
+        for group in np.array_split(pieces, -(-len(pieces) // params.twist_every)):
+            out[group[len(group) // 2]] = 1 / (params.twist * softness[group].sum())
+    return out
+
+
+def _stiffness(plant: SimPlant, heir: NDArray[Any], body: NDArray[Any], first: NDArray[Any], softness: Array) -> Array:
+    """Return (B,) stiffnesses of the hinges that bend.
+
+    A hinge does the work of the pieces beside it when their load is what they carry: the bending moment falls in
+    proportion to the distance from the carried mass's centre, and is shared between the hinges by the lever rule. Where
+    no piece follows, at tips and forks, the last hinge takes all. So a massless rod with a weight at its end is exact
+    with one piece (3 E I / l), and a long chain with many (2 E I / l at the root, facts: libraries).
     """
-    softness = np.bincount(body, _bending_compliance(plant))
     before = plant.parent[first]
-    continues = (before >= 0) & (heir[before] == first)
-    softness += np.where(continues, softness[body[before]], 0.0)
-    return 2 / softness * (1 + 0.5 / np.bincount(chain)[chain] ** 2)
+    continues = np.flatnonzero((before >= 0) & (heir[before] == first))
+    mother = body[before[continues]]
+    after = np.full(len(first), -1)
+    after[mother] = continues
+    size = np.bincount(body, plant.length)
+    lever = np.maximum(_levers(plant, first), size)
+    gone = np.cumsum(plant.length) - plant.length  # segments of a piece follow each other
+    at, whole = gone - gone[first][body] + GAUSS_AT * plant.length, size[body]
+    last = (after < 0)[body]
+    near = np.where(last, 1, 1 - at / whole) * (1 - at / lever[body]) ** 2
+    far = np.where(last, 0, at / whole) * (1 + (whole - at) / lever[after][body]) ** 2
+    total = np.bincount(body, (softness * near).sum(axis=0))
+    total[continues] += np.bincount(body, (softness * far).sum(axis=0))[mother]
+    return 1 / total
+
+
+def _levers(plant: SimPlant, first: NDArray[Any]) -> Array:
+    """Return (B,) how far ahead of each piece's start the centre lies of all mass from there on [m]."""
+    mass = plant.mass + plant.lump_mass
+    moment = (plant.mass * (plant.start + plant.end).T / 2 + plant.lump_mass * plant.lump_centre.T).T
+    for k in range(len(mass) - 1, 0, -1):
+        mass[plant.parent[k]] += mass[k]
+        moment[plant.parent[k]] += moment[k]
+    along = (plant.end - plant.start)[first] / plant.length[first, None]
+    return np.einsum("bi,bi->b", moment[first] / mass[first, None] - plant.start[first], along)
 
 
 def _chains(plant: SimPlant, heir: NDArray[Any]) -> NDArray[Any]:
@@ -118,17 +174,16 @@ def _chains(plant: SimPlant, heir: NDArray[Any]) -> NDArray[Any]:
     return chain
 
 
-def _bending_compliance(plant: SimPlant) -> Array:
-    """Return (K,) integral of ds / (E I) along each segment whose radius goes linearly from a to b [rad/(N m)]."""
-    a, b = plant.radius_start, plant.radius_end
-    return plant.length * (a * a + a * b + b * b) / (3 * (a * b) ** 3) / (plant.youngs * np.pi / 4)
-
-
 def _heirs(plant: SimPlant) -> NDArray[Any]:
-    """Return for each segment the child that continues it (same organ or its natural next, the straightest), or -1."""
+    """Return for each segment the child that continues it: of the same organ or its natural next, the straightest.
+
+    -1 at tips and at forks.
+    """
     heir, best = np.full(len(plant.start), -1), np.full(len(plant.start), -np.inf)
+    branches = np.bincount(plant.parent[plant.organ <= Organ.BRANCH] + 1, minlength=len(heir) + 1)[1:]
     for k, p in enumerate(plant.parent):
-        if p < 0 or int(plant.organ[k]) not in (int(plant.organ[p]), CONTINUES.get(int(plant.organ[p]))):
+        same = p >= 0 and plant.organ[k] == plant.organ[p]
+        if p < 0 or branches[p] > 1 or not (same or (plant.organ[p], plant.organ[k]) in CONTINUES):
             continue
         straight = -_turn(plant, int(p), k)
         if straight > best[p]:
@@ -161,7 +216,7 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaf
         offset = origin if p < 0 else origin - plant.start[pieces.first[p]]
         body = holder.add_body(name=f"plant_{b}", pos=offset, explicitinertial=True)
         body.mass, body.ipos, body.fullinertia = mass[b], com[b] - origin, inertia[b]
-        _add_hinges(body, plant, int(k), pieces.stiffness[b], params, dt=spec.option.timestep)
+        _add_hinges(body, plant, int(k), pieces.stiffness[b], pieces.twist[b], params, dt=spec.option.timestep)
         bodies.append(body)
     radius = (plant.radius_start + plant.radius_end) / 2
     for k, b in enumerate(pieces.body):
@@ -180,21 +235,21 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaf
     return pieces
 
 
-def _add_hinges(body: Any, plant: SimPlant, k: int, stiffness: float, params: Params, *, dt: float) -> None:
+def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float, params: Params, *, dt: float) -> None:
     along = plant.end[k] - plant.start[k]
     along = along / np.linalg.norm(along)
     across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
-    axes = [(across, 1.0), (np.cross(along, across), 1.0)]
-    axes += [(along, 1 / params.twist)] if params.twist else []
     # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
     beta = max(plant.damping_ratio[k] / (np.pi * params.flutter), 0.7 * dt)
-    for axis, share in axes:
+    for axis, stiffness in ((across, bending), (np.cross(along, across), bending), (along, twist)):
+        if stiffness == 0:
+            continue
         joint = body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
-        joint.stiffness = [stiffness * share, 0, 0]
-        joint.damping = [beta * stiffness * share, 0, 0]
+        joint.stiffness = [stiffness, 0, 0]
+        joint.damping = [beta * stiffness, 0, 0]
         # no hinge is faster than `stiffest`: contact forces stay steady, and 30 Hz moves by 30^2 / (2 stiffest^2) only
-        joint.armature = stiffness * share / (2 * np.pi * params.stiffest) ** 2
+        joint.armature = stiffness / (2 * np.pi * params.stiffest) ** 2
         joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
 
 
@@ -214,10 +269,26 @@ def _mass_properties(plant: SimPlant, pieces: Pieces) -> tuple[Array, Array, Arr
     d = centres - com[body]
     steiner = masses[:, None, None] * ((d**2).sum(1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
     steiner[: len(rod)] += own
+    steiner[len(rod) :] += _spread(plant)
     inertia = np.zeros((len(mass), 3, 3))
     np.add.at(inertia, body, steiner)
     i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     return mass, com, inertia[:, i, j]
+
+
+def _spread(plant: SimPlant) -> Array:
+    """Return (K, 3, 3) the inertia of what each segment carries about its own centre: it spreads as its mesh does.
+
+    Without it a leaf had hardly any about its midrib, and spun when its margin was touched.
+    """
+    seen = np.unique(plant.faces[np.isin(plant.face_organ, (Organ.LEAF, Organ.FLOWER))])
+    k, count = plant.vertex_segment[seen], len(plant.start)
+    share = 1 / np.maximum(np.bincount(k, minlength=count), 1)
+    mean = np.stack([np.bincount(k, x, count) for x in plant.vertices[seen].T], axis=1) * share[:, None]
+    d, second = plant.vertices[seen] - mean[k], np.zeros((count, 3, 3))
+    np.add.at(second, k, d[:, :, None] * d[:, None, :])
+    second *= (plant.lump_mass * share)[:, None, None]
+    return np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
 
 
 class PlantMechanics:
@@ -311,10 +382,12 @@ class PlantMechanics:
     def strain(self, qpos: Array) -> Array:
         """Return (B,) the bending strain added at each body's root: hinge angle x radius / spacing.
 
-        The spacing is EI/k, the length over which the hinge gathers the bending.
+        The spacing is EI/k, the length over which the hinge gathers the bending. Twist does not count: the limits on
+        strain are those of bending.
         """
-        angle = qpos[self.model.jnt_qposadr[self.joints]]
-        square = np.bincount(self._piece_of_joint(), angle**2)
+        bends = np.concatenate([np.arange(n) < 2 for n in self.model.body_jntnum[self.bodies]])
+        angle = qpos[self.model.jnt_qposadr[self.joints[bends]]]
+        square = np.bincount(self._piece_of_joint()[bends], angle**2)
         k = self.pieces.first
         radius = self.plant.radius_start[k]
         stiff = self.plant.youngs[k] * np.pi / 4 * radius**4

@@ -38,14 +38,15 @@ class Params:
     """How the plant is shaken.
 
     Attributes:
-        timestep: of the integrator [s]; also bounds the damping of pedicels from below, see `sim.cell.Params`.
+        timestep: of the integrator [s]; also bounds the damping of pedicels from below, see `sim.cell.Params`. With
+            1 ms a small plant's flower swung 4.6 % too far at 5 Hz, with 0.5 ms 0.5 % (measured).
         settle: before the motion is measured: one period, and at least this [s].
         measure: over which it is measured: two periods, and at least this [s].
         samples: recorded per period.
         plant: how the plant is cut and damped.
     """
 
-    timestep: float = 1e-3
+    timestep: float = 5e-4
     settle: float = 1.0
     measure: float = 1.0
     samples: int = 40
@@ -207,9 +208,9 @@ class ShakenPlant:
 def _nearest_piece(plant: SimPlant, pieces: plant_mechanics.Pieces, point: Array) -> tuple[int, Array]:
     """Return the stem piece whose middle is nearest to a point, and that middle.
 
-    The two lowest are left out: a crooked stem that cannot twist cannot move them without turning them about itself.
+    The lowest is left out: clamped at its foot it cannot move without turning.
     """
-    stem = [b for b in range(2, len(pieces.first)) if plant.organ[pieces.first[b]] == Organ.STEM]
+    stem = [b for b in range(1, len(pieces.first)) if plant.organ[pieces.first[b]] == Organ.STEM]
     middles = []
     for b in stem:
         k = np.flatnonzero(pieces.body == b)

@@ -113,7 +113,14 @@ def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, heigh
         for hand in (-1.0, 1.0):
             side = hand * unit(np.cross(forward, [0, 0, 1.0]))
             outward = unit(side + forward * rng.uniform(0.25, 0.6))
-            _grow_leaflet(growth, rachis[k], here, outward, length=size * rng.uniform(0.85, 1.1), colour=colour)
+            _grow_leaflet(
+                growth,
+                growth.beside(rachis[k], here),
+                here,
+                outward,
+                length=size * rng.uniform(0.85, 1.1),
+                colour=colour,
+            )
 
 
 def _grow_leaflet(growth: Growth, segment: int, base: Array, direction: Array, *, length: float, colour: Array) -> None:
