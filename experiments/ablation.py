@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 from ablated import CHANGES
-from finer_plant import divided
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -39,18 +38,13 @@ from vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIS
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.files import read_json, replacing, write_json
 from anther.geometry import Array
-from anther.sim import plant_mechanics
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
-from anther.sim.shaken_plant import Params, ShakenPlant
+from anther.sim.shaken_plant import ShakenPlant
 from anther.vibration.observables import semi_major
 
 HEIGHTS = (0.35, 0.6, 0.85)
 """Grips, in shares of the main stem's length."""
-PIECE = 0.015
-"""Longest rigid piece in MuJoCo [m]."""
-STIFFEST = 1000.0
-"""Its hinges swing this fast at most [Hz]; nothing is stepped through time."""
 FREQUENCIES = np.array(PAPER_FREQUENCIES + FAST_FREQUENCIES)
 BANDS = {"slow": FREQUENCIES < 2} | {f"{f:g}hz": f == FREQUENCIES for f in FAST_FREQUENCIES}
 BAND_WORDS = {"slow": "0.7–1.9 Hz"} | {f"{f:g}hz": f"{f:g} Hz" for f in FAST_FREQUENCIES}
@@ -72,9 +66,7 @@ def one_plant(case: Case, out: Path) -> dict[str, Any]:
     if file.exists():
         return read_json(file)
     plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
-    twisting = Params(plant=plant_mechanics.Params(twist=TWIST, piece=PIECE, stiffest=STIFFEST))
-    fine = divided(plant, PIECE)
-    judges = [ShakenPlant(fine, point, DIRECTION, twisting) for point in stem_points(plant, HEIGHTS)]
+    judges = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
     points = np.array([judge.point for judge in judges])
     truth = np.array([semi_major(judge.linear(FREQUENCIES)) for judge in judges])
     models = {"true": (true_model(plant, TWIST), np.arange(truth.shape[2]), truth)}

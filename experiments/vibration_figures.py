@@ -87,9 +87,7 @@ def errors(rows: Sequence[Row]) -> Figure:
         "prior": "Anther,\ncrop prior",
         "probe": "Anther,\nprobed",
         "true material": "scan,\ntrue material",
-        "true material, no twist": "scan,\ntrue material,\nno twist",
         "true plant": "true plant",
-        "true plant, no twist": "true plant,\nno twist",
     }
     figure = Figure(figsize=(10, 4), layout="constrained")
     axes = figure.subplots()

@@ -20,6 +20,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.plant import PEPPER, TOMATO, Material, PlantModel
 from anther.sim.plant import SimPlant
+from anther.sim.plant_mechanics import TWISTING
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.vibration.observables import semi_major
@@ -71,7 +72,6 @@ class Model:
         damping_ratio: of motion at every frequency.
         step: of implicit Euler in the paper's band [s]; 0 is exact integration.
         pads: nodes that move alike in the grip: 1, which may turn in it, or 2.
-        gain: of every flower's motion.
     """
 
     rods: Rods
@@ -80,7 +80,6 @@ class Model:
     damping_ratio: float
     step: float = 0.0
     pads: int = 2
-    gain: float = 1.0
 
     def response(self, points: Array, direction: Array, frequencies: Array) -> Array:
         """Return (G, Q, F) flower amplitudes per metre at grips nearest to points (G, 3), frequencies (Q,) [Hz].
@@ -98,14 +97,13 @@ class Model:
             rods = replace(self.rods, mass_damping=(2 * np.pi * f) ** 2 * step)
             seen: dict[str, Any] = {"observe": self.flowers, "loss_factor": 2 * self.damping_ratio}
             motion = response_map(rods, clamp, grips, direction[None], [f], **seen)
-            out[:, q] = self.gain * semi_major(motion[0, :, 0])
+            out[:, q] = semi_major(motion[0, :, 0])
         return out
 
 
 def anther_model(model: PlantModel) -> Model:
-    """Return a plant model as it is."""
-    damping, gain = model.material.damping_ratio, model.material.response_gain
-    return Model(model.rods, model.stem_nodes, model.flower_nodes, damping, gain=gain)
+    """Return a plant model as it is, but for its response gain."""
+    return Model(model.rods, model.stem_nodes, model.flower_nodes, model.material.damping_ratio)
 
 
 def scanned(seen: Seen, material: Material) -> PlantModel:
@@ -149,9 +147,15 @@ def paper_model(seen: Seen, species: str, radius: float, *, as_scripted: bool = 
 
 
 def true_model(sim: SimPlant, bend_over_twist: float) -> Model:
-    """Return rods with a simulated plant's own geometry, masses, E and damping; each flower on its pedicel."""
+    """Return rods with a simulated plant's own geometry, masses, E and damping; each flower on its pedicel.
+
+    Only what twists in MuJoCo has `bend_over_twist` (EI/GJ).
+    """
     built = Builder(sim)
-    rods = replace(built.rods(), bend_over_twist=bend_over_twist)
+    twists = np.zeros(len(built.nodes))
+    for k in np.flatnonzero(np.isin(sim.organ, TWISTING)):
+        twists[built.nodes_of[k]] = bend_over_twist
+    rods = replace(built.rods(), bend_over_twist=twists)
     arms = [max(np.flatnonzero(rods.parent == built.last[k]), default=built.last[k]) for k in sim.flower_segment]
     stem_nodes = np.array([0, *(node for k in sim.stem_segments() for node in built.nodes_of[k])])
     hanging = with_gravity_equilibrium(rods, Clamp.root(rods))

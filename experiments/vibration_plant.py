@@ -5,16 +5,16 @@ R shakes, F flowers that were seen and are there, G grips.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-from finer_plant import divided
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
-from vibration_models import PRIOR, Model, Seen, anther_model, paper_model, perceive, scanned, true_model
+from vibration_models import PRIOR, Seen, anther_model, paper_model, perceive, scanned, true_model
 
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.devices import Frame
@@ -23,16 +23,15 @@ from anther.errors import StageFailure
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import Grasp
-from anther.identification import Observed, refine
+from anther.identification import Observed, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
-from anther.sim import plant_mechanics
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.depth_noise import noisy_depth
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.sim.shaken_plant import Params, Shaken, ShakenPlant
+from anther.sim.shaken_plant import Shaken, ShakenPlant
 from anther.vibration import ShakePlan
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.observables import semi_major
@@ -53,19 +52,21 @@ AMPLITUDES = (4e-3, 6e-3, 8e-3, 10e-3, 12e-3)
 """[m], the authors'; smaller where the arm cannot."""
 ARM_SHARE = 0.8
 """Of what the arm can do."""
-PROBE_HEIGHT, PROBE_FREQUENCY, PROBE_AMPLITUDE = 1, 1.3, 4e-3
+PROBE_HEIGHT, PROBE_AMPLITUDE = 1, 4e-3
+PROBE_FREQUENCIES = (1.15, 1.45, 1.75)
+"""One probe: bursts one after the other in one hold [Hz]. A phase, or more than one frequency, tells on which side of a
+resonance a flower is."""
 CAMERA_RATE = 15.0
 """Of the side camera, slow for a D455 and enough for a slow probe [Hz]."""
 CAMERA_ERROR = 3e-4
 """With which a perfect camera, that sees every flower, would measure an amplitude [m] (docs/response.md)."""
 NEAR = 0.02
 """A flower seen this close to a true one is that one [m]."""
-LONGEST_PIECE = 0.03
-"""Of the plant in MuJoCo [m]; its leaves' modes are then 1 to 4 % slow (see finer_plant.py)."""
 TWIST = 12.0
-"""EI/GJ of a judge whose stems can twist (facts: pollination 2); the cell's plants cannot."""
-NO_TWIST = 0.2
-"""EI/GJ so small that twist does not matter; 0 is not allowed in a `Material`."""
+"""EI/GJ of rods that are to be like MuJoCo's plants."""
+
+Predictor = Callable[[Array, Array, Array], Array]
+"""Gives (G, Q, F) flower amplitudes per metre at grips (G, 3), along a direction (3,), at frequencies (Q,) [Hz]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,7 @@ def one_plant(case: Case, out: Path) -> dict[str, Any]:
     file = out / f"{case.name}.json"
     if file.exists():
         return read_json(file)
-    plant = divided(grow(case.species, case.seed, 0, USUAL_DISTANCE), LONGEST_PIECE)
+    plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
     box = layout(USUAL_DISTANCE).workspace
     scene = Scene.of_plant(plant)
     views = views_at(USUAL_DISTANCE, PRESETS["full"])
@@ -117,23 +118,20 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
     i, j = matched(seen.flowers.positions, plant.flower_position)
     grips = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
     points = np.array([grip.point for grip in grips])
-    refined, probe = probed(case, model, grips[PROBE_HEIGHT], scene, seen, i=i, j=j)
+    beliefs, probe = probed(model, grips[PROBE_HEIGHT], scene, seen, case.seed, i=i, j=j)
     shakes = plan(case)
     truth = [_shaken(case, grips[g], a, f) for g, a, f in shakes]
-    models, soft, notes = predictors(case, plant, seen, model, refined)
+    models, soft, notes = predictors(case, plant, seen, model, beliefs)
     frequencies = np.array(case.frequencies)
     predicted: dict[str, Any] = {}
     for name, (predictor, flowers) in models.items():
         try:
-            gain = predictor.response(points, DIRECTION, frequencies)[:, :, j if flowers == "true" else i]
+            gain = predictor(points, DIRECTION, frequencies)[:, :, j if flowers == "true" else i]
         except StageFailure as failure:
             notes.append(f"{name}: {failure}")
             continue
         predicted[name] = [a * gain[g, case.frequencies.index(f)] for g, a, f in shakes]
-    twisting = [_twisting(plant, grip.point) for grip in grips]
-    small, gains = (
-        np.array([semi_major(grip.linear(frequencies))[:, j] for grip in some]) for some in (grips, twisting)
-    )
+    small = np.array([semi_major(grip.linear(frequencies))[:, j] for grip in grips])
     middle = len(case.amplitudes) // 2
     first = [n for n, (g, _, _) in enumerate(shakes) if g == MIDDLE][:: len(case.amplitudes)]
     checked = [n + middle for n in first] if case.stepped_below else []
@@ -141,9 +139,9 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
         "species": case.species,
         "seed": case.seed,
         "flowers": {"true": len(plant.flower_position), "seen": len(seen.flowers.positions), "matched": len(i)},
-        "youngs_mpa": {"true": plant.youngs[0] / 1e6, "prior": model.material.youngs / 1e6}
-        | {name: material.youngs / 1e6 for name, material in refined.items()},
-        "damping_ratio": {"true": plant.damping_ratio[0], "probe": refined["probe"].damping_ratio},
+        "youngs_mpa": {"true": plant.youngs[0] / 1e6}
+        | {name: belief.material.youngs / 1e6 for name, belief in beliefs.items()},
+        "damping_ratio": {"true": plant.damping_ratio[0], "probe": beliefs["probe"].material.damping_ratio},
         "mass_g": {"true": 1e3 * (plant.mass + plant.lump_mass).sum(), "model": 1e3 * model.rods.node_mass.sum()},
         "paper_soft": soft,
         "probe": probe,
@@ -152,9 +150,8 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
         "unsteadiness": [unsteady for _, unsteady in truth],
         "true_m": [amplitude[j] for amplitude, _ in truth],
         "linear_m": [a * small[g, case.frequencies.index(f)] for g, a, f in shakes],
-        "twisting_m": [a * gains[g, case.frequencies.index(f)] for g, a, f in shakes],
         "nonlinear_m": {
-            str(k): _nonlinear(model, refined["probe"], points[MIDDLE], *shakes[k][1:])[i] for k in checked
+            str(k): _nonlinear(model, beliefs["probe"].material, points[MIDDLE], *shakes[k][1:])[i] for k in checked
         },
         "predicted_m": predicted,
     }
@@ -212,35 +209,31 @@ def _shaken(case: Case, grip: ShakenPlant, amplitude: float, frequency: float) -
     return done.amplitude * amplitude / done.grip_amplitude, done.unsteadiness
 
 
-def _twisting(plant: SimPlant, point: Array) -> ShakenPlant:
-    return ShakenPlant(plant, point, DIRECTION, Params(plant=plant_mechanics.Params(twist=TWIST)))
-
-
 def probed(
-    case: Case, model: PlantModel, grip: ShakenPlant, scene: Scene, seen: Seen, *, i: NDArray[Any], j: NDArray[Any]
-) -> tuple[dict[str, Material], dict[str, Any]]:
-    """Shake once; return the material refined from what the side camera measured, or saw perfectly, and the numbers.
-
-    The gain of the response is not refined: far below resonance a flower moves as the grip does, and no gain helps.
-    """
-    camera = replace(grip.params, samples=round(CAMERA_RATE / PROBE_FREQUENCY), measure=1.5)
-    shaken = ShakenPlant(grip.plant, grip.point, DIRECTION, camera)
-    done = shaken.steady(PROBE_AMPLITUDE, PROBE_FREQUENCY)
+    model: PlantModel, grip: ShakenPlant, scene: Scene, seen: Seen, seed: int, *, i: NDArray[Any], j: NDArray[Any]
+) -> tuple[dict[str, Refinement], dict[str, Any]]:
+    """Shake in bursts; return what is believed before and after, and after with perfect sight, and the numbers."""
+    by_camera, by_truth, told = [], [], []
+    rng = np.random.default_rng(seed)
     intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
-    frames = filmed(scene, shaken, done, pose, case.seed)
-    answer = measure_response(frames, intrinsics, pose, seen.flowers, PROBE_FREQUENCY)
-    expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([PROBE_FREQUENCY]))[0, 0]
-    facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": PROBE_FREQUENCY, "waveform": SINE}
-    place = SimpleNamespace(point=grip.point)
-    shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=PROBE_AMPLITUDE * expected, **facts))
-    believed = replace(model, material=replace(model.material, response_spread=0.0))
-    true, error = np.full(len(expected), np.nan), np.full(len(expected), CAMERA_ERROR)
-    true[i] = done.amplitude[j] + np.random.default_rng(case.seed).normal(0, CAMERA_ERROR, len(j))
-    learned = refine(believed, [Observed.of(shake, answer)])
-    perfect = refine(believed, [Observed(shake, np.abs(true), error)])
-    told = {"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]}
-    materials = {"probe": learned.material, "probe, every flower seen": perfect.material}
-    return materials, {**told, "notes": [*answer.notes, *learned.notes]}
+    for f in PROBE_FREQUENCIES:
+        camera = replace(grip.params, samples=round(CAMERA_RATE / f), measure=1.5)
+        shaken = ShakenPlant(grip.plant, grip.point, DIRECTION, camera)
+        done = shaken.steady(PROBE_AMPLITUDE, f)
+        answer = measure_response(filmed(scene, shaken, done, pose, seed), intrinsics, pose, seen.flowers, f)
+        expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([f]))[0, 0]
+        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "waveform": SINE}
+        place, predicted = SimpleNamespace(point=grip.point), PROBE_AMPLITUDE * expected
+        shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=predicted, **facts))
+        true = np.full(len(expected), np.nan)
+        true[i] = np.abs(done.amplitude[j] + rng.normal(0, CAMERA_ERROR, len(j)))
+        by_camera.append(Observed.of(shake, answer, began=0.0))
+        by_truth.append(Observed(shake, true, np.full(len(expected), CAMERA_ERROR)))
+        told.append({"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]})
+    beliefs = {"prior": refine(model, []), "probe": refine(model, by_camera)}
+    beliefs["probe, every flower seen"] = refine(model, by_truth)
+    whole = {name: np.concatenate([burst[name] for burst in told]) for name in told[0]}
+    return beliefs, {**whole, "notes": list(beliefs["probe"].notes)}
 
 
 def filmed(scene: Scene, shaken: ShakenPlant, done: Shaken, pose: Array, seed: int) -> list[Frame]:
@@ -256,8 +249,8 @@ def filmed(scene: Scene, shaken: ShakenPlant, done: Shaken, pose: Array, seed: i
 
 
 def predictors(
-    case: Case, plant: SimPlant, seen: Seen, model: PlantModel, refined: dict[str, Material]
-) -> tuple[dict[str, tuple[Model, str]], float, list[str]]:
+    case: Case, plant: SimPlant, seen: Seen, model: PlantModel, beliefs: dict[str, Refinement]
+) -> tuple[dict[str, tuple[Predictor, str]], float, list[str]]:
     """Return the models by name, each with whose flowers it has ("seen" or "true").
 
     Then how many times too soft the authors' E is for the paper's model to stand, and which models there are not.
@@ -265,16 +258,20 @@ def predictors(
     radius = float(np.mean(plant.stem_centreline()[1]))
     paper, soft = paper_model(seen, case.species, radius)
     scripts, _ = paper_model(seen, case.species, radius, as_scripted=True)
-    notes = []
+    out: dict[str, tuple[Predictor, str]] = {name: (belief.amplitude_at, "seen") for name, belief in beliefs.items()}
+    out |= {"paper": (paper.response, "seen"), "paper as scripted": (scripts.response, "seen")}
     stiff = {"youngs": float(plant.youngs[0]), "damping_ratio": float(plant.damping_ratio[0])}
-    wanted = {"prior": model.material, **refined, "true material": replace(model.material, **stiff)}
-    wanted["true material, no twist"] = replace(wanted["true material"], bend_over_twist=NO_TWIST)
-    out = {"paper": (paper, "seen"), "paper as scripted": (scripts, "seen")}
-    for name, matter in wanted.items():
+    notes = []
+    for name, matter in (
+        ("probe, mean", beliefs["probe"].material),
+        ("true material", replace(model.material, **stiff)),
+    ):
         try:
-            out[name] = (anther_model(model.with_material(matter)), "seen")
+            out[name] = (anther_model(model.with_material(matter)).response, "seen")
         except StageFailure as failure:
             notes.append(f"{name}: {failure}")
-    out["true plant"] = (true_model(plant, PRIOR[case.species].bend_over_twist), "true")
-    out["true plant, no twist"] = (true_model(plant, 0.0), "true")
+    try:
+        out["true plant"] = (true_model(plant, TWIST).response, "true")
+    except StageFailure as failure:
+        notes.append(f"true plant: {failure}")
     return out, soft, notes

@@ -20,10 +20,9 @@ CAUSES = (
     "prior",
     "probe",
     "probe, every flower seen",
+    "probe, mean",
     "true material",
-    "true material, no twist",
     "true plant",
-    "true plant, no twist",
 )
 BANDS = {"paper": (0.0, 2.0), "fast": (2.0, 20.0), "flowers": (20.0, 100.0)}
 """[Hz]: the authors' shakes; the arm's; where flowers resonate on their pedicels."""
@@ -65,17 +64,17 @@ def shakes_in(row: Row, band: str) -> Shakes:
     return Shakes(height[chosen], f[chosen], chosen)
 
 
-def score(row: Row, model: str, band: str, truth: str = "true_m") -> Score | None:
+def score(row: Row, model: str, band: str) -> Score | None:
     """Return how well a model did on one plant; None where it has no prediction or no flower was seen."""
     shakes = shakes_in(row, band)
     if model not in row["predicted_m"] or not row["flowers"]["matched"] or not len(shakes.rows):
         return None
-    true, said = np.array(row[truth])[shakes.rows], np.array(row["predicted_m"][model])[shakes.rows]
+    true, said = np.array(row["true_m"])[shakes.rows], np.array(row["predicted_m"][model])[shakes.rows]
     ratio = said / true - 1
     held = shakes.height == HEIGHTS[MIDDLE]
     at_heights = [location(row, f) for f in np.unique(shakes.frequency)]
     by_location = [
-        (np.array(row[truth])[k].mean(1), np.array(row["predicted_m"][model])[k].mean(1)) for k in at_heights
+        (np.array(row["true_m"])[k].mean(1), np.array(row["predicted_m"][model])[k].mean(1)) for k in at_heights
     ]
     every = [np.concatenate(parts) for parts in zip(*by_location, strict=True)]
     return Score(
@@ -115,9 +114,6 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
             scores = [s for row in rows if (s := score(row, model, band))]
             if scores:
                 out |= _named(scores, model, band)
-        twisting = [s for row in rows if (s := score(row, "true plant", band, "twisting_m"))]
-        if twisting:
-            out |= _named(twisting, "true plant, twisting judge", band)
     out["paper_buckles"] = sum(row["paper_soft"] > 1 for row in rows)
     return out
 
@@ -128,7 +124,7 @@ def checks(rows: Sequence[Row]) -> dict[str, float]:
     for row in rows:
         true, small = np.array(row["true_m"]), np.array(row["linear_m"])
         stepped += [np.abs(small[k] / true[k] - 1) for k, u in enumerate(row["unsteadiness"]) if u > 0]
-        said = row["predicted_m"].get("probe", ())
+        said = row["predicted_m"].get("probe, mean", ())
         rods += [np.abs(np.array(said[int(k)]) / np.array(v, dtype=float) - 1) for k, v in row["nonlinear_m"].items()]
     out: dict[str, float] = {}
     for name, parts in (("linear_truth", stepped), ("linear_rods", rods)):
@@ -201,10 +197,9 @@ WORDS = {
     "prior": "(b) Anther, crop prior",
     "probe": "(c) Anther, one probe shake",
     "probe, every flower seen": "(c) with every flower measured to 0.3 mm",
+    "probe, mean": "(c) one model of the mean material",
     "true material": "scan, true material",
-    "true material, no twist": "scan, true material, no twist",
     "true plant": "true geometry and material",
-    "true plant, no twist": "true geometry and material, no twist",
 }
 HEADS = ("model", "Hz", "r over amplitude", "r over location", "mean error (median)", "bias", "reversed")
 CROPS = ("tomato", "pepper")
@@ -248,17 +243,15 @@ def _cells(scores: Sequence[Score]) -> tuple[str, ...]:
 def _causes(rows: Sequence[Row]) -> str:
     lines = []
     for model in (m for m in CAUSES if any(m in row["predicted_m"] for row in rows)):
-        cells = [_both(rows, model, band, "true_m") for band in BANDS]
-        twisting = _both(rows, model, "paper", "twisting_m")
-        lines.append((WORDS[model], *cells, twisting))
-    return rows_of(("model", *(f"{hz} Hz" for hz in BAND_WORDS.values()), "0.7–1.9 Hz, twisting judge"), lines)
+        lines.append((WORDS[model], *(_both(rows, model, band) for band in BANDS)))
+    return rows_of(("model", *(f"{hz} Hz" for hz in BAND_WORDS.values())), lines)
 
 
 def _splits(rows: Sequence[Row]) -> str:
     """Return the table of errors below 2 Hz by crop, and by how much the flower swings more than the grip."""
     lines = []
     for model in (m for m in dict.fromkeys(MODELS + CAUSES) if any(m in row["predicted_m"] for row in rows)):
-        crops = [_both([r for r in rows if r["species"] == crop], model, "paper", "true_m") for crop in CROPS]
+        crops = [_both([r for r in rows if r["species"] == crop], model, "paper") for crop in CROPS]
         parts = [part for row in rows if model in row["predicted_m"] for part in [_gains(row, model)] if len(part[0])]
         gain, error = (np.concatenate(values) for values in zip(*parts, strict=True))
         some = [error[(gain >= low) & (gain < high)] for low, high in GAINS]
@@ -276,8 +269,8 @@ def _gains(row: Row, model: str) -> tuple[Array, Array]:
     return (true / size).ravel(), np.abs(said / true - 1).ravel()
 
 
-def _both(rows: Sequence[Row], model: str, band: str, truth: str) -> str:
-    scores = [s for row in rows if (s := score(row, model, band, truth))]
+def _both(rows: Sequence[Row], model: str, band: str) -> str:
+    scores = [s for row in rows if (s := score(row, model, band))]
     if not scores:
         return "–"
     return f"{np.mean([s.error for s in scores]):.0%} ({np.mean([s.median for s in scores]):.0%})"

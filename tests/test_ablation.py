@@ -12,13 +12,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import ablated
 import ablation
-from finer_plant import divided
 from vibration_models import Model, true_model
 
 from anther.elastic_rod import Clamp, Rods, natural_frequencies, with_gravity_equilibrium
 from anther.sim import plant_mechanics
 from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.sim.tomato import grow_tomato
+
+BENDING = plant_mechanics.Params(twist=None)
 
 
 @pytest.fixture(scope="module")
@@ -98,17 +99,10 @@ def test_changes_and_errors_are_what_they_are_called() -> None:
     assert "true_full_10hz_change_median" not in found
 
 
-def test_a_divided_plant_is_the_same_plant_and_swings_as_the_rods_do() -> None:
-    """MuJoCo's hinges and the rods are two codes: their first frequencies agree where both are fine."""
+def test_rods_and_hinges_of_a_grown_plant_have_the_same_lowest_frequencies() -> None:
+    """They are two codes. Leaves are stiff and without inertia of their own in the rods, which are a little faster."""
     plant = grow_tomato(11)
-    fine = divided(plant, 0.015)
-    assert fine.length.max() <= 0.015 + 1e-9
-    assert fine.length.sum() == pytest.approx(plant.length.sum())
-    assert fine.mass.sum() == pytest.approx(plant.mass.sum())
-    assert fine.lump_mass @ fine.lump_centre == pytest.approx(plant.lump_mass @ plant.lump_centre)
-    assert fine.end[fine.flower_segment] == pytest.approx(plant.end[plant.flower_segment])
-    assert np.all(fine.start[1:] == pytest.approx(fine.end[fine.parent[1:]]))
-    params = Params(plant=plant_mechanics.Params(piece=0.015, stiffest=1000.0))
-    hinges = ShakenPlant(fine, plant.end[plant.stem_segments()[9]], [0, 1, 0], params).mechanics.frequencies[:16]
+    hinges = ShakenPlant(plant, plant.end[plant.stem_segments()[9]], [0, 1, 0], Params(plant=BENDING)).mechanics
     rods = true_model(plant, 0.0).rods
-    assert hinges == pytest.approx(natural_frequencies(rods, Clamp.root(rods), 16).frequencies, rel=0.025)
+    found = natural_frequencies(rods, Clamp.root(rods), 8).frequencies
+    assert hinges.frequencies[:8] == pytest.approx(found, rel=0.05)

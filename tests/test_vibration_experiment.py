@@ -35,7 +35,6 @@ def row(said: Any, seed: int = 0) -> dict[str, Any]:
         "shakes": shakes,
         "unsteadiness": [0.01] * len(shakes),
         "true_m": true,
-        "twisting_m": 2 * true,
         "linear_m": 1.1 * true,
         "nonlinear_m": {},
         "predicted_m": {"paper": said(true), "probe": true, "true plant": true},
@@ -58,7 +57,6 @@ def test_a_model_that_turns_the_trend_over_location_round_is_caught() -> None:
     numbers = metrics([backward, row(lambda true: true, seed=1)])
     assert numbers["reversed_trends_paper_model"] == 1
     assert numbers["reversed_trends_probe"] == 0
-    assert numbers["error_true_plant_twisting_judge"] == pytest.approx(0.5)
     assert numbers["paper_buckles"] == 2
     assert numbers["linear_truth_median"] == pytest.approx(0.1)
 
@@ -93,6 +91,6 @@ def test_rods_with_a_plants_own_geometry_and_material_answer_as_it_does() -> Non
     points = stem_points(plant, (0.3, 0.6))
     assert points[:, 2] == pytest.approx(BASE[2] + np.array([0.15, 0.3]))
     shaken = [ShakenPlant(plant, point, DIRECTION) for point in points]
-    frequencies = np.array([0.7, 1.3])
-    said = true_model(plant, 0.0).response(np.array([s.point for s in shaken]), DIRECTION, frequencies)
+    frequencies = np.array([0.5, 0.7])  # far from the leaf, which resonates at 1.3 Hz
+    said = true_model(plant, 12.0).response(np.array([s.point for s in shaken]), DIRECTION, frequencies)
     assert said == pytest.approx(np.array([semi_major(s.linear(frequencies)) for s in shaken]), rel=0.03)

@@ -50,6 +50,8 @@ class Params:
         flutter: frequency [Hz] at which, beside the plant's first mode, damping equals `damping_ratio` (Rayleigh).
         stiffest: hinges carry so much rotor inertia that none swings faster than this [Hz]; a mode at f is slowed by
             f^2 / (2 stiffest^2), 0.5 % at 30 Hz.
+        foliage: the same for petioles, rachises and midribs [Hz], 0.5 % at 10 Hz: their pieces are light, and with 300
+            Hz a leaf that was jammed in the gripper became unstable.
         least: pieces in an unbranched run at least, where it has that many segments.
         twist: EI/GJ of what twists, 11.5-13.3 in dicot petioles (facts: pollination 2); None: nothing twists.
         twisting: organs that twist.
@@ -59,6 +61,7 @@ class Params:
     piece: float = 0.03
     bend: float = 0.5
     stiffest: float = 300.0
+    foliage: float = 100.0
     least: int = 4
     flutter: float = 30.0
     twist: float | None = 12.0
@@ -242,14 +245,14 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
     across /= np.linalg.norm(across)
     # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
     beta = max(plant.damping_ratio[k] / (np.pi * params.flutter), 0.7 * dt)
+    fastest = params.foliage if plant.organ[k] in (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF) else params.stiffest
     for axis, stiffness in ((across, bending), (np.cross(along, across), bending), (along, twist)):
         if stiffness == 0:
             continue
         joint = body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
         joint.stiffness = [stiffness, 0, 0]
         joint.damping = [beta * stiffness, 0, 0]
-        # no hinge is faster than `stiffest`: contact forces stay steady, and 30 Hz moves by 30^2 / (2 stiffest^2) only
-        joint.armature = stiffness / (2 * np.pi * params.stiffest) ** 2
+        joint.armature = stiffness / (2 * np.pi * fastest) ** 2
         joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
 
 
