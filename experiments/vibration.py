@@ -73,10 +73,12 @@ def main() -> None:
     with ProcessPoolExecutor(args.jobs) as pool:
         results = pool.map(partial(one_plant, out=args.out), cases)
         rows = list(track(results, "plants", total=len(cases), console=console))
-    text = report(rows)
+    lost = [row["lost"] for row in rows if "lost" in row]
+    rows = [row for row in rows if "lost" not in row]
+    text = "\n\n".join([report(rows), *(f"Left out: {why}" for why in lost)])
     console.print(Markdown(text))
     if args.json:
-        write_json(args.json, metrics(rows))
+        write_json(args.json, metrics(rows) | {"plants_lost": len(lost)})
     if args.page:
         insert(args.page, text)
     if args.figures:

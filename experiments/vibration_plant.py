@@ -93,7 +93,7 @@ class Case:
 
 
 def one_plant(case: Case, out: Path) -> dict[str, Any]:
-    """Return what is found for one plant; kept in `out` and not done again."""
+    """Return what is found for one plant, or why it was lost; kept in `out` and not done again."""
     file = out / f"{case.name}.json"
     if file.exists():
         return read_json(file)
@@ -102,7 +102,10 @@ def one_plant(case: Case, out: Path) -> dict[str, Any]:
     scene = Scene.of_plant(plant)
     views = views_at(USUAL_DISTANCE, PRESETS["full"])
     seen = perceive(photograph(scene, views.joints, case.seed)[0], box)
-    row = judged(case, plant, scene, seen)
+    try:
+        row = judged(case, plant, scene, seen)
+    except StageFailure as failure:
+        row = {"lost": f"{case.name}: {failure}"}
     out.mkdir(parents=True, exist_ok=True)
     write_json(file, row)
     return row
