@@ -310,10 +310,10 @@ class PlantMechanics:
             [np.arange(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]) for b in self.bodies]
         )
         self.dofs = model.jnt_dofadr[self.joints]
+        self._bends = np.concatenate([np.arange(n) < 2 for n in model.body_jntnum[self.bodies]])
         data = mujoco.MjData(model)
         self._hang(data)
-        self.frequencies, shapes = self._modes(data)
-        self.mass_damping = self._air_damping(shapes[:, 0])
+        self.frequencies, self.mass_damping = self._modes(data)
         self._rest_origin = plant.start[pieces.first]
 
     def _hang(self, data: Any) -> None:
@@ -322,16 +322,19 @@ class PlantMechanics:
         mujoco.mj_forward(m, data)
         m.qpos_spring[m.jnt_qposadr[self.joints]] = data.qfrc_bias[self.dofs] / m.jnt_stiffness[self.joints]
 
-    def _modes(self, data: Any) -> tuple[Array, Array]:
+    def _modes(self, data: Any) -> tuple[Array, float]:
+        """Return all natural frequencies [Hz], and the Rayleigh coefficient that the first mode in bending asks for."""
         m, d = self.model, self.dofs
         mass = np.zeros((m.nv, m.nv))
         mujoco.mj_fullM(m, data, mass)
-        values, shapes = eigh(self.stiffness(data), mass[np.ix_(d, d)])
+        mass, stiffness, bends = mass[np.ix_(d, d)], self.stiffness(data), np.ix_(self._bends, self._bends)
+        values = eigh(stiffness, mass, eigvals_only=True)
         if values[0] <= 0:
             raise StageFailure(
                 "no_convergence", "the simulated plant cannot carry its own weight (it buckles): its stem is too soft."
             )
-        return np.sqrt(values) / (2 * np.pi), shapes
+        first, shape = eigh(stiffness[bends], mass[bends], subset_by_index=[0, 0])
+        return np.sqrt(values) / (2 * np.pi), self._air_damping(float(np.sqrt(first[0])), shape[:, 0])
 
     def stiffness(self, data: Any, step: float = 1e-5) -> Array:
         """Return (D, D) the springs and the change of the gravity torques with the hinge angles, at `data`'s place.
@@ -355,14 +358,13 @@ class PlantMechanics:
         mujoco.mj_forward(m, data)
         return np.diag(m.jnt_stiffness[self.joints]) + (K + K.T) / 2
 
-    def _air_damping(self, shape: Array) -> float:
-        """Return alpha so that the first mode's ratio is the strain-energy mean of the segments' ratios."""
+    def _air_damping(self, omega: float, shape: Array) -> float:
+        """Return alpha so that a bending mode's ratio is the strain-energy mean of the segments' ratios."""
         m = self.model
-        energy = m.jnt_stiffness[self.joints] * shape**2
-        ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()]
+        energy = m.jnt_stiffness[self.joints[self._bends]] * shape**2
+        ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()[self._bends]]
         wanted = float(energy @ ratio / energy.sum())
-        omega = 2 * np.pi * self.frequencies[0]
-        hinge = float(m.dof_damping[self.dofs] @ shape**2)
+        hinge = float(m.dof_damping[self.dofs[self._bends]] @ shape**2)
         return max(2 * omega * wanted - hinge, 0.0)
 
     def _piece_of_joint(self) -> NDArray[Any]:
@@ -388,9 +390,8 @@ class PlantMechanics:
         The spacing is EI/k, the length over which the hinge gathers the bending. Twist does not count: the limits on
         strain are those of bending.
         """
-        bends = np.concatenate([np.arange(n) < 2 for n in self.model.body_jntnum[self.bodies]])
-        angle = qpos[self.model.jnt_qposadr[self.joints[bends]]]
-        square = np.bincount(self._piece_of_joint()[bends], angle**2)
+        angle = qpos[self.model.jnt_qposadr[self.joints[self._bends]]]
+        square = np.bincount(self._piece_of_joint()[self._bends], angle**2)
         k = self.pieces.first
         radius = self.plant.radius_start[k]
         stiff = self.plant.youngs[k] * np.pi / 4 * radius**4
