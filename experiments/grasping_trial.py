@@ -17,7 +17,7 @@ from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
 from anther.commands.trial_summary import summarise
 from anther.errors import StageFailure
-from anther.execution import execute
+from anther.execution import EARLY, execute
 from anther.files import read_json, write_json
 from anther.grasp.paper import paper_grasp
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
@@ -57,6 +57,7 @@ class Memory(Run):
         super().__init__(folder, quiet=True)
         self.results: dict[str, Any] = {}
         self.total: dict[str, float] = {}
+        self.first: dict[str, float] = {}
         self.cpu: dict[str, float] = {}
         self.tries: Counter[str] = Counter()
 
@@ -72,6 +73,7 @@ class Memory(Run):
         try:
             return super().timed(name, compute)
         finally:
+            self.first.setdefault(name, time.perf_counter() - wall)
             self.total[name] = self.total.get(name, 0.0) + time.perf_counter() - wall
             self.cpu[name] = self.cpu.get(name, 0.0) + time.process_time() - cpu
 
@@ -109,6 +111,7 @@ def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
     row = {**asdict(case), "first": first, "ours": ours, "paper": None, "notes": notes(run)}
     row |= {"capture_s": cell.capture_seconds, "seconds": run.total, "cpu_seconds": run.cpu}
     row |= {"compute_s": sum(run.total.get(name, 0.0) for name in COMPUTE), "attempts": run.tries["execution"]}
+    row["overlap_s"] = overlap(ours.get("phases_s", {}), run)
     row["plan_s"] = run.total.get("grasp")
     row["plan_cpu_s"] = run.cpu.get("grasp")
     if rule and case.preset == "full":
@@ -121,6 +124,11 @@ def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
         grasp = done.shake.grasp if done else next(iter(run.results.get("grasp", [])), None)
         portrait(run.results["capture"], grasp, file.with_suffix(".png"))
     return row
+
+
+def overlap(phases: dict[str, float], run: Memory) -> float:
+    """Return how long the arm was on its way to the first grasp while the shake was still being chosen [s]."""
+    return min(phases.get(EARLY, 0.0), run.first.get("plant model", 0.0) + run.first.get("shake plan", 0.0))
 
 
 @dataclass(frozen=True)

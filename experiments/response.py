@@ -3,7 +3,7 @@
     python tools/record.py experiments/response.py --figure docs/pictures/response.png --out runs/response --jobs 2
 
 Simulated plants are held at the middle of their stem and shaken (`sim.shaken_plant`) so that the median flower moves by
-1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `execution.choose_rate`
+1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `oscillation.choose_rate`
 gives. Flowers are told to the stage where they truly are, give or take `PLACED`, as perception would. A flower counts
 as in sight if half of its petals' outline or more is seen from the camera at rest. `BLIND` are recordings in which a
 frame rate hides the shake: the stage must refuse them. One JSON a case is kept under --out.
@@ -36,11 +36,10 @@ from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
 from anther.devices import Frame
 from anther.errors import InputError
 from anther.execution import Params as ExecutionParams
-from anther.execution import choose_rate
 from anther.files import read_json, replacing, write_json
 from anther.flowers import Flowers
 from anther.geometry import Array, inverse, transform_points
-from anther.oscillation import fit_swing
+from anther.oscillation import choose_rate, fit_swing
 from anther.response import measure_response
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.depth_noise import noisy_depth

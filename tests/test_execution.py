@@ -15,10 +15,10 @@ from small_planner import SmallPlanner, solve
 from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, Watch
 from anther.errors import InputError, StageFailure
-from anther.execution import PHASES, Params, Trial, choose_rate, execute
+from anther.execution import PHASES, Params, Trial, execute
 from anther.geometry import Array
 from anther.grasp import Grasp
-from anther.oscillation import alias
+from anther.oscillation import alias, choose_rate
 from anther.vibration import SINE, Waveform
 
 POINT = np.array([0.72, 0.0, -0.08])

@@ -40,7 +40,8 @@ STRIKES: list[tuple[Fault, FailureKind | None]] = [
     (Fault("pushed", 1, 0.5), "collision"),
     (Fault("pushed", 2, 0.2, lasting=True), "collision"),
     (Fault("gripper jam", 1), "device_fault"),
-    (Fault("gripper jam", 2), "device_fault"),
+    (Fault("gripper jam", 2), None),  # the next step of closing moves it on
+    (Fault("gripper jam", 4), "device_fault"),
     (Fault("gripper jam", 2, lasting=True), "device_fault"),
     (Fault("frames lost", 0, 0.0), "device_fault"),
     (Fault("frames lost", 0, 0.5), None),

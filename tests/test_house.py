@@ -13,7 +13,7 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 BASE = {"errors", "checks", "files", "geometry", "__init__"}
 ORDER = [
     "capture", "calibration", "masks", "cloud", "skeleton", "stem", "next_view", "flowers", "grasp", "elastic_rod",
-    "plant", "vibration", "devices", "safety", "oscillation", "execution", "flower_tracking", "response",
+    "plant", "vibration", "devices", "safety", "oscillation", "execution", "early_reach", "flower_tracking", "response",
     "identification", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)

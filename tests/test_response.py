@@ -14,11 +14,10 @@ from hypothesis import strategies as st
 from anther.devices import Frame
 from anther.errors import InputError
 from anther.execution import Params as ExecutionParams
-from anther.execution import choose_rate
 from anther.flower_tracking import Patch, petal_weight
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.oscillation import envelope_amplitude, find_frequency, fit_swing
+from anther.oscillation import choose_rate, envelope_amplitude, find_frequency, fit_swing
 from anther.response import Response, measure_response
 from anther.response.depth import depth_along
 

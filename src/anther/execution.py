@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,13 +28,15 @@ from anther.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.files import read_npz, write_npz
 from anther.geometry import Array
 from anther.grasp import Grasp
-from anther.oscillation import alias
+from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
 from anther.vibration.waveforms import Waveform
 
 Progress = Callable[[int, int], None]
 """Called with (phases done, phases in all)."""
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
+EARLY = "early reach"
+"""The phase before these, where the arm went to the grasp before it was told which shake (`early_reach`)."""
 SCHEMA = 1
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
@@ -119,7 +121,7 @@ class Trial:
     """What was commanded and what happened. P phases, T samples of the shake, N frames.
 
     Attributes:
-        phases: (P,) names of the phases begun, in order, out of `PHASES`.
+        phases: (P,) names of the phases begun, in order, out of `EARLY` and `PHASES`.
         phase_times: (P, 2) begin and end of each [s], on the robot's clock. Only the arm tells the time: a phase of the
             gripper fills what lies between two motions.
         shake_times: (T,) [s], on the robot's clock; empty if it never shook; of a shake cut short what was read of it.
@@ -186,6 +188,7 @@ def execute(
     params: Params = Params(),
     *,
     progress: Progress | None = None,
+    arrive: Callable[[], ArmRecord] | None = None,
 ) -> Trial:
     """Open, reach, approach, close, shake, let go and retreat.
 
@@ -201,9 +204,13 @@ def execute(
         limits: every command is checked against them.
         params: of the approach and the grip.
         progress: called before each phase.
+        arrive: waits for a motion of the arm that was begun before (`early_reach`), as the phase "early reach".
     """
     work = _Work(planner, shake, guard(robot, limits), params, progress)
     try:
+        if arrive is not None:
+            with work.phase(EARLY):
+                work.note(arrive())
         check_shake(shake.amplitude, shake.frequency * shake.waveform.ratio, shake.duration, limits)
         _forward(work)
         _back(work)
@@ -255,15 +262,18 @@ class _Work:
         self.stop_reason, self.failure = reason, kind
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
-        """Follow; what passed on the clock since the last motion was the previous phase's."""
+        """Follow, and note when."""
         record = self.robot.arm.follow(trajectory, watch)
-        name = self.marks[-1][0]
-        if len(self.marks) > 1:
-            before = self.marks[-2]
-            self.marks[-2] = (before[0], before[1], float(record.times[0]))
-        self.marks[-1] = (name, float(record.times[0]), float(record.times[0]))
-        self.clock = float(record.times[-1])
+        self.note(record)
         return record
+
+    def note(self, record: ArmRecord) -> None:
+        """Note when the arm moved; what passed on the clock since the last motion was the previous phase's."""
+        begin = float(record.times[0])
+        if len(self.marks) > 1:
+            self.marks[-2] = (*self.marks[-2][:2], begin)
+        self.marks[-1] = (self.marks[-1][0], begin, begin)
+        self.clock = float(record.times[-1])
 
     def trial(self) -> Trial:
         grips = np.array([(g.opening, g.force, g.is_gripping) for g in self.grips], dtype=float).reshape(-1, 3)
@@ -388,13 +398,3 @@ def _press(gripper: Gripper, width: float, params: Params) -> GripperState:
         width -= params.step
         state = gripper.move(width)
     return state
-
-
-def choose_rate(frequency: float, rates: Sequence[float]) -> float:
-    """Return the camera rate [Hz] to record a shake of `frequency` [Hz] with.
-
-    At f = rate/2 or a multiple a sampled sinusoid's phase and amplitude are lost. The slowest rate of eight or more
-    frames a period is taken; if there is none, the one whose aliased frequency lies nearest to rate/4, in the middle.
-    """
-    ample = [r for r in rates if r >= 8 * frequency]
-    return min(ample) if ample else min(rates, key=lambda r: abs(alias(frequency, r) / r - 0.25))

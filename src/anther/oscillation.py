@@ -9,6 +9,7 @@ apart.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -141,6 +142,16 @@ def envelope_amplitude(times: Array, path: Array) -> float:
 def alias(frequency: float, rate: float) -> float:
     """Return the frequency [Hz], between 0 and rate/2, at which `frequency` [Hz] shows up at a sampling `rate` [Hz]."""
     return abs(frequency - rate * round(frequency / rate))
+
+
+def choose_rate(frequency: float, rates: Sequence[float]) -> float:
+    """Return the camera rate [Hz] to record a shake of `frequency` [Hz] with.
+
+    At f = rate/2 or a multiple a sampled sinusoid's phase and amplitude are lost. The slowest rate of eight or more
+    frames a period is taken; if there is none, the one whose aliased frequency lies nearest to rate/4, in the middle.
+    """
+    ample = [r for r in rates if r >= 8 * frequency]
+    return min(ample) if ample else min(rates, key=lambda r: abs(alias(frequency, r) / r - 0.25))
 
 
 def _slow_terms(t: Array, frequency: float) -> int:

@@ -10,6 +10,7 @@ from anther import cloud, execution, flowers, grasp, masks, plant, response, ske
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.devices import Robot, SafetyLimits
+from anther.early_reach import Arrive, early_reach
 from anther.errors import FailureKind, StageFailure
 from anther.execution import Trial
 from anther.flowers import Flowers
@@ -181,8 +182,9 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     seen = perceive(capture, cell.workspace, run, params, find_masks)
     planner = cell.plan_around(seen.cloud)
     grasps = rank_grasps(seen, planner.reach, run, params)
-    rods = run.stage("plant model", PlantModel.load, lambda _: model_plant(seen, material, params))
-    shake, trial = _shaken(cell, planner, rods, grasps, run, params=params)
+    with early_reach(planner, grasps[0], cell.robot, cell.limits, params.execution) as arrive:
+        rods = run.stage("plant model", PlantModel.load, lambda _: model_plant(seen, material, params))
+        shake, trial = _shaken(cell, planner, rods, grasps, run, arrive, params=params)
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material)
@@ -207,9 +209,19 @@ def _watched(
 
 
 def _shaken(
-    cell: Cell, planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, *, params: Params
+    cell: Cell,
+    planner: MotionPlanner,
+    rods: PlantModel,
+    grasps: list[Grasp],
+    run: Run,
+    arrive: Arrive | None,
+    *,
+    params: Params,
 ) -> tuple[ShakePlan, Trial]:
-    """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others."""
+    """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
+
+    `arrive` waits for the arm that has gone before the best.
+    """
     while True:
         offered = [g for g in grasps if g.score >= grasps[0].score - params.grasp.slack]
         try:
@@ -222,10 +234,11 @@ def _shaken(
         trial = run.stage(
             "execution",
             Trial.load,
-            lambda advance, shake=shake: execution.execute(
-                planner, shake, cell.robot, cell.limits, params.execution, progress=advance
+            lambda advance, shake=shake, arrive=arrive: execution.execute(
+                planner, shake, cell.robot, cell.limits, params.execution, progress=advance, arrive=arrive
             ),
         )
+        arrive = None
         grasps = [g for i, g in enumerate(grasps) if i != shake.grasp_index]
         if trial.failure not in TRY_THE_NEXT or not grasps:
             return shake, trial
