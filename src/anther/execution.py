@@ -102,7 +102,7 @@ class Params:
     approach_speed: float = 0.12
     loose: float = 0.0005
     step: float = 0.0005
-    hold: float = 2.0
+    hold: float = 8.0
     thinnest: float = 0.002
     settle: float = 0.6
     opening: float = 0.0416

@@ -80,7 +80,7 @@ class Params:
     stem_strain: float = 0.01
     joint_strain: float = 0.005
     leaf_load: float = 0.7 * 9.81
-    grip_force: float = 2.0
+    grip_force: float = 8.0
     pad_friction: float = 0.5
     flower_acceleration: float = 200.0
     duration: float = 3.0
