@@ -92,7 +92,7 @@ class SoftStem(FakeGripper):
     """Presses with 4 N for each millimetre that it is closed further than the stem is wide."""
 
     def state(self) -> GripperState:
-        force = 4e3 * max(self.width - self.commands[-1], 0) if self.opening <= self.width else 0.0
+        force = 1e4 * max(self.width - self.commands[-1], 0) if self.opening <= self.width else 0.0
         return GripperState(self.opening, force, force > 1)
 
 
@@ -102,7 +102,7 @@ def test_the_pads_close_in_steps_and_press_no_more_than_they_need(width: float) 
     trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
     assert trial.finished
     assert trial.gripper[0, 0] == pytest.approx(width)
-    assert params.hold <= trial.gripper[0, 1] < params.hold + 4e3 * params.step
+    assert params.hold <= trial.gripper[0, 1] < params.hold + 1e4 * params.step
 
 
 @pytest.mark.parametrize("when", range(5))
