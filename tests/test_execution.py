@@ -89,20 +89,20 @@ def test_a_wrong_grip_is_let_go(width: float, kind: str) -> None:
 
 
 class SoftStem(FakeGripper):
-    """Presses with 4 N for each millimetre that it is closed further than the stem is wide."""
+    """Presses with 6 N for each millimetre that it is closed further than the stem is wide."""
 
     def state(self) -> GripperState:
-        force = 1e4 * max(self.width - self.commands[-1], 0) if self.opening <= self.width else 0.0
+        force = 6e3 * max(self.width - self.commands[-1], 0) if self.opening <= self.width else 0.0
         return GripperState(self.opening, force, force > 1)
 
 
-@pytest.mark.parametrize("width", [0.0031, 0.0078, 0.011])
+@pytest.mark.parametrize("width", [0.0036, 0.0078, 0.011])
 def test_the_pads_close_in_steps_and_press_no_more_than_they_need(width: float) -> None:
     gripper, params = SoftStem(width), Params()
     trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
     assert trial.finished
     assert trial.gripper[0, 0] == pytest.approx(width)
-    assert params.hold <= trial.gripper[0, 1] < params.hold + 1e4 * params.step
+    assert params.hold <= trial.gripper[0, 1] < params.hold + 6e3 * params.step
 
 
 @pytest.mark.parametrize("when", range(5))
