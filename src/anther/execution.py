@@ -394,7 +394,7 @@ def _close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
 def _press(gripper: Gripper, width: float, params: Params) -> GripperState:
     """Close to a width [m], and on in steps until the pads press."""
     state = gripper.move(width)
-    while not (state.is_gripping and state.force >= params.hold) and width - params.step >= params.thinnest:
+    while not (state.is_gripping and state.force >= params.hold) and width - params.step > params.thinnest - 1e-9:
         width -= params.step
         state = gripper.move(width)
     return state
