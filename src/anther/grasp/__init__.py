@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -252,7 +253,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         candidates = candidates.only(few & (candidates.outward() > 0))
     around, poses = surroundings_of(stem, skeleton, cloud, leaf_size=params.leaf_size), candidates.T_world_flange
     open_ = [(gripper.boxes(params.pregrasp_distance, o), gripper.closing(params.doubt, o)) for o in params.openings]
-    met = Clearance.of([clearance(poses, around, *shape, touch=params.touch) for shape in open_])
+    with ThreadPoolExecutor() as pool:
+        met = Clearance.of(list(pool.map(lambda shape: clearance(poses, around, *shape, touch=params.touch), open_)))
     candidates = candidates.opened(params.openings)
     refusals = _refusals(candidates, met, params)
     costs = _costs(candidates, met, cloud, params, length)

@@ -233,7 +233,7 @@ def _cells(s: Surroundings) -> tuple[NDArray[Any], NDArray[Any], Array]:
     return np.argsort(cell, kind="stable"), start, np.column_stack([middle, far])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _meet(
     poses,
     centers,
