@@ -148,10 +148,15 @@ def test_an_unmeasurable_response_teaches_nothing(plant: PlantModel, plan: Shake
     assert "no flower" in after.notes[0]
 
 
-def test_a_vague_measurement_leaves_the_belief_nearly_as_it_was(plant: PlantModel, plan: ShakePlan) -> None:
-    after = refine(plant, [Observed(plan, plan.predicted_amplitude, np.full(3, 10.0))], Params(model_error=10))
-    assert abs(np.log(after.material.youngs / plant.material.youngs)) < 0.5
-    assert after.material.youngs_spread > 0.6 * plant.material.youngs_spread
+@pytest.mark.parametrize("above_least", [3.0, 1.2])
+def test_a_vague_measurement_leaves_the_belief_as_it_was(
+    plant: PlantModel, plan: ShakePlan, above_least: float
+) -> None:
+    """Also of a plant that barely stands, whose softer draws are stiffened."""
+    stands = plant.with_material(replace(plant.material, youngs=above_least * plant.least_youngs))
+    after = refine(stands, [Observed(plan, plan.predicted_amplitude, np.full(3, 10.0))], Params(model_error=10))
+    assert after.material.youngs == pytest.approx(stands.material.youngs, rel=0.02)
+    assert after.material.youngs_spread == pytest.approx(stands.material.youngs_spread, rel=0.05)
 
 
 def test_one_flower_mistaken_for_another_does_not_decide_alone(plant: PlantModel, plan: ShakePlan) -> None:

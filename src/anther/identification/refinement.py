@@ -105,9 +105,9 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
     times the nonlinear correction of the plan, and the members are weighted by a Student-t likelihood (4 degrees of
     freedom, so that a flower mistaken for another does not decide alone) of ln amplitude and of phase. Flowers of one
     branch err alike, so n of them count as n / (1 + (n - 1) `likeness`) (the variance of a mean of equally correlated
-    values). Where too few members would count, the likelihood is raised to a power below 1. The new material has the
-    weighted means and spreads of the logarithms of what `plant.LEARNED` names; `Refinement.amplitude_at` predicts with
-    the members themselves.
+    values). Where too few members would count, the likelihood is raised to a power below 1. Of what `plant.LEARNED`
+    names, the new material is moved and narrowed as the weights move and narrow the members; `Refinement.amplitude_at`
+    predicts with the members themselves.
 
     A flower that was followed but moved too little to be measured is left-censored: it counts with the probability of
     moving less than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.
@@ -206,11 +206,16 @@ def _weights(log_likelihood: Array, least: float) -> tuple[Array, float]:
 
 
 def _moments(before: Material, members: list[Material], weights: Array) -> Material:
-    """Return the material with the weighted mean and standard deviation of the logarithms."""
+    """Return the material moved and narrowed by what the weights do to the members' logarithms.
+
+    Draws that would not stand are stiffened, so the members' own mean E lies above the belief, by 0.27 in ln on eight
+    plants (measured). What counts is the difference from it: a shake that tells nothing leaves the belief as it is.
+    """
     moved: dict[str, float] = {}
     for name, spread in LEARNED.items():
         logs = np.log([getattr(m, name) for m in members])
-        mean = float(weights @ logs)
-        moved[name] = float(np.exp(mean))
-        moved[spread] = float(min(np.sqrt(weights @ (logs - mean) ** 2), getattr(before, spread)))
+        mean, drawn = float(weights @ logs), float(logs.mean())
+        narrowed = np.sqrt(weights @ (logs - mean) ** 2) / max(float(logs.std()), 1e-12)
+        moved[name] = float(getattr(before, name) * np.exp(mean - drawn))
+        moved[spread] = float(getattr(before, spread) * min(narrowed, 1.0))
     return before.changed(**moved)
