@@ -117,6 +117,19 @@ def test_any_cloud_gives_one_tree_or_a_clear_error(points: np.ndarray, method: L
     assert_one_tree(skeleton)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_vine_that_hangs_from_both_ends_is_one_tree(method: Literal["geodesic", "thinning"]) -> None:
+    """Its lowest place is no tip."""
+    s = np.linspace(-1, 1, 4000)
+    around = np.random.default_rng(0).normal(size=(len(s), 3))
+    line = np.stack([0.2 * s, 0 * s, 0.3 * s**2], axis=1)
+    skeleton = skeletonize(
+        Cloud(line + 0.004 * around / np.linalg.norm(around, axis=1)[:, None]), Params(method=method)
+    )
+    assert_one_tree(skeleton)
+    assert np.ptp(skeleton.nodes[:, 0]) > 0.3
+
+
 @pytest.mark.parametrize(("points", "message"), [(np.zeros((2, 3)), "50 or more"), (np.ones((100, 3)), "units")])
 def test_hopeless_clouds_are_refused(points: np.ndarray, message: str) -> None:
     with pytest.raises((InputError, StageFailure), match=message):

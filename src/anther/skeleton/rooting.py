@@ -37,8 +37,10 @@ def find_root(tree: RawTree, candidates: int = 60) -> int:
     degree[0] = 1  # where the tree was rooted so far may be the root, whatever leaves there
     z = tree.nodes[:, 2]
     extent = max(float(np.linalg.norm(np.ptp(tree.nodes, axis=0))), 1e-12)
-    tips = np.flatnonzero((degree == 1) & (z <= z.min() + _LOW * np.ptp(z)))
-    tips = tips[np.argsort(z[tips])][:candidates]
+    tips = np.flatnonzero(degree == 1)
+    tips = tips[np.argsort(z[tips])]
+    low = int(np.count_nonzero(z[tips] <= z.min() + _LOW * np.ptp(z)))
+    tips = tips[: min(max(low, 1), candidates)]  # what hangs in an arc has no low tip
     aside = np.linalg.norm(tree.nodes[tips, :2] - np.median(tree.nodes[:, :2], axis=0), axis=1)
     place = np.exp(-(_ABOVE * (z[tips] - z.min()) + _ASIDE * aside) / extent)
     return int(tips[np.argmax(place * [root_score(tree, tip) for tip in tips])])
