@@ -18,7 +18,7 @@ from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.sim import arm_model, plant_mechanics
 from anther.sim.blades import add_blades
-from anther.sim.plant import SimPlant
+from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
@@ -43,7 +43,7 @@ class Params:
     timestep: float = 1e-3
     log_every: int = 2
     plant: plant_mechanics.Params = field(
-        default_factory=lambda: plant_mechanics.Params(twisting=plant_mechanics.TWISTING[:3])
+        default_factory=lambda: plant_mechanics.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
     )
     arm: arm_model.Params = field(default_factory=arm_model.Params)
 
