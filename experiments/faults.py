@@ -3,9 +3,9 @@
     python experiments/faults.py --json docs/results/faults.json [--quick] [--jobs 2]
 
 The plan is made once (tomato 10, from views to shake plan, in OUT/base) and read back for every fault. A fault then
-hits the execution in a MuJoCo cell, or, one in twenty, the camera while the views are taken; one in fifty kills the
-process with SIGKILL. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the time, the others
-the whole plant.
+hits the early reach or the execution in a MuJoCo cell, or, one in twenty, the camera while the views are taken; one in
+fifty kills the process with SIGKILL. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the
+time, the others the whole plant.
 
 What came of a fault is kept in OUT/NUMBER/outcome.json, and the script goes on where it was interrupted.
 docs/safety.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never sees.
@@ -40,6 +40,7 @@ from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, build, grow, layout, safety_limits
 from anther.devices import Arm, DeviceError, Robot, SafetyLimits
 from anther.drivers.replay import ReplayCamera
+from anther.early_reach import early_reach
 from anther.errors import InputError, StageFailure
 from anther.execution import Params, Trial, execute
 from anther.files import read_json, write_json
@@ -55,7 +56,7 @@ from anther.vibration import ShakePlan
 
 SPECIES, SEED, DISTANCE = "tomato", 10, 0.72
 FEWEST_VIEWS = 3
-MOTIONS = (0, 1, 2, 3, 4)  # of a trial: reach, approach, settle, shake, retreat
+MOTIONS = (0, 1, 2, 3, 4, 5)  # of a trial: early reach, reach, approach, settle, shake, retreat
 EXPECTED = {"pushed": "collision", "ctrl-c": "interrupted", "kill -9": "interrupted"}  # others: device_fault
 
 
@@ -90,8 +91,8 @@ def draw(number: int, seed: int) -> Case:
         return Case(number, Fault("frames lost", int(rng.integers(0, 30)), share, lasting), views=True)
     kinds: list[Kind] = [k for k in get_args(Kind) if k != "kill -9"]
     kind = kinds[rng.integers(len(kinds))]
-    # an arm that stands still (2) cannot be stale; a gripper is told to open, close, release
-    at = {"stale joints": (0, 1, 3, 4), "gripper jam": (0, 1, 2), "frames lost": (0,)}.get(kind, MOTIONS)
+    # an arm that stands still (1, 3) cannot be stale; a gripper is told to open, open, close in steps, release
+    at = {"stale joints": (0, 2, 4, 5), "gripper jam": (0, 2, 3), "frames lost": (0,)}.get(kind, MOTIONS)
     return Case(number, Fault(kind, int(rng.choice(at)), share, lasting), whole_plant=number % 10 == 3)
 
 
@@ -139,11 +140,14 @@ def machines(cell: Cell, arm: Arm | None = None) -> Robot:
 
 
 def run_once(base: Path, folder: Path, robot: Robot, *, restart_from: str | None = None) -> Trial:
-    """Execute the plan as a run does: the plan and the trial end up in the folder."""
+    """Execute the plan as a run does, early reach first: the plan and the trial end up in the folder."""
     planner, plan, limits = planned(base)
-    with Run(folder, restart_from=restart_from, quiet=True) as run:
+    with (
+        Run(folder, restart_from=restart_from, quiet=True) as run,
+        early_reach(planner, plan.grasp, robot, limits, Params()) as arrive,
+    ):
         shake = run.stage("shake plan", ShakePlan.load, lambda _: plan)
-        return run.stage("execution", Trial.load, lambda _: execute(planner, shake, robot, limits))
+        return run.stage("execution", Trial.load, lambda _: execute(planner, shake, robot, limits, arrive=arrive))
 
 
 def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str:
@@ -196,7 +200,8 @@ def bad_record(folder: Path, case: Case) -> str:
         trial = Trial.load(folder / "09_trial.npz")
     except (InputError, KeyError) as error:
         return str(error)
-    no_effect = case.fault.kind == "gripper jam" and case.fault.at == 0 and not case.fault.lasting  # it was open
+    # a jam at first finds the pads open, one after the first step of closing is over at the next
+    no_effect = case.fault.kind == "gripper jam" and case.fault.at != 2 and not case.fault.lasting
     partial = case.fault.kind == "frames lost" and len(trial.frame_times) > 0
     if trial.finished:
         return "" if no_effect or partial else "the trial says that it finished"

@@ -1,6 +1,6 @@
 """Hard cases, each as whole trials: from noisy images to a physical grasp and shake, judged as in `grasping.py`.
 
-    python experiments/hard_cases.py --jobs 2 --json docs/results/hard_cases.json [--quick]
+    python tools/record.py experiments/hard_cases.py --jobs 2 --page docs/hard_cases.md
 
 | case | what is hard |
 |---|---|
@@ -30,11 +30,10 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from grasping_page import insert, rows_of
 from grasping_trial import Memory, notes, performed, watched
 from hard_plants import denser, leaning, sway, swaying, two_stems
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.arm import sawyer
 from anther.capture import Capture
@@ -170,20 +169,25 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     return out
 
 
-def show(rows: list[dict[str, Any]], console: Console) -> None:
-    """Print how each case went and why its failures failed."""
-    table = Table("case", "success", "failures")
-    for kind in CASES:
-        some = [row for row in rows if row["kind"] == kind]
-        why = [f"{row['species']} {row['seed']}: {row['message']}{_aim(row)}" for row in some if not row["success"]]
-        if some:
-            table.add_row(kind, f"{len(some) - len(why)} of {len(some)}", "\n".join(why))
-    console.print(table)
+def report(rows: list[dict[str, Any]]) -> str:
+    """Return how each case went, and every failure, as Markdown."""
+    table = [
+        (kind, sum(row["success"] for row in some), len(some), sum(row.get("stem_held", False) for row in some))
+        for kind in CASES
+        if (some := [row for row in rows if row["kind"] == kind])
+    ]
+    failed = [
+        (f"{row['kind']}, {row['species']} {row['seed']}", row["failure"], f"{row['message']}{_aim(row)}")
+        for row in rows
+        if not row["success"]
+    ]
+    text = rows_of(("case", "successes", "trials", "main stem held"), table)
+    return text + ("\n\n" + rows_of(("failed trial", "kind", "what happened"), failed) if failed else "")
 
 
 def _aim(row: dict[str, Any]) -> str:
     off = row.get("beside_stem_m")
-    return "" if off is None else f" (aimed {1000 * off:.0f} mm beside the main stem's axis)"
+    return "" if off is None else f" Aimed {1000 * off:.0f} mm beside the main stem's axis."
 
 
 def main() -> None:
@@ -194,14 +198,18 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3000, help="first seed")
     parser.add_argument("--cases", nargs="*", choices=CASES, default=CASES)
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
+    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
     parser.add_argument("--out", type=Path, default=Path("runs/hard_cases"), help="where finished trials are kept")
     args = parser.parse_args()
-    console, seeds = Console(), range(args.seed, args.seed + (1 if args.quick else 3))
+    seeds = range(args.seed, args.seed + (1 if args.quick else 3))
     cases = [Case(kind, species, seed) for kind in args.cases for species in get_args(Species) for seed in seeds]
     with ProcessPoolExecutor(args.jobs) as pool:
         results = pool.map(partial(one_trial, out=args.out), cases)
-        rows = list(track(results, "trials", total=len(cases), console=console))
-    show(rows, console)
+        rows = list(track(results, "trials", total=len(cases)))
+    text = report(rows)
+    print(text)
+    if args.page:
+        insert(args.page, text)
     if args.json:
         write_json(args.json, metrics(rows))
 

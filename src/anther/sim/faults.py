@@ -117,7 +117,7 @@ class FaultyArm:
             case "pushed":
                 return replace(sample, force=np.nan_to_num(sample.force) + PUSH)
             case "ctrl-c":
-                signal.raise_signal(signal.SIGINT)
+                os.kill(os.getpid(), signal.SIGINT)  # of the process, whichever of its threads moves the arm
             case "kill -9":
                 os.kill(os.getpid(), signal.SIGKILL)
             case "stale joints":
