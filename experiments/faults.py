@@ -56,7 +56,7 @@ from anther.vibration import ShakePlan
 
 SPECIES, SEED, DISTANCE = "tomato", 10, 0.72
 FEWEST_VIEWS = 3
-MOTIONS = (0, 1, 2, 3, 4, 5)  # of a trial: early reach, reach, approach, settle, shake, retreat
+MOTIONS = (0, 1, 2, 3, 4)  # of a trial: early reach, approach, settle, shake, retreat
 EXPECTED = {"pushed": "collision", "ctrl-c": "interrupted", "kill -9": "interrupted"}  # others: device_fault
 
 
@@ -91,8 +91,8 @@ def draw(number: int, seed: int) -> Case:
         return Case(number, Fault("frames lost", int(rng.integers(0, 30)), share, lasting), views=True)
     kinds: list[Kind] = [k for k in get_args(Kind) if k != "kill -9"]
     kind = kinds[rng.integers(len(kinds))]
-    # an arm that stands still (1, 3) cannot be stale; a gripper is told to open, open, close in steps, release
-    at = {"stale joints": (0, 2, 4, 5), "gripper jam": (0, 2, 3), "frames lost": (0,)}.get(kind, MOTIONS)
+    # an arm that stands still (2) cannot be stale; a gripper is told to open, open, close in steps, release
+    at = {"stale joints": (0, 1, 3, 4), "gripper jam": (0, 2, 3), "frames lost": (0,)}.get(kind, MOTIONS)
     return Case(number, Fault(kind, int(rng.choice(at)), share, lasting), whole_plant=number % 10 == 3)
 
 

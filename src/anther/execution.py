@@ -32,12 +32,11 @@ from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
 from anther.vibration.waveforms import Waveform
 
-Progress = Callable[[int, int], None]
-"""Called with (phases done, phases in all)."""
+Progress = Callable[[int, int], None]  # called with (phases done, phases in all)
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
-EARLY = "early reach"
-"""The phase before these, where the arm went to the grasp before it was told which shake (`early_reach`)."""
+EARLY = "early reach"  # before these: the arm went to the grasp before it was told which shake (`early_reach`)
 SCHEMA = 1
+THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
@@ -301,7 +300,8 @@ def _forward(work: _Work) -> None:
         shake = work.planner.shake(grasp.joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
         work.robot.gripper.move(work.opening)
     with work.phase("reach"):
-        work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
+        if np.abs(arm.joints() - outward.positions[-1]).max() > THERE:
+            work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
     with work.phase("approach"):
         work.in_plant = True
         work.follow(outward.backwards())
