@@ -64,7 +64,7 @@ def test_frame_conventions():
         np.testing.assert_allclose(g.tangent, tilt[:, 2], atol=1e-9)
         assert abs(y @ g.tangent) < 1e-9
         assert abs(x @ g.tangent) == pytest.approx(1)
-        np.testing.assert_allclose(p + Gripper().depth * z, g.point, atol=1e-12)
+        np.testing.assert_allclose(p + (Gripper().depth + Params().toward_tips) * z, g.point, atol=1e-12)
         np.testing.assert_allclose(g.pregrasp(0.1)[:3, 3], p - 0.1 * z, atol=1e-12)
 
 
@@ -178,6 +178,7 @@ def test_asks_the_arm_lazily_and_keeps_its_joints():
     grasps = plan_grasps(*make_plant(), Params(wanted=3), reach=reach)
     assert len(grasps) == 3 <= len(asked)
     assert all(g.T_world_flange[2, 3] > -0.1 and np.array_equal(g.joints, np.arange(7)) for g in grasps)
+    assert len(np.unique(asked, axis=0)) == len(asked), "what is out of reach wide open is so half open"
 
 
 def test_out_of_reach_says_so():
