@@ -182,9 +182,20 @@ def test_asks_the_arm_lazily_and_keeps_its_joints():
 
 
 def test_out_of_reach_says_so():
-    with pytest.raises(StageFailure, match="reaches none of the 7 best") as failure:
+    with pytest.raises(StageFailure, match="reaches none of the 28 best") as failure:
         plan_grasps(*make_plant(), Params(asked=7), reach=lambda *_: None)
     assert failure.value.kind == "unreachable"
+
+
+def test_asks_on_while_it_has_nothing_and_then_is_content():
+    asked = []
+
+    def reach(_, grasp):
+        asked.append(grasp)
+        return np.ones(7) if len(asked) == 20 else None
+
+    assert len(plan_grasps(*make_plant(), Params(asked=7), reach=reach)) == 1
+    assert len(asked) == 20
 
 
 def test_paper_point_is_the_middle_of_the_longest_internode():

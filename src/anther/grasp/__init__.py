@@ -41,6 +41,8 @@ OFF_BY = 0.002
 ROOT_STRAIN = 0.01
 """Bending strain a stem bears (facts: pollination 1d); pulled aside by d at height L, its root sees 3 r d / L^2."""
 
+PATIENCE = 4
+"""A tomato with every leaf twice: the arm reached none of the 150 best, and asking on found one that succeeded."""
 NEAR_FORK = 0.025
 """So far below a fork [m] the skeleton cuts the corner: 5 mm below, by 6 mm and 11 to 15 degrees (two peppers)."""
 
@@ -75,7 +77,8 @@ class Params:
         apart: along the stem, so that the next differs when one fails [m]; at most a twentieth of the stem.
         slack: a grasp whose score is lower than the best's by more than this is a last resort: it is tried when the
             better ones have failed.
-        asked: how often the arm is asked at most.
+        asked: how often the arm is asked before what it has confirmed is enough; `PATIENCE` times as often while that
+            is nothing.
     """
 
     gripper: Gripper = field(default_factory=Gripper)
@@ -318,7 +321,7 @@ def _first_reached(ranking: _Ranking, params: Params, reach: Reach | None) -> li
     found, asked, refused = list[Grasp](), 0, set[bytes]()
     apart = min(params.apart, float(ranking.candidates.arc_length.max(initial=0)) / 20) - 1e-9
     for i in ranking.order:
-        if reach is not None and (len(found) == params.wanted or asked == params.asked):
+        if reach is not None and (len(found) == params.wanted or asked >= params.asked * (1 if found else PATIENCE)):
             break
         pose = ranking.candidates.T_world_flange[i].tobytes()  # the arm reaches it with either opening or with none
         if pose in refused or any(abs(ranking.candidates.arc_length[i] - g.arc_length) < apart for g in found):
