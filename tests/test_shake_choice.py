@@ -27,6 +27,7 @@ from anther.vibration.dose import freed_share
 from anther.vibration.limits import pollen_dose, sawyer_limit
 from anther.vibration.observables import observables, semi_major
 from anther.vibration.params import FLOWER_SPREAD
+from anther.vibration.search import gains, grip_rows, pad_nodes, scenarios
 from anther.vibration.verification import Shake, shaken, verified
 from anther.vibration.waveforms import mix
 
@@ -222,6 +223,44 @@ def test_a_slippery_grip_is_shaken_less(plant: PlantModel, grasps: list[Grasp]) 
     used = {name: share for name, *_, share in plan.limits}
     assert used["force in the grip, against slip [N]"] == pytest.approx(1.0)
     assert "against slip" in plan.reason
+
+
+def strain_of_pedicels(plant: PlantModel, plan: ShakePlan) -> float:
+    """Return the largest strain of a pedicel when a plant is shaken as planned, by linear theory."""
+    held = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
+    response = gains([plant], held, plan.direction[None, None], np.array([plan.frequency]))
+    return plan.amplitude * float(response.joint_strain.max())
+
+
+def test_the_more_a_resonance_may_strain_pedicels_the_gentler_the_shake(plant: PlantModel, grasps: list[Grasp]) -> None:
+    strong = ArmShaker(lambda g, d, f: 9 * sawyer_limit(g, d, f))
+
+    def pushed(strain: float) -> float:
+        """Return the grip's acceleration, beyond 10 Hz what its speed would be at 10 Hz [m/s2]."""
+        plan = plan_shake(plant, grasps, strong, replace(QUICK, resonant_strain=strain))
+        omega = 2 * np.pi * plan.frequency
+        return plan.amplitude * omega * min(omega, 20 * np.pi)
+
+    found = [pushed(strain) for strain in (0.0, 0.005, 0.01, 0.02)]
+    assert np.all(np.diff(found) < 0)
+    assert np.all(np.multiply(found[1:], [0.005, 0.01, 0.02]) <= Params().joint_strain * (1 + 1e-9))
+
+
+def test_a_belief_gone_stale_does_not_strain_pedicels(plant: PlantModel, grasps: list[Grasp]) -> None:
+    believed = TOMATO.changed(youngs_spread=0.2)
+    for stiffer in (0.5, 3.0, 6.0):
+        stale = plant.with_material(replace(believed, youngs=stiffer * plant.material.youngs))
+        assert strain_of_pedicels(plant, plan_shake(stale, grasps, params=QUICK)) < 0.5 * QUICK.joint_strain
+    trusting = plan_shake(stale, grasps, params=replace(QUICK, resonant_strain=0.0))
+    assert strain_of_pedicels(plant, trusting) > QUICK.joint_strain
+
+
+def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: PlantModel, grasps: list[Grasp]) -> None:
+    plan = plan_shake(plant, grasps, params=QUICK)
+    drawn = scenarios(plant, 60, seed=3, branch_spread=0.5)
+    strains = np.array([strain_of_pedicels(one, plan) for one in drawn])
+    assert len(drawn) > 50
+    assert np.mean(strains > QUICK.joint_strain) <= 0.02
 
 
 def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:

@@ -16,7 +16,7 @@ from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator
 from anther.vibration.dose import freed_share, set_probability
-from anther.vibration.params import Params
+from anther.vibration.params import RESONANT, Params
 from anther.vibration.search import Gains, grip_rows, pad_nodes
 from anther.vibration.verification import PEAKS
 from anther.vibration.waveforms import Mix, mix
@@ -87,7 +87,7 @@ def search(
 
     The plant's limits must hold for the plant as believed, at which the nonlinear solver will look, and in the
     `caution` quantile of the scenarios; a scenario in which one is passed gains nothing: its flowers set as if they had
-    not been shaken.
+    not been shaken. Pedicels must bear a resonance besides that no scenario has: `Params.resonant_strain`.
     """
     omega = 2 * np.pi * frequencies[:, None, None]
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
@@ -96,6 +96,7 @@ def search(
         f"{actuator.name} amplitude [share of its limit]": (1 / np.maximum(most, 1e-12)[None], params.arm_share),
         "grip amplitude [m]": (np.ones_like(most)[None], params.most_amplitude),
         "grip speed [m/s]": (np.ones_like(most)[None] * omega, params.most_speed),
+        "pedicel strain in a resonance [-]": (np.ones_like(most)[None] * _resonant(omega, params), params.joint_strain),
     }
     strains = (response.stem_strain, response.joint_strain, response.base_strain, response.leaf_load)
     for (name, limit), values in zip(plant_limits(params).items(), strains, strict=True):
@@ -117,6 +118,11 @@ def search(
             amplitude[w, q], worth = _one(pieces, per_metre, response.flower, acceleration, bounds, (w, q), params)
             score[w, q] = np.where(amplitude[w, q] < least, -1.0, worth)
     return Search(frequencies, duration, amplitude, score, bounds)
+
+
+def _resonant(omega: Array, params: Params) -> Array:
+    """Return the strain of a pedicel in a resonance per metre of grip amplitude [1/m], see `Params.resonant_strain`."""
+    return params.resonant_strain * omega * np.minimum(omega, 2 * np.pi * RESONANT)
 
 
 def _one(
