@@ -47,7 +47,7 @@ class Params:
     Attributes:
         piece: longest rigid piece of several segments [m]; a cantilever of 20 has its first frequency within 0.5 %.
         bend: a piece ends where the plant turns by more than this [rad].
-        flutter: frequency [Hz] at which, beside the plant's first mode, damping equals `damping_ratio` (Rayleigh).
+        flutter: frequency [Hz] at which the hinges alone give `damping_ratio`, and below which they give less.
         stiffest: hinges carry so much rotor inertia that none swings faster than this [Hz]; a mode at f is slowed by
             f^2 / (2 stiffest^2), 0.5 % at 30 Hz.
         foliage: the same for petioles, rachises and midribs [Hz], 0.5 % at 10 Hz: their pieces are light, and with 300
@@ -369,12 +369,6 @@ class PlantMechanics:
 
     def _piece_of_joint(self) -> NDArray[Any]:
         return np.repeat(np.arange(len(self.bodies)), self.model.body_jntnum[self.bodies])
-
-    def air_force(self, data: Any) -> Array:
-        """Return (D,) the mass-proportional part of Rayleigh damping, -alpha M v [N m]: the drag of air on leaves."""
-        momentum = np.empty(self.model.nv)
-        mujoco.mj_mulM(self.model, data, momentum, data.qvel)
-        return -self.mass_damping * momentum[self.dofs]
 
     def segment_poses(self, data: Any) -> Array:
         """Return T_world_rest (K, 4, 4): maps a segment's generated position to the present one."""
