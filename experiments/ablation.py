@@ -7,7 +7,7 @@ the first `--scanned` of each crop, as the pipeline reconstructs them from 30 no
 ("scanned"). One feature at a time is taken away (ablated.py), all else stays. Shaken sideways at three heights of the
 stem at the paper's frequencies and at 3, 5, 10 and 30 Hz; linear theory, so the amplitude of the shake does not count.
 
-Beside it the error against MuJoCo, where the same plants are rigid pieces of 15 mm or less on sprung hinges that bend
+Beside it the error against MuJoCo, where the same plants are rigid pieces of 25 mm or less on sprung hinges that bend
 and twist (EI/GJ 12; sim/shaken_plant.py), with and without each feature.
 
 Keys of the --json file: <true|scanned>_<feature>_<band>_change_median, _change_p90 (of |without / with - 1|),
