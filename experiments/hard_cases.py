@@ -187,7 +187,7 @@ def report(rows: list[dict[str, Any]]) -> str:
 
 def _aim(row: dict[str, Any]) -> str:
     off = row.get("beside_stem_m")
-    return "" if off is None else f" Aimed {1000 * off:.0f} mm beside the main stem's axis."
+    return "" if off is None else f"; aimed {1000 * off:.0f} mm beside the main stem's axis"
 
 
 def main() -> None:
