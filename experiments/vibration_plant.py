@@ -31,6 +31,7 @@ from anther.sim.depth_noise import noisy_depth
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
+from anther.sim.shaken_plant import Params as ShakenParams
 from anther.sim.shaken_plant import Shaken, ShakenPlant
 from anther.vibration import ShakePlan
 from anther.vibration.limits import sawyer_limit
@@ -56,8 +57,8 @@ PROBE_HEIGHT, PROBE_AMPLITUDE = 1, 4e-3
 PROBE_FREQUENCIES = (1.15, 1.45, 1.75)
 """One probe: bursts one after the other in one hold [Hz]. A phase, or more than one frequency, tells on which side of a
 resonance a flower is."""
-PROBE_STEP = 1e-3
-"""Of the integrator [s]: within 1.5 % of the amplitudes, which a camera does not see, in half the time."""
+STEP = ShakenParams(timestep=1e-3)
+"""What is stepped through time is within 1.5 % of the amplitudes with this step [s], in half the time of 0.5 ms."""
 CAMERA_RATE = 15.0
 """Of the side camera, slow for a D455 and enough for a slow probe [Hz]."""
 CAMERA_ERROR = 3e-4
@@ -125,7 +126,8 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
     points = np.array([grip.point for grip in grips])
     beliefs, probe = probed(model, grips[PROBE_HEIGHT], scene, seen, case.seed, i=i, j=j)
     shakes = plan(case)
-    truth = [_shaken(case, grips[g], a, f) for g, a, f in shakes]
+    stepped = [ShakenPlant(plant, point, DIRECTION, STEP) for point in points] if case.stepped_below else grips
+    truth = [_shaken(case, (stepped if f < case.stepped_below else grips)[g], a, f) for g, a, f in shakes]
     models, soft, notes = predictors(case, plant, seen, model, beliefs)
     frequencies = np.array(case.frequencies)
     predicted: dict[str, Any] = {}
@@ -219,7 +221,7 @@ def probed(
     rng = np.random.default_rng(seed)
     intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
     for f in PROBE_FREQUENCIES:
-        camera = replace(grip.params, timestep=PROBE_STEP, samples=round(CAMERA_RATE / f), measure=1.5)
+        camera = replace(STEP, samples=round(CAMERA_RATE / f), measure=1.5)
         shaken = ShakenPlant(grip.plant, grip.point, DIRECTION, camera)
         done = shaken.steady(PROBE_AMPLITUDE, f)
         answer = measure_response(filmed(scene, shaken, done, pose, seed), intrinsics, pose, seen.flowers, f)
