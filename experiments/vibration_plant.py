@@ -80,7 +80,8 @@ class Case:
         species, seed: of the plant.
         frequencies: [Hz].
         amplitudes: [m].
-        stepped_below: slower shakes are stepped through time; all others follow from MuJoCo's linear equations [Hz].
+        stepped_below: slower shakes at the middle grip are stepped through time; all others follow from MuJoCo's linear
+            equations [Hz].
     """
 
     species: Species
@@ -126,8 +127,8 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
     points = np.array([grip.point for grip in grips])
     beliefs, probe = probed(model, grips[PROBE_HEIGHT], scene, seen, case.seed, i=i, j=j)
     shakes = plan(case)
-    stepped = [ShakenPlant(plant, point, DIRECTION, STEP) for point in points] if case.stepped_below else grips
-    truth = [_shaken(case, (stepped if f < case.stepped_below else grips)[g], a, f) for g, a, f in shakes]
+    stepped = ShakenPlant(plant, points[MIDDLE], DIRECTION, STEP)
+    truth = [_shaken(grips[g], stepped if f < case.stepped_below and g == MIDDLE else None, a, f) for g, a, f in shakes]
     models, soft, notes = predictors(case, plant, seen, model, beliefs)
     frequencies = np.array(case.frequencies)
     predicted: dict[str, Any] = {}
@@ -205,11 +206,11 @@ def arm_amplitude(frequency: float) -> float:
     return ARM_SHARE * float(sawyer_limit(from_the_front, DIRECTION, np.array([frequency]))[0])
 
 
-def _shaken(case: Case, grip: ShakenPlant, amplitude: float, frequency: float) -> tuple[Array, float]:
-    """Return every flower's true amplitude (F,) [m], and the unsteadiness of the record."""
-    if frequency >= case.stepped_below:
+def _shaken(grip: ShakenPlant, stepped: ShakenPlant | None, amplitude: float, frequency: float) -> tuple[Array, float]:
+    """Return every flower's true amplitude (F,) [m], and the unsteadiness of the record if it was stepped."""
+    if stepped is None:
         return amplitude * semi_major(grip.linear([frequency])[0]), 0.0
-    done = grip.steady(amplitude, frequency)
+    done = stepped.steady(amplitude, frequency)
     return done.amplitude, done.unsteadiness
 
 
