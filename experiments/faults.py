@@ -1,6 +1,6 @@
 """Random faults of arm, gripper and camera, Ctrl-C and kill -9: does each end safely, on record, and can it go on?
 
-    python experiments/faults.py --json docs/results/faults.json [--quick] [--jobs 2]
+    python tools/record.py experiments/faults.py --seed 1 --jobs 2
 
 The plan is made once (tomato 10, from views to shake plan, in OUT/base) and read back for every fault. A fault then
 hits the early reach or the execution in a MuJoCo cell, or, one in twenty, the camera while the views are taken; one in
