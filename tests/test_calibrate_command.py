@@ -186,7 +186,7 @@ def test_bad_json_poses_are_refused(tmp_path: Path, text: str) -> None:
         read_poses(tmp_path / "poses.json")
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.binary(max_size=80) | st.text(alphabet='image,xyzqw0123456789.;-\n"#', max_size=120).map(str.encode))
 def test_any_pose_file_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, text: bytes) -> None:
     path = tmp_path_factory.getbasetemp() / "any.csv"

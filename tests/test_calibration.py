@@ -275,7 +275,7 @@ def test_mixed_up_conventions_are_named() -> None:
         calibrate(flange[rng.permutation(10)], views, CAMERA)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.sampled_from(["count", "nan", "scale", "shape"]), st.integers(0, 3))
 def test_bad_poses_are_refused(fault: str, where: int) -> None:
     flange, board = (np.array(T) for T in poses(4, np.random.default_rng(0)))

@@ -66,7 +66,7 @@ def test_impossible_boards_are_refused(text: str, message: str) -> None:
         parse_board(text)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.text(alphabet="charuochessboard:x0123456789.mc -", max_size=40))
 def test_any_board_text_is_read_or_refused(text: str) -> None:
     try:

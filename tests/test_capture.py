@@ -165,7 +165,7 @@ anything = st.one_of(
 )  # fmt: skip
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     key=st.sampled_from(["fl_x", "w", "cy", "depth_unit_scale_factor", "k2", "frames"]),
     frame_key=st.sampled_from([None, "transform_matrix", "depth_file_path", "file_path", "joints", "fl_y"]),

@@ -182,7 +182,7 @@ def test_a_foreign_ply_is_a_cloud_without_obstacles(tmp_path: Path) -> None:
     assert len(cloud.obstacles) == 0
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cut=st.integers(0, 400), flip=st.integers(0, 120), value=st.integers(0, 255))
 def test_damaged_plys_load_or_are_refused(
     tmp_path_factory: pytest.TempPathFactory, cut: int, flip: int, value: int
@@ -219,7 +219,7 @@ def test_gaps_are_bridged_and_specks_are_dropped() -> None:
     assert not keep[8000:].any()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), gap=st.floats(0.01, 0.3), flat=st.floats(0.01, 1))
 def test_clusters_are_those_of_dbscan_with_one_sample(seed: int, gap: float, flat: float) -> None:
     """DBSCAN with min_samples = 1 joins all pairs within eps; the reference looks at every pair."""

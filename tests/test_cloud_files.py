@@ -152,7 +152,7 @@ def test_missing_unknown_and_wrong_arrays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "xyz"])
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(share=st.floats(0, 0.9), junk=st.binary(max_size=40))
 def test_truncated_files_are_refused_in_words(tmp_path_factory, suffix: str, share: float, junk: bytes) -> None:
     path = tmp_path_factory.mktemp("cut") / f"a.{suffix}"

@@ -81,7 +81,7 @@ def test_hessian_is_the_curvature_of_the_energy():
 
 
 @given(st.integers(0, 10_000), st.integers(5, 30))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_tree_elimination_solves_the_assembled_system(seed, n):
     rods = random_tree(seed, n)
     model, frames = build_model(rods, NO_GRAVITY)
@@ -97,7 +97,7 @@ def test_tree_elimination_solves_the_assembled_system(seed, n):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_a_rigid_rotation_stores_no_energy(seed):
     rods = random_tree(seed % 50)
     model, frames = build_model(rods, NO_GRAVITY)

@@ -249,7 +249,7 @@ def test_lens_distortion_is_refused(tmp_path: Path, model: str, params: Params, 
             read_colmap_capture(tmp_path, SCALE, UP)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     name=st.sampled_from(["cameras", "images", "points3D", "depth"]),
     share=st.floats(0, 0.99),

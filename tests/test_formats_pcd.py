@@ -86,7 +86,6 @@ def test_every_encoding_gives_the_same_cloud(tmp_path: Path, encoding: str) -> N
     np.testing.assert_array_equal(cloud.colors, COLORS)
 
 
-@settings(deadline=None)
 @given(st.lists(st.sampled_from([b"a", b"ab", b"plant", b"\0" * 40, bytes(range(256))]), max_size=40))
 def test_lzf_round_trip(words: list[bytes]) -> None:
     data = b"".join(words)
@@ -99,7 +98,7 @@ def test_damaged_lzf_is_a_value_error(data: bytes, size: int) -> None:
         assert len(lzf_decompress(data, size)) == size
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(share=st.floats(0.7, 0.999), byte=st.integers(1, 255))
 def test_damaged_compressed_pcd_is_refused_or_read(tmp_path_factory, share: float, byte: int) -> None:
     path = tmp_path_factory.mktemp("pcd") / "a.pcd"

@@ -49,7 +49,7 @@ def in_order(file, skeleton: Skeleton, suffix: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", sorted(READS))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 60))
 def test_the_same_tree_comes_back(tmp_path_factory, suffix: str, seed: int, count: int) -> None:
     skeleton = random_tree(seed, count)
@@ -245,7 +245,7 @@ def test_bad_files_are_refused_in_words(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".graphml", ".mtg"])
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(share=st.floats(0, 0.98))
 def test_truncated_files_are_refused_or_no_other_tree(tmp_path_factory, suffix: str, share: float) -> None:
     """A text cut at a line's end may still be a tree, but a smaller one; never one with other nodes."""

@@ -134,7 +134,7 @@ def test_counts_meet_their_visits() -> None:
     assert "1 of 4" in left_out[0]
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.lists(st.tuples(st.integers(1, 500), st.floats(0, 1), st.floats(0, 1e5)), min_size=1, max_size=4))
 def test_any_counts_give_ordered_intervals(rows: list[tuple[int, float, float]]) -> None:
     learned = fit([Count(n, int(share * n), (np.array([a]),)) for n, share, a in rows])

@@ -223,7 +223,7 @@ def test_paper_grasp_comes_from_either_side_or_says_that_neither_is_reached():
     assert failure.value.kind == "unreachable"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 2**31), st.integers(1, 6))
 def test_paper_approach_equals_brute_force(seed, count):
     rng = np.random.default_rng(seed)

@@ -84,7 +84,7 @@ def test_the_default_setting_changes_nothing() -> None:
     assert np.array_equal(dark.depth, image.depth)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.tuples(*[st.floats(0.75, 1.3)] * 3), st.floats(0.3, 1.0))
 def test_a_leaf_is_green_under_any_fair_lamp(lamp: tuple[float, float, float], exposure: float) -> None:
     colours = np.array([[60, 110, 45], [150, 150, 150], [110, 80, 60], [235, 235, 235]])

@@ -83,7 +83,7 @@ def test_a_view_that_looks_away_shows_nothing() -> None:
     assert expected_new_volume(capture_of(0, solid=screen()), STEM, away[None], PARAMS)[0] == 0
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.sampled_from(["voxel", "reach", "surroundings", "opacity"]), st.floats(-10, -1e-6) | st.floats(10, 1e6))
 def test_bad_parameters_are_refused(name: str, value: float) -> None:
     with pytest.raises(InputError):

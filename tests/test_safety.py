@@ -155,7 +155,7 @@ NARROW = replace(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(case=spoilt())
 def test_no_spoilt_trajectory_gets_through(case: tuple[str, JointTrajectory]) -> None:
     arm = FakeArm()
@@ -168,7 +168,7 @@ def test_no_spoilt_trajectory_gets_through(case: tuple[str, JointTrajectory]) ->
         assert not must_refuse
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     goal=st.lists(st.floats(-1.5, 1.5), min_size=7, max_size=7),
     offset=st.floats(-0.1, 0.1),

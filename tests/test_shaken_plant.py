@@ -82,7 +82,7 @@ def test_a_resonance_is_as_wide_as_the_plants_damping_ratio_asks() -> None:
 
 
 @given(st.floats(0.004, 0.2))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_a_divided_plant_is_the_same_plant_in_shorter_segments(longest: float) -> None:
     plant = grow_pepper(11)
     finer, part = divided(plant, longest)

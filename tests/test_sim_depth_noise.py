@@ -124,7 +124,7 @@ def test_same_seed_same_reading() -> None:
     assert np.any(read(bar(9), seed=4) != read(bar(9), seed=5))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(value=st.floats(1.01, 1e6) | st.just(float("nan")))
 def test_nonsense_parameters_are_refused(value: float) -> None:
     with pytest.raises(InputError):

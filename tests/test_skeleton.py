@@ -104,7 +104,7 @@ def test_flower_points_are_left_out() -> None:
     assert np.linalg.norm(skeleton.nodes - [0.02, 0, 0.55], axis=1).min() > 0.03
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     arrays(np.float64, st.tuples(st.integers(60, 400), st.just(3)), elements=st.floats(-0.4, 0.4)),
     st.sampled_from(METHODS),

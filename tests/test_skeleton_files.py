@@ -63,7 +63,7 @@ def test_the_papers_plants_are_trees(data: Path, name: str):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_any_edge_order_gives_the_same_tree(tmp_path_factory, seed: int):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 20))
