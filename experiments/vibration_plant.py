@@ -127,7 +127,7 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
     points = np.array([grip.point for grip in grips])
     beliefs, probe = probed(model, grips[PROBE_HEIGHT], scene, seen, case.seed, i=i, j=j)
     shakes = plan(case)
-    stepped = ShakenPlant(plant, points[MIDDLE], DIRECTION, STEP)
+    stepped = ShakenPlant(plant, points[MIDDLE], DIRECTION, STEP) if case.stepped_below > 0 else None
     truth = [_shaken(grips[g], stepped if f < case.stepped_below and g == MIDDLE else None, a, f) for g, a, f in shakes]
     models, soft, notes = predictors(case, plant, seen, model, beliefs)
     frequencies = np.array(case.frequencies)
