@@ -11,6 +11,11 @@ from grasping_table import MEASURES, PAPER, PAPER_SECONDS, PHASES, Row, lost
 from anther.files import write_text
 
 BEGIN, END = "<!-- measured: begin -->", "<!-- measured: end -->"
+PLANNING = {
+    "plan_{}_p50_s": "planning the grasps, with the arm's reach (part of compute)",
+    "plan_{}_p95_s": "the same, 95th percentile",
+    "plan_cpu_{}_p95_s": "the same, processor time",
+}
 GROUPS = {"40": "ten plants, 30 views", "400": "further plants, 30 views", "fast": "ten plants, `fast`"}
 
 
@@ -70,14 +75,10 @@ def times(table: dict[str, float]) -> str:
         ours = [table.get(f"{phase}_{name}_s") for name in ("30_views", "fast")]
         theirs = PAPER_SECONDS.get(phase, sum(PAPER_SECONDS.values()) if phase == "cycle" else None)
         lines.append((phase, *("" if value is None else f"{value:.1f}" for value in (theirs, *ours))))
-    text = rows_of(("median [s]", "the paper", "30 views", "`fast`"), lines)
-    if "plan_p95_s" in table:
-        wall, cpu = ((table[f"{name}_p50_s"], table[f"{name}_p95_s"]) for name in ("plan", "plan_cpu"))
-        text += (
-            f"\n\nPlanning the grasps, with the arm's reach: median {wall[0]:.2f} s, 95th percentile {wall[1]:.2f} s"
-        )
-        text += f" (processor time {cpu[0]:.2f} and {cpu[1]:.2f} s)."
-    return text
+    for measure, words in PLANNING.items():
+        ours = [table.get(measure.format(name)) for name in ("30_views", "fast")]
+        lines.append((words, "", *("" if value is None else f"{value:.2f}" for value in ours)))
+    return rows_of(("median [s]", "the paper", "30 views", "`fast`"), lines)
 
 
 def failures(rows: Sequence[Row]) -> str:

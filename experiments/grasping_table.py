@@ -64,9 +64,8 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     for name, members in parts.items():
         if members:
             table |= of_part(name, members)
-    table |= planning(rows)
-    for name, preset in (("30_views", "full"), ("fast", "fast")):
-        table |= cycle(name, [row for row in rows if row["preset"] == preset])
+    for name, part in (("30_views", "40"), ("fast", "fast")):  # further plants are tried several at a time
+        table |= cycle(name, parts[part]) | planning(name, parts[part])
     return table
 
 
@@ -113,7 +112,7 @@ def compared(prefix: str, name: str, pairs: Sequence[Row]) -> dict[str, float]:
     return table
 
 
-def planning(rows: Sequence[Row]) -> dict[str, float]:
+def planning(preset: str, rows: Sequence[Row]) -> dict[str, float]:
     """Return how long the grasp stage took with the arm's reach [s]; the first trial of a process is left out."""
     warm = [row for row in rows if not row["first"] and row.get("plan_s") is not None]
     if not warm:
@@ -121,7 +120,8 @@ def planning(rows: Sequence[Row]) -> dict[str, float]:
     table = {}
     for name in ("plan", "plan_cpu"):
         values = [row[f"{name}_s"] for row in warm]
-        table |= {f"{name}_p50_s": float(np.quantile(values, 0.5)), f"{name}_p95_s": float(np.quantile(values, 0.95))}
+        for p in (50, 95):
+            table[f"{name}_{preset}_p{p}_s"] = float(np.quantile(values, p / 100))
     return table
 
 

@@ -51,7 +51,7 @@ def test_table_keeps_groups_apart_and_leaves_cold_starts_out_of_times():
     assert (table["plants_40"], table["plants_all_40"]) == (3, 2)
     assert "paper_rule_success_fast" not in table
     assert table["cycle_30_views_s"] == pytest.approx(40 + (4 + 6) / 2 + 5 + 3)  # without the retreat, 1000 was cold
-    assert table["plan_p95_s"] == pytest.approx(np.quantile([0.1, 0.2, 0.4, 0.1], 0.95))
+    assert table["plan_30_views_p95_s"] == pytest.approx(np.quantile([0.1, 0.2, 0.4], 0.95))
 
 
 def test_page_shows_shares_pairs_and_every_failure(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -182,9 +183,11 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     seen = perceive(capture, cell.workspace, run, params, find_masks)
     planner = cell.plan_around(seen.cloud)
     grasps = rank_grasps(seen, planner.reach, run, params)
-    with early_reach(planner, grasps[0], cell.robot, cell.limits, params.execution) as arrive:
-        rods = run.stage("plant model", PlantModel.load, lambda _: model_plant(seen, material, params))
-        shake, trial = _shaken(cell, planner, rods, grasps, run, arrive, params=params)
+    with ThreadPoolExecutor(1) as beside:  # the plant is modelled while the early reach is planned
+        modelled = beside.submit(model_plant, seen, material, params)
+        with early_reach(planner, grasps[0], cell.robot, cell.limits, params.execution) as arrive:
+            rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
+            shake, trial = _shaken(cell, planner, rods, grasps, run, arrive, params=params)
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -117,10 +118,9 @@ class Planner:
         if not len(branches):
             return None
         poses = _poses_between(grasp, pregrasp, REACH_STEP)
-        with self.world.touching_plant():
-            ways = list(self._ways_in(branches, poses))
-        ways.sort(key=lambda way: self._delay(way[-1]))
-        return next((way[0] for way in ways[:WAYS_CONNECTED] if self._connected(way[-1])), None)
+        ways = sorted(self._ways_in(branches, poses), key=lambda way: self._delay(way[-1]))
+        free = (way for way in ways if self._brushing_free(way))
+        return next((way[0] for way in islice(free, WAYS_CONNECTED) if self._connected(way[-1])), None)
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
         """Return a free motion between two joint vectors (7,).
@@ -205,13 +205,22 @@ class Planner:
         beside = along[:, 0] - np.clip(along[:, 0], WRIST[0] - length, WRIST[1])
         return bool(np.any(np.sum(across**2, axis=1) + beside**2 < WRIST_RADIUS**2))
 
-    def _ways_in(self, branches: Array, poses: Array) -> Iterator[Array]:
-        """Yield free joint ways (N, 7) from the grasp back through poses (N, 4, 4), hard shakers near home first."""
-        free = branches[[self.world.free(q) for q in branches]]
-        worth = _shake_rank(free) * np.exp(-HURRY * least_times(free, np.array([self.params.home]))[:, 0])
-        ranked = free[np.argsort(-worth, kind="stable")]
-        followed = (kinematics.follow(q[None], poses)[0] for q in ranked[:WAYS_FOLLOWED])
-        yield from (way for way in followed if _steady(way) and self.world.path_free(way))
+    def _ways_in(self, branches: Array, poses: Array) -> list[Array]:
+        """Return the joint ways (N, 7) from the grasp back through poses (N, 4, 4) that are free there.
+
+        Only those of the branches that shake hardest and are near home.
+        """
+        with self.world.touching_plant():
+            free = branches[[self.world.free(q) for q in branches]]
+            worth = _shake_rank(free) * np.exp(-HURRY * least_times(free, np.array([self.params.home]))[:, 0])
+            ranked = free[np.argsort(-worth, kind="stable")]
+            followed = kinematics.follow(ranked[:WAYS_FOLLOWED], poses)
+            return [way for way in followed if _steady(way) and all(map(self.world.free, way))]
+
+    def _brushing_free(self, way: Array) -> bool:
+        """Return whether joints (N, 7) and the ways between them are free where gripper and camera touch the plant."""
+        with self.world.touching_plant():
+            return self.world.path_free(way)
 
     def _may_swing(self, q: Array, swing: Array) -> bool:
         """Return whether joints (N, 7) about the resting q (7,) are free, where gripper and camera touch the plant.

@@ -39,9 +39,16 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
     Raises:
         StageFailure: kind "no_convergence" when nothing can balance the weight, for instance with a single pin.
     """
-    bare = replace(rods, natural=None)
-    model, frames = build_model(bare, gravity)
-    free = clamp.free(rods)
+    model, frames = build_model(replace(rods, natural=None), gravity)
+    return replace(rods, natural=balancing_shape(rods, model, frames, clamp.free(rods)))
+
+
+def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> NaturalShape:
+    """Return the natural shape that `with_gravity_equilibrium` gives rods; model and frames are of them without one.
+
+    Raises:
+        StageFailure: as there.
+    """
     blocks, still, sag = new_blocks(len(rods.nodes)), np.zeros((len(rods.nodes), 4)), np.zeros((len(rods.nodes), 4))
     assemble(model, rods.nodes, rods.nodes, frames, still, 0.0, blocks)
     constrain(model, free, blocks)
@@ -58,7 +65,7 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
             "rods: no natural shape lets the clamp balance the weight. One clamped node is only a pin, about which the "
             "rods would swing: clamp both ends of an edge.",
         )
-    return replace(rods, natural=_natural_shape(model, rods, tension, moments))
+    return _natural_shape(model, rods, tension, moments)
 
 
 def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> NaturalShape:

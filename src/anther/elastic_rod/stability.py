@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.elastic_rod.assembly import new_blocks
-from anther.elastic_rod.equilibrium import unstable_directions, with_gravity_equilibrium
+from anther.elastic_rod.equilibrium import balancing_shape, unstable_directions
 from anther.elastic_rod.model import build_model
 from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.newton import new_state
@@ -24,13 +24,15 @@ def stands(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> bool:
 
     Rods without a natural shape get the one of `with_gravity_equilibrium`.
     """
-    try:
-        hanging = with_gravity_equilibrium(rods, clamp, gravity) if rods.natural is None else rods
-    except StageFailure:
-        return False
-    model, frames = build_model(hanging, gravity)
-    state, blocks = new_state(hanging.nodes, frames), new_blocks(len(hanging.nodes))
-    return unstable_directions(model, clamp.free(hanging), state, blocks) == 0
+    free = clamp.free(rods)
+    model, frames = build_model(rods, gravity)
+    if rods.natural is None:
+        try:
+            natural = balancing_shape(rods, model, frames, free)
+        except StageFailure:
+            return False
+        model = model._replace(length=natural.length, curvature=natural.curvature, natural_twist=natural.twist)
+    return unstable_directions(model, free, new_state(rods.nodes, frames), new_blocks(len(rods.nodes))) == 0
 
 
 def least_stiffness(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> float | None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.masks.components import dilated
+from anther.masks.components import cells_of, dilated
 
 LENGTH = 0.20
 """Least length of a stake [m]."""
@@ -24,7 +24,7 @@ def stake_cells(bare: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
 
     Lines through random pairs of cells, that through most heights is kept (RANSAC, Fischler and Bolles 1981).
     """
-    cells, found = np.argwhere(bare).astype(np.float64), np.zeros_like(bare)
+    cells, found = cells_of(bare).astype(np.float64), np.zeros_like(bare)
     rng = np.random.default_rng(0)
     for _ in range(_MOST):
         inside = _longest(cells, LENGTH / voxel, rng)
