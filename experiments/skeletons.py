@@ -38,8 +38,8 @@ from anther.sim.capture import CaptureTruth
 from anther.sim.plant import SimPlant
 
 VIEWS = 30
-TEN = [("tomato", k) for k in range(2)] + [("pepper", k) for k in range(8)]
-HUNDRED = [(species, 1000 + k) for k in range(50) for species in ("tomato", "pepper")]
+TEN: list[tuple[Species, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
+HUNDRED: list[tuple[Species, int]] = [(species, 1000 + k) for k in range(50) for species in ("tomato", "pepper")]
 
 TARGETS = {
     "stem_error_median_mm": "<= 1.5",

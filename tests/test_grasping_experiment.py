@@ -79,6 +79,7 @@ def test_protocol_is_ten_plants_from_four_sides():
     cases = grasping.chosen(asked)
     assert len(cases) == len(set(cases)) == 40 + 12
     assert sum(case.seed < 1000 and case.species == "tomato" for case in cases) == 8
+    assert len(set(grasping.FURTHER)) == 100
 
 
 def test_finished_trials_are_read_back_and_crashes_are_tried_again(tmp_path, monkeypatch):
