@@ -37,8 +37,8 @@ from anther.files import write_json
 
 VIEWPOINTS = (0, 90, 180, 270)  # degrees
 PRESETS = ("full", "fast")
-STAND_INS = {("pepper", 1011): 1050, ("pepper", 1013): 1051, ("pepper", 1034): 1052}
-"""Three of the hundred fall over: grown too soft for their weight (`sim.plant_mechanics`). The next seeds stand in."""
+STAND_INS = {("pepper", 1011): 1050, ("pepper", 1013): 1052, ("pepper", 1034): 1053}
+"""Three of the hundred, and 1051, fall over: grown too soft for their weight. The next that stand are taken instead."""
 FURTHER: list[tuple[Species, int]] = [(species, STAND_INS.get((species, seed), seed)) for species, seed in HUNDRED]
 
 
