@@ -345,8 +345,10 @@ def main() -> None:
     prepare(base)
     numbers = args.only or range(20 if args.quick else 200)
     cases = [draw(number, args.seed) for number in numbers]
-    # spawned, not forked: a forked worker inherits OpenMP threads that are not there, and dies or waits for them
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+    # spawned, not forked: a forked worker inherits OpenMP threads that are not there, and dies or waits for them;
+    # and a shell's background processes would ignore Ctrl-C
+    heed = (signal.signal, (signal.SIGINT, signal.default_int_handler))
+    with ProcessPoolExecutor(args.jobs, get_context("spawn"), *heed) as pool:
         futures = [pool.submit(one, case, base, args.out) for case in cases]
         metrics = summary([future.result() for future in track(futures, "faults")])
     print(json.dumps(metrics, indent=2))
