@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import wait
 from threading import Event
 from types import SimpleNamespace
 from typing import Any
@@ -90,6 +91,29 @@ def test_ctrl_c_while_waiting_for_the_arm_stops_it(monkeypatch: pytest.MonkeyPat
             trial = execute(SmallPlanner(), Plan(), robot, LIMITS, PARAMS, arrive=arrive)
     assert trial.failure == "interrupted"
     assert arm.held >= 1
+    assert before_the_grasp(arm) > 0.1
+
+
+def test_a_second_ctrl_c_waits_for_the_arm_too(monkeypatch: pytest.MonkeyPatch):
+    pressed = []
+
+    def ctrl_c_first(futures: Any) -> Any:
+        pressed.append(futures)
+        if len(pressed) == 1:
+            raise KeyboardInterrupt
+        return wait(futures)
+
+    monkeypatch.setattr("anther.early_reach.wait", ctrl_c_first)
+    arm = SlowArm()
+
+    def interrupted() -> None:
+        with early_reach(SmallPlanner(), GRASP, fake_robot(arm), LIMITS, PARAMS):
+            arm.moving.wait(5)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert len(pressed) == 2
     assert before_the_grasp(arm) > 0.1
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
 from threading import Event
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, Robot, SafetyLimits
@@ -60,10 +60,18 @@ def early_reach(
                 return going.result()
             except BaseException:
                 called_off.set()
-                wait([going])
+                _until_done(going)
                 raise
 
         try:
             yield arrive
         finally:
             called_off.set()
+            _until_done(going)
+
+
+def _until_done(going: Future[ArmRecord]) -> None:
+    """Wait for an arm that was called off, through any further Ctrl-C: nobody else may command it before it stands."""
+    while not going.done():
+        with suppress(KeyboardInterrupt):
+            wait([going])
