@@ -91,7 +91,9 @@ class Params:
         loose: closing begins at the measured stem diameter and this [m]. The gripper's force cannot be set (facts:
             sawyer 3), so the position is the gentleness.
         step, hold, thinnest: it closes on in such steps [m] until it presses with this [N] or is so far closed [m].
-        settle: wait between closing and shaking, in which the touched plant calms down [s].
+        settle: wait between closing and shaking, in which touched leaves calm down [s],
+        calm: and where the closing pads meet a petiole beside the stem, which swings for longer [s],
+        beside: as they do where it is expected to reach so far beyond the stem (`Grasp.squeezed`) [m], or nobody knows.
         opening: before closing [m], or that of the grasp if it is less; the stroke is 41.667 mm.
         thickest: what is wider than the measured diameter by this [m] is not the stem.
         rates: frame rates the side camera has [Hz] (D455).
@@ -104,6 +106,8 @@ class Params:
     hold: float = 8.0
     thinnest: float = 0.002
     settle: float = 0.6
+    calm: float = 2.0
+    beside: float = 0.002
     opening: float = 0.0416
     thickest: float = 0.012
     rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
@@ -112,6 +116,7 @@ class Params:
         check_range("stand_off", self.stand_off, 0.0, 0.5, "m")
         check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
         check_range("settle", self.settle, 0.01, 30.0, "s")
+        check_range("calm", self.calm, 0.01, 30.0, "s")
         check_range("step", self.step, 1e-4, 0.02, "m")
 
 
@@ -307,7 +312,8 @@ def _forward(work: _Work) -> None:
         work.follow(outward.backwards())
     with work.phase("close"):
         work.grips.append(_close(work.robot.gripper, grasp, params))
-        work.follow(JointTrajectory.standstill(arm.joints(), params.settle))
+        free = grasp.squeezed is not None and grasp.squeezed < params.beside
+        work.follow(JointTrajectory.standstill(arm.joints(), params.settle if free else params.calm))
     with work.phase("shake"):
         _shake(work, shake)
         work.grips.append(work.robot.gripper.state())

@@ -35,7 +35,7 @@ from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
-SCHEMA = 3
+SCHEMA = 4
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
 ROOT_STRAIN = 0.01
@@ -129,6 +129,7 @@ class Grasp:
         confidence: probability that it is the main stem that closes between the fingers (pepper: below the first fork;
             docs/confidence.md), or None when the skeleton's confidence is unknown.
         opening: between the pads on the way in and out [m].
+        squeezed: petioles between the closing pads reach so far beyond the stem's surface [m]; None if unknown.
     """
 
     T_world_flange: Array
@@ -143,6 +144,7 @@ class Grasp:
     joints: NDArray[Any] | None = None
     confidence: float | None = None
     opening: float = 0.041667
+    squeezed: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_world_flange", check_transform("T_world_flange", self.T_world_flange))
@@ -201,9 +203,8 @@ def plan_grasps(
 
 
 def save_grasps(path: Path | str, grasps: Sequence[Grasp]) -> None:
-    """Write the ranked list as JSON: a "grasps" list, each with its 7-number `pose` (x, y, z [m], qx, qy, qz, qw)."""
-    rows = [{"pose": g.pose7, **{name: getattr(g, name) for name in _SAVED}} for g in grasps]
-    write_json(path, {"kind": "grasps", "schema": SCHEMA, "grasps": rows})
+    """Write the ranked list as JSON: a "grasps" list of `grasp_row`."""
+    write_json(path, {"kind": "grasps", "schema": SCHEMA, "grasps": [grasp_row(g) for g in grasps]})
 
 
 def load_grasps(path: Path | str) -> list[Grasp]:
@@ -216,20 +217,28 @@ def load_grasps(path: Path | str) -> list[Grasp]:
     if not isinstance(stored, dict) or (stored.get("kind"), stored.get("schema")) != ("grasps", SCHEMA):
         raise bad_input(str(path), given="another kind of JSON", allowed=f"grasps, schema {SCHEMA}", do="Plan again.")
     try:
-        return [
-            Grasp(T_world_flange=transform_from_pose7(row["pose"]), **{name: row[name] for name in _SAVED})
-            for row in stored["grasps"]
-        ]
+        return [grasp_of(row) for row in stored["grasps"]]
     except (KeyError, TypeError) as error:
         raise bad_input(
             str(path), given=f"a broken grasp ({error!r})", allowed=str(_SAVED), do="Plan again."
         ) from error
 
 
-_SAVED = (
-    "point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "score", "reason", "joints",
-    "confidence", "opening",
-)  # fmt: skip
+def grasp_row(grasp: Grasp) -> dict[str, Any]:
+    """Return all of a grasp for a JSON file; the flange's pose as 7 numbers: x, y, z [m], qx, qy, qz, qw."""
+    return {"pose": grasp.pose7, **{name: getattr(grasp, name) for name in _SAVED}}
+
+
+def grasp_of(row: dict[str, Any]) -> Grasp:
+    """Return the grasp of a `grasp_row`.
+
+    Raises:
+        KeyError, TypeError: something is missing, or of another type.
+    """
+    return Grasp(transform_from_pose7(row["pose"]), **{name: row[name] for name in _SAVED})
+
+
+_SAVED = tuple(name for name in Grasp.__dataclass_fields__ if name != "T_world_flange")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,6 +251,7 @@ class _Ranking:
     order: NDArray[Any]
     fell: Counter[str]
     confidence: Array | None
+    squeezed: Array
 
 
 def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
@@ -279,7 +289,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     total = np.sum(list(costs.values()), axis=0)
     order = np.argsort(np.where(refused, np.inf, total), kind="stable")[: int((~refused).sum())]
     fell = Counter({name: int(yes.sum()) for name, yes in refusals.items() if yes.any()})
-    return _Ranking(candidates, met, costs, order, fell, confidence)
+    return _Ranking(candidates, met, costs, order, fell, confidence, _squeezed(candidates, met))
 
 
 def _refusals(c: Candidates, met: Clearance, params: Params) -> dict[str, NDArray[np.bool_]]:
@@ -295,7 +305,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     """Return what speaks against each candidate (C,), by name; 1 is clearly bad. The weights are our judgement."""
     flowers = cloud.points[cloud.labels == FLOWER] if cloud.labels is not None else np.zeros((0, 3))
     flower_distance = KDTree(flowers).query(c.points)[0] if len(flowers) else np.full(len(c.points), np.inf)
-    squeezed = np.maximum(met.spread[:, BRANCH] - c.radius, 0)  # what the pads fold, and push the stem aside with
+    squeezed = _squeezed(c, met)
     aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
     pushed = met.push * c.arc_length / (np.pi / 4 * np.maximum(c.radius, 1e-4) ** 3)  # strain at the root, M r / (E I)
     return {
@@ -314,6 +324,11 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
         "thick for the gripper": 2.5 * np.maximum(2 * c.radius / params.gripper.stroke - 0.6, 0),
         "far from the stem's middle": 0.4 * np.abs(c.arc_length / length - 0.5),
     }
+
+
+def _squeezed(c: Candidates, met: Clearance) -> Array:
+    """Return (C,) how far what the pads fold, and push the stem aside with, reaches beyond the stem [m]."""
+    return np.maximum(met.spread[:, BRANCH] - c.radius, 0)
 
 
 def _first_reached(ranking: _Ranking, params: Params, reach: Reach | None) -> list[Grasp]:
@@ -366,6 +381,7 @@ def _grasp(ranking: _Ranking, i: int) -> Grasp:
         reason="; ".join([reason, *against]),
         confidence=None if ranking.confidence is None else float(ranking.confidence[i]),
         opening=float(c.opening[i]),
+        squeezed=float(ranking.squeezed[i]),
     )
 
 
@@ -393,5 +409,6 @@ def _enlarged(grasp: Grasp, scale: float) -> Grasp:
         stem_diameter=grasp.stem_diameter * scale,
         clearance=grasp.clearance * scale,
         opening=grasp.opening * scale,
+        squeezed=None if grasp.squeezed is None else grasp.squeezed * scale,
         reason=f"for a gripper {scale:.1f} times as large: {grasp.reason}",
     )

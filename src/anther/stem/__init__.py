@@ -16,7 +16,7 @@ from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import chains, edge_lengths
 from anther.stem.confidence import doubt, second_stem, stem_confidence
-from anther.stem.main_axis import forks, growth_end, path_score
+from anther.stem.main_axis import fork_at, growth_end, path_score
 from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS, classify, longest_way, stem_breadth
 from anther.stem.params import Params
 
@@ -116,8 +116,8 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     flowers_at = np.zeros((0, 3)) if flowers_at is None else flowers_at
     organ = classify(skeleton, node_ids, flowers_at, params)
     attachments = _attachments(skeleton, node_ids, organ, params)
-    forked = [i for i in attachments if forks(skeleton, path, organ, int(i), params)]
-    fork = int(min(forked, default=len(node_ids) - 1))
+    forked = [fork_at(skeleton, path, organ, int(i), params) for i in attachments]
+    fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
     confidence = stem_confidence(skeleton, node_ids)
     notes = (*second_stem(skeleton, node_ids), *doubt(confidence))
     return Stem(node_ids, arc_length, attachments, organ, fork, notes, confidence)

@@ -6,33 +6,49 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import path_gain
-from anther.stem.organs import BRANCH
+from anther.stem.organs import BRANCH, stem_breadth
 from anther.stem.params import Params
 
-_FORK_NODES = 6  # nodes after a fork whose median radius is compared
+_TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
-def forks(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int, params: Params) -> bool:
-    """Whether a branch that leaves the stem at position `at` of the path is as much a stem as what goes on."""
+def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int, params: Params) -> int | None:
+    """Return where a branch that leaves the stem at position `at` of the path forks it, None where none does.
+
+    A branch forks the stem when it is as much a stem as what goes on: it rises as high, leaves included, and its axis,
+    without them, is upright and as thick as the stem over the same nodes. The fork is where the two have parted: a
+    skeleton can have two lines side by side within one stem.
+    """
     base = skeleton.nodes[path[at]]
     beyond = path[at + 1 :]
     if not len(beyond):
-        return False
+        return None
     rise = float(skeleton.nodes[beyond, 2].max() - base[2])
-    thick = float(np.median(skeleton.radius[beyond[:_FORK_NODES]]))
+    parted = []
     for child in np.flatnonzero((skeleton.parent == path[at]) & (organ == BRANCH)):
         limb = _highest_path(skeleton, int(child))
-        lean = _angle(skeleton.nodes[limb[-1]] - base, np.array([0.0, 0.0, 1.0]))
+        axis = limb[organ[limb] == BRANCH]
+        lean = _angle(skeleton.nodes[axis[-1]] - base, np.array([0.0, 0.0, 1.0]))
         higher = skeleton.nodes[limb[-1], 2] - base[2] >= params.fork_share * rise
-        thicker = np.median(skeleton.radius[limb[:_FORK_NODES]]) >= params.fork_share * thick
+        thick = np.median(skeleton.radius[beyond[: len(axis)]])
+        thicker = np.median(skeleton.radius[axis]) >= params.fork_share * thick
         if higher and thicker and lean < params.fork_angle:
-            return True
-    return False
+            parted.append(at + _side_by_side(skeleton, path[at:], axis))
+    return min(parted, default=None)
+
+
+def _side_by_side(skeleton: Skeleton, path: NDArray[Any], axis: NDArray[Any]) -> int:
+    """Return up to which position of the path an axis that leaves its first node lies within the same stem."""
+    away, nearest = map(np.asarray, KDTree(skeleton.nodes[path]).query(skeleton.nodes[axis]))
+    within = away <= 2 * stem_breadth(skeleton, path)
+    last = len(axis) if within.all() else int(np.argmin(within))
+    return int(nearest[:last].max(initial=0)) if last > _TOGETHER else 0
 
 
 def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:

@@ -10,11 +10,11 @@ from typing import Any
 from anther.checks import check_array, check_range
 from anther.errors import bad_input
 from anther.files import read_json, write_json
-from anther.geometry import Array, transform_from_pose7
-from anther.grasp import Grasp
+from anther.geometry import Array
+from anther.grasp import Grasp, grasp_of, grasp_row
 from anther.vibration.waveforms import Waveform
 
-SCHEMA = 2
+SCHEMA = 3
 
 LimitRow = tuple[str, float, float, float]
 """(name, value, limit, share of the limit that is used)."""
@@ -128,7 +128,7 @@ class ShakePlan:
         """Write JSON (kind 'shake plan')."""
         row: dict[str, Any] = {"kind": "shake plan", "schema": SCHEMA}
         row |= {name: getattr(self, name) for name in _SAVED}
-        row["grasp"] = {"pose": self.grasp.pose7, **{name: getattr(self.grasp, name) for name in _GRASP}}
+        row["grasp"] = grasp_row(self.grasp)
         row["waveform"] = asdict(self.waveform)
         row["runner_up"] = None if self.runner_up is None else asdict(self.runner_up)
         row["response_map"] = {name: getattr(self.response_map, name) for name in ResponseMap.__dataclass_fields__}
@@ -145,10 +145,8 @@ class ShakePlan:
         if not isinstance(row, dict) or (row.get("kind"), row.get("schema")) != ("shake plan", SCHEMA):
             raise bad_input(str(path), given="another file", allowed=f"a shake plan, schema {SCHEMA}", do="Plan again.")
         try:
-            held = row["grasp"]
-            grasp = Grasp(transform_from_pose7(held["pose"]), **{name: held[name] for name in _GRASP})
             return cls(
-                grasp=grasp,
+                grasp=grasp_of(row["grasp"]),
                 waveform=Waveform(**row["waveform"]),
                 runner_up=None if row["runner_up"] is None else RunnerUp(**row["runner_up"]),
                 response_map=ResponseMap(**row["response_map"]),
@@ -160,7 +158,6 @@ class ShakePlan:
             ) from error
 
 
-_GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "score", "reason", "joints")
 _NESTED = ("grasp", "waveform", "runner_up", "response_map")
 _SAVED = tuple(name for name in ShakePlan.__dataclass_fields__ if name not in _NESTED)
 _SHAPES: dict[str, tuple[int | None, ...]] = {
