@@ -53,6 +53,15 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert len(trial.frames) == len(trial.frame_times) > 8
 
 
+@pytest.mark.parametrize(
+    ("squeezed", "wait"),
+    [(0.0, Params().settle), (0.0019, Params().settle), (0.004, Params().calm), (None, Params().calm)],
+)
+def test_pads_that_press_a_petiole_wait_until_it_is_calm(squeezed: float | None, wait: float) -> None:
+    trial = execute(PLANNER, Plan(replace(GRASP, squeezed=squeezed)), fake_robot(), LIMITS)
+    assert np.ptp(trial.phase_times[PHASES.index("close")]) == pytest.approx(wait, abs=0.02)
+
+
 def test_the_shake_is_what_was_planned() -> None:
     trial = execute(PLANNER, Plan(), fake_robot(), LIMITS)
     y = sawyer.forward(trial.measured)[:, 1, 3]

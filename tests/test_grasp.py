@@ -298,6 +298,7 @@ def test_save_and_load(tmp_path):
     np.testing.assert_allclose(loaded[0].T_world_flange, grasps[0].T_world_flange, atol=1e-12)
     np.testing.assert_allclose(loaded[1].joints, grasps[1].joints)
     assert loaded[1].reason == grasps[1].reason
+    assert (loaded[0].opening, loaded[0].squeezed) == (grasps[0].opening, grasps[0].squeezed)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"kind": "grasps", "schema": 1, "grasps": [{"pose": [0,0,0,0,0,0,1]}]}'])

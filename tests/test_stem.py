@@ -158,6 +158,32 @@ def test_the_thicker_fork_goes_on() -> None:
     assert list(skeleton.nodes[stem.node_ids[stem.attachments]][:, 2]) == pytest.approx([0.2])
 
 
+def test_two_lines_side_by_side_in_one_stem_fork_where_they_part() -> None:
+    def twin(side: float) -> list[list[float]]:
+        foot, parting, top = [0.002 * side, 0, 0.02], [0.002 * side, 0, 0.2], [0.1 * side, 0, 0.4]
+        return [[0, 0, 0], *line(foot, parting), *line(parting, top)[1:]]
+
+    skeleton = drawn(twin(-1), twin(1), radius=[0.004, 0.003])
+    stem = find_stem(skeleton)
+    assert stem.attachments.min() == 0
+    assert skeleton.nodes[stem.node_ids[stem.fork], 2] == pytest.approx(0.2, abs=0.03)
+
+
+def test_a_petiole_that_rises_a_third_as_high_is_no_fork() -> None:
+    trunk = line([0, 0, 0], [0, 0, 0.4])
+    petiole = line([0, 0, 0.1], [0.03, 0, 0.2])
+    stem = find_stem(drawn(trunk, petiole, radius=[0.004, 0.004]))
+    assert stem.fork == len(stem.node_ids) - 1
+
+
+def test_a_limb_that_is_thin_at_its_foot_only_forks_the_stem() -> None:
+    trunk = line([0, 0, 0], [0, 0, 0.2])
+    one, other = (line([0, 0, 0.2], [x, 0, 0.4]) for x in (0.1, -0.1))
+    skeleton = drawn(trunk, one, other[:6], other[5:], radius=[0.005, 0.004, 0.001, 0.0035])
+    stem = find_stem(skeleton)
+    assert skeleton.nodes[stem.node_ids[stem.fork], 2] == pytest.approx(0.2)
+
+
 def test_a_thin_continuation_is_not_stem() -> None:
     skeleton = drawn(line([0, 0, 0], [0, 0, 0.3]), line([0, 0, 0.3], [0, 0, 0.5]), radius=[0.005, 0.001])
     assert skeleton.nodes[find_stem(skeleton).node_ids[-1], 2] < 0.33

@@ -170,6 +170,14 @@ def test_nothing_to_shake_for_nothing_to_hold_nothing_allowed(plant: PlantModel,
     assert failure.value.kind == "limits_exceeded"
 
 
+def test_a_plan_that_is_read_back_holds_the_grasp_as_it_was(plan: ShakePlan, tmp_path: Path) -> None:
+    held = replace(plan.grasp, opening=0.024, squeezed=0.003, confidence=0.9, joints=np.arange(7.0))
+    replace(plan, grasp=held).save(tmp_path / "plan.json")
+    again = ShakePlan.load(tmp_path / "plan.json").grasp
+    for name in Grasp.__dataclass_fields__:
+        assert np.all(getattr(again, name) == pytest.approx(getattr(held, name))), name
+
+
 def test_round_trip(plan: ShakePlan, tmp_path: Path) -> None:
     plan.save(tmp_path / "plan.json")
     again = ShakePlan.load(tmp_path / "plan.json")
