@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from anther.checks import check_array, check_range
 from anther.devices import (
     ArmRecord,
     ArmSample,
     DeviceError,
     Frame,
-    Gripper,
     GripperState,
     JointTrajectory,
     Robot,
@@ -25,17 +21,19 @@ from anther.devices import (
     Watch,
 )
 from anther.errors import AntherError, FailureKind, InputError, StageFailure
-from anther.files import read_npz, write_npz
+from anther.execution.closing import close, wait_after
+from anther.execution.params import Params
+from anther.execution.trial import EARLY, PHASES, Trial
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
 from anther.vibration.waveforms import Waveform
 
+__all__ = ["EARLY", "PHASES", "Params", "Planner", "Progress", "Shake", "Trial", "execute"]
+
+DEFAULTS = Params()
 Progress = Callable[[int, int], None]  # called with (phases done, phases in all)
-PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
-EARLY = "early reach"  # before these: the arm went to the grasp before it was told which shake (`early_reach`)
-SCHEMA = 1
 THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
@@ -81,115 +79,12 @@ class Planner(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Params:
-    """How the plant is approached and held.
-
-    Attributes:
-        stand_off: the straight approach begins this far back along the approach axis [m].
-        approach_speed: on that line [m/s].
-        loose: closing begins at the measured stem diameter and this [m]. The gripper's force cannot be set (facts:
-            sawyer 3), so the position is the gentleness.
-        step, hold, thinnest: it closes on in such steps [m] until it presses with this [N] or is so far closed [m].
-        settle: wait between closing and shaking, in which touched leaves calm down [s],
-        calm: and where the closing pads meet a petiole beside the stem, which swings for longer [s],
-        beside: as they do where it is expected to reach so far beyond the stem (`Grasp.squeezed`) [m], or nobody knows.
-        opening: before closing [m], or that of the grasp if it is less; the stroke is 41.667 mm.
-        thickest: what is wider than the measured diameter by this [m] is not the stem.
-        rates: frame rates the side camera has [Hz] (D455).
-    """
-
-    stand_off: float = 0.12
-    approach_speed: float = 0.12
-    loose: float = 0.0005
-    step: float = 0.0005
-    hold: float = 8.0
-    thinnest: float = 0.002
-    settle: float = 0.6
-    calm: float = 2.0
-    beside: float = 0.002
-    opening: float = 0.0416
-    thickest: float = 0.012
-    rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
-
-    def __post_init__(self) -> None:
-        check_range("stand_off", self.stand_off, 0.0, 0.5, "m")
-        check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
-        check_range("settle", self.settle, 0.01, 30.0, "s")
-        check_range("calm", self.calm, 0.01, 30.0, "s")
-        check_range("step", self.step, 1e-4, 0.02, "m")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """What was commanded and what happened. P phases, T samples of the shake, N frames.
-
-    Attributes:
-        phases: (P,) names of the phases begun, in order, out of `EARLY` and `PHASES`.
-        phase_times: (P, 2) begin and end of each [s], on the robot's clock. Only the arm tells the time: a phase of the
-            gripper fills what lies between two motions.
-        shake_times: (T,) [s], on the robot's clock; empty if it never shook; of a shake cut short what was read of it.
-        commanded, measured: (T, 7) joints during the shake [rad].
-        gripper: (G, 3) opening [m], force [N] and held after closing, after the shake and after release.
-        frame_times: (N,) when the side camera's frames were taken [s].
-        stop_reason: "finished", or why it stopped.
-        failure: the failure's kind; None when it finished.
-        frames: the side camera's frames; not saved.
-    """
-
-    phases: tuple[str, ...]
-    phase_times: Array
-    shake_times: Array
-    commanded: Array
-    measured: Array
-    gripper: Array
-    frame_times: Array
-    stop_reason: str
-    failure: FailureKind | None = None
-    frames: tuple[Frame, ...] = field(default=(), repr=False)
-
-    def __post_init__(self) -> None:
-        n = len(self.shake_times)
-        shapes: dict[str, tuple[int | None, ...]] = {
-            "phase_times": (len(self.phases), 2),
-            "shake_times": (n,),
-            "commanded": (n, 7),
-            "measured": (n, 7),
-            "gripper": (None, 3),
-            "frame_times": (None,),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, check_array(f"trial {name}", getattr(self, name), shape))
-
-    @property
-    def finished(self) -> bool:
-        """Whether every phase ended as planned."""
-        return self.stop_reason == "finished"
-
-    def save(self, path: Path | str) -> None:
-        """Write the trial, without the frames' pixels, to an .npz."""
-        words = json.dumps({name: getattr(self, name) for name in ("phases", "stop_reason", "failure")})
-        names = ("phase_times", "shake_times", "commanded", "measured", "gripper", "frame_times")
-        write_npz(path, "trial", SCHEMA, words=words, **{name: getattr(self, name) for name in names})
-
-    @classmethod
-    def load(cls, path: Path | str) -> Trial:
-        """Read a trial written by `save`.
-
-        Raises:
-            InputError: missing, truncated or of another kind.
-        """
-        arrays: dict[str, Any] = read_npz(path, "trial", SCHEMA)
-        words = json.loads(str(arrays.pop("words")))
-        return cls(phases=tuple(words.pop("phases")), **words, **arrays)
-
-
 def execute(
     planner: Planner,
     shake: Shake,
     robot: Robot,
     limits: SafetyLimits,
-    params: Params = Params(),
+    params: Params = DEFAULTS,
     *,
     progress: Progress | None = None,
     arrive: Callable[[], ArmRecord] | None = None,
@@ -311,9 +206,8 @@ def _forward(work: _Work) -> None:
         work.in_plant = True
         work.follow(outward.backwards())
     with work.phase("close"):
-        work.grips.append(_close(work.robot.gripper, grasp, params))
-        free = grasp.squeezed is not None and grasp.squeezed < params.beside
-        work.follow(JointTrajectory.standstill(arm.joints(), params.settle if free else params.calm))
+        work.grips.append(close(work.robot.gripper, grasp, params))
+        work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
     with work.phase("shake"):
         _shake(work, shake)
         work.grips.append(work.robot.gripper.state())
@@ -375,32 +269,3 @@ def _retire(work: _Work) -> None:
     opened = done(lambda: work.robot.gripper.move(work.opening))
     if held and opened and work.in_plant:
         done(lambda: _back(work))
-
-
-def _close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
-    """Close to the measured diameter and on in steps until the pads press; verify the grip.
-
-    Depth sensors see thin stems too thick (facts: perception). One that was measured too thin is pressed hard at once:
-    the pads let go a little and close again from where they met it.
-
-    Raises:
-        StageFailure: nothing_grasped, or branch_or_leaf_grasped when it is much too thick.
-    """
-    expected = max(grasp.stem_diameter + params.loose, params.thinnest)
-    state = _press(gripper, expected, params)
-    if expected + params.step < state.opening < expected + params.thickest:
-        state = _press(gripper, state.opening + params.step, params)
-    if state.is_gripping and state.opening <= grasp.stem_diameter + params.thickest:
-        return state
-    kind, what = ("branch_or_leaf_grasped", "something thick") if state.is_gripping else ("nothing_grasped", "nothing")
-    found = f"the pads stand {1e3 * state.opening:.1f} mm apart with {state.force:.1f} N, not {1e3 * expected:.1f} mm"
-    raise StageFailure(kind, f"the gripper holds {what}: {found}. Try the next grasp.")
-
-
-def _press(gripper: Gripper, width: float, params: Params) -> GripperState:
-    """Close to a width [m], and on in steps until the pads press."""
-    state = gripper.move(width)
-    while not (state.is_gripping and state.force >= params.hold) and width - params.step > params.thinnest - 1e-9:
-        width -= params.step
-        state = gripper.move(width)
-    return state

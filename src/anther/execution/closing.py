@@ -1,0 +1,43 @@
+"""Closing the gripper on the stem."""
+
+from __future__ import annotations
+
+from anther.devices import Gripper, GripperState
+from anther.errors import StageFailure
+from anther.execution.params import Params
+from anther.grasp import Grasp
+
+
+def close(gripper: Gripper, grasp: Grasp, params: Params) -> GripperState:
+    """Close to the measured diameter and on in steps until the pads press; verify the grip.
+
+    Depth sensors see thin stems too thick (facts: perception). One that was measured too thin is pressed hard at once:
+    the pads let go a little and close again from where they met it.
+
+    Raises:
+        StageFailure: nothing_grasped, or branch_or_leaf_grasped when it is much too thick.
+    """
+    expected = max(grasp.stem_diameter + params.loose, params.thinnest)
+    state = _press(gripper, expected, params)
+    if expected + params.step < state.opening < expected + params.thickest:
+        state = _press(gripper, state.opening + params.step, params)
+    if state.is_gripping and state.opening <= grasp.stem_diameter + params.thickest:
+        return state
+    kind, what = ("branch_or_leaf_grasped", "something thick") if state.is_gripping else ("nothing_grasped", "nothing")
+    found = f"the pads stand {1e3 * state.opening:.1f} mm apart with {state.force:.1f} N, not {1e3 * expected:.1f} mm"
+    raise StageFailure(kind, f"the gripper holds {what}: {found}. Try the next grasp.")
+
+
+def wait_after(grasp: Grasp, params: Params) -> float:
+    """Return how long what the gripper touched swings after closing [s]: a petiole between the pads for longer."""
+    free = grasp.squeezed is not None and grasp.squeezed < params.beside
+    return params.settle if free else params.calm
+
+
+def _press(gripper: Gripper, width: float, params: Params) -> GripperState:
+    """Close to a width [m], and on in steps until the pads press."""
+    state = gripper.move(width)
+    while not (state.is_gripping and state.force >= params.hold) and width - params.step > params.thinnest - 1e-9:
+        width -= params.step
+        state = gripper.move(width)
+    return state
