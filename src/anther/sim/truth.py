@@ -1,0 +1,178 @@
+"""What is true of a simulated trial and no stage knows: plant, air, pads, arm and camera, drawn wider than any belief.
+
+No stage reads this file, and no range here is centred on what a planner takes for granted. `NOMINAL` is a plant and a
+robot without these doubts; `draw` draws all of them, or one group only, which shows what that one assumption is worth.
+Sources are the facts (docs: facts) where they are named; what is called a guess has none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from anther.errors import bad_input
+
+
+class Spread(NamedTuple):
+    """A distribution: uniform from `low` to `high`, or uniform in the logarithm."""
+
+    low: float
+    high: float
+    log: bool = True
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Return one value."""
+        if self.log:
+            return float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
+        return float(rng.uniform(self.low, self.high))
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """One plant and one robot as they are; the defaults are the nominal ones.
+
+    Attributes:
+        self_support: Young's modulus over that at which the plant would just buckle [-]; None: what the seed says, but
+            at least 2.
+        stiffness_gradient: ln of Young's modulus at the plant's top over that at its foot [-].
+        branch_scatter: standard deviation of ln of each branch's own Young's modulus [-].
+        wood_damping, leaf_damping, stalk_damping: damping ratios of stem and branches, of leaves, and of peduncles and
+            pedicels [-]; None: one ratio for all, from the seed.
+        bend_over_twist: EI/GJ [-].
+        leaf_density: factor on the mass of leaf blades [-].
+        oval: bending stiffness of a section across its wider over that across its narrower direction [-].
+        pedicel_youngs, pedicel_length, flower_mass: factors [-].
+        pedicel_joint: compliance of the abscission joint over that of its pedicel [-].
+        drag_coefficient: of leaves and flowers, whose drag grows with the square of the speed [-].
+        foot: stiffness with which root, soil and pot hold the stem's direction [N m/rad].
+        wind: mean speed while the plant is seen and shaken [m/s].
+        pad_stiffness, pad_rotation: of both pads together, across [N/m] and in rotation [N m/rad]; inf: only the skin
+            of the contact gives way.
+        pad_friction: between pad and plant [-].
+        pad_wear: share of the friction that one of the pads has lost [-].
+        servo_bandwidth: of the arm's joint servos [Hz].
+        feedforward_error: standard deviation of each joint's relative error in the torque that the arm expects [-].
+        joint_stiffness: factor on `JOINT_STIFFNESS` [-]; inf: rigid joints.
+        pose_error, hand_eye_error: factors on the errors of the arm's poses and of the hand-eye calibration [-].
+        clock_offset: by which the side camera's clock is late on the arm's [s].
+        exposure_time: in which an image is blurred by motion [s].
+        exposure_spread: standard deviation of the gain from image to image [-].
+    """
+
+    self_support: float | None = None
+    stiffness_gradient: float = 0.0
+    branch_scatter: float = 0.0
+    wood_damping: float | None = None
+    leaf_damping: float | None = None
+    stalk_damping: float | None = None
+    bend_over_twist: float = 12.0
+    leaf_density: float = 1.0
+    oval: float = 1.0
+    pedicel_youngs: float = 1.0
+    pedicel_length: float = 1.0
+    flower_mass: float = 1.0
+    pedicel_joint: float = 0.0
+    drag_coefficient: float = 0.0
+    foot: float = np.inf
+    wind: float = 0.0
+    pad_stiffness: float = np.inf
+    pad_rotation: float = np.inf
+    pad_friction: float = 1.0
+    pad_wear: float = 0.0
+    servo_bandwidth: float = 10.0
+    feedforward_error: float = 0.0
+    joint_stiffness: float = np.inf
+    pose_error: float = 1.0
+    hand_eye_error: float = 1.0
+    clock_offset: float = 0.0
+    exposure_time: float = 0.0
+    exposure_spread: float = 0.05
+
+
+NOMINAL = Truth()
+
+JOINT_STIFFNESS = (843.0, 843.0, 843.0, 843.0, 250.0, 250.0, 250.0)
+"""Of a joint's spring [N m/rad]: Rethink's figures for Baxter, whose drives are of the same kind; remembered, none was
+found for Sawyer. The factor on it reaches from softer to much stiffer."""
+
+WIDE: dict[str, dict[str, Spread]] = {
+    # Plants in pots stand, if barely: 1.1; 6 is a height margin of 1.8 over Greenhill's limit (height ~ E^(1/3)).
+    "stiffness": {"self_support": Spread(1.1, 6.0)},
+    # Wood lignifies from the foot upwards; broccoli's tissues differ by a factor of 3-15 (facts: pollination 2). Guess.
+    "uniform stiffness": {
+        "stiffness_gradient": Spread(-1.0, 0.3, log=False),
+        "branch_scatter": Spread(0.1, 0.5, log=False),
+    },
+    # Trees' wood < 0.05, leaves double the whole (facts: pollination 2); branching dissipates 0.028 more.
+    "damping by organ": {
+        "wood_damping": Spread(0.015, 0.10),
+        "leaf_damping": Spread(0.04, 0.25),
+        "stalk_damping": Spread(0.015, 0.12),
+    },
+    # Dicot petioles 11.5-13.3, an isotropic round bar 1.5 (facts: pollination 2).
+    "twist": {"bend_over_twist": Spread(3.0, 15.0)},
+    # 0.25 kg/m2 is an estimate: 0.15-0.4.
+    "leaf mass": {"leaf_density": Spread(0.6, 1.6)},
+    # An ellipse with axes 1 : 1.26 has 1.6. Guess.
+    "oval sections": {"oval": Spread(1.0, 1.6, log=False)},
+    # E 30-250 MPa; lengths 9-22 mm and their deviations; flowers 0.05-0.15 g are remembered (facts: pollination 2).
+    "pedicels": {
+        "pedicel_youngs": Spread(0.4, 2.5),
+        "pedicel_length": Spread(0.75, 1.35),
+        "flower_mass": Spread(0.5, 2.0),
+        "pedicel_joint": Spread(0.0, 1.0, log=False),
+    },
+    # A canopy 0.31 (Sase 2012, facts: pollination 6), a plate across the wind 1.2.
+    "drag": {"drag_coefficient": Spread(0.2, 1.2)},
+    # A stem's own foot, 3 cm of it, has 1-15 N m/rad; a root ball in substrate is taken for softer to rigid. Guess.
+    "pot": {"foot": Spread(3.0, 100.0)},
+    # Fans and vents move air in a greenhouse by 0-1.5 m/s.
+    "wind": {"wind": Spread(0.0, 1.5, log=False)},
+    # 16 mm of soft silicone, 3-8 mm thick, by its shear modulus of 0.1-0.5 MPa. Guess.
+    "pads": {
+        "pad_stiffness": Spread(2e3, 3e4),
+        "pad_rotation": Spread(0.1, 2.0),
+        "pad_friction": Spread(0.4, 1.1, log=False),
+        "pad_wear": Spread(0.0, 0.3, log=False),
+    },
+    # Published simulation gains give 4 Hz (facts: sawyer 2); loads unknown to the arm's model. Guess.
+    "arm": {
+        "servo_bandwidth": Spread(5.0, 12.0),
+        "feedforward_error": Spread(0.05, 0.25, log=False),
+        "joint_stiffness": Spread(0.7, 5.0),
+    },
+    # Registration believes the nominal size of these errors.
+    "camera poses": {"pose_error": Spread(0.5, 3.0), "hand_eye_error": Spread(0.5, 3.0)},
+    # USB cameras stamp frames on arrival; 33 ms is the longest exposure at 30 frames a second.
+    "camera clock and blur": {
+        "clock_offset": Spread(0.0, 0.03, log=False),
+        "exposure_time": Spread(0.002, 0.012),
+        "exposure_spread": Spread(0.03, 0.2),
+    },
+}
+"""The groups of assumptions, and what is drawn in each."""
+
+
+def draw(seed: int, *groups: str) -> Truth:
+    """Return the truth of one trial: everything drawn, or only the named groups of `WIDE`, the rest nominal.
+
+    A group has a random stream of its own: drawn alone it is what it is among all.
+
+    Args:
+        seed: of the plant.
+        groups: names of `WIDE`; none means all.
+
+    Raises:
+        InputError: there is no such group.
+    """
+    unknown = sorted(set(groups) - set(WIDE))
+    if unknown:
+        raise bad_input("truth", given=f"'{unknown[0]}'", allowed=", ".join(WIDE), do="Name one of these groups.")
+    values: dict[str, Any] = {}
+    for number, (group, spreads) in enumerate(WIDE.items()):
+        rng = np.random.default_rng([seed, 7, number])
+        drawn = {name: spread.draw(rng) for name, spread in spreads.items()}
+        values |= drawn if not groups or group in groups else {}
+    return replace(NOMINAL, **values)
