@@ -27,6 +27,13 @@ POT_AXIS = (0.72, 0.0)
 """Where the pot stands by default: x, y in front of the arm's base [m]."""
 
 
+OF_SEGMENTS = (
+    "start", "end", "radius_start", "radius_end", "parent", "organ", "youngs", "density", "damping_ratio", "lump_mass",
+    "lump_centre", "oval", "joint_compliance", "drag_area",
+)  # fmt: skip
+"""The arrays of a `SimPlant` that have one row a segment."""
+
+
 class Organ(IntEnum):
     """What a segment or a face belongs to. NOTHING is only found in images: a pixel that sees no surface."""
 
