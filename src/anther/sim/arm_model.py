@@ -21,7 +21,9 @@ PAD_MASS = 0.004  # kg, 16 x 7 x 37 mm of silicone
 PAD_DAMPING = (0.15, 10.0)  # ratio at a frequency [Hz]: silicone loses a third of its strain energy in a swing; a guess
 PAD_WAYS = ("x", "z", "turn")  # in which a pad gives way on its finger, see `add_arm`
 FLEX_DAMPING = 0.05  # ratio of each joint's spring with its motor still, at neutral; a guess
-FASTEST = 150.0  # Hz: springs carry so much rotor inertia that none swings faster, since each step takes them explicitly
+FASTEST = (
+    150.0  # Hz: springs carry so much rotor inertia that none swings faster, since each step takes them explicitly
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +174,7 @@ def _pad_holder(finger: Any, side: str, centre: Array, truth: Truth) -> tuple[An
     ]
     if not springs:
         return finger, centre
+    finger.mass -= PAD_MASS
     pad = finger.add_body(name=f"{side}_pad", pos=centre, gravcomp=1)
     x, y, z = np.square(sawyer.PAD)
     _inertial(pad, PAD_MASS, (0, 0, 0), (*(PAD_MASS / 12 * np.array([y + z, x + z, x + y])), 0, 0, 0))

@@ -111,9 +111,7 @@ class Cell:
         self._arm_dofs = np.array([self.model.joint(name).dofadr[0] for name in sawyer.JOINTS])
         self._fingers = [self.model.joint(f"{side}_finger").qposadr[0] for side in ("left", "right")]
         self._flex = _addresses(self.model, [arm_model.flex_name(name) for name in sawyer.JOINTS])
-        self._give = [
-            _addresses(self.model, [f"left_pad_{way}", f"right_pad_{way}"]) for way in arm_model.PAD_WAYS
-        ]
+        self._give = [_addresses(self.model, [f"left_pad_{way}", f"right_pad_{way}"]) for way in arm_model.PAD_WAYS]
         errors = np.random.default_rng([plant.seed, 8]).normal(size=7)
         self._expected = 1 + truth.feedforward_error * errors
         self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, sawyer.STROKE / 2
@@ -243,7 +241,7 @@ class Cell:
         x, z, turn = (float(qpos[ways].mean()) if len(ways) else 0.0 for ways in self._give)
         centre = sawyer.T_FLANGE_GRASP[:3, 3]
         R = Rotation.from_rotvec([0, turn, 0]).as_matrix()
-        return self.flange_pose(qpos) @ transform(R, centre + [x, 0, z] - R @ centre)
+        return self.flange_pose(qpos) @ transform(R, centre - R @ centre + np.array([x, 0, z]))
 
     def _at(self, qpos: Array | None) -> Any:
         if qpos is None:
