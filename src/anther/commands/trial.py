@@ -46,6 +46,9 @@ class Args:
     """Replace the results of an earlier run in the same folder."""
     history: str = "runs/history.sqlite"
     """Trial history to learn from and to add this trial to: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
+    truth: Literal["nominal", "wide"] = "nominal"
+    """What is true of plant, air, pads, arm and camera: as usual, or drawn from the seed wider than any stage believes.
+    It is for judging: no stage is told."""
     material: Literal["learned", "facts"] = "learned"
     """Begin with what the history teaches of this plant or its crop, or as if nothing had ever been measured."""
     params: Params = field(default_factory=Params)
@@ -108,10 +111,12 @@ def run(args: Args) -> int:
 
 def _build(args: Args) -> SimulatedCell:
     from anther.commands.simulated_cell import PRESETS, build
+    from anther.sim.truth import NOMINAL, draw
 
     views = PRESETS[args.preset]
     views = views if args.views is None else replace(views, count=args.views)
-    return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance)
+    truth = draw(args.seed) if args.truth == "wide" else NOMINAL
+    return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance, truth=truth)
 
 
 def _belief(args: Args) -> Belief:
@@ -124,7 +129,7 @@ def _belief(args: Args) -> Belief:
 
 
 def _label(args: Args) -> str:
-    return f"simulated {args.seed}"
+    return f"simulated {args.seed}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
 
 
 def _judge(cell: SimulatedCell, done: Done) -> Verdict:

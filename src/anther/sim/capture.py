@@ -21,6 +21,7 @@ from anther.geometry import Array, Intrinsics, look_at, small_transform
 from anther.sim.depth_noise import DepthNoise, noisy_depth
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
+from anther.sim.truth import Truth
 
 Progress = Callable[[int, int], None]
 """Called with the number of views done and the number of all."""
@@ -53,6 +54,17 @@ class CameraErrors:
     def __post_init__(self) -> None:
         check_range("pose rotation error", self.pose_rotation, 0.0, 0.1, "rad")
         check_range("pose translation error", self.pose_translation, 0.0, 0.05, "m")
+
+
+def camera_errors(truth: Truth) -> CameraErrors:
+    """Return the errors of camera and arm that are true of a trial."""
+    usual = CameraErrors()
+    return replace(
+        usual,
+        pose_rotation=truth.pose_error * usual.pose_rotation,
+        pose_translation=truth.pose_error * usual.pose_translation,
+        exposure=truth.exposure_spread,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,13 +150,15 @@ def perturbed_hand_eye(
     *,
     rotation: float = float(np.radians(0.2)),
     translation: float = 0.001,
+    factor: float = 1.0,
 ) -> Array:
-    """Return a hand-eye transform off by `rotation` [rad] and `translation` [m], each about a random axis.
+    """Return a hand-eye transform off by `factor` times `rotation` [rad] and `translation` [m], about random axes.
 
     The sizes are those of a fair calibration (facts: perception, hand-eye table: 0.15 deg, 1.2 mm).
     """
     turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-    return check_transform("T_flange_cam", T_flange_cam) @ small_transform(rotation * turn, translation * shift)
+    error = small_transform(factor * rotation * turn, factor * translation * shift)
+    return check_transform("T_flange_cam", T_flange_cam) @ error
 
 
 def orbit_poses(
@@ -176,7 +190,7 @@ def noisy_rgb(rgb: NDArray[Any], rng: np.random.Generator, errors: CameraErrors 
     errors = errors or CameraErrors()
     gain = (1 + errors.exposure * rng.normal()) * (1 + errors.white_balance * rng.normal(size=3))
     image = cv2.GaussianBlur(rgb, (0, 0), errors.blur) if errors.blur > 0 else rgb
-    level = image.astype(np.float32) * np.clip(gain, 0.7, 1.3).astype(np.float32)
+    level = image.astype(np.float32) * np.clip(gain, 0.3, 1.7).astype(np.float32)
     sigma = np.sqrt(np.float32(errors.read_noise**2) + np.float32(errors.shot_noise) * level)
     level += sigma * rng.standard_normal(rgb.shape, dtype=np.float32)
     return np.clip(level + 0.5, 0, 255).astype(np.uint8)

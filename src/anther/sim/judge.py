@@ -187,7 +187,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, par
     pressed = np.flatnonzero(_pressed(log, when, params))
     sample, other, blade = (x[pressed] for x in (log.contact_sample, log.contact_other, log.contact_blade))
     times, row = np.unique(sample, return_inverse=True)
-    flange = inverse(sawyer.forward(log.joints[times]))[row]
+    flange = inverse(cell.flange_pose(log.qpos[times]))[row]
     across = np.einsum("ci,ci->c", flange[:, 1, :3], log.contact_point[pressed]) + flange[:, 1, 3]
     between = np.abs(across) < log.opening[sample] / 2 + 0.001
     organ = np.where(blade, int(Organ.LEAF), cell.plant.organ[other])
@@ -199,7 +199,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, par
 
 
 def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) -> tuple[float, float]:
-    """Return the largest wander of the held point in the flange's frame [m] and its height above the soil at rest."""
+    """Return the largest wander of the held point between the pads [m] and its height above the soil at rest."""
     samples = np.flatnonzero(shaking)
     if segment < 0 or len(samples) == 0:
         return np.nan, np.nan
@@ -207,7 +207,7 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
     touch = log.contact_point[near & (log.contact_sample <= samples[0] + 50)]
     T_first = cell.segment_poses(log.qpos[samples[0]])[segment]
     rest = inverse(T_first) @ np.r_[touch.mean(axis=0), 1] if len(touch) else np.r_[cell.plant.start[segment], 1]
-    held = [inverse(cell.flange_pose(q)) @ cell.segment_poses(q)[segment] @ rest for q in log.qpos[samples]]
+    held = [inverse(cell.pads_pose(q)) @ cell.segment_poses(q)[segment] @ rest for q in log.qpos[samples]]
     wander = np.linalg.norm(np.array(held)[:, :3] - held[0][:3], axis=1)
     return float(wander.max()), float(rest[2] - cell.plant.pot.soil_z)
 
