@@ -21,12 +21,14 @@ from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.safety import guard
 from anther.sim import cell as world
-from anther.sim.capture import CaptureTruth, camera_errors, capture_views, perturbed_hand_eye
+from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
 from anther.sim.robot import robot_of
+from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
+from anther.sim.true_plant import as_true
 from anther.sim.truth import NOMINAL, Truth
 
 Species = Literal["tomato", "pepper"]
@@ -127,13 +129,21 @@ class SimulatedCell:
         return capture_time(self.views)
 
 
-def grow(species: Species, seed: int, viewpoint: float, distance: float) -> SimPlant:
+def grow(species: Species, seed: int, viewpoint: float, distance: float, truth: Truth = NOMINAL) -> SimPlant:
     """Grow a plant in a pot `distance` [m] in front of the arm; `viewpoint` [deg] turns it about the pot's axis."""
     match species:
         case "tomato":
-            return grow_tomato(seed, viewpoint=viewpoint, axis=(distance, 0.0))
+            return as_true(grow_tomato(seed, viewpoint=viewpoint, axis=(distance, 0.0)), truth)
         case "pepper":
-            return grow_pepper(seed, viewpoint=viewpoint, axis=(distance, 0.0))
+            return as_true(grow_pepper(seed, viewpoint=viewpoint, axis=(distance, 0.0)), truth)
+
+
+def in_wind(plant: SimPlant, scene: Scene, views: Views, truth: Truth) -> Sight:
+    """Return what each of the views finds of a plant that sways in the truth's wind while they are taken."""
+    if truth.wind == 0:
+        return scene
+    poses = swaying(plant, truth.wind, np.linspace(0, capture_time(views), len(views.joints)))
+    return lambda view: scene.moved(plant.posed_vertices(poses[view]))
 
 
 @cache
@@ -169,7 +179,7 @@ def build(
     """
     place = layout(distance)
     planned, last = views_at(distance, views), to_waiting(distance, views)
-    plant = grow(species, seed, viewpoint, distance)
+    plant = grow(species, seed, viewpoint, distance, truth)
     noise = np.random.default_rng([seed, int(viewpoint), 2])
     scene = Scene.of_plant(plant)
     mujoco = world.Cell(plant, WAITING, truth=truth)
@@ -188,7 +198,7 @@ def build(
         to_waiting=last,
         robot_side=pipeline.Cell(
             take_views=lambda advance: photograph(
-                scene, planned.joints, seed, viewpoint, progress=advance, truth=truth
+                in_wind(plant, scene, planned, truth), planned.joints, seed, viewpoint, progress=advance, truth=truth
             )[0],
             plan_around=lambda cloud: Planner(
                 cloud.points,
@@ -205,7 +215,7 @@ def build(
 
 
 def photograph(
-    plant: SimPlant | Scene,
+    plant: Sight,
     joints: Array,
     seed: int,
     viewpoint: float = 0.0,

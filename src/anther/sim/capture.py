@@ -25,6 +25,8 @@ from anther.sim.truth import Truth
 
 Progress = Callable[[int, int], None]
 """Called with the number of views done and the number of all."""
+Sight = SimPlant | Scene | Callable[[int], Scene]
+"""What is looked at: a plant, its scene, or the scene as each view finds it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,7 @@ class CaptureTruth:
 
 
 def capture_views(
-    plant: SimPlant | Scene,
+    plant: Sight,
     joints: ArrayLike,
     forward: Callable[[Array], Array],
     T_flange_cam_true: ArrayLike,
@@ -106,7 +108,7 @@ def capture_views(
     itself; the capture says forward(q) . T_flange_cam_believed.
 
     Args:
-        plant: what is looked at; a `Scene` if it is built already.
+        plant: what is looked at.
         joints: (V, 7) arm joint angles [rad].
         forward: joint angles (7,) -> T_world_flange (4, 4).
         T_flange_cam_true: where the camera is on the flange.
@@ -129,7 +131,7 @@ def capture_views(
 
 
 def capture_from_poses(
-    plant: SimPlant | Scene,
+    plant: Sight,
     T_world_cam: ArrayLike,
     *,
     rng: np.random.Generator,
@@ -203,7 +205,7 @@ def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> 
 
 
 def _capture(
-    plant: SimPlant | Scene,
+    plant: Sight,
     true: Array,
     believed: Array,
     *,
@@ -213,7 +215,7 @@ def _capture(
     progress: Progress | None,
 ) -> tuple[Capture, CaptureTruth]:
     """Render all views on two threads, each view with a random stream of its own: the order does not matter."""
-    scene = plant if isinstance(plant, Scene) else Scene.of_plant(plant)
+    still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
     intrinsics = intrinsics or d455()
     count, size = len(true), (intrinsics.height, intrinsics.width)
     rgb, organ = np.empty((count, *size, 3), np.uint8), np.empty((count, *size), np.uint8)
@@ -221,6 +223,7 @@ def _capture(
     streams = rng.spawn(count)
 
     def take(view: int) -> None:
+        scene = still if isinstance(still, Scene) else still(view)
         image = scene.render(intrinsics, true[view])
         rgb[view], organ[view], exact[view] = noisy_rgb(image.rgb, streams[view], errors), image.organ, image.depth
         depth[view] = noisy_depth(image.depth, intrinsics, streams[view], errors.depth)

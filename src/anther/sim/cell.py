@@ -18,6 +18,7 @@ from anther.arm import sawyer
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
 from anther.sim import arm_model, plant_mechanics
+from anther.sim.air import Air
 from anther.sim.blades import add_blades
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
@@ -87,7 +88,7 @@ class Cell:
 
     Attributes:
         plant: ground truth.
-        truth: of pads, arm and side camera.
+        truth: of air, pads, arm and side camera.
         model, data: MuJoCo's.
         mechanics: the plant's part of the model.
     """
@@ -118,6 +119,7 @@ class Cell:
         self.data.ctrl[:7], self.data.ctrl[21] = joints, sawyer.STROKE / 2
         arm_model.tune_servos(self.model, truth)
         self.mechanics = PlantMechanics(self.model, plant, pieces, self.params.plant)
+        self._air = Air(self.mechanics, truth.wind, plant.seed)
         self._codes = _contact_codes(self.model)
         self._samples: list[tuple[Any, ...]] = []
         self._contacts: list[tuple[Any, ...]] = []
@@ -183,6 +185,7 @@ class Cell:
         d.ctrl[:7], d.ctrl[7:14], d.ctrl[21] = q, v, opening / 2
         d.ctrl[14:21] = self._expected * inertia[self._arm_dofs]
         d.qfrc_applied[plant] = -self.mechanics.mass_damping * inertia[plant]
+        self._air.push(d, m.opt.timestep)
         mujoco.mj_step(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")
