@@ -140,8 +140,8 @@ def _harm(s: dict[str, Any]) -> tuple[str, str]:
         return "not known", ""
     said = "no" if s["unharmed"] else f"yes: {s['harmed']}"
     strains = ", ".join(f"{s[f'true_{kind}_strain']:.2%} in {kind}s" for kind in ("stem", "pedicel", "base"))
-    leaf = s["true_leaf_acceleration_ms2"] / 9.81
-    return said, f"simulated: harm has a probability of {s['harm_probability']:.1%}; strain {strains}, leaves {leaf:.2f} g"
+    loads = f"strain {strains}, leaves {s['true_leaf_acceleration_ms2'] / 9.81:.2f} g"
+    return said, f"simulated: harm has a probability of {s['harm_probability']:.1%}; {loads}"
 
 
 def _moved(s: dict[str, Any]) -> tuple[str, str]:

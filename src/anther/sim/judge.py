@@ -146,7 +146,10 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
         else (None, f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else ""))
     )
     facts = (organ, height, slip, push, harm)
-    return Verdict(failed is None, failure, reason, *facts, *motion, float(effort.max()), tuple(beside))
+    amplitude, hertz, rms, peak = motion
+    return Verdict(
+        failed is None, failure, reason, *facts, amplitude, hertz, rms, peak, float(effort.max()), tuple(beside)
+    )
 
 
 def _closed(log: CellLog, shake: tuple[float, float] | None) -> NDArray[np.bool_]:
