@@ -110,6 +110,7 @@ def test_trial_json_says_what_the_flowers_felt() -> None:
     summary = told(verdict_of(felt=(1.0, 4.0, 6.0, 12.0, np.nan)))
     felt = (summary["true_flower_acceleration_median_ms2"], summary["true_flower_acceleration_least_ms2"])
     assert (*felt, summary["share_above_5_ms2"], summary["share_above_10_ms2"]) == (5.0, 1.0, 0.5, 0.25)
+    assert summary["flowers_moved"], "half of them felt as much or more"
     assert summary["true_pedicel_strain"] == GENTLE["pedicel"]
     assert summary["borne_pedicel_strain"] == TOLERANCE["pedicel"].median
 

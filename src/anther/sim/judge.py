@@ -139,17 +139,14 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
         (not slip <= params.slip, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
         (share < params.held_share, "slipped", f"the stem was held in {share:.0%} of the shake only"),
     ]
-    failed = next(((kind, why) for found, kind, why in findings if found), None)
-    failure, reason = failed or (
-        ("damaged", harm.words)
-        if harm.passed
-        else (None, f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else ""))
-    )
-    facts = (organ, height, slip, push, harm)
+    failure: FailureKind | None = "damaged" if harm.passed else None
+    reason = harm.words or f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else "")
+    held = not any(found for found, _, _ in findings)
+    for found, kind, why in reversed(findings):
+        failure, reason = (kind, why) if found else (failure, reason)
+    facts = (held, failure, reason, organ, height, slip, push, harm)
     amplitude, hertz, rms, peak = motion
-    return Verdict(
-        failed is None, failure, reason, *facts, amplitude, hertz, rms, peak, float(effort.max()), tuple(beside)
-    )
+    return Verdict(*facts, amplitude, hertz, rms, peak, float(effort.max()), tuple(beside))
 
 
 def _closed(log: CellLog, shake: tuple[float, float] | None) -> NDArray[np.bool_]:
