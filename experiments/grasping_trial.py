@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from grasping_pictures import portrait
+from grasping_table import as_counted
 
 from anther.arm.planner import Planner
 from anther.cloud import Cloud
@@ -167,7 +168,8 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
         verdict = judge(cell.world, shaken, done.shake.frequency)
     except StageFailure as stopped:
         failure, shaken = stopped, None
-    row = {k: v for k, v in summarise(cell, done, verdict, failure).items() if np.ndim(v) == 0 or k in LISTED}
+    summary = as_counted(summarise(cell, done, verdict, failure))
+    row = {k: v for k, v in summary.items() if np.ndim(v) == 0 or k in LISTED}
     row["stem_held"] = shaken is not None and row["organ_grasped"] == "stem"
     row["axis_held"] = shaken is not None and row["organ_grasped"] in ("stem", "branch")
     if shaken is not None:
