@@ -228,17 +228,17 @@ class Cell:
 
     def flange_pose(self, qpos: Array | None = None) -> Array:
         """Return T_world_flange (..., 4, 4) now, or at logged `qpos` (..., nq): where the links truly are."""
-        qpos = self.data.qpos if qpos is None else qpos
-        links = qpos[..., self._arm]
-        return sawyer.forward(links + qpos[..., self._flex] if len(self._flex) else links)
+        at: Array = self.data.qpos if qpos is None else qpos
+        links = at[..., self._arm]
+        return sawyer.forward(links + at[..., self._flex] if len(self._flex) else links)
 
     def pads_pose(self, qpos: Array | None = None) -> Array:
         """Return T_world_pads (4, 4) now, or at a logged `qpos` (nq,): the flange's frame, carried along by the pads.
 
         It moves on the flange by the mean of what both give way.
         """
-        qpos = self.data.qpos if qpos is None else qpos
-        x, z, turn = (float(qpos[ways].mean()) if len(ways) else 0.0 for ways in self._give)
+        at: Array = self.data.qpos if qpos is None else qpos
+        x, z, turn = (float(at[ways].mean()) if len(ways) else 0.0 for ways in self._give)
         centre = sawyer.T_FLANGE_GRASP[:3, 3]
         R = Rotation.from_rotvec([0, turn, 0]).as_matrix()
         return self.flange_pose(qpos) @ transform(R, centre - R @ centre + np.array([x, 0, z]))
