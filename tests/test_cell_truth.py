@@ -13,6 +13,7 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 from anther.arm import sawyer
 from anther.geometry import Array, inverse, small_transform
 from anther.sim.cell import Cell, mujoco
+from anther.sim.judge import judge
 from anther.sim.robot import SimArm
 from anther.sim.truth import JOINT_STIFFNESS, NOMINAL, Truth, draw
 
@@ -93,6 +94,17 @@ def test_a_soft_grip_is_still_a_grip() -> None:
     assert set(log.contact_pad[last]) == {0, 1}
     assert cell.grip_force == pytest.approx(10.0, rel=0.01)
     assert cell.opening == pytest.approx(0.008, abs=0.0008)
+
+
+def test_pads_that_give_way_do_not_slip() -> None:
+    cell = Cell(ROD, Q, truth=PADS)
+    go(cell, Q, 0.0)
+    start, point = cell.time, (cell.flange_pose() @ GRASP)[:, 3]
+    go(cell, solve(sawyer.forward(Q) @ small_transform([0, 0, 0], [0, 0, 0.0015]), Q), 0.0, 60, 40)
+    log, verdict = cell.log(), judge(cell, (start, cell.time), 5.0)
+    seen = inverse(cell.flange_pose(log.qpos[log.times >= start])) @ point  # the rod is too stiff to follow
+    assert np.ptp(seen[:, 2]) > 0.0006
+    assert verdict.slip < 0.0002
 
 
 def test_a_joint_gives_way_by_torque_over_stiffness_and_its_encoder_does_not_see_it() -> None:

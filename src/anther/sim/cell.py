@@ -231,7 +231,7 @@ class Cell:
 
     def flange_pose(self, qpos: Array | None = None) -> Array:
         """Return T_world_flange (..., 4, 4) now, or at logged `qpos` (..., nq): where the links truly are."""
-        at = self.data.qpos if qpos is None else qpos
+        at: Array = self.data.qpos if qpos is None else qpos
         links = at[..., self._arm]
         return sawyer.forward(links + at[..., self._flex] if len(self._flex) else links)
 
@@ -240,7 +240,7 @@ class Cell:
 
         It moves on the flange by the mean of what both give way.
         """
-        at = self.data.qpos if qpos is None else qpos
+        at: Array = self.data.qpos if qpos is None else qpos
         x, z, turn = (float(at[ways].mean()) if len(ways) else 0.0 for ways in self._give)
         centre = sawyer.T_FLANGE_GRASP[:3, 3]
         R = Rotation.from_rotvec([0, turn, 0]).as_matrix()
