@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from anther.errors import bad_input
 from anther.identification.observed import Observed
 from anther.plant import LEARNED, Material, PlantModel
 from anther.vibration.observables import branch_of, semi_major
-from anther.vibration.search import flower_motion, grip_rows, pad_nodes, scenarios
+from anther.vibration.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
+from anther.vibration.search import Version, flower_motion, scenarios
 
 COUNTS = 1e-3
 """A member with less than this share of the largest weight is left out of predictions."""
@@ -62,20 +63,22 @@ class Refinement:
 
     Attributes:
         material: the belief afterwards; its stiffness and damping have moved and their spreads shrunk.
+        pads: the same of the gripper's pads.
         predicted_amplitude: (K, F) what the ensemble would now predict for the same shakes [m].
         effective_members: members that count, 1 / sum of squared weights.
         evidence: power to which the likelihood was raised, 1 = full weight.
         notes: what the user should know.
-        members: (M,) plants that were drawn.
+        members: (M,) plants and pads that were drawn.
         weights: (M,) of the members, sum 1.
     """
 
     material: Material
+    pads: Pads
     predicted_amplitude: Array
     effective_members: float
     evidence: float
     notes: tuple[str, ...]
-    members: Sequence[PlantModel] = field(repr=False)
+    members: Sequence[Version] = field(repr=False)
     weights: Array = field(repr=False)
 
     def amplitude_at(self, points: Array, direction: Array, frequencies: Array) -> Array:
@@ -91,23 +94,26 @@ class Refinement:
         """
         counts = self.weights >= COUNTS * self.weights.max()
         share = self.weights[counts] / self.weights[counts].sum()
-        grips = pad_nodes(self.members[0], grip_rows(self.members[0], points))
+        plant, pads = self.members[0]
+        grips = pad_nodes(plant, grip_rows(plant, points), pads.width)
         which = [member for member, used in zip(self.members, counts, strict=True) if used]
         logs = [_log_amplitude(flower_motion(member, grips, direction, frequencies)) for member in which]
         return np.swapaxes(np.exp(np.tensordot(share, np.array(logs), axes=1)), 0, 1)
 
 
-def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Params()) -> Refinement:
-    """Update what is believed of a plant's material from measured responses.
+def refine(
+    plant: PlantModel, observed: Sequence[Observed], params: Params = Params(), *, pads: Pads = PADS
+) -> Refinement:
+    """Update what is believed of a plant's material, and of the pads that hold it, from measured responses.
 
     An ensemble is drawn from the present belief (`vibration.search.scenarios`: E, damping, EI/GJ, pedicels, radius,
-    gain; and each branch's own stiffness), each member's flowers' motion in every shake follows from linear theory
-    times the nonlinear correction of the plan, and the members are weighted by a Student-t likelihood (4 degrees of
-    freedom, so that a flower mistaken for another does not decide alone) of ln amplitude and of phase. Flowers of one
-    branch err alike, so n of them count as n / (1 + (n - 1) `likeness`) (the variance of a mean of equally correlated
-    values). Where too few members would count, the likelihood is raised to a power below 1. Of what `plant.LEARNED`
-    names, the new material is moved and narrowed as the weights move and narrow the members; `Refinement.amplitude_at`
-    predicts with the members themselves.
+    gain; the pads' two stiffnesses; and each branch's own stiffness), each member's flowers' motion in every shake
+    follows from linear theory times the nonlinear correction of the plan, and the members are weighted by a Student-t
+    likelihood (4 degrees of freedom, so that a flower mistaken for another does not decide alone) of ln amplitude and
+    of phase. Flowers of one branch err alike, so n of them count as n / (1 + (n - 1) `likeness`) (the variance of a
+    mean of equally correlated values). Where too few members would count, the likelihood is raised to a power below 1.
+    Of what `plant.LEARNED` names, the new material is moved and narrowed as the weights move and narrow the members,
+    and the pads likewise; `Refinement.amplitude_at` predicts with the members themselves.
 
     A flower that was followed but moved too little to be measured is left-censored: it counts with the probability of
     moving less than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.
@@ -119,6 +125,7 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
         plant: the model the shakes were planned with.
         observed: shakes of this plant; with none, the members stand for the belief as it is.
         params: of the ensemble.
+        pads: what is believed of them so far.
 
     Raises:
         InputError: wrong number of flowers.
@@ -128,7 +135,7 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
         if len(one.amplitude) != flowers:
             given = f"{len(one.amplitude)} flowers"
             raise bad_input("response", given=given, allowed=f"the plant's {flowers}", do="Use its own response.")
-    members = scenarios(plant, params.members, params.seed, branch_spread=params.branch_spread)
+    members = scenarios(plant, params.members, params.seed, pads=pads, branch_spread=params.branch_spread)
     phasors = [_phasors(members, one) for one in observed]
     told = np.zeros((len(members), flowers))
     for one, motion in zip(observed, phasors, strict=True):
@@ -138,7 +145,8 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
     notes = tuple(f"refinement: {one.useless}; the shake teaches nothing." for one in observed if one.useless)
     amplitude = [np.exp(weights @ _log_amplitude(motion)) for motion in phasors]
     return Refinement(
-        _moments(plant.material, [m.material for m in members], weights) if useful else plant.material,
+        _moments(plant.material, [m.plant.material for m in members], weights) if useful else plant.material,
+        replace(pads, **_moved(pads, [m.pads for m in members], PADS_LEARNED, weights)) if useful else pads,
         np.array(amplitude).reshape(len(observed), flowers),
         float(1 / np.sum(weights**2)),
         evidence if useful else 0.0,
@@ -148,13 +156,21 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
     )
 
 
-def _phasors(members: Sequence[PlantModel], one: Observed) -> NDArray[np.complex128]:
-    """Return (M, F, 3) the flowers' motion [m]; member 0 is the plant as believed, for which the plan is reproduced."""
-    shake = one.shake
-    grip = pad_nodes(members[0], grip_rows(members[0], shake.grasp.point[None]))
-    frequency = np.array([shake.frequency])
+def _phasors(members: Sequence[Version], one: Observed) -> NDArray[np.complex128]:
+    """Return (M, F, 3) the flowers' motion [m]; the plan is reproduced for the plant and the pads it was made with.
+
+    Member 0 is the plant as believed; the pads may be believed otherwise since.
+    """
+    shake, (plant, pads) = one.shake, members[0]
+    grip, frequency = (
+        pad_nodes(plant, grip_rows(plant, shake.grasp.point[None]), pads.width),
+        np.array([shake.frequency]),
+    )
     motion = np.array([flower_motion(member, grip, shake.direction, frequency)[0, 0] for member in members])
-    linear = np.maximum(semi_major(motion[0]), 1e-12)
+    planned = motion[0]
+    if shake.pads != pads:
+        planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequency)[0, 0]
+    linear = np.maximum(semi_major(planned), 1e-12)
     return (motion * (shake.predicted_amplitude / linear)[:, None]).astype(np.complex128)
 
 
@@ -211,11 +227,16 @@ def _moments(before: Material, members: list[Material], weights: Array) -> Mater
     Draws that would not stand are stiffened, so the members' own mean E lies above the belief, by 0.27 in ln on eight
     plants (measured). What counts is the difference from it: a shake that tells nothing leaves the belief as it is.
     """
+    return before.changed(**_moved(before, members, LEARNED, weights))
+
+
+def _moved(before: Any, members: Sequence[Any], learned: Mapping[str, str], weights: Array) -> dict[str, float]:
+    """Return by name the values and spreads that the weights of the members leave; `learned` names both."""
     moved: dict[str, float] = {}
-    for name, spread in LEARNED.items():
+    for name, spread in learned.items():
         logs = np.log([getattr(m, name) for m in members])
         mean, drawn = float(weights @ logs), float(logs.mean())
         narrowed = np.sqrt(weights @ (logs - mean) ** 2) / max(float(logs.std()), 1e-12)
         moved[name] = float(getattr(before, name) * np.exp(mean - drawn))
         moved[spread] = float(getattr(before, spread) * min(narrowed, 1.0))
-    return before.changed(**moved)
+    return moved
