@@ -6,46 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dense_grip import dense_answer
 from made_rods import cantilever, random_tree
 
-from anther.elastic_rod import Clamp, Rods
-from anther.elastic_rod.assembly import new_blocks
+from anther.elastic_rod import Clamp
 from anther.elastic_rod.grip import Springs, rigid_motion
-from anther.elastic_rod.linear import dense, linearise, set_dynamic
 from anther.elastic_rod.response import driven_response
-from anther.elastic_rod.rods import GRAVITY
 from anther.errors import InputError
 
 HERTZ = np.array([2.0, 11.0, 30.0])
 WAYS = np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
-
-
-def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float) -> Any:
-    """Return (D, 4N) the motion of rods whose gripped unknowns are replaced by a body on springs, all in one matrix."""
-    system, omega = linearise(rods, Clamp.root(rods), GRAVITY), 2 * np.pi * hertz
-    blocks, held = new_blocks(len(rods.nodes), np.complex128), np.array(pad)
-    set_dynamic(system, omega, blocks)
-    matrix = dense(system.model, blocks)
-    edges = [j for j in pad if rods.parent[j] in pad]
-    rows = np.concatenate([(4 * held[:, None] + np.arange(3)).ravel(), 4 * np.array(edges) + 3])
-    others = np.setdiff1d(np.arange(len(matrix)), rows)
-    follow = np.zeros((len(matrix), len(others) + 6))
-    follow[others, np.arange(len(others))] = 1
-    x = system.positions
-    for k, node in enumerate(pad):
-        for axis in range(3):
-            turn = np.cross(np.eye(3)[axis], x[node] - x[pad[0]])
-            follow[rows[3 * k : 3 * k + 3], len(others) + axis] = np.eye(3)[axis]
-            follow[rows[3 * k : 3 * k + 3], len(others) + 3 + axis] = turn
-    for k, j in enumerate(edges):
-        way = x[j] - x[rods.parent[j]]
-        follow[rows[3 * len(pad) + k], len(others) + 3 :] = way / np.linalg.norm(way)
-    stiff = np.diag(np.repeat([springs.translation, springs.rotation], 3))
-    reduced = follow.T @ matrix @ follow
-    reduced[-6:, -6:] += stiff
-    pull = np.zeros((len(reduced), len(WAYS)))
-    pull[-6:-3] = springs.translation * WAYS.T
-    return (follow @ np.linalg.solve(reduced, pull)).T
 
 
 @pytest.mark.parametrize("springs", [Springs(5e3, 0.3), Springs(50, 1e-3), Springs(1e9, 1e6)])
@@ -56,7 +26,7 @@ def test_the_answer_is_that_of_one_matrix_with_the_springs_in_it(springs: Spring
     given = {"observe": np.arange(16), "springs": springs}
     found = driven_response(rods, Clamp.root(rods), [[12], pad], WAYS, HERTZ, **given)
     for q, hertz in enumerate(HERTZ):
-        expected = dense_answer(rods, pad, springs, float(hertz)).reshape(len(WAYS), 16, 4)
+        expected = dense_answer(rods, pad, springs, float(hertz), WAYS)
         np.testing.assert_allclose(found.motion[q, 1], expected[:, :, :3], atol=1e-6 * np.abs(expected).max())
         given_way = WAYS - expected[:, pad[0], :3]
         np.testing.assert_allclose(found.force[q, 1], springs.translation * given_way, rtol=1e-4, atol=1e-6)

@@ -1,4 +1,4 @@
-"""Observed: what one shake of a plant did to its flowers, as `refine` takes it. F flowers."""
+"""Observed: what one shake did to a plant and to the gripper, as `refine` takes it. F flowers, S points of the stem."""
 
 from __future__ import annotations
 
@@ -18,6 +18,51 @@ def _unknown() -> Array:
     return np.array(np.nan)
 
 
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """What the arm did and felt in a shake. What was not measured is NaN.
+
+    Attributes:
+        moved: amplitude of the gripper along the shake [m]; NaN: as planned.
+        began: the gripper moves as sin(2 pi f (t - began)), on the robot's clock [s].
+        force: of the grip at the shake's frequency [N]: sqrt |F . F| of its phasor F, without conjugation, which is its
+            amplitude where it does not go round. An arm that tells the size of a force alone tells this.
+        force_std: its standard deviation [N].
+        force_phase: by which the force is ahead of the gripper's motion [rad], up to half a turn: arg(F . F) / 2.
+    """
+
+    moved: float = float("nan")
+    began: float = float("nan")
+    force: float = float("nan")
+    force_std: float = float("nan")
+    force_phase: float = float("nan")
+
+
+NOTHING_FELT = Felt()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """How the main stem moves beside the pads, across itself: a camera tells nothing along it.
+
+    Attributes:
+        points: (S, 3) at rest, world [m].
+        axis: (S, 3) unit vectors along which the motion is measured, world.
+        motion: (S,) phasors of the motion along `axis`, relative to the gripper's sine [m].
+        std: (S,) standard deviation of real and imaginary part [m].
+    """
+
+    points: Array
+    axis: Array
+    motion: NDArray[np.complex128]
+    std: Array
+
+    @classmethod
+    def nothing(cls) -> Beside:
+        """Return what is known where nothing was measured."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.complex128), np.zeros(0))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
     """What one shake did. What was not measured is NaN, and so is what is not given.
@@ -30,6 +75,8 @@ class Observed:
         phase: (F,) by which a flower's motion along `axis` is ahead of the grip's along the shake [rad].
         phase_std: (F,) its standard deviation [rad].
         axis: (F, 3) unit vectors, world.
+        felt: what the arm did and felt.
+        beside: what the stem did beside the pads.
     """
 
     shake: ShakePlan
@@ -39,6 +86,8 @@ class Observed:
     phase: Array = field(default_factory=_unknown)
     phase_std: Array = field(default_factory=_unknown)
     axis: Array = field(default_factory=_unknown)
+    felt: Felt = NOTHING_FELT
+    beside: Beside = field(default_factory=Beside.nothing)
 
     def __post_init__(self) -> None:
         count = np.size(self.amplitude)
@@ -55,20 +104,20 @@ class Observed:
             raise bad_input("response", given=given, allowed="> 0 m", do="Check.")
 
     @classmethod
-    def of(cls, shake: ShakePlan, response: Response, began: float | None = None) -> Observed:
-        """Return what a camera measured of a shake.
+    def of(cls, shake: ShakePlan, response: Response, felt: Felt = NOTHING_FELT) -> Observed:
+        """Return what camera and arm measured of a shake.
 
         Args:
             shake: what was done.
             response: what was seen.
-            began: when the grip's motion sin(2 pi f (t - began)) began, on the frames' clock [s]; None: not known, and
-                the phases are left out.
+            felt: what the arm did and felt. Where it is not known when the motion began, phases and the stem beside the
+                pads are left out.
         """
         measured = response.amplitude, response.amplitude_std, response.at_most
-        if began is None:
-            return cls(shake, *measured)
-        ahead = response.phase + 2 * np.pi * shake.frequency * began
-        return cls(shake, *measured, ahead, response.phase_std, response.direction)
+        if not np.isfinite(felt.began):
+            return cls(shake, *measured, felt=felt)
+        ahead = response.phase + 2 * np.pi * shake.frequency * felt.began
+        return cls(shake, *measured, ahead, response.phase_std, response.direction, felt)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -83,6 +132,6 @@ class Observed:
     @property
     def useless(self) -> str:
         """Why it teaches nothing; empty when it does."""
-        if not np.any(self.seen | self.faint):
+        if not np.any(self.seen | self.faint) and not np.isfinite(self.felt.force) and not len(self.beside.points):
             return "no flower's motion was measurable"
         return "" if self.shake.waveform.kind == "sine" else f"a {self.shake.waveform} has no one frequency"

@@ -143,22 +143,50 @@ def _gains_of(
     return size[..., seen.flowers], stem, joint, omega2 * base, omega2 * load, pull
 
 
-def flower_motion(
-    version: Version, grips: Sequence[NDArray[Any]], direction: Array, frequencies: Array
-) -> ComplexArray:
-    """Return (Q, G, F, 3) the motion of the flowers per metre of gripper motion along `direction` (3,), as phasors.
+class Answer(NamedTuple):
+    """What one metre of gripper motion along one direction does, as phasors. S points of the main stem.
+
+    Attributes:
+        flowers: (Q, G, F, 3) [m/m], with the material's gain.
+        stem: (Q, G, S, 3) [m/m].
+        force: (Q, G, 3) of the grip on the stem [N/m].
+    """
+
+    flowers: ComplexArray
+    stem: ComplexArray
+    force: ComplexArray
+
+
+def answer(
+    version: Version,
+    grips: Sequence[NDArray[Any]],
+    direction: Array,
+    frequencies: Array,
+    stem: Sequence[int] | NDArray[Any] = (),
+) -> Answer:
+    """Return the linear answer of one scenario.
 
     Args:
         version: one scenario.
         grips: G lists of the rod nodes between the pads, see `pad_nodes`.
         direction: (3,) of the shake.
         frequencies: (Q,) [Hz].
+        stem: (S,) rod nodes that are observed beside the flowers.
     """
     plant = version.plant
-    at = (3 * plant.flower_nodes[:, None] + np.arange(3)).ravel()
-    flowers = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 3 * len(plant.rods.nodes)))
-    response = _response(version, grips, flowers, frequencies)
-    return _answered(plant, grips, response.vectors, response.pads) @ direction
+    nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
+    at = (3 * nodes[:, None] + np.arange(3)).ravel()
+    seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 3 * len(plant.rods.nodes)))
+    response = _response(version, grips, seen, frequencies)
+    flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
+    return Answer(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
+
+
+def flower_motion(
+    version: Version, grips: Sequence[NDArray[Any]], direction: Array, frequencies: Array
+) -> ComplexArray:
+    """Return (Q, G, F, 3) the motion of the flowers alone of what `answer` returns; its arguments are the same."""
+    return answer(version, grips, direction, frequencies).flowers
 
 
 def _response(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
