@@ -17,14 +17,14 @@ from anther.execution import Trial
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
-from anther.identification import Observed, refine
+from anther.identification import Observed, feel, refine
 from anther.masks import Masks, by_words
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response
 from anther.runs import Advance, Run
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.vibration import ShakePlan
+from anther.vibration import Pads, ShakePlan
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
     "nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision", "limits_exceeded",
@@ -102,6 +102,7 @@ class Done:
     Attributes:
         material: what is believed of the plant afterwards.
         believed: what the shake was planned with; None if unknown.
+        pads: what is believed of the gripper's pads afterwards; None if unknown.
     """
 
     shake: ShakePlan
@@ -109,6 +110,7 @@ class Done:
     response: Response | None
     material: Material
     believed: Material | None = None
+    pads: Pads | None = None
 
 
 def perceive(
@@ -190,9 +192,11 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
             shake, trial = _shaken(cell, planner, rods, grasps, run, arrive, params=params)
     answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
     if answer is None:
-        return Done(shake, trial, answer, rods.material, rods.material)
-    learned = run.timed("learning", lambda _: refine(rods, [Observed.of(shake, answer)]))
-    return Done(shake, trial, answer, learned.material, rods.material)
+        return Done(shake, trial, answer, rods.material, rods.material, shake.pads)
+    felt = feel(trial, shake, cell.limits.forward)
+    seen = [Observed.of(shake, answer, felt)]
+    learned = run.timed("learning", lambda _: refine(rods, seen, pads=shake.pads))
+    return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
 
 
 def _watched(
