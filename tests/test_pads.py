@@ -13,8 +13,9 @@ from sample_plants import branched
 
 from anther.elastic_rod.grip import Springs
 from anther.errors import InputError
-from anther.identification import Beside, Felt, Observed, Params, Refinement, refine
+from anther.identification import Felt, Observed, Params, Refinement, refine
 from anther.plant import TOMATO, PlantModel, build_plant
+from anther.response import StemMotion
 from anther.vibration import PADS, SINE, Pads, ShakePlan
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import grip_rows, pad_nodes
@@ -54,7 +55,7 @@ def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, be
     if beside:
         near = plant.stem_nodes[[HELD - 2, HELD + 2, HELD + 3]]
         places = plant.rods.nodes[near]
-        told["beside"] = Beside(places, np.tile(WAY, (3, 1)), motion[near] @ WAY, np.full(3, 5e-5))
+        told["beside"] = StemMotion(places, np.tile(WAY, (3, 1)), motion[near] @ WAY, np.full(3, 5e-5))
     return Observed(shake, size, 0.03 * size, **told)
 
 

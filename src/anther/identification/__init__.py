@@ -18,7 +18,7 @@ from anther.identification.material_test import (
     read_material,
     write_material,
 )
-from anther.identification.observed import Beside, Felt, Observed
+from anther.identification.observed import Felt, Observed
 from anther.identification.refinement import Params, Refinement, refine
 from anther.identification.stiffness import (
     straight_line_youngs,
@@ -29,7 +29,6 @@ from anther.identification.stiffness import (
 from anther.identification.uncertainty import Estimate, combine, disagreement, propagate
 
 __all__ = [
-    "Beside",
     "ClampedStem",
     "Density",
     "Estimate",

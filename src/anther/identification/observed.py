@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from anther.checks import check_array
 from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
-from anther.response import Response
+from anther.response import Response, StemMotion
 from anther.vibration import ShakePlan
 
 
@@ -42,28 +42,6 @@ NOTHING_FELT = Felt()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beside:
-    """How the main stem moves beside the pads, across itself: a camera tells nothing along it.
-
-    Attributes:
-        points: (S, 3) at rest, world [m].
-        axis: (S, 3) unit vectors along which the motion is measured, world.
-        motion: (S,) phasors of the motion along `axis`, relative to the gripper's sine [m].
-        std: (S,) standard deviation of real and imaginary part [m].
-    """
-
-    points: Array
-    axis: Array
-    motion: NDArray[np.complex128]
-    std: Array
-
-    @classmethod
-    def nothing(cls) -> Beside:
-        """Return what is known where nothing was measured."""
-        return cls(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.complex128), np.zeros(0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Observed:
     """What one shake did. What was not measured is NaN, and so is what is not given.
 
@@ -76,7 +54,7 @@ class Observed:
         phase_std: (F,) its standard deviation [rad].
         axis: (F, 3) unit vectors, world.
         felt: what the arm did and felt.
-        beside: what the stem did beside the pads.
+        beside: what the stem did beside the pads; its phasors are relative to the gripper's sine.
     """
 
     shake: ShakePlan
@@ -87,7 +65,7 @@ class Observed:
     phase_std: Array = field(default_factory=_unknown)
     axis: Array = field(default_factory=_unknown)
     felt: Felt = NOTHING_FELT
-    beside: Beside = field(default_factory=Beside.nothing)
+    beside: StemMotion = field(default_factory=lambda: StemMotion.of([]))
 
     def __post_init__(self) -> None:
         count = np.size(self.amplitude)
@@ -117,7 +95,9 @@ class Observed:
         if not np.isfinite(felt.began):
             return cls(shake, *measured, felt=felt)
         ahead = response.phase + 2 * np.pi * shake.frequency * felt.began
-        return cls(shake, *measured, ahead, response.phase_std, response.direction, felt)
+        turned, stem = np.exp(2j * np.pi * shake.frequency * felt.began), response.stem
+        beside = replace(stem, motion=stem.motion * turned)
+        return cls(shake, *measured, ahead, response.phase_std, response.direction, felt, beside)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
