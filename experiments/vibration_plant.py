@@ -23,7 +23,7 @@ from anther.errors import StageFailure
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import Grasp
-from anther.identification import Observed, Refinement, refine
+from anther.identification import Felt, Observed, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
 from anther.sim.capture import CameraErrors, noisy_rgb
@@ -36,7 +36,7 @@ from anther.sim.shaken_plant import Shaken, ShakenPlant
 from anther.vibration import ShakePlan
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.observables import semi_major
-from anther.vibration.search import grip_rows, pad_nodes
+from anther.vibration.pads import PADS, grip_rows, pad_nodes
 from anther.vibration.verification import steadily_shaken
 from anther.vibration.waveforms import SINE
 
@@ -167,10 +167,10 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
 
 def _nonlinear(model: PlantModel, material: Material, point: Array, amplitude: float, frequency: float) -> Array:
     """Return what the nonlinear solver says of every flower's amplitude (F,) [m]; NaN where it finds no solution."""
-    node, also = pad_nodes(model, grip_rows(model, point[None]))[0]
-    drive = Drive(int(node), DIRECTION, amplitude, frequency, 0, (int(also),))
+    node, *also = (int(n) for n in pad_nodes(model, grip_rows(model, point[None]))[0])
+    drive = Drive(node, DIRECTION, amplitude, frequency, 0, tuple(also))
     try:
-        return steadily_shaken(model.with_material(material), drive).amplitude
+        return steadily_shaken(model.with_material(material), drive, PADS.springs).amplitude
     except StageFailure:
         return np.full(len(model.flower_nodes), np.nan)
 
@@ -227,12 +227,12 @@ def probed(
         done = shaken.steady(PROBE_AMPLITUDE, f)
         answer = measure_response(filmed(scene, shaken, done, pose, seed), intrinsics, pose, seen.flowers, f)
         expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([f]))[0, 0]
-        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "waveform": SINE}
+        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "waveform": SINE, "pads": PADS}
         place, predicted = SimpleNamespace(point=grip.point), PROBE_AMPLITUDE * expected
         shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=predicted, **facts))
         true = np.full(len(expected), np.nan)
         true[i] = np.abs(done.amplitude[j] + rng.normal(0, CAMERA_ERROR, len(j)))
-        by_camera.append(Observed.of(shake, answer, began=0.0))
+        by_camera.append(Observed.of(shake, answer, Felt(began=0.0)))
         by_truth.append(Observed(shake, true, np.full(len(expected), CAMERA_ERROR)))
         told.append({"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]})
     beliefs = {"prior": refine(model, []), "probe": refine(model, by_camera)}

@@ -10,14 +10,16 @@ import pytest
 from sample_plants import branched
 
 from anther.elastic_rod import Drive, simulate
+from anther.elastic_rod.grip import RIGID, Rocking, Springs
 from anther.elastic_rod.observed import observed_response
 from anther.elastic_rod.response import driven_response, steady_motion
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration.observables import observables, semi_major
-from anther.vibration.search import pad_nodes
+from anther.vibration.pads import pad_nodes
 from anther.vibration.verification import steadily_shaken
 
 WAY = np.array([0.8, 0.6, 0.0])
+SOFT = Springs(5e3, 0.3)
 
 
 @pytest.fixture(scope="module")
@@ -27,31 +29,38 @@ def plant() -> PlantModel:
 
 
 def drive_of(plant: PlantModel, amplitude: float, frequency: float) -> Drive:
-    node, also = (int(n) for n in pad_nodes(plant, np.array([12]))[0])
-    return Drive(node, WAY, amplitude, frequency, 0, (also,))
+    node, *also = (int(n) for n in pad_nodes(plant, np.array([12]))[0])
+    return Drive(node, WAY, amplitude, frequency, 0, tuple(also))
 
 
-def test_what_is_observed_is_what_the_whole_response_says(plant: PlantModel) -> None:
+@pytest.mark.parametrize("springs", [RIGID, SOFT])
+def test_what_is_observed_is_what_the_whole_response_says(plant: PlantModel, springs: Springs) -> None:
     seen, frequencies = observables(plant), np.array([1.5, 7.0, 20.0])
-    grips = pad_nodes(plant, np.array([5, 12, len(plant.stem_nodes) - 1]))
-    found = observed_response(plant.rods, plant.clamp, grips, seen.operator, frequencies, loss_factor=0.1)
+    grips = pad_nodes(plant, np.array([5, 12, len(plant.stem_nodes) - 1]), width=0.034)
+    assert [len(grip) for grip in grips] == [3, 3, 2]
+    given = {"loss_factor": 0.1, "springs": springs}
+    found = observed_response(plant.rods, plant.clamp, grips, seen.operator, frequencies, **given)
     everything = np.arange(len(plant.rods.nodes))
-    whole = driven_response(plant.rods, plant.clamp, grips, np.eye(3), frequencies, observe=everything, loss_factor=0.1)
+    whole = driven_response(plant.rods, plant.clamp, grips, np.eye(3), frequencies, observe=everything, **given)
     motion = whole.motion.reshape(3, 3, 3, -1)  # frequency, grip, axis, unknown
     expected = np.einsum("ku,qgau->qgka", seen.operator.toarray(), motion).reshape(3, 3, -1, 3, 3)
     np.testing.assert_allclose(found.vectors, expected, atol=1e-9 * np.abs(expected).max(axis=(0, 1, 3, 4)).max())
     np.testing.assert_allclose(found.force, np.swapaxes(whole.force, 2, 3), rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(found.moment, np.swapaxes(whole.moment, 2, 3), rtol=1e-8, atol=1e-8)
 
 
-def test_a_small_shake_that_begins_in_the_steady_state_stays_in_it(plant: PlantModel) -> None:
+@pytest.mark.parametrize("springs", [RIGID, SOFT])
+def test_a_small_shake_that_begins_in_the_steady_state_stays_in_it(plant: PlantModel, springs: Springs) -> None:
     """The midpoint rule's own steady state is that of the warped frequency, exactly."""
     steps, f = 24, 6.0
     drive, dt = drive_of(plant, 1e-6, f), np.tan(np.pi / 24) / (np.pi * f)
     rods = plant.rods_at(f)
-    motion = steady_motion(rods, plant.clamp, drive)
-    assert motion[list(drive.nodes), :3] == pytest.approx(np.tile(1e-6 * WAY, (2, 1)), abs=1e-15)
+    motion, pads = steady_motion(rods, plant.clamp, drive, springs=springs)
+    rigid = np.allclose(motion[list(drive.nodes), :3], 1e-6 * WAY, rtol=0, atol=1e-15)
+    assert rigid == (springs == RIGID)
+    swung = Rocking(drive.nodes, pads[:3], pads[3:], 1 / (steps * dt))
     path = simulate(
-        rods, plant.clamp, replace(drive, frequency=1 / (steps * dt)), 5 * steps * dt, dt, start="scanned",
+        rods, plant.clamp, swung, 5 * steps * dt, dt, start="scanned",
         tolerance=1e-11, moving=(motion.imag, 2 * np.pi * f * motion.real),
     )  # fmt: skip
     flowers = path.positions[:, plant.flower_nodes] - plant.rods.nodes[plant.flower_nodes]

@@ -26,8 +26,9 @@ from anther.vibration.choice import plant_limits
 from anther.vibration.dose import freed_share
 from anther.vibration.limits import pollen_dose, sawyer_limit
 from anther.vibration.observables import observables, semi_major
+from anther.vibration.pads import Pads, grip_rows, pad_nodes
 from anther.vibration.params import FLOWER_SPREAD
-from anther.vibration.search import gains, grip_rows, pad_nodes, scenarios
+from anther.vibration.search import Version, gains, scenarios
 from anther.vibration.verification import Shake, shaken, verified
 from anther.vibration.waveforms import mix
 
@@ -225,10 +226,10 @@ def test_a_slippery_grip_is_shaken_less(plant: PlantModel, grasps: list[Grasp]) 
     assert "against slip" in plan.reason
 
 
-def strain_of_pedicels(plant: PlantModel, plan: ShakePlan) -> float:
+def strain_of_pedicels(version: Version, plan: ShakePlan) -> float:
     """Return the largest strain of a pedicel when a plant is shaken as planned, by linear theory."""
-    held = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
-    response = gains([plant], held, plan.direction[None, None], np.array([plan.frequency]))
+    held = pad_nodes(version.plant, grip_rows(version.plant, plan.grasp.point[None]))
+    response = gains([version], held, plan.direction[None, None], np.array([plan.frequency]))
     return plan.amplitude * float(response.joint_strain.max())
 
 
@@ -236,8 +237,9 @@ def test_the_more_a_resonance_may_strain_pedicels_the_gentler_the_shake(plant: P
     strong = ArmShaker(lambda g, d, f: 9 * sawyer_limit(g, d, f))
 
     def pushed(strain: float) -> float:
-        """Return the grip's acceleration, beyond 10 Hz what its speed would be at 10 Hz [m/s2]."""
-        plan = plan_shake(plant, grasps, strong, replace(QUICK, resonant_strain=strain))
+        """Return the grip's acceleration, beyond 10 Hz what its speed would be at 10 Hz [m/s2]; its pads do not give."""
+        firm = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0, turning_spread=0)
+        plan = plan_shake(plant, grasps, strong, replace(QUICK, resonant_strain=strain, pads=firm))
         omega = 2 * np.pi * plan.frequency
         return plan.amplitude * omega * min(omega, 20 * np.pi)
 
@@ -250,9 +252,9 @@ def test_a_belief_gone_stale_does_not_strain_pedicels(plant: PlantModel, grasps:
     believed = TOMATO.changed(youngs_spread=0.2)
     for stiffer in (0.5, 3.0, 6.0):
         stale = plant.with_material(replace(believed, youngs=stiffer * plant.material.youngs))
-        assert strain_of_pedicels(plant, plan_shake(stale, grasps, params=QUICK)) < 0.5 * QUICK.joint_strain
+        assert strain_of_pedicels(Version(plant), plan_shake(stale, grasps, params=QUICK)) < 0.5 * QUICK.joint_strain
     trusting = plan_shake(stale, grasps, params=replace(QUICK, resonant_strain=0.0))
-    assert strain_of_pedicels(plant, trusting) > QUICK.joint_strain
+    assert strain_of_pedicels(Version(plant), trusting) > QUICK.joint_strain
 
 
 def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: PlantModel, grasps: list[Grasp]) -> None:

@@ -17,14 +17,14 @@ from anther.execution import Trial
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
-from anther.identification import Observed, refine
+from anther.identification import Observed, feel, refine
 from anther.masks import Masks, by_words
 from anther.plant import Material, PlantModel
-from anther.response import Response, measure_response
+from anther.response import Response, measure_response, stem_near
 from anther.runs import Advance, Run
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.vibration import ShakePlan
+from anther.vibration import Pads, ShakePlan
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
     "nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision", "limits_exceeded",
@@ -102,6 +102,7 @@ class Done:
     Attributes:
         material: what is believed of the plant afterwards.
         believed: what the shake was planned with; None if unknown.
+        pads: what is believed of the gripper's pads afterwards; None if unknown.
     """
 
     shake: ShakePlan
@@ -109,6 +110,7 @@ class Done:
     response: Response | None
     material: Material
     believed: Material | None = None
+    pads: Pads | None = None
 
 
 def perceive(
@@ -188,25 +190,35 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
         with early_reach(planner, grasps[0], cell.robot, cell.limits, params.execution) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
             shake, trial = _shaken(cell, planner, rods, grasps, run, arrive, params=params)
-    answer = _watched(cell, trial, shake, seen.flowers, run, params=params)
+    answer = _watched(cell, trial, shake, seen, run, params=params)
     if answer is None:
-        return Done(shake, trial, answer, rods.material, rods.material)
-    learned = run.timed("learning", lambda _: refine(rods, [Observed.of(shake, answer)]))
-    return Done(shake, trial, answer, learned.material, rods.material)
+        return Done(shake, trial, answer, rods.material, rods.material, shake.pads)
+    felt = feel(trial, shake, cell.limits.forward)
+    seen = [Observed.of(shake, answer, felt)]
+    learned = run.timed("learning", lambda _: refine(rods, seen, pads=shake.pads))
+    return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
 
 
-def _watched(
-    cell: Cell, trial: Trial, shake: ShakePlan, found: Flowers, run: Run, *, params: Params
-) -> Response | None:
-    """Measure the flowers' motion in the side camera's frames; None when there are none."""
+def _watched(cell: Cell, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *, params: Params) -> Response | None:
+    """Measure the motion of flowers and stem in the side camera's frames; None when there are none."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
-    if camera is None or pose is None or not trial.frames or not len(found.positions):
+    if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
         return None
+    ids = seen.stem.node_ids
+    beside = stem_near(
+        seen.skeleton.nodes[ids], seen.stem.arc_length, seen.skeleton.radius[ids], shake.grasp.arc_length
+    )
     return run.stage(
         "response",
         Response.load,
         lambda _: measure_response(
-            trial.frames, camera.intrinsics, pose, found, frequency_hint=shake.frequency, params=params.response
+            trial.frames,
+            camera.intrinsics,
+            pose,
+            seen.flowers,
+            shake.frequency,
+            stem=beside,
+            params=params.response,
         ),
     )
 

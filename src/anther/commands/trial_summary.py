@@ -88,6 +88,8 @@ def _planned(done: Done | None) -> dict[str, Any]:
         "execution": done.trial.stop_reason,
         "learned_youngs_pa": done.material.youngs,
         "learned_damping_ratio": done.material.damping_ratio,
+        "learned_pad_stiffness_n_m": None if done.pads is None else done.pads.stiffness,
+        "learned_pad_turning_nm_rad": None if done.pads is None else done.pads.turning,
     }
 
 

@@ -30,6 +30,7 @@ class Linear:
         damping: C, from viscosity and drag.
         loss: the elastic stiffness times the loss factor: hysteretic damping, i loss at every frequency.
         mass: M.
+        positions: (N, 3) of the nodes in equilibrium [m].
     """
 
     model: Model
@@ -38,6 +39,7 @@ class Linear:
     damping: Blocks
     loss: Blocks
     mass: Blocks
+    positions: Array
 
 
 def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float = 0.0) -> Linear:
@@ -68,7 +70,7 @@ def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float =
     _add_diagonal(damping, np.repeat(model.drag[:, None], 3, axis=1))
     loss = per_rate(model._replace(viscous=np.full(n, loss_factor))) if loss_factor > 0 else new_blocks(n)
     constrain(model, free, stiffness)
-    return Linear(model, free, stiffness, damping, loss, _mass(model))
+    return Linear(model, free, stiffness, damping, loss, _mass(model), state.x)
 
 
 def _mass(model: Model) -> Blocks:

@@ -6,6 +6,7 @@ Q frequencies, G grips, K observed vectors, L loaded unknowns, R rows of the tru
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -14,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from anther.elastic_rod.assembly import new_blocks
+from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
 from anther.elastic_rod.linear import linearise, set_dynamic
 from anther.elastic_rod.model import Model
 from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.response import ComplexArray, held_unknowns, towards_root
+from anther.elastic_rod.response import towards_root
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.tree_solver import factor, solve_columns, substitute_columns
 from anther.elastic_rod.vectors import compiled
@@ -29,21 +31,26 @@ class Observed(NamedTuple):
     Attributes:
         vectors: (Q, G, K, 3, 3) observed vectors (rows) for each axis of the shake (columns).
         force: (Q, G, 3, 3) that the grip exerts, summed over its nodes, in the same way [N/m].
+        moment: (Q, G, 3, 3) likewise, about its first node [N m/m].
+        pads: (Q, G, 6, 3) motion of the pads: displacement of the first node [m/m], then rotation [rad/m].
     """
 
     vectors: ComplexArray
     force: ComplexArray
+    moment: ComplexArray
+    pads: ComplexArray
 
 
 def observed_response(
     rods: Rods,
     clamp: Clamp,
-    grip_nodes: NDArray[Any],
+    grip_nodes: Sequence[NDArray[Any]],
     operator: Any,
     frequencies: Array,
     *,
     loss_factor: float = 0.0,
     gravity: ArrayLike = GRAVITY,
+    springs: Springs = RIGID,
 ) -> Observed:
     """Return what `driven_response` says of linear functions of the displacements, at less cost for many grips.
 
@@ -54,19 +61,20 @@ def observed_response(
     Args:
         rods: the rods.
         clamp: what never moves.
-        grip_nodes: (G, P) nodes that move alike between the pads.
+        grip_nodes: G lists of the nodes between the pads, not all of one length.
         operator: (3K, 3N) sparse, from displacements to observed vectors. A vector may look at the trunk and at one
             branch, not at two.
         frequencies: (Q,) [Hz].
         loss_factor: see `driven_response`.
         gravity: (3,) [m/s^2].
+        springs: between gripper and pads.
 
     Raises:
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     system = linearise(rods, clamp, gravity, loss_factor)
-    held = np.array([held_unknowns(rods, pad) for pad in grip_nodes])
-    loads = np.unique(held)
+    held = [held_unknowns(rods.parent, pad) for pad in grip_nodes]
+    loads = np.unique(np.concatenate(held))
     view = _view(system.model, towards_root(system.model, loads // 4), operator)
     trunk = np.empty((len(frequencies), len(loads), 4 * len(view.trunk)), np.complex128)
     branch = np.empty((len(frequencies), operator.shape[0], 8), np.complex128)
@@ -83,11 +91,17 @@ def observed_response(
     cores = min(os.cpu_count() or 1, len(frequencies))
     with ThreadPoolExecutor(cores) as pool:
         list(pool.map(solve_some, np.array_split(np.arange(len(frequencies)), cores)))
-    force, moves = _held(trunk, view.place[held // 4] * 4 + held % 4, np.searchsorted(loads, held), grip_nodes.shape[1])
-    vectors = np.empty((*moves.shape[:2], operator.shape[0] // 3, 3, 3), np.complex128)
-    for q in range(len(frequencies)):
-        _observe(branch[q], view.base, view.direct, moves[q], vectors[q])
-    return Observed(vectors, force)
+    vectors = np.empty((len(frequencies), len(held), operator.shape[0] // 3, 3, 3), np.complex128)
+    wrench, moved = (np.empty((len(frequencies), len(held), 6, 3), np.complex128) for _ in range(2))
+    for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
+        body = rigid_motion(rods.parent, system.positions, np.asarray(pad))
+        at, rows = view.place[unknowns // 4] * 4 + unknowns % 4, np.searchsorted(loads, unknowns)
+        taken = grasped(trunk[:, rows][:, :, at], body, np.eye(3), springs)
+        wrench[:, g], moved[:, g] = taken.wrench, taken.pads
+        moves = np.swapaxes(trunk[:, rows], 1, 2) @ taken.forces
+        for q in range(len(frequencies)):
+            _observe(branch[q], view.base, view.direct, moves[q], vectors[q, g])
+    return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
 
 
 class _View(NamedTuple):
@@ -129,22 +143,6 @@ def _view(model: Model, trunk: NDArray[Any], operator: Any) -> _View:
     return _View(trunk, place, branches, preset, beyond, seen, direct)
 
 
-def _held(trunk: ComplexArray, at: NDArray[Any], load: NDArray[Any], pads: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return the grips' forces (Q, G, 3, 3) and the trunk's motion (Q, G, 4R, 3) per metre along each axis.
-
-    Args:
-        trunk: (Q, L, 4R) motion of the trunk per unit load.
-        at: (G, H) unknowns of the trunk that each grip holds: positions of its nodes, then spins.
-        load: (G, H) the same among the loads.
-        pads: nodes in a grip.
-    """
-    moved = np.zeros((at.shape[1], 3))
-    moved[: 3 * pads] = np.tile(np.eye(3), (pads, 1))  # spins stay 0
-    forces = np.linalg.solve(np.swapaxes(trunk[:, load[:, :, None], at[:, None, :]], 2, 3), moved)
-    moves = np.stack([np.swapaxes(trunk[:, rows], 1, 2) @ forces[:, g] for g, rows in enumerate(load)], axis=1)
-    return forces[:, :, : 3 * pads].reshape(*forces.shape[:2], pads, 3, 3).sum(axis=2), moves
-
-
 @compiled
 def _trunk_motion(model: Model, dynamic: Any, loads: Any, trunk: Any, columns: Any, out: Any) -> None:
     """Write (L, 4R) the motion of the trunk per unit load; `columns` (2, N, 4, L) is scratch."""
@@ -178,18 +176,17 @@ def _branch_motion(model: Model, dynamic: Any, branches: Any, preset: Any, beyon
 
 @compiled
 def _observe(branch: Any, base: Any, direct: Any, moves: Any, out: Any) -> None:
-    """Write (G, K, 3, 3) the observed vectors for the trunk's motions (G, 4R, 3)."""
+    """Write (K, 3, 3) the observed vectors for the trunk's motion (4R, 3)."""
     start, unknown, share = direct
-    for g in range(len(moves)):
-        for row in range(len(branch)):
-            k, i = row // 3, row % 3
-            for axis in range(3):
-                out[g, k, i, axis] = 0
-            for c in range(8):
-                at = 4 * base[k, c // 4] + c % 4
-                if branch[row, c] != 0:
-                    for axis in range(3):
-                        out[g, k, i, axis] += branch[row, c] * moves[g, at, axis]
-            for n in range(start[row], start[row + 1]):
+    for row in range(len(branch)):
+        k, i = row // 3, row % 3
+        for axis in range(3):
+            out[k, i, axis] = 0
+        for c in range(8):
+            at = 4 * base[k, c // 4] + c % 4
+            if branch[row, c] != 0:
                 for axis in range(3):
-                    out[g, k, i, axis] += share[n] * moves[g, unknown[n], axis]
+                    out[k, i, axis] += branch[row, c] * moves[at, axis]
+        for n in range(start[row], start[row + 1]):
+            for axis in range(3):
+                out[k, i, axis] += share[n] * moves[unknown[n], axis]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -11,15 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array, check_range
 from anther.elastic_rod.assembly import new_blocks
+from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
 from anther.elastic_rod.linear import Linear, linearise, set_dynamic
 from anther.elastic_rod.model import Model
-from anther.elastic_rod.motion import Clamp, Drive, gripped_edges, unit_direction
+from anther.elastic_rod.motion import Clamp, Drive, unit_direction
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.tree_solver import factor, solve_columns
 from anther.elastic_rod.vectors import compiled
 from anther.errors import bad_input
-
-ComplexArray = NDArray[np.complex128]
 
 COLUMNS = 128
 """Loads solved side by side: enough for the vector units, few enough for the cache."""
@@ -31,10 +31,26 @@ class Driven(NamedTuple):
     Attributes:
         motion: (Q, G, D, O, 3) of the observed nodes [m/m].
         force: (Q, G, D, 3) that the grip exerts, summed over its nodes [N/m].
+        moment: (Q, G, D, 3) likewise, about its first node [N m/m].
+        pads: (Q, G, D, 6) motion of the pads: displacement of the first node [m/m], then rotation [rad/m].
     """
 
     motion: ComplexArray
     force: ComplexArray
+    moment: ComplexArray
+    pads: ComplexArray
+
+
+class Steady(NamedTuple):
+    """The steady answer to a drive, as phasors.
+
+    Attributes:
+        motion: (N, 4) displacements [m] and spins [rad] of all nodes and edges.
+        pads: (6,) displacement of the first gripped node [m], then rotation of the pads [rad].
+    """
+
+    motion: ComplexArray
+    pads: ComplexArray
 
 
 def frequency_response(
@@ -66,7 +82,7 @@ def frequency_response(
 def response_map(
     rods: Rods,
     clamp: Clamp,
-    grip_nodes: ArrayLike,
+    grip_nodes: Sequence[ArrayLike] | NDArray[Any],
     directions: ArrayLike,
     frequencies: ArrayLike,
     *,
@@ -83,38 +99,40 @@ def response_map(
 def driven_response(
     rods: Rods,
     clamp: Clamp,
-    grip_nodes: ArrayLike,
+    grip_nodes: Sequence[ArrayLike] | NDArray[Any],
     directions: ArrayLike,
     frequencies: ArrayLike,
     *,
     observe: ArrayLike,
     gravity: ArrayLike = GRAVITY,
     loss_factor: float = 0.0,
+    springs: Springs = RIGID,
 ) -> Driven:
     """Return how the observed nodes answer a shake at each grip node in each direction, and the force it takes.
 
     Args:
         rods: the rods.
         clamp: what never moves.
-        grip_nodes: (G,) node numbers, none of them clamped; or (G, P), the nodes that move alike between the pads.
-            One node alone may turn in the grip; neighbours hold the stem's direction, and the edge between them cannot
-            twist.
+        grip_nodes: (G,) node numbers, none of them clamped; or G lists of the nodes between the pads, not all of one
+            length. One node alone may turn in the grip; neighbours move as one body, and the edge between them cannot
+            twist in it.
         directions: (D, 3) shake directions.
         frequencies: (Q,) [Hz].
         observe: (O,) node numbers, for instance the flowers.
         gravity: (3,) [m/s^2].
         loss_factor: hysteretic damping on top of the rods' own: elastic stiffness times (1 + i loss_factor), the same
             at every frequency; a mode gets the damping ratio loss_factor / 2.
+        springs: between the gripper, which follows the shake and does not turn, and the pads.
 
-    Each frequency is factored once, without any grip. Prescribing the motion u of the unknowns g of a grip then takes
-    the forces G_gg^-1 u, with G_gg their receptance, so x = G_xg G_gg^-1 u. All cores share the frequencies.
+    Each frequency is factored once, without any grip; what a grip then takes is in `grip.grasped`. All cores share the
+    frequencies.
 
     Raises:
         InputError: node or frequency out of range.
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
-    pads = np.asarray(grip_nodes).reshape(len(np.asarray(grip_nodes)), -1)
-    gripped, seen = _node_list("grip node", pads.ravel(), rods), _node_list("observed node", observe, rods)
+    pads = [np.atleast_1d(np.asarray(pad)) for pad in grip_nodes]
+    gripped, seen = _node_list("grip node", np.concatenate(pads), rods), _node_list("observed node", observe, rods)
     hertz = check_array("frequencies", frequencies, (None,))
     for value in hertz:
         check_range("frequency", value, 0, 1e5, "Hz")
@@ -122,27 +140,25 @@ def driven_response(
     units = np.stack([unit_direction(d) for d in np.atleast_2d(np.asarray(directions, dtype=np.float64))])
     clamp.free(rods, [int(grip) for grip in gripped])
     system = linearise(rods, clamp, gravity, loss_factor)
-    held = [held_unknowns(rods, pad) for pad in pads]
-    loads, places = np.unique(np.concatenate(held), return_inverse=True)
+    held = [held_unknowns(rods.parent, pad) for pad in pads]
+    loads = np.unique(np.concatenate(held))
     wanted = np.concatenate([(4 * seen[:, None] + np.arange(3)).ravel(), loads])
     receptances = _receptances(system, loads, wanted, 2 * np.pi * hertz)
-    motion = np.empty((len(hertz), len(pads), len(units), len(seen), 3), np.complex128)
-    force = np.empty((len(hertz), len(pads), len(units), 3), np.complex128)
-    ends = np.cumsum([len(h) for h in held])
-    for g, (end, unknowns) in enumerate(zip(ends, held, strict=True)):
-        rows = places[end - len(unknowns) : end]
-        moved = np.zeros((len(unknowns), len(units)), np.complex128)
-        moved[: 3 * pads.shape[1]] = np.tile(units.T, (pads.shape[1], 1))  # spins stay 0
-        forces = np.linalg.solve(receptances[:, rows][:, :, 3 * len(seen) + rows], moved)
-        moves = np.swapaxes(forces, 1, 2) @ receptances[:, rows, : 3 * len(seen)]
-        motion[:, g] = moves.reshape(len(hertz), len(units), len(seen), 3)
-        pushes = np.swapaxes(forces[:, : 3 * pads.shape[1]], 1, 2)
-        force[:, g] = pushes.reshape(len(hertz), len(units), pads.shape[1], 3).sum(axis=2)
-    return Driven(motion, force)
+    shape = (len(hertz), len(pads), len(units))
+    motion, wrench, moved = (np.empty((*shape, width), np.complex128) for width in (3 * len(seen), 6, 6))
+    for g, (pad, unknowns) in enumerate(zip(pads, held, strict=True)):
+        rows = np.searchsorted(loads, unknowns)
+        body = rigid_motion(rods.parent, system.positions, pad)
+        taken = grasped(receptances[:, rows][:, :, 3 * len(seen) + rows], body, units, springs)
+        motion[:, g] = np.swapaxes(taken.forces, 1, 2) @ receptances[:, rows, : 3 * len(seen)]
+        wrench[:, g], moved[:, g] = (np.swapaxes(part, 1, 2) for part in (taken.wrench, taken.pads))
+    return Driven(motion.reshape(*shape, len(seen), 3), wrench[..., :3], wrench[..., 3:], moved)
 
 
-def steady_motion(rods: Rods, clamp: Clamp, drive: Drive, *, gravity: ArrayLike = GRAVITY) -> ComplexArray:
-    """Return (N, 4) the steady answer to a drive, displacements [m] and spins [rad] of all nodes and edges.
+def steady_motion(
+    rods: Rods, clamp: Clamp, drive: Drive, *, gravity: ArrayLike = GRAVITY, springs: Springs = RIGID
+) -> Steady:
+    """Return the steady answer to a drive of the gripper, with springs between it and the pads.
 
     Small vibrations about the equilibrium: the motion is the imaginary part of this times exp(i w t), since the drive
     is a sine.
@@ -150,17 +166,13 @@ def steady_motion(rods: Rods, clamp: Clamp, drive: Drive, *, gravity: ArrayLike 
     Raises:
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
-    system, everything = linearise(rods, clamp, gravity), np.arange(4 * len(rods.nodes))
-    held = held_unknowns(rods, np.array(drive.nodes))
-    moved = np.concatenate([np.tile(drive.direction, len(drive.nodes)), np.zeros(len(held) - 3 * len(drive.nodes))])
-    receptance = _receptances(system, held, everything, np.array([2 * np.pi * drive.frequency]))[0]
-    return drive.amplitude * (np.linalg.solve(receptance[:, held].T, moved) @ receptance).reshape(-1, 4)
-
-
-def held_unknowns(rods: Rods, pad: NDArray[Any]) -> NDArray[Any]:
-    """Return the unknowns 4 node + component that a grip holds: positions, then spins of the edges between the pads."""
-    edges = gripped_edges(rods.parent, tuple(pad.tolist()))
-    return np.concatenate([(4 * pad[:, None] + np.arange(3)).ravel(), 4 * edges + 3])
+    system, everything, pad = linearise(rods, clamp, gravity), np.arange(4 * len(rods.nodes)), np.array(drive.nodes)
+    held = held_unknowns(rods.parent, pad)
+    receptance = _receptances(system, held, everything, np.array([2 * np.pi * drive.frequency]))
+    body = rigid_motion(rods.parent, system.positions, pad)
+    taken = grasped(receptance[:, :, held], body, drive.direction[None], springs)
+    motion = taken.forces[0, :, 0] @ receptance[0]
+    return Steady(drive.amplitude * motion.reshape(-1, 4), drive.amplitude * taken.pads[0, :, 0])
 
 
 def _receptances(system: Linear, loads: NDArray[Any], wanted: NDArray[Any], omegas: Array) -> ComplexArray:

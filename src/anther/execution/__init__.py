@@ -131,6 +131,7 @@ class _Work:
     marks: list[tuple[str, float, float]] = field(default_factory=list)
     grips: list[GripperState] = field(default_factory=list)
     shaken: ArmRecord = field(default_factory=lambda: ArmRecord.of([]))
+    felt: list[ArmSample] = field(default_factory=list)
     frames: tuple[Frame, ...] = ()
     clock: float = 0.0
     in_plant: bool = False
@@ -187,6 +188,7 @@ class _Work:
             self.stop_reason,
             self.failure,
             self.frames,
+            np.array([(s.time, s.force) for s in self.felt], dtype=float).reshape(-1, 2),
         )
 
 
@@ -214,12 +216,11 @@ def _forward(work: _Work) -> None:
 
 
 def _shake(work: _Work, trajectory: JointTrajectory) -> None:
-    seen = list[ArmSample]()
     with _filmed(work):
         try:
-            work.shaken = work.follow(trajectory, seen.append)
+            work.shaken = work.follow(trajectory, work.felt.append)
         except BaseException:
-            work.shaken = ArmRecord.of(seen)
+            work.shaken = ArmRecord.of(work.felt)
             raise
 
 

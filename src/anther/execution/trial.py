@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from anther.checks import check_array
 from anther.devices import Frame
 from anther.errors import FailureKind
@@ -15,7 +17,7 @@ from anther.geometry import Array
 
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
 EARLY = "early reach"  # before these: the arm went to the grasp before it was told which shake (`early_reach`)
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +30,8 @@ class Trial:
             gripper fills what lies between two motions.
         shake_times: (T,) [s], on the robot's clock; empty if it never shook; of a shake cut short what was read of it.
         commanded, measured: (T, 7) joints during the shake [rad].
+        felt: (R, 2) when the arm told during the shake how large a force the world exerts on it [s], and that force
+            [N]; NaN if it cannot tell.
         gripper: (G, 3) opening [m], force [N] and held after closing, after the shake and after release.
         frame_times: (N,) when the side camera's frames were taken [s].
         stop_reason: "finished", or why it stopped.
@@ -45,6 +49,7 @@ class Trial:
     stop_reason: str
     failure: FailureKind | None = None
     frames: tuple[Frame, ...] = field(default=(), repr=False)
+    felt: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         n = len(self.shake_times)
@@ -58,6 +63,7 @@ class Trial:
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, check_array(f"trial {name}", getattr(self, name), shape))
+        object.__setattr__(self, "felt", check_array("trial felt", self.felt, (None, 2), finite=False))
 
     @property
     def finished(self) -> bool:
@@ -67,7 +73,7 @@ class Trial:
     def save(self, path: Path | str) -> None:
         """Write the trial, without the frames' pixels, to an .npz."""
         words = json.dumps({name: getattr(self, name) for name in ("phases", "stop_reason", "failure")})
-        names = ("phase_times", "shake_times", "commanded", "measured", "gripper", "frame_times")
+        names = ("phase_times", "shake_times", "commanded", "measured", "gripper", "frame_times", "felt")
         write_npz(path, "trial", SCHEMA, words=words, **{name: getattr(self, name) for name in names})
 
     @classmethod

@@ -7,6 +7,7 @@ uncertainty; its steps are `density_from_samples`, `fit_free_vibration`, `youngs
 
 from anther.identification.clamped_stem import ClampedStem, Orientation, first_frequency, tip_deflections
 from anther.identification.density import Density, density_from_samples
+from anther.identification.feeling import feel
 from anther.identification.free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification.material_test import (
     Identification,
@@ -17,7 +18,7 @@ from anther.identification.material_test import (
     read_material,
     write_material,
 )
-from anther.identification.observed import Observed
+from anther.identification.observed import Felt, Observed
 from anther.identification.refinement import Params, Refinement, refine
 from anther.identification.stiffness import (
     straight_line_youngs,
@@ -31,6 +32,7 @@ __all__ = [
     "ClampedStem",
     "Density",
     "Estimate",
+    "Felt",
     "FreeVibration",
     "Identification",
     "InstrumentErrors",
@@ -42,6 +44,7 @@ __all__ = [
     "combine",
     "density_from_samples",
     "disagreement",
+    "feel",
     "first_frequency",
     "fit_free_vibration",
     "fitted_motion",

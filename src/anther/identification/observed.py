@@ -1,8 +1,8 @@
-"""Observed: what one shake of a plant did to its flowers, as `refine` takes it. F flowers."""
+"""Observed: what one shake did to a plant and to the gripper, as `refine` takes it. F flowers, S points of the stem."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,35 @@ from numpy.typing import NDArray
 from anther.checks import check_array
 from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
-from anther.response import Response
+from anther.response import Response, StemMotion
 from anther.vibration import ShakePlan
 
 
 def _unknown() -> Array:
     return np.array(np.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class Felt:
+    """What the arm did and felt in a shake. What was not measured is NaN.
+
+    Attributes:
+        moved: amplitude of the gripper along the shake [m]; NaN: as planned.
+        began: the gripper moves as sin(2 pi f (t - began)), on the robot's clock [s].
+        force: of the grip at the shake's frequency [N]: sqrt |F . F| of its phasor F, without conjugation, which is its
+            amplitude where it does not go round. An arm that tells the size of a force alone tells this.
+        force_std: its standard deviation [N].
+        force_phase: by which the force is ahead of the gripper's motion [rad], up to half a turn: arg(F . F) / 2.
+    """
+
+    moved: float = float("nan")
+    began: float = float("nan")
+    force: float = float("nan")
+    force_std: float = float("nan")
+    force_phase: float = float("nan")
+
+
+NOTHING_FELT = Felt()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +53,8 @@ class Observed:
         phase: (F,) by which a flower's motion along `axis` is ahead of the grip's along the shake [rad].
         phase_std: (F,) its standard deviation [rad].
         axis: (F, 3) unit vectors, world.
+        felt: what the arm did and felt.
+        beside: what the stem did beside the pads; its phasors are relative to the gripper's sine.
     """
 
     shake: ShakePlan
@@ -39,6 +64,8 @@ class Observed:
     phase: Array = field(default_factory=_unknown)
     phase_std: Array = field(default_factory=_unknown)
     axis: Array = field(default_factory=_unknown)
+    felt: Felt = NOTHING_FELT
+    beside: StemMotion = field(default_factory=lambda: StemMotion.of([]))
 
     def __post_init__(self) -> None:
         count = np.size(self.amplitude)
@@ -55,20 +82,22 @@ class Observed:
             raise bad_input("response", given=given, allowed="> 0 m", do="Check.")
 
     @classmethod
-    def of(cls, shake: ShakePlan, response: Response, began: float | None = None) -> Observed:
-        """Return what a camera measured of a shake.
+    def of(cls, shake: ShakePlan, response: Response, felt: Felt = NOTHING_FELT) -> Observed:
+        """Return what camera and arm measured of a shake.
 
         Args:
             shake: what was done.
             response: what was seen.
-            began: when the grip's motion sin(2 pi f (t - began)) began, on the frames' clock [s]; None: not known, and
-                the phases are left out.
+            felt: what the arm did and felt. Where it is not known when the motion began, phases and the stem beside the
+                pads are left out.
         """
         measured = response.amplitude, response.amplitude_std, response.at_most
-        if began is None:
-            return cls(shake, *measured)
-        ahead = response.phase + 2 * np.pi * shake.frequency * began
-        return cls(shake, *measured, ahead, response.phase_std, response.direction)
+        if not np.isfinite(felt.began):
+            return cls(shake, *measured, felt=felt)
+        ahead = response.phase + 2 * np.pi * shake.frequency * felt.began
+        turned, stem = np.exp(2j * np.pi * shake.frequency * felt.began), response.stem
+        beside = replace(stem, motion=stem.motion * turned)
+        return cls(shake, *measured, ahead, response.phase_std, response.direction, felt, beside)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -83,6 +112,6 @@ class Observed:
     @property
     def useless(self) -> str:
         """Why it teaches nothing; empty when it does."""
-        if not np.any(self.seen | self.faint):
+        if not np.any(self.seen | self.faint) and not np.isfinite(self.felt.force) and not len(self.beside.points):
             return "no flower's motion was measurable"
         return "" if self.shake.waveform.kind == "sine" else f"a {self.shake.waveform} has no one frequency"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,9 @@ from anther.elastic_rod.rods import Array
 from anther.errors import bad_input
 from anther.identification.observed import Observed
 from anther.plant import LEARNED, Material, PlantModel
-from anther.vibration.observables import branch_of, semi_major
-from anther.vibration.search import flower_motion, grip_rows, pad_nodes, scenarios
+from anther.vibration.observables import ComplexArray, branch_of, semi_major
+from anther.vibration.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
+from anther.vibration.search import Answer, Version, answer, flower_motion, scenarios
 
 COUNTS = 1e-3
 """A member with less than this share of the largest weight is left out of predictions."""
@@ -34,6 +35,8 @@ class Params:
         model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what the draws explain
             [-]; measured by us on simulated plants that were scanned.
         phase_error: the same of the phase [rad].
+        grip_error: standard deviation of ln of the modelled force in the grip, and of the modelled motion of the stem
+            beside the pads relative to itself [-]; a guess, below that of flowers since no branch lies between.
         likeness: correlation of these errors between flowers of one branch [-], measured by us likewise.
         least_members: the evidence is weakened until at least this many members count.
         seed: of the draws.
@@ -43,6 +46,7 @@ class Params:
     branch_spread: float = 0.5
     model_error: float = 0.5
     phase_error: float = 1.0
+    grip_error: float = 0.25
     likeness: float = 0.5
     least_members: float = 16.0
     seed: int = 1
@@ -52,6 +56,7 @@ class Params:
         check_range("branch_spread", self.branch_spread, 0, 3)
         check_range("model_error", self.model_error, 0.01, 10)
         check_range("phase_error", self.phase_error, 0.01, 100)
+        check_range("grip_error", self.grip_error, 0.01, 10)
         check_range("likeness", self.likeness, 0, 1)
         check_range("least_members", self.least_members, 1, self.members)
 
@@ -62,20 +67,22 @@ class Refinement:
 
     Attributes:
         material: the belief afterwards; its stiffness and damping have moved and their spreads shrunk.
+        pads: the same of the gripper's pads.
         predicted_amplitude: (K, F) what the ensemble would now predict for the same shakes [m].
         effective_members: members that count, 1 / sum of squared weights.
         evidence: power to which the likelihood was raised, 1 = full weight.
         notes: what the user should know.
-        members: (M,) plants that were drawn.
+        members: (M,) plants and pads that were drawn.
         weights: (M,) of the members, sum 1.
     """
 
     material: Material
+    pads: Pads
     predicted_amplitude: Array
     effective_members: float
     evidence: float
     notes: tuple[str, ...]
-    members: Sequence[PlantModel] = field(repr=False)
+    members: Sequence[Version] = field(repr=False)
     weights: Array = field(repr=False)
 
     def amplitude_at(self, points: Array, direction: Array, frequencies: Array) -> Array:
@@ -91,23 +98,28 @@ class Refinement:
         """
         counts = self.weights >= COUNTS * self.weights.max()
         share = self.weights[counts] / self.weights[counts].sum()
-        grips = pad_nodes(self.members[0], grip_rows(self.members[0], points))
+        plant, pads = self.members[0]
+        grips = pad_nodes(plant, grip_rows(plant, points), pads.width)
         which = [member for member, used in zip(self.members, counts, strict=True) if used]
         logs = [_log_amplitude(flower_motion(member, grips, direction, frequencies)) for member in which]
         return np.swapaxes(np.exp(np.tensordot(share, np.array(logs), axes=1)), 0, 1)
 
 
-def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Params()) -> Refinement:
-    """Update what is believed of a plant's material from measured responses.
+def refine(
+    plant: PlantModel, observed: Sequence[Observed], params: Params = Params(), *, pads: Pads = PADS
+) -> Refinement:
+    """Update what is believed of a plant's material, and of the pads that hold it, from measured responses.
 
     An ensemble is drawn from the present belief (`vibration.search.scenarios`: E, damping, EI/GJ, pedicels, radius,
-    gain; and each branch's own stiffness), each member's flowers' motion in every shake follows from linear theory
-    times the nonlinear correction of the plan, and the members are weighted by a Student-t likelihood (4 degrees of
-    freedom, so that a flower mistaken for another does not decide alone) of ln amplitude and of phase. Flowers of one
-    branch err alike, so n of them count as n / (1 + (n - 1) `likeness`) (the variance of a mean of equally correlated
-    values). Where too few members would count, the likelihood is raised to a power below 1. Of what `plant.LEARNED`
-    names, the new material is moved and narrowed as the weights move and narrow the members; `Refinement.amplitude_at`
-    predicts with the members themselves.
+    gain; the pads' two stiffnesses; and each branch's own stiffness), each member's flowers' motion in every shake
+    follows from linear theory times the nonlinear correction of the plan, and the members are weighted by a Student-t
+    likelihood (4 degrees of freedom, so that a flower mistaken for another does not decide alone) of ln amplitude and
+    of phase. Flowers of one branch err alike, so n of them count as n / (1 + (n - 1) `likeness`) (the variance of a
+    mean of equally correlated values). Where too few members would count, the likelihood is raised to a power below 1.
+    Of what `plant.LEARNED` names, the new material is moved and narrowed as the weights move and narrow the members,
+    and the pads likewise; `Refinement.amplitude_at` predicts with the members themselves.
+
+    The force in the grip and the stem's motion beside the pads tell how far these give (`grip_error`).
 
     A flower that was followed but moved too little to be measured is left-censored: it counts with the probability of
     moving less than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.
@@ -119,6 +131,7 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
         plant: the model the shakes were planned with.
         observed: shakes of this plant; with none, the members stand for the belief as it is.
         params: of the ensemble.
+        pads: what is believed of them so far.
 
     Raises:
         InputError: wrong number of flowers.
@@ -128,17 +141,20 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
         if len(one.amplitude) != flowers:
             given = f"{len(one.amplitude)} flowers"
             raise bad_input("response", given=given, allowed=f"the plant's {flowers}", do="Use its own response.")
-    members = scenarios(plant, params.members, params.seed, branch_spread=params.branch_spread)
-    phasors = [_phasors(members, one) for one in observed]
-    told = np.zeros((len(members), flowers))
-    for one, motion in zip(observed, phasors, strict=True):
-        told += 0 if one.useless else _log_likelihood(motion, one, params)
-    weights, evidence = _weights(told @ _counts(plant, observed, params.likeness), params.least_members)
+    members = scenarios(plant, params.members, params.seed, pads=pads, branch_spread=params.branch_spread)
+    told = [_told(members, one) for one in observed]
+    by_flower, by_grip = np.zeros((len(members), flowers)), np.zeros(len(members))
+    for one, said in zip(observed, told, strict=True):
+        by_flower += 0 if one.useless else _log_likelihood(said.flowers, one, params)
+        by_grip += 0 if one.useless else _log_likelihood_of_the_grip(said, one, params)
+    whole = by_flower @ _counts(plant, observed, params.likeness) + by_grip
+    weights, evidence = _weights(whole, params.least_members)
     useful = any(not one.useless for one in observed)
     notes = tuple(f"refinement: {one.useless}; the shake teaches nothing." for one in observed if one.useless)
-    amplitude = [np.exp(weights @ _log_amplitude(motion)) for motion in phasors]
+    amplitude = [np.exp(weights @ _log_amplitude(said.flowers)) for said in told]
     return Refinement(
-        _moments(plant.material, [m.material for m in members], weights) if useful else plant.material,
+        _moments(plant.material, [m.plant.material for m in members], weights) if useful else plant.material,
+        replace(pads, **_moved(pads, [m.pads for m in members], PADS_LEARNED, weights)) if useful else pads,
         np.array(amplitude).reshape(len(observed), flowers),
         float(1 / np.sum(weights**2)),
         evidence if useful else 0.0,
@@ -148,21 +164,60 @@ def refine(plant: PlantModel, observed: Sequence[Observed], params: Params = Par
     )
 
 
-def _phasors(members: Sequence[PlantModel], one: Observed) -> NDArray[np.complex128]:
-    """Return (M, F, 3) the flowers' motion [m]; member 0 is the plant as believed, for which the plan is reproduced."""
-    shake = one.shake
-    grip = pad_nodes(members[0], grip_rows(members[0], shake.grasp.point[None]))
+class _Told(NamedTuple):
+    """What the members say of one shake, as phasors: flowers (M, F, 3) [m], stem (M, S, 3) [m], force (M, 3) [N]."""
+
+    flowers: ComplexArray
+    stem: ComplexArray
+    force: ComplexArray
+
+
+def _told(members: Sequence[Version], one: Observed) -> _Told:
+    """Return what the members say; the plan's flowers are reproduced for the plant and the pads it was made with.
+
+    Member 0 is the plant as believed; the pads may be believed otherwise since.
+    """
+    shake, (plant, pads) = one.shake, members[0]
+    grip = pad_nodes(plant, grip_rows(plant, shake.grasp.point[None]), pads.width)
+    beside = plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)]
     frequency = np.array([shake.frequency])
-    motion = np.array([flower_motion(member, grip, shake.direction, frequency)[0, 0] for member in members])
-    linear = np.maximum(semi_major(motion[0]), 1e-12)
-    return (motion * (shake.predicted_amplitude / linear)[:, None]).astype(np.complex128)
+    answers = [answer(member, grip, shake.direction, frequency, beside) for member in members]
+    flowers, stem, force = (np.array([getattr(a, name)[0, 0] for a in answers]) for name in Answer._fields)
+    planned = flowers[0]
+    if shake.pads != pads:
+        planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequency)[0, 0]
+    linear = np.maximum(semi_major(planned), 1e-12)
+    moved = one.felt.moved if np.isfinite(one.felt.moved) else shake.amplitude
+    corrected = flowers * (shake.predicted_amplitude * moved / shake.amplitude / linear)[:, None]
+    return _Told(corrected, moved * stem, moved * force)
 
 
-def _log_amplitude(motion: NDArray[np.complex128]) -> Array:
+def _nearest(nodes: Array, points: Array) -> NDArray[Any]:
+    return np.linalg.norm(nodes - points[:, None], axis=2).argmin(axis=1)
+
+
+def _log_likelihood_of_the_grip(told: _Told, one: Observed, params: Params) -> Array:
+    """Return (M,) log-likelihoods of the grip's force and of the stem's motion beside the pads, up to a constant."""
+    felt, beside = one.felt, one.beside
+    out = np.zeros(len(told.force))
+    if np.isfinite(felt.force):
+        square = np.sum(told.force**2, axis=1)
+        error = np.hypot(params.grip_error, felt.force_std / felt.force)
+        out += _student((np.log(felt.force) - 0.5 * np.log(np.maximum(np.abs(square), 1e-18))) / error)
+        out += _student(0.5 * np.angle(square * np.exp(-2j * felt.force_phase)) / error)
+    if len(beside.points):
+        along = np.einsum("msi,si->ms", told.stem, beside.axis)
+        miss = (along - beside.motion) / np.hypot(beside.std, params.grip_error * np.abs(beside.motion))
+        alike = 1 + (len(beside.points) - 1) * params.likeness
+        out += (_student(miss.real) + _student(miss.imag)).sum(axis=1) / alike
+    return out
+
+
+def _log_amplitude(motion: ComplexArray) -> Array:
     return np.log(np.maximum(semi_major(motion), 1e-12))
 
 
-def _log_likelihood(motion: NDArray[np.complex128], one: Observed, params: Params) -> Array:
+def _log_likelihood(motion: ComplexArray, one: Observed, params: Params) -> Array:
     """Return (M, F) log-likelihoods of each flower's amplitude, bound and phase, up to a constant."""
     predicted, out = _log_amplitude(motion), np.zeros(motion.shape[:2])
     certain = np.maximum(one.amplitude, one.uncertainty)[one.seen]
@@ -211,11 +266,16 @@ def _moments(before: Material, members: list[Material], weights: Array) -> Mater
     Draws that would not stand are stiffened, so the members' own mean E lies above the belief, by 0.27 in ln on eight
     plants (measured). What counts is the difference from it: a shake that tells nothing leaves the belief as it is.
     """
+    return before.changed(**_moved(before, members, LEARNED, weights))
+
+
+def _moved(before: Any, members: Sequence[Any], learned: Mapping[str, str], weights: Array) -> dict[str, float]:
+    """Return by name the values and spreads that the weights of the members leave; `learned` names both."""
     moved: dict[str, float] = {}
-    for name, spread in LEARNED.items():
+    for name, spread in learned.items():
         logs = np.log([getattr(m, name) for m in members])
         mean, drawn = float(weights @ logs), float(logs.mean())
         narrowed = np.sqrt(weights @ (logs - mean) ** 2) / max(float(logs.std()), 1e-12)
         moved[name] = float(getattr(before, name) * np.exp(mean - drawn))
         moved[spread] = float(getattr(before, spread) * min(narrowed, 1.0))
-    return before.changed(**moved)
+    return moved

@@ -23,8 +23,8 @@ class Material:
         youngs_spread, density_spread, damping_spread, twist_spread: their spreads [-].
         radius_scale: true over scanned radius of stem and branches [-].
         radius_spread: its spread [-]: by how much the skeleton's radii are off, 4-5 % (docs/skeletons.md).
-        response_gain: true over modelled motion of the flowers relative to the grip, for the plant as a whole: what the
-            model gets wrong whatever the material [-]. Far below resonance nothing moves relative to the grip.
+        response_gain: true over modelled motion of the flowers relative to the pads, for the plant as a whole: what the
+            model gets wrong whatever the material [-]. Far below resonance nothing moves relative to the pads.
         response_spread: its spread [-]; measured by us on 16 simulated plants that were scanned: ln(true/modelled) at
             3-10 Hz has 0.3-0.7 between plants, of which the spreads above explain 0.4-0.5.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,12 +18,13 @@ from anther.files import read_npz, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import find_frequency, fit_swing
+from anther.response.beside import StemMotion, StemNear, measure_stem, stem_near
 from anther.response.following import Followed, Remarks, follow_flowers, without_outliers
 from anther.response.params import Params
 
-__all__ = ["Params", "Response", "measure_response"]
+__all__ = ["Params", "Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
-SCHEMA = 3
+SCHEMA = 4
 DEFAULTS = Params()
 
 
@@ -46,6 +47,7 @@ class Response:
         at_most: (F,) where a flower was followed but moved less than can be told: that least amplitude [m].
         visible: (F,) bool, whether it could be measured.
         notes: what the stage wants the user to know.
+        stem: how the main stem moved beside the pads.
     """
 
     times: Array
@@ -61,6 +63,7 @@ class Response:
     direction: Array
     visible: NDArray[Any]
     notes: tuple[str, ...] = ()
+    stem: StemMotion = field(default_factory=lambda: StemMotion.of([]))
 
     def __post_init__(self) -> None:
         frames, flowers = len(self.times), len(self.amplitude)
@@ -76,6 +79,7 @@ class Response:
     def save(self, path: Path | str) -> None:
         """Write the response to an .npz."""
         values = {name: getattr(self, name) for name in ("times", "tracks", "direction", "visible", *_NUMBERS)}
+        values |= {f"stem_{f.name}": getattr(self.stem, f.name) for f in fields(self.stem)}
         write_npz(path, "response", SCHEMA, notes=json.dumps(self.notes), **values)
 
     @classmethod
@@ -86,7 +90,8 @@ class Response:
             InputError: missing, truncated or of another kind.
         """
         arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
-        return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), **arrays)
+        stem = StemMotion(**{f.name: arrays.pop(f"stem_{f.name}") for f in fields(StemMotion)})
+        return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), stem=stem, **arrays)
 
 
 def measure_response(
@@ -96,6 +101,7 @@ def measure_response(
     flowers: Flowers,
     frequency_hint: float,
     *,
+    stem: StemNear | None = None,
     params: Params = DEFAULTS,
 ) -> Response:
     """Follow every flower through the frames and fit its swing.
@@ -112,6 +118,7 @@ def measure_response(
         T_world_cam: (4, 4) its pose.
         flowers: at rest, as perception found them.
         frequency_hint: the shake's frequency [Hz].
+        stem: where to look for the main stem beside the pads; None: nowhere.
         params: of finding and following.
 
     Raises:
@@ -139,7 +146,8 @@ def measure_response(
     values = {name: np.array([getattr(motion, name) for motion in motions], dtype=float) for name in _NUMBERS}
     direction = np.array([motion.direction for motion in motions]).reshape(-1, 3)
     visible, notes = np.isfinite(values["amplitude"]), (*_overlaps(mixed), *_merged(remarks))
-    return Response(times, tracks, **values, direction=direction, visible=visible, notes=notes)
+    beside = StemMotion.of([]) if stem is None else measure_stem(frames, intrinsics, T, stem, frequency_hint, params)
+    return Response(times, tracks, **values, direction=direction, visible=visible, notes=notes, stem=beside)
 
 
 def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:

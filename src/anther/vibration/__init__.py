@@ -17,6 +17,7 @@ from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
 from anther.vibration.choice import Grips, Place, Search, best, closest, grips_of, limit_rows, plant_limits, search
 from anther.vibration.limits import sawyer_limit
+from anther.vibration.pads import PADS, Pads
 from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params
 from anther.vibration.search import Gains, gains, scenarios
 from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan
@@ -24,8 +25,8 @@ from anther.vibration.verification import Shake, Shaken, verified
 from anther.vibration.waveforms import SINE, Waveform, mix
 
 __all__ = [
-    "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Params", "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper",
-    "Waveform", "plan_shake", "sawyer_limit",
+    "PADS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Pads", "Params", "ResponseMap", "RunnerUp", "ShakePlan",
+    "VibratingGripper", "Waveform", "plan_shake", "sawyer_limit",
 ]  # fmt: skip
 
 
@@ -64,7 +65,7 @@ def plan_shake(
     if not grasps:
         raise StageFailure("no_grasp_found", "no grasp to choose from: the shake needs at least one.")
     grips, frequencies = grips_of(plant, grasps, params), _frequencies(actuator, params)
-    versions = scenarios(plant, params.draws, params.seed)
+    versions = scenarios(plant, params.draws, params.seed, pads=params.pads)
     response = gains(versions, grips.nodes, grips.directions, frequencies)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     found = search(response, grips, grasps, frequencies, actuator=actuator, least=least, params=params)
@@ -89,6 +90,7 @@ def plan_shake(
         runner_up=other,
         reason=_reason(done, other, float(grips.arc_length[at[2]]), float(found.score[at]), params),
         response_map=_map(grips, response, found, len(grasps), least),
+        pads=params.pads,
         notes=plant.notes + done.notes,
     )
 
@@ -153,9 +155,9 @@ def _check(
 ) -> _Checked:
     """Simulate one shake of the search, and put together what linear theory and the simulation say of it."""
     w, q, g, d = at
-    held, also = (int(node) for node in grips.nodes[g])
+    held, *also = (int(node) for node in grips.nodes[g])
     size, duration, waveform = float(found.amplitude[at]), float(found.duration[q]), params.waveforms[w]
-    asked = Shake(held, (also,), grips.directions[g, d], size, float(found.frequencies[q]), duration, waveform)
+    asked = Shake(held, tuple(also), grips.directions[g, d], size, float(found.frequencies[q]), duration, waveform)
     pieces = mix(waveform, found.frequencies, q, duration)
     assert pieces is not None
     steady = np.swapaxes(response.flower[:, :, g, d], 0, 1)  # (Q, M, F)
@@ -173,7 +175,7 @@ def _verified(
 ) -> tuple[Shake, Shaken, tuple[str, ...]]:
     """Return the shake and what it does by the nonlinear solver, and what the user should know about it."""
     try:
-        shake, done, notes = verified(plant, asked, plant_limits(params), least)
+        shake, done, notes = verified(plant, asked, plant_limits(params), least, springs=params.pads.springs)
     except StageFailure as failure:
         return asked, linear, (f"shake: not verified by the nonlinear solver, prediction is linear ({failure})",)
     expected = linear.amplitude * shake.amplitude / asked.amplitude

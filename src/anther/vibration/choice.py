@@ -16,8 +16,9 @@ from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator
 from anther.vibration.dose import freed_share, set_probability
+from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.params import RESONANT, Params
-from anther.vibration.search import Gains, grip_rows, pad_nodes
+from anther.vibration.search import Gains
 from anther.vibration.verification import PEAKS
 from anther.vibration.waveforms import Mix, mix
 
@@ -28,7 +29,7 @@ Place = tuple[int, int, int, int]
 class Grips(NamedTuple):
     """Where the stem may be held: the grasps' nodes first, then others for the map."""
 
-    nodes: NDArray[Any]  # (G, 2) rod nodes between the pads
+    nodes: list[NDArray[Any]]  # G lists of rod nodes between the pads, the middle one first
     arc_length: Array  # (G,) [m]
     grasp: NDArray[Any]  # (G,) index of the grasp itself or, for the map, of the nearest one
     directions: Array  # (G, D, 3)
@@ -50,10 +51,10 @@ def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> Grip
     usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
     others = usable[np.unique(np.linspace(0, len(usable) - 1, params.heights).round().astype(int))]
     rows = np.concatenate([held, others])
-    nodes, arc = pad_nodes(plant, rows), plant.arc_length[rows]
+    nodes, arc = pad_nodes(plant, rows, params.pads.width), plant.arc_length[rows]
     nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
     near = np.concatenate([np.arange(len(held)), nearest])
-    return Grips(nodes, arc, near, _directions(plant, nodes[:, 0], params.directions))
+    return Grips(nodes, arc, near, _directions(plant, plant.stem_nodes[rows], params.directions))
 
 
 def _directions(plant: PlantModel, nodes: NDArray[Any], count: int) -> Array:

@@ -7,6 +7,7 @@ from typing import Literal
 
 from anther.checks import check_range
 from anther.errors import bad_input
+from anther.vibration.pads import PADS, Pads
 from anther.vibration.waveforms import SINE, Waveform
 
 FLOWER_SPREAD = 0.65
@@ -60,6 +61,7 @@ class Params:
             the true ones are below this, whatever is believed of the stiffness (docs/vibration.md).
         leaf_load: largest torque at a leaf's base that the shake adds, in units of what 1 m/s2 gives [m/s2]: 0.7 g.
         grip_force: with which the pads press at least [N]: `execution.Params.hold`.
+        pads: what is believed of how far they give.
         pad_friction: of a soft pad on a stem [-]; no source found, an estimate on the safe side.
         flower_acceleration: more than this is not useful [m/s2].
         duration: of the shake [s]; longer at low frequency, to have five cycles.
@@ -91,6 +93,7 @@ class Params:
     leaf_load: float = 0.7 * 9.81
     grip_force: float = 8.0
     pad_friction: float = 0.5
+    pads: Pads = PADS
     flower_acceleration: float = 200.0
     duration: float = 3.0
     most_duration: float = 5.0

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.stats import qmc
 
-from anther.elastic_rod.observed import observed_response
+from anther.elastic_rod.observed import Observed, observed_response
 from anther.elastic_rod.rods import Array
 from anther.elastic_rod.vectors import compiled
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
 from anther.vibration.observables import ComplexArray, branch_of, observables
+from anther.vibration.pads import PADS, Pads
 
 
 class Gains(NamedTuple):
@@ -42,23 +43,33 @@ class Gains(NamedTuple):
     grip_force: Array
 
 
-def scenarios(plant: PlantModel, count: int, seed: int = 0, *, branch_spread: float = 0.0) -> list[PlantModel]:
-    """Return the plant as believed, and `count` versions of it drawn from the spreads of its material.
+class Version(NamedTuple):
+    """A plant as it may be, between pads as they may be."""
 
-    Stiffness, damping, EI/GJ, the pedicels' stiffness, the radius (at the same bending stiffness) and the gain of the
-    response are lognormal and independent, drawn by a scrambled Halton sequence so that few draws cover the range
-    evenly. A draw in which the plant would buckle is stiffened until it stands, because it stands; one that still
-    cannot (its pedicels are too soft) is left out.
+    plant: PlantModel
+    pads: Pads = PADS
+
+
+def scenarios(
+    plant: PlantModel, count: int, seed: int = 0, *, pads: Pads = PADS, branch_spread: float = 0.0
+) -> list[Version]:
+    """Return plant and pads as believed, and `count` versions of them drawn from the spreads of what is believed.
+
+    Stiffness, damping, EI/GJ, the pedicels' stiffness, the radius (at the same bending stiffness), the gain of the
+    response and the pads' two stiffnesses are lognormal and independent, drawn by a scrambled Halton sequence so that
+    few draws cover the range evenly. A draw in which the plant would buckle is stiffened until it stands, because it
+    stands; one that still cannot (its pedicels are too soft) is left out.
 
     Args:
         plant: as believed.
         count: of the draws.
         seed: of the draws.
+        pads: that hold it.
         branch_spread: standard deviation of ln of what the stiffness of each branch is drawn off besides, one by one.
     """
     generator = np.random.default_rng(seed)
-    draws = qmc.MultivariateNormalQMC(np.zeros(6), engine=qmc.Halton(6, rng=generator), rng=generator)
-    versions, branch = [plant], branch_of(plant)
+    draws = qmc.MultivariateNormalQMC(np.zeros(8), engine=qmc.Halton(8, rng=generator), rng=generator)
+    versions, branch = [Version(plant, pads)], branch_of(plant)
     for z in draws.random(count) if count else ():
         own = (
             plant
@@ -66,7 +77,7 @@ def scenarios(plant: PlantModel, count: int, seed: int = 0, *, branch_spread: fl
             else _with_branches(plant, branch, branch_spread * generator.normal(size=len(plant.branch_bases)))
         )
         version = _standing(own, drawn_material(plant.material, z, plant.least_youngs), plant.pedicel_spread * z[3])
-        versions += [] if version is None else [version]
+        versions += [] if version is None else [Version(version, pads.drawn(z[6:]))]
     return versions
 
 
@@ -103,46 +114,27 @@ def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs:
     )
 
 
-def grip_rows(plant: PlantModel, points: Array) -> NDArray[Any]:
-    """Return for each of (n, 3) points the position within `plant.stem_nodes` of the nearest node that can be moved.
-
-    Raises:
-        StageFailure: "no_grasp_found": every stem node is clamped.
-    """
-    usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
-    if not len(usable):
-        raise StageFailure("no_grasp_found", "the main stem is too short to be held above its root.")
-    nodes = plant.rods.nodes[plant.stem_nodes[usable]]
-    return usable[np.linalg.norm(nodes[None] - np.asarray(points)[:, None], axis=2).argmin(axis=1)]
-
-
-def pad_nodes(plant: PlantModel, rows: NDArray[Any]) -> NDArray[Any]:
-    """Return (G, 2) the rod nodes between the pads at stem positions (G,): the node itself and the next one up.
-
-    Pads 16 mm wide hold the stem's direction as well as its place; two nodes that move alike do so in the model.
-    """
-    last = len(plant.stem_nodes) - 1
-    return plant.stem_nodes[np.stack([rows, np.where(rows < last, rows + 1, rows - 1)], axis=1)]
-
-
-def gains(versions: Sequence[PlantModel], grips: NDArray[Any], directions: Array, frequencies: Array) -> Gains:
+def gains(versions: Sequence[Version], grips: Sequence[NDArray[Any]], directions: Array, frequencies: Array) -> Gains:
     """Return the linear response of every scenario.
 
     Args:
-        versions: M scenarios of one plant.
-        grips: (G, 2) rod nodes between the pads, see `pad_nodes`.
+        versions: M scenarios of one plant and its pads.
+        grips: G lists of the rod nodes between the pads, see `pad_nodes`.
         directions: (G, D, 3) unit shake directions at each grip.
         frequencies: (Q,) [Hz].
     """
-    parts = [_gains_of(plant, grips, directions, frequencies) for plant in versions]
+    parts = [_gains_of(version, grips, directions, frequencies) for version in versions]
     return Gains(*(np.stack(a) for a in zip(*parts, strict=True)))
 
 
-def _gains_of(plant: PlantModel, grips: NDArray[Any], directions: Array, frequencies: Array) -> tuple[Array, ...]:
-    """Return the gains of one scenario; its damping ratio is the same at every frequency (hysteretic)."""
-    seen, loss = observables(plant), 2 * plant.material.damping_ratio
-    response = observed_response(plant.rods, plant.clamp, grips, seen.operator, frequencies, loss_factor=loss)
-    response.vectors[:, :, seen.flowers] = _answered(response.vectors[:, :, seen.flowers], plant.material)
+def _gains_of(
+    version: Version, grips: Sequence[NDArray[Any]], directions: Array, frequencies: Array
+) -> tuple[Array, ...]:
+    """Return the gains of one scenario."""
+    plant, seen = version.plant, observables(version.plant)
+    response = _response(version, grips, seen.operator, frequencies)
+    flowers = response.vectors[:, :, seen.flowers]
+    response.vectors[:, :, seen.flowers] = _answered(plant, grips, flowers, response.pads)
     size = _sizes(response.vectors, directions)
     omega2 = (2 * np.pi * frequencies[:, None, None]) ** 2
     kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
@@ -151,25 +143,69 @@ def _gains_of(plant: PlantModel, grips: NDArray[Any], directions: Array, frequen
     return size[..., seen.flowers], stem, joint, omega2 * base, omega2 * load, pull
 
 
-def flower_motion(plant: PlantModel, grips: NDArray[Any], direction: Array, frequencies: Array) -> ComplexArray:
-    """Return (Q, G, F, 3) the motion of the flowers per metre of grip motion along `direction` (3,), as phasors.
+class Answer(NamedTuple):
+    """What one metre of gripper motion along one direction does, as phasors. S points of the main stem.
+
+    Attributes:
+        flowers: (Q, G, F, 3) [m/m], with the material's gain.
+        stem: (Q, G, S, 3) [m/m].
+        force: (Q, G, 3) of the grip on the stem [N/m].
+    """
+
+    flowers: ComplexArray
+    stem: ComplexArray
+    force: ComplexArray
+
+
+def answer(
+    version: Version,
+    grips: Sequence[NDArray[Any]],
+    direction: Array,
+    frequencies: Array,
+    stem: Sequence[int] | NDArray[Any] = (),
+) -> Answer:
+    """Return the linear answer of one scenario.
 
     Args:
-        plant: one scenario.
-        grips: (G, 2) rod nodes between the pads, see `pad_nodes`.
+        version: one scenario.
+        grips: G lists of the rod nodes between the pads, see `pad_nodes`.
         direction: (3,) of the shake.
         frequencies: (Q,) [Hz].
+        stem: (S,) rod nodes that are observed beside the flowers.
     """
-    at = (3 * plant.flower_nodes[:, None] + np.arange(3)).ravel()
-    flowers = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 3 * len(plant.rods.nodes)))
-    loss = 2 * plant.material.damping_ratio
-    response = observed_response(plant.rods, plant.clamp, grips, flowers, frequencies, loss_factor=loss)
-    return _answered(response.vectors, plant.material) @ direction
+    plant = version.plant
+    nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
+    at = (3 * nodes[:, None] + np.arange(3)).ravel()
+    seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 3 * len(plant.rods.nodes)))
+    response = _response(version, grips, seen, frequencies)
+    flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
+    return Answer(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
 
 
-def _answered(vectors: ComplexArray, material: Material) -> ComplexArray:
-    """Return flowers' motion (..., 3, 3) per axis of the shake, with the gain of what is relative to the grip."""
-    return np.eye(3) + material.response_gain * (vectors - np.eye(3))
+def flower_motion(
+    version: Version, grips: Sequence[NDArray[Any]], direction: Array, frequencies: Array
+) -> ComplexArray:
+    """Return (Q, G, F, 3) the motion of the flowers alone of what `answer` returns; its arguments are the same."""
+    return answer(version, grips, direction, frequencies).flowers
+
+
+def _response(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
+    """Return the response of one scenario; its damping ratio is the same at every frequency (hysteretic)."""
+    plant, loss = version.plant, 2 * version.plant.material.damping_ratio
+    springs = version.pads.springs
+    return observed_response(plant.rods, plant.clamp, grips, operator, frequencies, loss_factor=loss, springs=springs)
+
+
+def _answered(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: ComplexArray, pads: ComplexArray) -> Any:
+    """Return flowers' motion (Q, G, F, 3, 3) per axis of the shake, with the gain of what they do relative to the pads.
+
+    Far below resonance a plant is carried along by the pads (Q, G, 6, 3) as one body, turned with them.
+    """
+    nodes = plant.rods.nodes
+    lever = nodes[plant.flower_nodes] - nodes[[grip[0] for grip in grips]][:, None]
+    turned = np.cross(pads[:, :, None, 3:], lever[None, ..., None], axisa=3, axisb=3, axisc=3)
+    carried = pads[:, :, None, :3] + turned
+    return carried + plant.material.response_gain * (vectors - carried)
 
 
 @compiled

@@ -12,9 +12,10 @@ from anther.errors import bad_input
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import Grasp, grasp_of, grasp_row
+from anther.vibration.pads import PADS, Pads
 from anther.vibration.waveforms import Waveform
 
-SCHEMA = 3
+SCHEMA = 4
 
 LimitRow = tuple[str, float, float, float]
 """(name, value, limit, share of the limit that is used)."""
@@ -92,6 +93,7 @@ class ShakePlan:
         runner_up: the next best, or None.
         reason: why this one, for people.
         response_map: for the picture.
+        pads: what was believed of them.
         notes: what the stage wants the user to know.
     """
 
@@ -111,6 +113,7 @@ class ShakePlan:
     runner_up: RunnerUp | None
     reason: str
     response_map: ResponseMap
+    pads: Pads = PADS
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -130,6 +133,7 @@ class ShakePlan:
         row |= {name: getattr(self, name) for name in _SAVED}
         row["grasp"] = grasp_row(self.grasp)
         row["waveform"] = asdict(self.waveform)
+        row["pads"] = asdict(self.pads)
         row["runner_up"] = None if self.runner_up is None else asdict(self.runner_up)
         row["response_map"] = {name: getattr(self.response_map, name) for name in ResponseMap.__dataclass_fields__}
         write_json(path, row)
@@ -150,6 +154,7 @@ class ShakePlan:
                 waveform=Waveform(**row["waveform"]),
                 runner_up=None if row["runner_up"] is None else RunnerUp(**row["runner_up"]),
                 response_map=ResponseMap(**row["response_map"]),
+                pads=Pads(**row["pads"]),
                 **{name: row[name] for name in _SAVED},
             )
         except (KeyError, TypeError) as error:
@@ -158,7 +163,7 @@ class ShakePlan:
             ) from error
 
 
-_NESTED = ("grasp", "waveform", "runner_up", "response_map")
+_NESTED = ("grasp", "waveform", "runner_up", "response_map", "pads")
 _SAVED = tuple(name for name in ShakePlan.__dataclass_fields__ if name not in _NESTED)
 _SHAPES: dict[str, tuple[int | None, ...]] = {
     "direction": (3,),

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.elastic_rod.motion import Drive, Straight
-from anther.elastic_rod.response import steady_motion
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod.grip import RIGID, Rocking, Springs
+from anther.elastic_rod.motion import Drive, SampledDrive, Straight
+from anther.elastic_rod.response import driven_response, steady_motion
+from anther.elastic_rod.rods import Array, Rods
 from anther.elastic_rod.simulation import Trajectory, simulate
 from anther.plant import PlantModel
 from anther.vibration.observables import Observables, observables, semi_major
@@ -25,6 +26,10 @@ STEPS, PERIODS = 24, 3
 
 TOLERANCE = 1e-5
 """Accepted residual force [N], a hundredth of a flower's weight; 1e-9 changes no result by 1e-5 of itself."""
+
+
+PAD_BAND = 2.0
+"""Up to so many times a shake's highest frequency its pads give; what a shake has above that, they follow rigidly."""
 
 
 class Shaken(NamedTuple):
@@ -67,7 +72,7 @@ class Shake(Straight):
 
 
 def verified(
-    plant: PlantModel, shake: Shake, limits: Mapping[str, float], least: float = 0.0
+    plant: PlantModel, shake: Shake, limits: Mapping[str, float], least: float = 0.0, *, springs: Springs = RIGID
 ) -> tuple[Shake, Shaken, tuple[str, ...]]:
     """Return the shake, made smaller where the nonlinear solver says a limit is passed, what it does, and notes.
 
@@ -76,13 +81,14 @@ def verified(
         shake: chosen by linear theory.
         limits: largest value allowed of each of `PEAKS`.
         least: a shake that must be smaller than this is of no use and not simulated any more [m].
+        springs: between gripper and pads.
 
     Raises:
         StageFailure: "no_convergence".
     """
     asked, binding = shake.amplitude, ""
     for _ in range(TRIES):
-        done = shaken(plant, shake)
+        done = shaken(plant, shake, springs)
         name, worst = max(((n, done.peaks[n] / limit) for n, limit in limits.items()), key=lambda row: row[1])
         if worst <= 1:
             break
@@ -90,31 +96,49 @@ def verified(
         if shake.amplitude < least:
             break
     else:
-        done = shaken(plant, shake)
+        done = shaken(plant, shake, springs)
     if not binding:
         return shake, done, ()
     less = f"{1e3 * asked:.2g} to {1e3 * shake.amplitude:.2g} mm"
     return shake, done, (f"shake: made smaller, from {less}, because the nonlinear solver passes a limit ({binding}).",)
 
 
-def shaken(plant: PlantModel, shake: Shake) -> Shaken:
-    """Return what the plant does. A sine is simulated until it is steady, other waveforms as a whole."""
+def shaken(plant: PlantModel, shake: Shake, springs: Springs = RIGID) -> Shaken:
+    """Return what the plant does. A sine is simulated until it is steady, other waveforms as a whole.
+
+    Pads on springs move as linear theory says, and the nonlinear plant with them.
+    """
     if shake.waveform.kind == "sine":
-        return steadily_shaken(
-            plant, Drive(shake.node, shake.direction, shake.amplitude, shake.frequency, 0, shake.also)
-        )
+        drive = Drive(shake.node, shake.direction, shake.amplitude, shake.frequency, 0, shake.also)
+        return steadily_shaken(plant, drive, springs)
     highest = shake.frequency * shake.waveform.ratio
     dt = min(1 / (30 * highest), 0.004)
     rods = plant.rods_at(np.sqrt(shake.frequency * highest))
-    path = simulate(rods, plant.clamp, shake, shake.duration, dt, start="scanned", tolerance=TOLERANCE)
+    drive = shake if springs == RIGID else _pads_in(rods, plant, shake, springs, highest, dt)
+    path = simulate(rods, plant.clamp, drive, shake.duration, dt, start="scanned", tolerance=TOLERANCE)
     seen = observables(plant)
-    vectors = _vectors(plant, seen, path, shake.node)
+    vectors = _vectors(plant, seen, path, shake.node, drive.rotation(path.times))
     jolts = np.diff(vectors, 2, axis=0) / dt**2
     swing, jolt = (np.linalg.norm(x[:, seen.flowers], axis=2).max(axis=0) for x in (vectors, jolts))
     return Shaken(swing, jolt, _peaks(seen, vectors, jolts))
 
 
-def steadily_shaken(plant: PlantModel, drive: Drive) -> Shaken:
+def _pads_in(rods: Rods, plant: PlantModel, shake: Shake, springs: Springs, highest: float, dt: float) -> SampledDrive:
+    """Return the motion of pads on springs in a shake that is no sine: its spectrum times theirs."""
+    times = dt * np.arange(2 * int(np.ceil(shake.duration / dt)))  # as long again at rest: what goes on does not wrap
+    spectrum = np.fft.rfft(shake.displacement(times) @ shake.direction)
+    frequencies = np.fft.rfftfreq(len(times), dt)
+    low = frequencies <= PAD_BAND * highest
+    options: Any = {"observe": [shake.node], "springs": springs}
+    answer = driven_response(rods, plant.clamp, [shake.nodes], shake.direction[None], frequencies[low], **options)
+    share = np.tile(np.concatenate([shake.direction, np.zeros(3)]).astype(np.complex128), (len(frequencies), 1))
+    share[low] = answer.pads[:, 0, 0]
+    moved = np.fft.irfft(spectrum[:, None] * share, len(times), axis=0)
+    moved -= moved[0]
+    return SampledDrive(shake.node, times, moved[:, :3], shake.also, moved[:, 3:])
+
+
+def steadily_shaken(plant: PlantModel, drive: Drive, springs: Springs = RIGID) -> Shaken:
     """Return what the plant does in steady sinusoidal shaking.
 
     The simulation begins in the steady state of linear theory, so that only what is not linear has to settle. Its last
@@ -125,19 +149,21 @@ def steadily_shaken(plant: PlantModel, drive: Drive) -> Shaken:
     """
     dt = float(np.tan(np.pi / STEPS) / (np.pi * drive.frequency))
     omega, rods = 2 * np.pi * drive.frequency, plant.rods_at(drive.frequency)
-    linear = steady_motion(rods, plant.clamp, drive)
+    linear = steady_motion(rods, plant.clamp, drive, springs=springs)
+    rocking = Rocking(drive.nodes, linear.pads[:3], linear.pads[3:], 1 / (STEPS * dt))
     path = simulate(
         rods,
         plant.clamp,
-        replace(drive, frequency=1 / (STEPS * dt), ramp=0),
+        rocking,
         PERIODS * STEPS * dt,
         dt,
         start="scanned",
         tolerance=TOLERANCE,
-        moving=(linear.imag, omega * linear.real),
+        moving=(linear.motion.imag, omega * linear.motion.real),
     )
     seen = observables(plant)
-    vectors = _vectors(plant, seen, path, drive.node)[-STEPS - 1 :]
+    turned = rocking.rotation(path.times) + linear.pads[3:].imag
+    vectors = _vectors(plant, seen, path, drive.node, turned)[-STEPS - 1 :]
     angle, order = 2 * np.pi * (np.arange(STEPS + 1) / STEPS - 0.5), np.array([1, 2, 3])
     phase = order * angle[:, None]
     basis = np.concatenate([np.ones((STEPS + 1, 1)), angle[:, None], np.cos(phase), np.sin(phase)], axis=1)
@@ -151,12 +177,16 @@ PEAKS = ("stem bending strain [-]", "pedicel bending strain [-]", "branch-base s
 """The limits of the plant that the nonlinear solver is asked about."""
 
 
-def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, held: int) -> Array:
-    """Return (T, K, 3) the observed vectors over time; what flowers do relative to the grip has the material's gain."""
+def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, held: int, turned: Array) -> Array:
+    """Return (T, K, 3) the observed vectors over time; what flowers do relative to the pads has the material's gain.
+
+    The pads have the place of the node `held`, and the rotation vectors `turned` (T, 3) from rest.
+    """
     moved = path.positions - plant.rods.nodes
     vectors: Array = (seen.operator @ moved.reshape(len(moved), -1).T).T.reshape(len(moved), -1, 3)
-    grip = moved[:, held, None]
-    vectors[:, seen.flowers] = grip + plant.material.response_gain * (vectors[:, seen.flowers] - grip)
+    lever = plant.rods.nodes[plant.flower_nodes] - plant.rods.nodes[held]
+    carried = moved[:, held, None] + np.cross(turned[:, None], lever)
+    vectors[:, seen.flowers] = carried + plant.material.response_gain * (vectors[:, seen.flowers] - carried)
     return vectors
 
 

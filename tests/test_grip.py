@@ -1,0 +1,74 @@
+"""A grip that gives: pads on springs hold a piece of the rods as one body."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from dense_grip import dense_answer
+from made_rods import cantilever, random_tree
+
+from anther.elastic_rod import Clamp
+from anther.elastic_rod.grip import Springs, rigid_motion
+from anther.elastic_rod.response import driven_response
+from anther.errors import InputError
+
+HERTZ = np.array([2.0, 11.0, 30.0])
+WAYS = np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
+
+
+@pytest.mark.parametrize("springs", [Springs(5e3, 0.3), Springs(50, 1e-3), Springs(1e9, 1e6)])
+def test_the_answer_is_that_of_one_matrix_with_the_springs_in_it(springs: Springs) -> None:
+    rods = random_tree(5, n=16, youngs=3e7, lumped_mass=2e-4, viscous_time=3e-3)
+    below = int(rods.parent[9])
+    pad = [9, below, int(rods.parent[below])]
+    given = {"observe": np.arange(16), "springs": springs}
+    found = driven_response(rods, Clamp.root(rods), [[12], pad], WAYS, HERTZ, **given)
+    for q, hertz in enumerate(HERTZ):
+        expected = dense_answer(rods, pad, springs, float(hertz), WAYS)
+        np.testing.assert_allclose(found.motion[q, 1], expected[:, :, :3], atol=1e-6 * np.abs(expected).max())
+        given_way = WAYS - expected[:, pad[0], :3]
+        np.testing.assert_allclose(found.force[q, 1], springs.translation * given_way, rtol=1e-4, atol=1e-6)
+
+
+def test_stiff_springs_are_the_rigid_grip_and_those_that_let_it_turn_are_a_pin() -> None:
+    rods = cantilever(20, youngs=5e7, viscous_time=3e-3)
+    clamp = Clamp.root(rods)
+
+    def held(pad: list[int], springs: Springs) -> Any:
+        return driven_response(rods, clamp, [pad], WAYS, HERTZ, observe=np.arange(21), springs=springs).motion[:, 0]
+
+    rigid, stiff = held([10, 11, 9], Springs()), held([10, 11, 9], Springs(1e12, 1e12))
+    np.testing.assert_allclose(stiff, rigid, atol=1e-6)
+    for node in (9, 10, 11):
+        np.testing.assert_allclose(rigid[:, :, node], np.tile(WAYS, (3, 1, 1)), atol=1e-9)
+    pin, loose, edge = held([10], Springs()), held([10, 11], Springs(rotation=1e-7)), held([10, 11], Springs())
+    np.testing.assert_allclose(loose, pin, atol=1e-3 * np.abs(pin).max())
+    assert not np.allclose(edge[0], pin[0], atol=0.2 * np.abs(pin[0]).max())
+
+
+def test_a_slow_pull_stretches_stem_and_pads_in_series() -> None:
+    rods, k = cantilever(40), 30.0
+    held = driven_response(
+        rods, Clamp.root(rods), [[40, 39]], np.eye(3)[2:], [1e-3], observe=[40], gravity=(0, 0, 0),
+        springs=Springs(k, 1e-9),
+    )  # fmt: skip
+    stem = 3 * 2e8 * np.pi * 3e-3**4 / 4 / (0.3 - 0.3 / 40 / 2) ** 3
+    assert held.force[0, 0, 0, 2].real == pytest.approx(1 / (1 / stem + 1 / k), rel=0.02)
+    assert abs(held.moment[0, 0, 0]).max() < 1e-6
+    assert held.pads[0, 0, 0, 2].real == pytest.approx(k / (stem + k), rel=0.02)
+    assert held.pads[0, 0, 0, 4].real == pytest.approx(-1.5 / 0.3 * k / (stem + k), rel=0.05)  # a cantilever's tip
+
+
+def test_a_body_that_turns_about_its_first_node_turns_its_edges() -> None:
+    rods = cantilever(6)
+    body = rigid_motion(rods.parent, rods.nodes, np.array([3, 4]))
+    moved = body @ [0, 0, 0, 0.2, 0, 0.1]  # about the rod, and about z
+    np.testing.assert_allclose(moved, [0, 0, 0, 0, 0.1 * 0.05, 0, 0.2], atol=1e-12)
+
+
+def test_springs_without_stiffness_are_refused() -> None:
+    for name in ("translation", "rotation"):
+        with pytest.raises(InputError, match=name):
+            Springs(**{name: 0.0})
