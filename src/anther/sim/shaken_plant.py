@@ -154,6 +154,10 @@ class ShakenPlant:
         flowers = self._jacobians()
         return np.array([np.tensordot(flowers, self._phasor(float(f)), 1) for f in np.atleast_1d(frequencies)])
 
+    def bending(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
+        """Return (Q, B, 2) the bending strain that small shakes cause at each piece's root, per metre of grip motion."""
+        return np.array([self.mechanics.bending(self._phasor(float(f))) for f in np.atleast_1d(frequencies)])
+
     def _measured(self, times: Array, qpos: Array, frequency: float) -> Shaken:
         data, k = mujoco.MjData(self.model), self.plant.flower_segment
         flowers, grip = np.empty((len(times), len(k), 3)), np.empty((len(times), 3))

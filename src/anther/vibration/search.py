@@ -148,7 +148,7 @@ def _gains_of(plant: PlantModel, grips: NDArray[Any], directions: Array, frequen
     kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
     stem, joint, base, load = (size[..., rows].max(axis=-1, initial=0.0) for rows in kinds)
     pull = _sizes(response.force[:, :, None], directions)[..., 0]
-    return size[..., seen.flowers], stem, joint, omega2 * base, omega2 * load, pull
+    return size[..., seen.flowers], stem, joint, base, omega2 * load, pull
 
 
 def flower_motion(plant: PlantModel, grips: NDArray[Any], direction: Array, frequencies: Array) -> ComplexArray:
@@ -160,8 +160,8 @@ def flower_motion(plant: PlantModel, grips: NDArray[Any], direction: Array, freq
         direction: (3,) of the shake.
         frequencies: (Q,) [Hz].
     """
-    at = (3 * plant.flower_nodes[:, None] + np.arange(3)).ravel()
-    flowers = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 3 * len(plant.rods.nodes)))
+    at = (4 * plant.flower_nodes[:, None] + np.arange(3)).ravel()
+    flowers = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 4 * len(plant.rods.nodes)))
     loss = 2 * plant.material.damping_ratio
     response = observed_response(plant.rods, plant.clamp, grips, flowers, frequencies, loss_factor=loss)
     return _answered(response.vectors, plant.material) @ direction

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from anther.elastic_rod.moments import strain_changes
 from anther.elastic_rod.motion import Drive, Straight
 from anther.elastic_rod.response import steady_motion
 from anther.elastic_rod.rods import Array
@@ -152,20 +153,29 @@ PEAKS = ("stem bending strain [-]", "pedicel bending strain [-]", "branch-base s
 
 
 def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, held: int) -> Array:
-    """Return (T, K, 3) the observed vectors over time; what flowers do relative to the grip has the material's gain."""
-    moved = path.positions - plant.rods.nodes
-    vectors: Array = (seen.operator @ moved.reshape(len(moved), -1).T).T.reshape(len(moved), -1, 3)
-    grip = moved[:, held, None]
+    """Return (T, K, 3) the observed vectors over time; what flowers do relative to the grip has the material's gain.
+
+    Strains are those of the simulated state itself, frames and all, with the moments of the linear theory's measure.
+    """
+    moved = np.zeros((*path.positions.shape[:2], 4))
+    moved[..., :3] = path.positions - plant.rods.nodes
+    strains = strain_changes(plant.rods, path.positions, path.directors)
+    vectors, bent = (
+        (operator @ of.reshape(len(of), -1).T).T.reshape(len(of), -1, 3)
+        for operator, of in ((seen.operator, moved), (seen.bending, strains))
+    )
+    vectors[:, seen.strains] = bent
+    grip = moved[:, held, None, :3]
     vectors[:, seen.flowers] = grip + plant.material.response_gain * (vectors[:, seen.flowers] - grip)
     return vectors
 
 
 def _peaks(seen: Observables, vectors: Array, jolts: Array) -> dict[str, float]:
-    """Return the largest values over the time, of strains and of the load of leaf bases, from second derivatives."""
+    """Return the largest values over the time, of strains and, from second derivatives, of the load of leaf bases."""
     kinds = (
         vectors[:, seen.stem_strain],
         vectors[:, seen.joint_strain],
-        jolts[:, seen.base_strain],
+        vectors[:, seen.base_strain],
         jolts[:, seen.leaf_load],
     )
     return {n: float(np.linalg.norm(v, axis=2).max(initial=0.0)) for n, v in zip(PEAKS, kinds, strict=True)}
