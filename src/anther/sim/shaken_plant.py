@@ -149,14 +149,25 @@ class ShakenPlant:
         mujoco.mj_kinematics(self.model, data)
         return self.mechanics.segment_poses(data)[self._part]
 
-    def linear(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
-        """Return (Q, F, 3) what small shakes do to the flowers, per metre of grip motion."""
-        flowers = self._jacobians()
-        return np.array([np.tensordot(flowers, self._phasor(float(f)), 1) for f in np.atleast_1d(frequencies)])
+    def linear(self, frequencies: ArrayLike, loss_factor: float | None = None) -> NDArray[np.complex128]:
+        """Return (Q, F, 3) what small shakes do to the flowers, per metre of grip motion.
 
-    def bending(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
-        """Return (Q, B, 2) the bending strain that small shakes cause at each piece's root, per metre of grip motion."""
-        return np.array([self.mechanics.bending(self._phasor(float(f))) for f in np.atleast_1d(frequencies)])
+        Args:
+            frequencies: (Q,) [Hz].
+            loss_factor: of hysteretic damping instead of the plant's own: springs times 1 + i loss_factor.
+        """
+        flowers = self._jacobians()
+        phasors = [self._phasor(float(f), loss_factor) for f in np.atleast_1d(frequencies)]
+        return np.array([np.tensordot(flowers, phasor, 1) for phasor in phasors])
+
+    def bending(self, frequencies: ArrayLike, loss_factor: float | None = None) -> NDArray[np.complex128]:
+        """Return (Q, B, 2) the bending strain that small shakes cause at each piece's root, per metre of grip motion.
+
+        Arguments as of `linear`.
+        """
+        return np.array(
+            [self.mechanics.bending(self._phasor(float(f), loss_factor)) for f in np.atleast_1d(frequencies)]
+        )
 
     def _measured(self, times: Array, qpos: Array, frequency: float) -> Shaken:
         data, k = mujoco.MjData(self.model), self.plant.flower_segment
@@ -199,11 +210,13 @@ class ShakenPlant:
         drag = _drag(self.mechanics, mass, stiffness, grip)
         return (mass, np.diag(m.dof_damping[d]) + drag @ drag.T, stiffness, grip), drag
 
-    def _phasor(self, frequency: float) -> NDArray[np.complex128]:
+    def _phasor(self, frequency: float, loss_factor: float | None = None) -> NDArray[np.complex128]:
         """Return (D,) the steady linear motion of the hinges per metre of grip motion, x(t) = Im(x exp(i w t))."""
         mass, damping, stiffness, grip = self._linear
         omega = 2 * np.pi * frequency
-        reached = np.linalg.solve(stiffness + 1j * omega * damping - omega**2 * mass, grip.T.astype(np.complex128))
+        springs = self.model.jnt_stiffness[self.mechanics.joints]
+        loss = omega * damping if loss_factor is None else np.diag(loss_factor * springs)
+        reached = np.linalg.solve(stiffness + 1j * loss - omega**2 * mass, grip.T.astype(np.complex128))
         wanted = np.concatenate([self.direction[:2], np.zeros(3)])
         return reached @ (np.linalg.pinv(grip @ reached, rcond=1e-9) @ wanted)
 
