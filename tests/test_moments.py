@@ -97,7 +97,7 @@ def zigzag() -> PlantModel:
     skeleton, stem, flowers = branched()
     nodes = skeleton.nodes.copy()
     nodes[stem.node_ids[1::2], 1] += 3e-3
-    flowers = replace(flowers, positions=flowers.positions + [0.0, 0.01, -0.004])
+    flowers = replace(flowers, positions=flowers.positions + np.array([0.0, 0.01, -0.004]))
     return build_plant(replace(skeleton, nodes=nodes), stem, flowers, None, TOMATO)
 
 
