@@ -86,7 +86,7 @@ def true_rods(plant: SimPlant) -> TrueRods:
     for k in np.flatnonzero(plant.organ == Organ.PEDICEL):
         of_pedicel[first[k] : last[k] + 1] = True
     stem = plant.stem_segments()
-    stem_nodes = np.concatenate([[0, 1], *(np.arange(first[k], last[k] + 1) for k in stem)])
+    stem_nodes = np.concatenate([[0, 1], *(np.arange(int(first[k]), int(last[k]) + 1) for k in stem)])
     stem_nodes = np.array([0, *(j for j in stem_nodes[1:] if np.asarray(rods.density)[j] > 1)])
     leaving = np.flatnonzero(~np.isin(np.arange(count), stem) & np.isin(plant.parent, stem))
     steps = np.linalg.norm(np.diff(rods.nodes[stem_nodes], axis=0), axis=1)

@@ -108,8 +108,8 @@ def _held_nodes(rods: TrueRods, hinges: ShakenPlant) -> NDArray[Any]:
     middles = (finer.start[pieces.first] + finer.end[last]) / 2
     held = int(np.argmin(np.linalg.norm(middles - hinges.point, axis=1)))
     segments = np.flatnonzero(pieces.body == held)
-    foot = rods.model.rods.parent[rods.first[segments[0]]]
-    return np.arange(foot, rods.last[segments[-1]] + 1)
+    first, last = int(rods.first[segments[0]]), int(rods.last[segments[-1]])
+    return np.arange(int(rods.model.rods.parent[first]), last + 1)
 
 
 def strain_rows(plant: SimPlant, piece: float) -> list[StrainRow]:

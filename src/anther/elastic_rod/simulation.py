@@ -329,8 +329,8 @@ class Run:
 
 def new_output(rows: int, n: int) -> Output:
     """Return empty rows for the records of N nodes."""
-    vectors, grip = np.zeros((2, rows, n, 3)), np.zeros((2, rows, 3))
-    return Output(*vectors, np.zeros(rows), *grip, np.zeros(rows))
+    x, director = np.zeros((2, rows, n, 3))
+    return Output(x, director, np.zeros(rows), np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros(rows))
 
 
 def _refuse_free_energy(run: Trajectory, model: Model) -> None:
