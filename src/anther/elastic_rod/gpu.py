@@ -139,7 +139,8 @@ def step_kernel(
     state, mid, end = _state_of(s, 0, k), _state_of(s, 1, k), _state_of(s, 2, k)
     work = Work(mid, end, w.turn[:, k], w.correction[:, :, k], blocks, w.energy[:, k])
     grip = Grip(g.nodes[:, k], g.edges[:, k], g.x[:, :, :, k], g.director[:, :, :, k], g.guess[:, k])
-    out = Output(o.x[:, :, :, k], o.energy[:, k], o.force[:, :, k], o.moment[:, :, k], o.work[:, k])
+    x, director = o.x[:, :, :, k], o.director[:, :, :, k]
+    out = Output(x, director, o.energy[:, k], o.force[:, :, k], o.moment[:, :, k], o.work[:, k])
     got, used, _ = _advance(_model_of(m, k), free[:, :, k], grip, state, work, settings, out, first, last, every)
     done[0, k] = got
     done[1, k] += used
@@ -198,7 +199,7 @@ def device_bytes(run: Run) -> int:
     """Return what one scenario takes on the device [bytes]: constants, state, the path of the grip, records."""
     n, rows = len(run.state.x), run.steps // run.every
     path = 3 * (run.steps + 1) * (len(run.nodes) + len(run.edges))
-    return _nbytes((run.model, run.free, run.state, run.work)) + 8 * (path + rows * (3 * n + 8))
+    return _nbytes((run.model, run.free, run.state, run.work)) + 8 * (path + rows * (6 * n + 8))
 
 
 def _nbytes(value: Any) -> int:

@@ -63,17 +63,6 @@ def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[
     return np.where(far[:, None] >= 0, entries, 0)
 
 
-def joint_stiffness(rods: Rods, near: NDArray[Any], far: NDArray[Any]) -> Array:
-    """Return (N,) the bend stiffness of the joint of edge j with its parent edge [N m]; 0 where it has none.
-
-    The moment there is this times the change of angle, so the strain at the surface of either edge is it times the
-    change of angle, times radius / EI.
-    """
-    shares, bend = _shares(rods, near, far), _compliances(rods)[0]
-    total = shares[0] * bend[np.where(far >= 0, near, 0)] + shares[1] * bend + np.asarray(rods.joint_compliance)
-    return np.where(far >= 0, 1 / total, 0)
-
-
 def _compliances(rods: Rods) -> tuple[Array, Array]:
     """Return (N,) length / EI and length / GJ of every edge [rad/(N m)]; of the unused edge 0 those of edge 1."""
     EI = np.asarray(rods.youngs) * np.pi * np.asarray(rods.edge_radius) ** 4 / 4

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array
 from anther.elastic_rod import springs
-from anther.elastic_rod.joints import joint_matrix, joint_stiffness
+from anther.elastic_rod.joints import joint_matrix
 from anther.elastic_rod.rods import Array, NaturalShape, Rods
 from anther.elastic_rod.vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
 from anther.errors import bad_input
@@ -89,12 +89,6 @@ def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
         natural_twist=natural.twist,
     )
     return Model(*(np.array(a) for a in model)), frames
-
-
-def bend_stiffness(rods: Rods) -> Array:
-    """Return (N,) the bend stiffness of every joint, see `joints.joint_stiffness` [N m]."""
-    near, far, _, _ = _couplings(rods)
-    return joint_stiffness(rods, near, far)
 
 
 def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:

@@ -62,8 +62,8 @@ def observed_response(
         rods: the rods.
         clamp: what never moves.
         grip_nodes: G lists of the nodes between the pads, not all of one length.
-        operator: (3K, 3N) sparse, from displacements to observed vectors. A vector may look at the trunk and at one
-            branch, not at two.
+        operator: (3K, 4N) sparse, from the unknowns (x, y, z, spin) of all nodes to observed vectors. A vector may look
+            at the trunk and at branches that hang on the same two nodes of it.
         frequencies: (Q,) [Hz].
         loss_factor: see `driven_response`.
         gravity: (3,) [m/s^2].
@@ -133,9 +133,9 @@ def _view(model: Model, trunk: NDArray[Any], operator: Any) -> _View:
         a, b = int(model.near[j]), int(model.far[j])
         base[j] = base[a] if place[a] < 0 else place[[b, a] if odd[a] else [a, b]]
     parts = operator.tocoo()
-    node, size = parts.col // 3, operator.shape[0]
+    node, size = parts.col // 4, operator.shape[0]
     off = place[node] < 0
-    unknown = np.where(off, node, place[node]) * 4 + parts.col % 3
+    unknown = np.where(off, node, place[node]) * 4 + parts.col % 4
     split = [csr_array((parts.data[s], (parts.row[s], unknown[s])), (size, 4 * n)) for s in (off, ~off)]
     seen = np.zeros((size // 3, 2), dtype=int)
     seen[parts.row[off] // 3] = base[node[off]]

@@ -22,7 +22,7 @@ from anther.elastic_rod.stepping import Grip, Output, Settings, advance, energie
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, write_npz
 
-SCHEMA = 2
+SCHEMA = 3
 
 PREDICTORS = ("inertia", "guess displacement", "none")
 
@@ -40,6 +40,7 @@ class Trajectory:
     Attributes:
         times: (T,) [s], from 0.
         positions: (T, N, 3) [m].
+        directors: (T, N, 3) first material director of every edge, a unit vector across it that turns with the edge.
         energy: (T,) elastic + kinetic + gravitational energy [J].
         grip_force: (T, 3) force the gripper exerts on the driven nodes [N]; for the midpoint rule its mean over the
             step that ends there. Zero without a drive and at the start.
@@ -52,6 +53,7 @@ class Trajectory:
 
     times: Array
     positions: Array
+    directors: Array
     energy: Array
     grip_force: Array
     grip_moment: Array
@@ -63,6 +65,7 @@ class Trajectory:
         t = len(self.times)
         object.__setattr__(self, "times", check_array("trajectory times", self.times, (t,)))
         object.__setattr__(self, "positions", check_array("trajectory positions", self.positions, (t, None, 3)))
+        object.__setattr__(self, "directors", check_array("directors", self.directors, self.positions.shape))
         object.__setattr__(self, "energy", check_array("trajectory energy", self.energy, (t,)))
         object.__setattr__(self, "grip_force", check_array("grip force", self.grip_force, (t, 3)))
         object.__setattr__(self, "grip_moment", check_array("grip moment", self.grip_moment, (t, 3)))
@@ -73,7 +76,7 @@ class Trajectory:
         return self.positions[:, node] - self.positions[0, node]
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz (kind 'rod trajectory', schema 2)."""
+        """Write an .npz (kind 'rod trajectory', schema 3)."""
         counts = np.array([self.newton_iterations, self.split_steps])
         write_npz(
             path,
@@ -81,6 +84,7 @@ class Trajectory:
             SCHEMA,
             times=self.times,
             positions=self.positions,
+            directors=self.directors,
             energy=self.energy,
             grip_force=self.grip_force,
             grip_moment=self.grip_moment,
@@ -247,7 +251,7 @@ class Run:
         self.work = Work(mid, end, np.zeros(n), np.zeros((n, 4)), new_blocks(n), np.zeros(3))
         stored, total = energies(model, state)
         self.work.energy[:] = total, stored, 0
-        self.first_x, self.first_energy = state.x.copy(), total
+        self.first_x, self.first_m1, self.first_energy = state.x.copy(), frames.m1.copy(), total
         self.iterations = self.splits = 0
 
     def trajectory(self) -> Trajectory:
@@ -276,6 +280,7 @@ class Run:
         trajectory = Trajectory(
             times=self.step_times()[:: self.every],
             positions=np.concatenate([self.first_x[None], out.x]),
+            directors=np.concatenate([self.first_m1[None], out.director]),
             energy=np.concatenate([[self.first_energy], out.energy]),
             grip_force=np.concatenate([np.zeros((1, 3)), out.force]),
             grip_moment=np.concatenate([np.zeros((1, 3)), out.moment]),
@@ -324,7 +329,8 @@ class Run:
 
 def new_output(rows: int, n: int) -> Output:
     """Return empty rows for the records of N nodes."""
-    return Output(np.zeros((rows, n, 3)), np.zeros(rows), np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros(rows))
+    x, director = np.zeros((2, rows, n, 3))
+    return Output(x, director, np.zeros(rows), np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros(rows))
 
 
 def _refuse_free_energy(run: Trajectory, model: Model) -> None:

@@ -35,6 +35,7 @@ class Output(NamedTuple):
     """Recorded rows."""
 
     x: Array  # (R, N, 3) [m]
+    director: Array  # (R, N, 3) first director of every edge
     energy: Array  # (R,) [J]
     force: Array  # (R, 3) [N]
     moment: Array  # (R, 3) [N m]
@@ -178,6 +179,7 @@ def record(model: Model, grip: Grip, state: State, work: Work, out: Output, row:
     for j in range(len(state.x)):
         for i in range(3):
             out.x[row, j, i] = state.x[j, i]
+            out.director[row, j, i] = state.frames.m1[j, i]
     out.energy[row] = work.energy[0]
     out.work[row] = work.energy[2]
     g = work.blocks.gradient

@@ -380,23 +380,16 @@ class PlantMechanics:
         return T[self.pieces.body]
 
     def strain(self, qpos: Array) -> Array:
-        """Return (B,) the bending strain added at each body's root: hinge angle x radius / spacing.
+        """Return (B,) the bending strain added at each body's root, in the configuration qpos (nq,): see `bending`."""
+        return np.linalg.norm(self.bending(qpos[self.model.jnt_qposadr[self.joints]]), axis=1)
+
+    def bending(self, angles: NDArray[Any]) -> NDArray[Any]:
+        """Return (B, 2) the bending strain at each body's root for the hinges' angles (D,): angle x radius / spacing.
 
         The spacing is EI/k, the length over which the hinge gathers the bending. Twist does not count: the limits on
-        strain are those of bending.
+        strain are those of bending. Real angles or phasors.
         """
-        angle = qpos[self.model.jnt_qposadr[self.joints[self._bends]]]
-        return self._per_angle() * np.sqrt(np.bincount(self._piece_of_joint()[self._bends], angle**2))
-
-    def swing_strain(self, motion: NDArray[np.complex128]) -> Array:
-        """Return (B,) the largest strain of a steady swing of the hinges (D,), x(t) = Im(x exp(i w t))."""
-        angle, piece = motion[self._bends], self._piece_of_joint()[self._bends]
-        square = angle**2
-        coherent = np.hypot(np.bincount(piece, square.real), np.bincount(piece, square.imag))
-        return self._per_angle() * np.sqrt((np.bincount(piece, np.abs(square)) + coherent) / 2)
-
-    def _per_angle(self) -> Array:
-        """Return (B,) strain at a body's root per angle of its hinges [1/rad]."""
         k = self.pieces.first
         radius = self.plant.radius_start[k]
-        return radius * self.pieces.stiffness / (self.plant.youngs[k] * np.pi / 4 * radius**4)
+        stiff = self.plant.youngs[k] * np.pi / 4 * radius**4
+        return angles[self._bends].reshape(-1, 2) * (radius * self.pieces.stiffness / stiff)[:, None]

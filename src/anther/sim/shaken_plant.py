@@ -178,21 +178,29 @@ class ShakenPlant:
         mujoco.mj_kinematics(self.model, data)
         return self.mechanics.segment_poses(data)[self._part]
 
-    def linear(self, frequencies: ArrayLike, amplitude: float = 0.0) -> NDArray[np.complex128]:
+    def linear(
+        self, frequencies: ArrayLike, amplitude: float = 0.0, *, loss_factor: float | None = None
+    ) -> NDArray[np.complex128]:
         """Return (Q, F, 3) what shakes do to the flowers, per metre of grip motion.
 
         Args:
             frequencies: (Q,) [Hz].
             amplitude: of the grip [m], at which the air's drag is taken; 0 is a shake too small to feel it.
+            loss_factor: of hysteretic damping instead of the plant's own: springs times 1 + i loss_factor.
         """
         flowers = self._jacobians()
-        motions = [self._phasor(float(f), amplitude) for f in np.atleast_1d(frequencies)]
-        return np.array([np.tensordot(flowers, motion, 1) for motion in motions])
+        phasors = [self._phasor(float(f), amplitude, loss_factor) for f in np.atleast_1d(frequencies)]
+        return np.array([np.tensordot(flowers, phasor, 1) for phasor in phasors])
 
-    def strains(self, frequencies: ArrayLike, amplitude: float = 0.0) -> Array:
-        """Return (Q, B) the bending strain at the root of every piece of the plant, per metre of grip motion [1/m]."""
-        motions = [self._phasor(float(f), amplitude) for f in np.atleast_1d(frequencies)]
-        return np.array([self.mechanics.swing_strain(motion) for motion in motions])
+    def bending(
+        self, frequencies: ArrayLike, amplitude: float = 0.0, *, loss_factor: float | None = None
+    ) -> NDArray[np.complex128]:
+        """Return (Q, B, 2) the bending strain that shakes cause at each piece's root, per metre of grip motion [1/m].
+
+        Arguments as of `linear`.
+        """
+        phasors = [self._phasor(float(f), amplitude, loss_factor) for f in np.atleast_1d(frequencies)]
+        return np.array([self.mechanics.bending(phasor) for phasor in phasors])
 
     def _start_pads(self, data: Any, motion: NDArray[np.complex128], omega: float, amplitude: float) -> None:
         """Put soft pads where the steady motion of the hinges (D,) has them."""
@@ -244,11 +252,15 @@ class ShakenPlant:
         drag = _drag(self.mechanics, mass, stiffness, grip)
         return (mass, np.diag(m.dof_damping[d]) + drag @ drag.T, stiffness, grip), drag
 
-    def _phasor(self, frequency: float, amplitude: float = 0.0) -> NDArray[np.complex128]:
+    def _phasor(
+        self, frequency: float, amplitude: float = 0.0, loss_factor: float | None = None
+    ) -> NDArray[np.complex128]:
         """Return (D,) the steady linear motion of the hinges per metre of grip motion, x(t) = Im(x exp(i w t))."""
         mass, damping, stiffness, _ = self._linear
         omega = 2 * np.pi * frequency
-        undragged = stiffness + 1j * omega * damping - omega**2 * mass
+        springs = self.model.jnt_stiffness[self.mechanics.joints]
+        loss = omega * damping if loss_factor is None else np.diag(loss_factor * springs)
+        undragged = stiffness + 1j * loss - omega**2 * mass
         motion = self._held_motion(undragged, omega)
         for _ in range(SOFTENINGS if amplitude > 0 and not self.air.still else 0):
             velocity = omega * amplitude * np.tensordot(self._centres, motion, 1)

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
-from anther.elastic_rod.model import bend_stiffness
+from anther.elastic_rod.moments import joints
 from anther.elastic_rod.rods import Array, Rods
 from anther.plant import PlantModel
 
@@ -19,19 +19,24 @@ ComplexArray = NDArray[np.complex128]
 
 
 class Observables(NamedTuple):
-    """A sparse operator from the displacements (3N,) of all nodes to observed vectors (3K,), and where each kind is.
+    """What is observed: K vectors, linear in the unknowns (x, y, z, spin) of all nodes, and where each kind is.
 
     Attributes:
-        operator: (3K, 3N) sparse.
+        operator: (3K, 4N) sparse, from the unknowns to the vectors.
+        bending: (3B, 3N) sparse, from the changes of the joints' strains (`elastic_rod.moments`) to those B of the K
+            vectors whose length is the bending strain at the surface of an edge [-].
+        strains: (B,) their rows of K.
+        edges: (B,) the edges in which these strains are.
         flowers: (F,) rows of K that are flower displacements [m].
-        stem_strain: rows of K whose length is the bending strain at the surface of a stem edge [-].
-        joint_strain: the same for pedicels.
-        base_strain: rows of K whose length, times the squared angular frequency, is the bending strain at the surface
-            of a branch's base [-].
+        stem_strain, joint_strain, base_strain: rows of K among `strains`, of the main stem, of pedicels, of the bases
+            of branches.
         leaf_load: rows of K whose length, times the squared angular frequency, is an equivalent acceleration [m/s2].
     """
 
     operator: Any
+    bending: Any
+    strains: NDArray[Any]
+    edges: NDArray[Any]
     flowers: NDArray[Any]
     stem_strain: NDArray[Any]
     joint_strain: NDArray[Any]
@@ -42,23 +47,20 @@ class Observables(NamedTuple):
 def observables(plant: PlantModel) -> Observables:
     """Return what is observed of a plant.
 
-    The strain of a joint is its moment, stiffness times change of angle, over the section modulus EI / (E r) of its two
-    edges; the larger of both counts. The strain of a branch's base is the inertia torque of all that it carries over
-    its section modulus, since the angle of a fork cannot be told from its nodes alone. The leaf load of a leaf is the
-    inertia torque about its base over the sum of mass times distance: uniform acceleration a gives at most a, gravity
-    gives at most g, so that a limit in g is a share of the leaf's own weight (facts: pollination 1d, safety factor
-    1.7 of petioles).
+    The bending strain of an edge is |M across the edge| r / (E I), at the surface of either of its ends: the moments
+    are those of the rods' own joints, from curvature and twist, so that a rigid motion strains nothing and a kink is no
+    exception. Of a branch's base the end on the stem counts. The leaf load of a leaf is the inertia torque about its
+    base over the sum of mass times distance: uniform acceleration a gives at most a, gravity gives at most g, so that a
+    limit in g is a share of the leaf's own weight (facts: pollination 1d, safety factor 1.7 of petioles).
     """
-    kinds = [_flowers(plant), *_strains(plant), *_bases(plant)]
-    ends = np.cumsum([0] + [count for count, *_ in kinds])
+    n = len(plant.rods.nodes)
+    flowers, load = _displacements(_flowers(plant), n), _displacements(_loads(plant), n)
+    found = joints(plant.rods)
+    bending, edges, counts = _bending(plant, found.moments)
+    operator = vstack([flowers, bending @ found.strains, load], format="csr")
+    ends = np.cumsum([0, flowers.shape[0] // 3, *counts, load.shape[0] // 3])
     rows = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    vector = np.concatenate([first + which for first, (_, which, _, _) in zip(ends[:-1], kinds, strict=True)])
-    node, block = (np.concatenate([kind[part] for kind in kinds]) for part in (2, 3))
-    at = [np.broadcast_to(3 * index[:, None, None] + axis, block.shape) for index, axis in zip((vector, node), _AXES)]  # noqa: B905
-    shape = (3 * ends[-1], 3 * len(plant.rods.nodes))
-    operator = csr_array((block.ravel(), (at[0].ravel(), at[1].ravel())), shape)
-    operator.eliminate_zeros()
-    return Observables(operator, *rows)
+    return Observables(operator, bending, np.arange(ends[1], ends[4]), edges, *rows)
 
 
 def branch_of(plant: PlantModel) -> NDArray[Any]:
@@ -79,11 +81,26 @@ def semi_major(vectors: ComplexArray) -> Array:
     return np.sqrt(0.5 * (square + np.abs(np.sum(vectors * vectors, axis=-1))))
 
 
-_AXES = (np.arange(3)[:, None], np.arange(3))
+STRAIGHT = 0.999
+"""Cosine of the kink up to which an edge goes straight on, 2.6 degrees: of a twisting moment 4.5 % bends beyond it."""
 
 Blocks = tuple[int, NDArray[Any], NDArray[Any], Array]
-"""Vectors that are sums of (3, 3) blocks times node displacements: how many vectors, then of each of B blocks which
-vector (B,) and node (B,), and the blocks (B, 3, 3)."""
+"""Vectors that are sums of (3, 3) blocks times vectors of nodes or joints: how many, then of each block which vector
+(B,) and which node or joint (B,), and the blocks (B, 3, 3)."""
+
+
+def _operator(blocks: Blocks, size: int, width: int) -> Any:
+    """Return the sparse matrix (3 count, width size) of blocks on the first three of a node's `width` components."""
+    count, vector, node, values = blocks
+    row = np.broadcast_to(3 * vector[:, None, None] + np.arange(3)[:, None], values.shape)
+    column = np.broadcast_to(width * node[:, None, None] + np.arange(3), values.shape)
+    operator = csr_array((values.ravel(), (row.ravel(), column.ravel())), (3 * count, width * size))
+    operator.eliminate_zeros()
+    return operator
+
+
+def _displacements(blocks: Blocks, size: int) -> Any:
+    return _operator(blocks, size, 4)
 
 
 def _flowers(plant: PlantModel) -> Blocks:
@@ -91,68 +108,68 @@ def _flowers(plant: PlantModel) -> Blocks:
     return count, np.arange(count), plant.flower_nodes, np.tile(np.eye(3), (count, 1, 1))
 
 
-def _strains(plant: PlantModel) -> tuple[Blocks, Blocks]:
-    """Return the strains of the joints of the main stem and of those of the pedicels."""
+def _bending(plant: PlantModel, moments: Array) -> tuple[Any, NDArray[Any], list[int]]:
+    """Return the operator of the bending strains, the edge of each, and how many are of stem, pedicels and bases.
+
+    An edge is strained at its start by the moment of its own joint, and at its end by the sum of those of the edges
+    that go on from there. The end is left out where one edge goes straight on that is no thicker: its start says it.
+    """
     rods = plant.rods
     j = np.flatnonzero(rods.parent > 0)
     p = rods.parent[j]
-    of_pedicel, on_stem = plant.is_pedicel[j], np.isin(np.arange(len(rods.nodes)), plant.stem_nodes)
-    radius = np.asarray(rods.edge_radius)
-    softness = radius / (np.asarray(rods.youngs) * np.pi * radius**4 / 4)
-    strain = bend_stiffness(rods)[j] * np.maximum(softness[p], softness[j])
-    nodes, blocks = (
-        np.stack([rods.parent[p], p, j], axis=1),
-        strain[:, None, None, None] * _bend(rods.nodes, p, j, rods),
-    )
-    kinds = []
-    for chosen in (~of_pedicel & on_stem[j] & on_stem[p], of_pedicel):
-        count = int(chosen.sum())
-        kinds.append((count, np.repeat(np.arange(count), 3), nodes[chosen].ravel(), blocks[chosen].reshape(-1, 3, 3)))
-    return kinds[0], kinds[1]
+    edge = np.arange(len(rods.nodes))
+    surface, along = _surface(rods)
+    jointed, on_stem = np.isin(edge, j), np.isin(edge, plant.stem_nodes)
+    stem = on_stem & on_stem[rods.parent] & (edge > 0)
+    weaker = np.linalg.norm(surface[j], axis=(1, 2)) >= np.linalg.norm(surface[p], axis=(1, 2)) * (1 - 1e-9)
+    follows = weaker & (np.sum(along[j] * along[p], axis=1) > STRAIGHT)
+    goes_on = np.isin(edge, p) & ~((np.bincount(p, minlength=len(edge)) == 1) & np.isin(edge, p[follows]))
+    parts, edges = [], []
+    for chosen, ends in ((stem, True), (plant.is_pedicel, True), (np.isin(edge, plant.branch_bases), False)):
+        first, last = edge[chosen & jointed], edge[chosen & goes_on & ends]
+        edges.append(np.concatenate([first, last]))
+        number = np.full(len(edge), -1)
+        number[last] = np.arange(len(last)) + len(first)
+        after = j[number[p] >= 0]
+        at = np.concatenate([np.arange(len(first)), number[rods.parent[after]]])
+        parts.append((len(edges[-1]), at, np.concatenate([first, after])))
+    strained, shift = np.concatenate(edges), np.cumsum([0] + [count for count, *_ in parts])
+    vector = np.concatenate([at + first for (_, at, _), first in zip(parts, shift, strict=False)])
+    joint = np.concatenate([joint for *_, joint in parts])
+    values = surface[strained[vector]] @ moments[joint]
+    operator = _operator((len(strained), vector, joint, values), len(edge), 3)
+    return operator, strained, [count for count, *_ in parts]
 
 
-def _bend(x: Array, p: NDArray[Any], j: NDArray[Any], rods: Rods) -> Array:
-    """Return (J, 3, 3, 3): the change of direction from edge p to edge j, less their common rotation, by nodes.
+def _surface(rods: Rods) -> tuple[Array, Array]:
+    """Return (N, 3, 3) from a moment on an edge to the bending strain at its surface, and (N, 3) the edges' tangents.
 
-    Nodes are the parent of p, p and j. A rigid rotation across the tangents gives nothing; of one about the tangents, a
-    share sin(kink) / 2 remains.
+    The part of a moment that twists strains nothing.
     """
-    turns, spins, tangents = [], [], []
-    for start, end in ((rods.parent[p], p), (p, j)):
-        edge = x[end] - x[start]
-        size = np.linalg.norm(edge, axis=1)[:, None]
-        t = edge / size
-        turn = (np.eye(3) - t[:, :, None] * t[:, None]) / size[:, None]
-        turns.append(turn)
-        spins.append(_cross(t) @ turn)
-        tangents.append(t)
-    half = 0.5 * _cross(tangents[1] - tangents[0])
-    first, last = turns[0] - half @ spins[0], turns[1] + half @ spins[1]
-    return np.stack([first, -first - last, last], axis=1)
+    along = rods.nodes - rods.nodes[rods.parent]
+    along[0] = 1
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    section = np.asarray(rods.youngs) * np.pi * np.asarray(rods.edge_radius) ** 3 / 4
+    return (np.eye(3) - along[:, :, None] * along[:, None]) / section[:, None, None], along
 
 
-def _bases(plant: PlantModel) -> tuple[Blocks, Blocks]:
-    """Return, for the branches' bases and per squared angular frequency, their strain, and the leaves' load.
+def _loads(plant: PlantModel) -> Blocks:
+    """Return the leaves' load per squared angular frequency: the inertia torque about the base over sum of m |r| [m].
 
-    A leaf's load is the inertia torque about its base over sum of m |r| [m]. Flowers and pedicels do not count in it,
-    nor do branches without leaves (trusses) where the leaves are known: the flowers are meant to move, and their
-    stalks have their own limits.
+    Flowers and pedicels do not count in it, nor do branches without leaves (trusses) where the leaves are known: the
+    flowers are meant to move, and their stalks have their own limits.
     """
     rods, bases, branch = plant.rods, plant.branch_bases, branch_of(plant)
     node = np.flatnonzero(branch >= 0)
     of, count = branch[node], len(bases)
     lever = rods.nodes[node] - rods.nodes[rods.parent[bases[of]]]
-    radius, youngs = np.asarray(rods.edge_radius), np.asarray(rods.youngs)
-    section = youngs[bases] * np.pi * radius[bases] ** 3 / 4
-    strain = (rods.node_mass[node] / section[of])[:, None, None] * _cross(lever)
-
     leaf, tissue = np.array(rods.lumped_mass), np.where(plant.is_pedicel, 0, rods.node_mass)
     leaf[plant.flower_nodes] = tissue[plant.flower_nodes] = 0
     moment = np.bincount(of, tissue[node] * np.linalg.norm(lever, axis=1), count)
     load = (tissue[node] / np.maximum(moment, 1e-12)[of])[:, None, None] * _cross(lever)
     leafy = (np.bincount(of, leaf[node], count) >= 1e-4) | (leaf.sum() == 0)
     some, number = leafy[of], np.cumsum(leafy) - 1
-    return (count, of, node, strain), (int(leafy.sum()), number[of[some]], node[some], load[some])
+    return int(leafy.sum()), number[of[some]], node[some], load[some]
 
 
 def _cross(v: Array) -> Array:

@@ -140,7 +140,7 @@ def _gains_of(
     kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
     stem, joint, base, load = (size[..., rows].max(axis=-1, initial=0.0) for rows in kinds)
     pull = _sizes(response.force[:, :, None], directions)[..., 0]
-    return size[..., seen.flowers], stem, joint, omega2 * base, omega2 * load, pull
+    return size[..., seen.flowers], stem, joint, base, omega2 * load, pull
 
 
 class Answer(NamedTuple):
@@ -175,8 +175,8 @@ def answer(
     """
     plant = version.plant
     nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
-    at = (3 * nodes[:, None] + np.arange(3)).ravel()
-    seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 3 * len(plant.rods.nodes)))
+    at = (4 * nodes[:, None] + np.arange(3)).ravel()
+    seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 4 * len(plant.rods.nodes)))
     response = _response(version, grips, seen, frequencies)
     flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
     return Answer(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.elastic_rod.grip import RIGID, Rocking, Springs
+from anther.elastic_rod.moments import strain_changes
 from anther.elastic_rod.motion import Drive, SampledDrive, Straight
 from anther.elastic_rod.response import driven_response, steady_motion
 from anther.elastic_rod.rods import Array, Rods
@@ -180,22 +181,29 @@ PEAKS = ("stem bending strain [-]", "pedicel bending strain [-]", "branch-base s
 def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, held: int, turned: Array) -> Array:
     """Return (T, K, 3) the observed vectors over time; what flowers do relative to the pads has the material's gain.
 
-    The pads have the place of the node `held`, and the rotation vectors `turned` (T, 3) from rest.
+    The pads have the place of the node `held`, and the rotation vectors `turned` (T, 3) from rest. Strains are those of
+    the simulated state itself, frames and all, with the moments of the linear theory's measure.
     """
-    moved = path.positions - plant.rods.nodes
-    vectors: Array = (seen.operator @ moved.reshape(len(moved), -1).T).T.reshape(len(moved), -1, 3)
+    moved = np.zeros((*path.positions.shape[:2], 4))
+    moved[..., :3] = path.positions - plant.rods.nodes
+    strains = strain_changes(plant.rods, path.positions, path.directors)
+    vectors, bent = (
+        (operator @ of.reshape(len(of), -1).T).T.reshape(len(of), -1, 3)
+        for operator, of in ((seen.operator, moved), (seen.bending, strains))
+    )
+    vectors[:, seen.strains] = bent
     lever = plant.rods.nodes[plant.flower_nodes] - plant.rods.nodes[held]
-    carried = moved[:, held, None] + np.cross(turned[:, None], lever)
+    carried = moved[:, held, None, :3] + np.cross(turned[:, None], lever)
     vectors[:, seen.flowers] = carried + plant.material.response_gain * (vectors[:, seen.flowers] - carried)
     return vectors
 
 
 def _peaks(seen: Observables, vectors: Array, jolts: Array) -> dict[str, float]:
-    """Return the largest values over the time, of strains and of the load of leaf bases, from second derivatives."""
+    """Return the largest values over the time, of strains and, from second derivatives, of the load of leaf bases."""
     kinds = (
         vectors[:, seen.stem_strain],
         vectors[:, seen.joint_strain],
-        jolts[:, seen.base_strain],
+        vectors[:, seen.base_strain],
         jolts[:, seen.leaf_load],
     )
     return {n: float(np.linalg.norm(v, axis=2).max(initial=0.0)) for n, v in zip(PEAKS, kinds, strict=True)}
