@@ -43,6 +43,7 @@ docs: $(DEV)  ## measure again what docs/ shows (a few hours)
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --page docs/grasping.md
 	$(BIN)/python tools/record.py experiments/actuators.py --figure docs/pictures/actuators.png
+	$(BIN)/python tools/record.py experiments/limits.py
 	$(BIN)/python tools/record.py experiments/fruit_set.py --figure docs/pictures/fruit_set.png
 	$(BIN)/python tools/record.py experiments/trials.py
 	$(BIN)/python tools/record.py experiments/hinged_plant.py

@@ -57,8 +57,9 @@ class Params:
         joint_strain: of pedicels and of the joints at the branches' bases [-].
         resonant_strain: strain of a pedicel that is counted with whatever the model says, per acceleration of the grip
             [s2/m]. Where trusses resonate the model does not know: at 4-17 Hz its largest pedicel strain and the true
-            one, over grips and directions of 26 simulated tomatoes seen in 10 views, correlate by -0.1 to 0.3. 98 % of
-            the true ones are below this, whatever is believed of the stiffness (docs/vibration.md).
+            one, over grips and directions of 26 simulated tomatoes seen in 10 views, correlated by -0.1 to 0.3, with a
+            measure of the model's strain that was wrong at kinks. 98 % of the true ones are below this (with true rods
+            0.41 % of tomatoes', 0.34 % of peppers': docs/limits.md), whatever is believed of the stiffness.
         leaf_load: largest torque at a leaf's base that the shake adds, in units of what 1 m/s2 gives [m/s2]: 0.7 g.
         grip_force: with which the pads press at least [N]: `execution.Params.hold`.
         pads: what is believed of how far they give.
