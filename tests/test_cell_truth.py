@@ -128,14 +128,14 @@ def test_a_joint_gives_way_by_torque_over_stiffness_and_its_encoder_does_not_see
     assert d.body("flange").xpos == pytest.approx(cell.flange_pose()[:3, 3], abs=1e-5)
 
 
-def shaken(truth: Truth, seed: int = 0) -> tuple[float, float, float]:
-    """Shake 1 mm at 5 Hz beside the plant; return the amplitudes of motors and flange, and what is left after 4 s [m].
+def shaken(truth: Truth, seed: int = 0, rest: int = 500) -> tuple[float, float, float]:
+    """Shake 1 mm at 5 Hz beside the plant; return the amplitudes of motors and flange, and what is left in the end [m].
 
     The first two in the direction asked for, the last the largest swing.
     """
     cell = Cell(replace(straight_plant(), seed=seed), BESIDE, truth=truth)
     SimArm(cell).follow(SmallPlanner().shake(BESIDE, (0, 1.0, 0), 0.001, 5.0, 2.0, None))
-    go(cell, BESIDE, cell.opening, 4000)
+    go(cell, BESIDE, cell.opening, 2, rest)
     log = cell.log()
     steady, after = (log.times > 0.6) & (log.times <= 1.6), log.times > log.times[-1] - 0.5
     wave = np.exp(-10j * np.pi * log.times[steady])
@@ -159,7 +159,7 @@ def test_ten_drawn_arms_follow_a_shake_and_come_to_rest() -> None:
     """
     for seed in range(10):
         truth = draw(seed, "arm")
-        rigid, elastic = shaken(replace(truth, joint_stiffness=np.inf), seed), shaken(truth, seed)
+        rigid, elastic = shaken(replace(truth, joint_stiffness=np.inf), seed), shaken(truth, seed, 3500)
         assert rigid[1] == pytest.approx(0.001, rel=0.1)
         assert rigid[0] == pytest.approx(rigid[1], rel=1e-3)
         assert elastic[0] < 0.0015
@@ -172,3 +172,17 @@ def test_errors_of_the_expected_torque_come_from_the_plant_s_seed() -> None:
     first, again, other = shaken(unsure, 1), shaken(unsure, 1), shaken(unsure, 2)
     assert first == again
     assert abs(first[0] - other[0]) > 1e-5
+
+
+@pytest.mark.parametrize("stiffness", [2e3, 3e4])
+@pytest.mark.parametrize("rotation", [0.1, 2.0])
+def test_a_stem_between_drawn_pads_comes_to_rest(stiffness: float, rotation: float) -> None:
+    """Softest and stiffest pads on the stiffest joints: after a shake with a stem held, all speeds fall."""
+    truth = replace(NOMINAL, pad_stiffness=stiffness, pad_rotation=rotation, joint_stiffness=5.0, pad_wear=0.3)
+    cell = Cell(straight_plant(), Q, truth=truth)
+    go(cell, Q, 0.0)
+    SimArm(cell).follow(SmallPlanner().shake(Q, (0, 1.0, 0), 0.001, 8.0, 1.0, None))
+    shaken = np.abs(cell.data.qvel).max()
+    go(cell, Q, 0.0, 3000)
+    assert np.abs(cell.data.qvel).max() < 0.02 * shaken
+    assert cell.grip_force == pytest.approx(10.0, rel=0.01)
