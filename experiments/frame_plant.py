@@ -71,10 +71,10 @@ class FramedPlant:
         shares = np.array([_share(plant, int(k), point) for k in stem])
         gaps = np.linalg.norm(_on(plant, stem, np.clip(shares, 0, 1)) - point, axis=1)
         held, share = int(stem[np.argmin(gaps)]), float(np.clip(shares, 0, 1)[np.argmin(gaps)])
-        self.plant, self.mesh = plant, meshed(plant, size, held, share)
-        self._carriers = np.array(
-            [self.mesh.node_beside(k, _share(plant, k, plant.lump_centre[k])) for k in range(len(plant.start))]
-        )
+        carried = np.array([_share(plant, k, plant.lump_centre[k]) for k in range(len(plant.start))])
+        wanted = [(k, s) for k, s in enumerate(carried) if plant.lump_mass[k] > 0]
+        self.plant, self.mesh = plant, meshed(plant, size, [*wanted, (held, share)])
+        self._carriers = np.array([self.mesh.node_beside(k, s) for k, s in enumerate(carried)])
         soft = np.isin(plant.organ, twisting)
         beams = _beams(plant, self.mesh, np.where(soft, 1 / twist, RIGID))
         self.frame = Frame(beams, self._lumps())
@@ -111,14 +111,15 @@ class FramedPlant:
         return Lumps(node, self.plant.lump_mass[k], arm, np.array([_blade_inertia(self.plant, int(i)) for i in k]))
 
 
-def meshed(plant: SimPlant, size: float, held: int, share: float) -> Mesh:
-    """Divide every segment into elements no longer than `size` [m], the held one also at `share` of its length."""
+def meshed(plant: SimPlant, size: float, nodes_at: Sequence[tuple[int, float]]) -> Mesh:
+    """Divide every segment into elements no longer than `size` [m], with nodes at some (segment, share of its length)."""
+    wanted: dict[int, list[float]] = {}
+    for k, share in nodes_at:
+        wanted.setdefault(k, []).append(min(max(share, 0.0), 1.0))
     nodes, ends, segment, shares = [plant.start[0]], [], [], []
     first, last = np.zeros(len(plant.start), dtype=np.int64), np.zeros(len(plant.start), dtype=np.int64)
     for k, parent in enumerate(plant.parent):
-        cuts = np.linspace(0, 1, max(1, int(np.ceil(plant.length[k] / size - 1e-9))) + 1)
-        if k == held and np.min(np.abs(cuts - share)) > 1e-6:
-            cuts = np.sort(np.append(cuts, share))
+        cuts = _cuts(wanted.get(k, []), plant.length[k] / size)
         node = first[k] = last[parent] if parent >= 0 else 0
         for a, b in zip(cuts[:-1], cuts[1:], strict=True):
             ends.append((node, len(nodes)))
@@ -128,6 +129,14 @@ def meshed(plant: SimPlant, size: float, held: int, share: float) -> Mesh:
             shares.append((a, b))
         last[k] = node
     return Mesh(np.array(nodes), np.array(ends), np.array(segment), np.array(shares), first)
+
+
+def _cuts(wanted: Sequence[float], least: float) -> Array:
+    """Return rising shares from 0 to 1 with the wanted ones, at least `least` a unit."""
+    ends = np.unique(np.round([0.0, *wanted, 1.0], 6))
+    counts = np.maximum(1, np.ceil(np.diff(ends) * least - 1e-6)).astype(int)
+    parts = [a + (b - a) * np.arange(n) / n for a, b, n in zip(ends[:-1], ends[1:], counts, strict=True)]
+    return np.concatenate([*parts, [1.0]])
 
 
 def _beams(plant: SimPlant, mesh: Mesh, twist_over_bend: Array) -> Beams:
