@@ -50,7 +50,7 @@ from anther.runs import Run
 from anther.safety import GuardedCamera
 from anther.sim.cell import BENCH, POT, Cell
 from anther.sim.faults import Fault, FaultyCamera, Kind, with_faults
-from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper
 from anther.vibration import ShakePlan
 
@@ -130,8 +130,7 @@ def plant(whole: bool) -> SimPlant:
 
 def vars_of(grown: SimPlant) -> dict[str, Any]:
     """Return the per-segment arrays by name."""
-    names = "start end radius_start radius_end parent organ youngs density damping_ratio lump_mass lump_centre"
-    return {name: getattr(grown, name) for name in names.split()}
+    return {name: getattr(grown, name) for name in OF_SEGMENTS}
 
 
 def machines(cell: Cell, arm: Arm | None = None) -> Robot:

@@ -12,7 +12,7 @@ from anther.arm import sawyer
 from anther.geometry import Array, transform
 from anther.sim.cell import Cell
 from anther.sim.mechanics import supported_youngs
-from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 
 LEAN = 20.0  # degrees from upright
 SPREAD = 65.0  # degrees by which the added leaves stand beside the old ones
@@ -107,9 +107,7 @@ def _grafted(plant: SimPlant, donor: SimPlant, kept: NDArray[np.bool_], parent: 
     """Return the plant with the kept segments (K,) of a donor, whose roots hang on `parent` (K,) of the plant."""
     number = len(plant.start) + np.cumsum(kept) - 1
     inner = (donor.parent >= 0) & kept[donor.parent]
-    of_segments = ("start", "end", "radius_start", "radius_end", "organ", "youngs", "density", "damping_ratio")
-    of_segments += ("lump_mass", "lump_centre")
-    arrays = {n: np.concatenate([getattr(plant, n), getattr(donor, n)[kept]]) for n in of_segments}
+    arrays = {n: np.concatenate([getattr(plant, n), getattr(donor, n)[kept]]) for n in OF_SEGMENTS}
     arrays["parent"] = np.concatenate([plant.parent, np.where(inner, number[donor.parent], parent)[kept]])
     flower = kept[donor.flower_segment]
     arrays["flower_segment"] = np.concatenate([plant.flower_segment, number[donor.flower_segment[flower]]])

@@ -19,7 +19,7 @@ from anther.sim import plant_mechanics
 from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.sim.tomato import grow_tomato
 
-BENDING = plant_mechanics.Params(twist=None)
+BENDING = plant_mechanics.Params(twisting=())
 
 
 @pytest.fixture(scope="module")

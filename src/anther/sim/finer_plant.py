@@ -32,8 +32,8 @@ def divided(plant: SimPlant, longest: float) -> tuple[SimPlant, NDArray[Any]]:
     unit = (plant.end - plant.start) / plant.length[:, None]
     ahead = np.einsum("kj,kj->k", plant.lump_centre - plant.start, unit) / plant.length
     carries = first + np.clip(ahead * count, 0, count - 1).astype(int)
-    mass, centre = np.zeros(len(of)), (start + end) / 2
-    mass[carries] = plant.lump_mass
+    mass, drag, centre = np.zeros(len(of)), np.zeros(len(of)), (start + end) / 2
+    mass[carries], drag[carries] = plant.lump_mass, plant.drag_area
     loaded = plant.lump_mass > 0
     centre[carries[loaded]] = plant.lump_centre[loaded]
     rides = plant.vertex_segment
@@ -44,7 +44,10 @@ def divided(plant: SimPlant, longest: float) -> tuple[SimPlant, NDArray[Any]]:
         radius_start=along(plant.radius_start, plant.radius_end, begins),
         radius_end=along(plant.radius_start, plant.radius_end, ends),
         parent=np.where(part > 0, np.arange(len(of)) - 1, above),
-        **{name: getattr(plant, name)[of] for name in ("organ", "youngs", "density", "damping_ratio")},
+        **{name: getattr(plant, name)[of] for name in ("organ", "youngs", "density", "damping_ratio", "oval")},
+        joint_compliance=np.where(part == 0, plant.joint_compliance[of], 0.0),
+        drag_area=drag,
+        tie=None if plant.tie is None else (int(last[plant.tie[0]]), plant.tie[1]),
         lump_mass=mass,
         lump_centre=centre,
         flower_segment=carries[plant.flower_segment],

@@ -53,7 +53,7 @@ def _spring_matrix(plant: SimPlant) -> Array:
     K = np.zeros((count, count))
     for k, p in enumerate(plant.parent):
         span = plant.length[k] / 2 + (plant.length[p] / 2 if p >= 0 else 0.0)
-        stiffness = plant.youngs[k] * inertia[k] / span
+        stiffness = 1 / (span / (plant.youngs[k] * inertia[k]) + (1 / plant.foot if p < 0 else 0.0))
         K[k, k] += stiffness
         if p >= 0:
             K[p, p] += stiffness

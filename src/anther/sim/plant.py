@@ -27,6 +27,13 @@ POT_AXIS = (0.72, 0.0)
 """Where the pot stands by default: x, y in front of the arm's base [m]."""
 
 
+OF_SEGMENTS = (
+    "start", "end", "radius_start", "radius_end", "parent", "organ", "youngs", "density", "damping_ratio", "lump_mass",
+    "lump_centre", "oval", "joint_compliance", "drag_area",
+)  # fmt: skip
+"""The arrays of a `SimPlant` that have one row a segment."""
+
+
 class Organ(IntEnum):
     """What a segment or a face belongs to. NOTHING is only found in images: a pixel that sees no surface."""
 
@@ -97,6 +104,13 @@ class SimPlant:
         vertex_color: (Nv, 3) uint8 sRGB.
         vertex_segment: (Nv,) int32, the segment a vertex rides on; -1 = still (pot, soil).
         pot: where it stands.
+        oval: (K, 3) along the wider axis of each segment's section, as long as ln of the bending stiffness in the plane
+            of that axis over that across it; 0 where the section is round. Their geometric mean is that of a round one.
+        joint_compliance: (K,) how much softer the joint at a segment's start is than its tissue [rad/(N m)].
+        drag_area: (K,) drag coefficient times area of what a segment carries [m2].
+        bend_over_twist: EI/GJ of what twists [-], 11.5-13.3 in dicot petioles (facts: pollination 2).
+        foot: stiffness with which root, soil and pot hold the stem's direction [N m/rad].
+        tie: segment whose end is tied to a stake, and the tie's stiffness sideways [N/m]; None: it stands by itself.
     """
 
     species: str
@@ -120,9 +134,18 @@ class SimPlant:
     vertex_color: NDArray[Any]
     vertex_segment: NDArray[Any]
     pot: Pot
+    oval: Any = None
+    joint_compliance: Any = None
+    drag_area: Any = None
+    bend_over_twist: float = 12.0
+    foot: float = np.inf
+    tie: tuple[int, float] | None = None
 
     def __post_init__(self) -> None:
         segments, flowers = len(self.start), len(self.flower_segment)
+        for name, shape in (("oval", (segments, 3)), ("joint_compliance", (segments,)), ("drag_area", (segments,))):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(shape))
         vertices, faces = len(self.vertices), len(self.faces)
         shapes: dict[str, tuple[tuple[int, ...], str]] = {
             "start": ((segments, 3), "float64"),
@@ -143,6 +166,9 @@ class SimPlant:
             "face_organ": ((faces,), "uint8"),
             "vertex_color": ((vertices, 3), "uint8"),
             "vertex_segment": ((vertices,), "int32"),
+            "oval": ((segments, 3), "float64"),
+            "joint_compliance": ((segments,), "float64"),
+            "drag_area": ((segments,), "float64"),
         }
         for name, (shape, dtype) in shapes.items():
             object.__setattr__(self, name, check_array(f"plant {name}", getattr(self, name), shape, dtype=dtype))

@@ -17,7 +17,8 @@ from scipy.linalg import eigh
 
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim.plant import Organ, SimPlant
+from anther.sim.inertia import mass_properties
+from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
@@ -53,7 +54,6 @@ class Params:
         foliage: the same for petioles, rachises and midribs [Hz], 0.5 % at 10 Hz: their pieces are light, and with 300
             Hz a leaf that was jammed in the gripper became unstable.
         least: pieces in an unbranched run at least, where it has that many segments.
-        twist: EI/GJ of what twists, 11.5-13.3 in dicot petioles (facts: pollination 2); None: nothing twists.
         twisting: organs that twist.
         twist_every: of so many pieces of a run the middle one has a hinge for twist, as soft as all of theirs together.
     """
@@ -64,7 +64,6 @@ class Params:
     foliage: float = 100.0
     least: int = 4
     flutter: float = 30.0
-    twist: float | None = 12.0
     twisting: tuple[Organ, ...] = TWISTING
     twist_every: int = 2
 
@@ -98,7 +97,7 @@ def cut(plant: SimPlant, params: Params) -> Pieces:
     size: list[float] = []
     for k, p in enumerate(plant.parent):
         follows = p >= 0 and heir[p] == k and plant.organ[k] == plant.organ[p]
-        fits = follows and size[body[p]] + plant.length[k] <= limit[chain[k]]
+        fits = follows and size[body[p]] + plant.length[k] <= limit[chain[k]] and plant.joint_compliance[k] == 0
         if fits and _turn(plant, first[body[p]], k) < params.bend:
             body[k] = body[p]
             size[body[p]] += plant.length[k]
@@ -111,8 +110,10 @@ def cut(plant: SimPlant, params: Params) -> Pieces:
     softness = _softness(plant)
     twisting = np.isin(plant.organ[pieces], params.twisting)
     whole: Array = np.bincount(body, softness.sum(axis=0)).astype(np.float64)
-    twist = _twist(whole, np.where(twisting, chain[pieces], -1), params)
-    return Pieces(body, pieces, np.array(parent), _stiffness(plant, heir, body, pieces, softness), twist)
+    twist = _twist(plant.bend_over_twist * whole, np.where(twisting, chain[pieces], -1), params)
+    bending = 1 / _stiffness(plant, heir, body, pieces, softness) + plant.joint_compliance[pieces]
+    bending[0] += 1 / plant.foot
+    return Pieces(body, pieces, np.array(parent), 1 / bending, twist)
 
 
 def _softness(plant: SimPlant) -> Array:
@@ -124,10 +125,10 @@ def _softness(plant: SimPlant) -> Array:
 def _twist(softness: Array, run: NDArray[Any], params: Params) -> Array:
     """Return (B,) stiffnesses of the hinges for twist: one for every few pieces of a run; those in run -1 do not."""
     out = np.zeros(len(softness))
-    for number in np.unique(run[run >= 0]) if params.twist else ():
+    for number in np.unique(run[run >= 0]):
         pieces = np.flatnonzero(run == number)
         for group in np.array_split(pieces, -(-len(pieces) // params.twist_every)):
-            out[group[len(group) // 2]] = 1 / (params.twist * softness[group].sum())
+            out[group[len(group) // 2]] = 1 / softness[group].sum()
     return out
 
 
@@ -210,7 +211,7 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaf
         contype, conaffinity: MuJoCo's collision bits of the capsules.
     """
     pieces = cut(plant, params)
-    mass, com, inertia = _mass_properties(plant, pieces)
+    mass, com, inertia = mass_properties(plant, pieces.body)
     bodies: list[Any] = []
     for b, k in enumerate(pieces.first):
         p = pieces.parent[b]
@@ -221,6 +222,8 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaf
         body.mass, body.ipos, body.fullinertia = mass[b], com[b] - origin, inertia[b]
         _add_hinges(body, plant, int(k), pieces.stiffness[b], pieces.twist[b], params, dt=spec.option.timestep)
         bodies.append(body)
+    if plant.tie is not None:
+        _add_tie(spec, plant, bodies[pieces.body[plant.tie[0]]], pieces)
     radius = (plant.radius_start + plant.radius_end) / 2
     for k, b in enumerate(pieces.body):
         touches = plant.organ[k] != Organ.LEAF
@@ -238,15 +241,30 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaf
     return pieces
 
 
+def _add_tie(spec: Any, plant: SimPlant, body: Any, pieces: Pieces) -> None:
+    """Tie a body sideways, by two long springs at right angles."""
+    assert plant.tie is not None
+    k, stiffness = plant.tie
+    at = plant.end[k] - plant.start[pieces.first[pieces.body[k]]]
+    body.add_site(name="tied", pos=at)
+    for i, axis in enumerate(np.eye(3)[:2]):
+        spec.worldbody.add_site(name=f"stake_{i}", pos=plant.end[k] + axis)
+        string = spec.add_tendon(name=f"tie_{i}")
+        string.wrap_site(f"stake_{i}")
+        string.wrap_site("tied")
+        string.stiffness = [stiffness, 0, 0]
+
+
 def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float, params: Params, *, dt: float) -> None:
     along = plant.end[k] - plant.start[k]
     along = along / np.linalg.norm(along)
-    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    across = np.cross(along, plant.oval[k] if plant.oval[k].any() else np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
+    oval = float(np.exp(np.linalg.norm(plant.oval[k]) / 2))
     # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
     beta = max(plant.damping_ratio[k] / (np.pi * params.flutter), 0.7 * dt)
     fastest = params.foliage if plant.organ[k] in (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF) else params.stiffest
-    for axis, stiffness in ((across, bending), (np.cross(along, across), bending), (along, twist)):
+    for axis, stiffness in ((across, bending * oval), (np.cross(along, across), bending / oval), (along, twist)):
         if stiffness == 0:
             continue
         joint = body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
@@ -256,42 +274,16 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
         joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
 
 
-def _mass_properties(plant: SimPlant, pieces: Pieces) -> tuple[Array, Array, Array]:
-    """Return mass (B,), centre (B, 3) and MuJoCo's full inertia (B, 6) of the bodies: cylinders plus point lumps."""
-    rod, length = plant.mass, plant.length
-    r2 = rod / (plant.density * np.pi * length)
-    u = (plant.end - plant.start) / length[:, None]
-    across = np.eye(3) - u[:, :, None] * u[:, None, :]
-    own = rod[:, None, None] * ((length**2 / 12 + r2 / 4)[:, None, None] * across)
-    own += (rod * r2 / 2)[:, None, None] * (np.eye(3) - across)
-    masses = np.concatenate([rod, plant.lump_mass])
-    centres = np.concatenate([(plant.start + plant.end) / 2, plant.lump_centre])
-    body = np.tile(pieces.body, 2)
-    mass: Array = np.bincount(body, masses).astype(np.float64)
-    com = np.stack([np.bincount(body, masses * c) for c in centres.T], axis=1) / mass[:, None]
-    d = centres - com[body]
-    steiner = masses[:, None, None] * ((d**2).sum(1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
-    steiner[: len(rod)] += own
-    steiner[len(rod) :] += _spread(plant)
-    inertia = np.zeros((len(mass), 3, 3))
-    np.add.at(inertia, body, steiner)
-    i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    return mass, com, inertia[:, i, j]
+def natural_frequencies(plant: SimPlant, params: Params) -> Array:
+    """Return (D,) the natural frequencies of a plant in its pot [Hz], lowest first.
 
-
-def _spread(plant: SimPlant) -> Array:
-    """Return (K, 3, 3) the inertia of what each segment carries about its own centre: it spreads as its mesh does.
-
-    Without it a leaf had hardly any about its midrib, and spun when its margin was touched.
+    Raises:
+        StageFailure: "no_convergence": it cannot carry its own weight.
     """
-    seen = np.unique(plant.faces[np.isin(plant.face_organ, (Organ.LEAF, Organ.FLOWER))])
-    k, count = plant.vertex_segment[seen], len(plant.start)
-    share = 1 / np.maximum(np.bincount(k, minlength=count), 1)
-    mean = np.stack([np.bincount(k, x, count) for x in plant.vertices[seen].T], axis=1) * share[:, None]
-    d, second = plant.vertices[seen] - mean[k], np.zeros((count, 3, 3))
-    np.add.at(second, k, d[:, :, None] * d[:, None, :])
-    second *= (plant.lump_mass * share)[:, None, None]
-    return np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.option.gravity = False, [0, 0, -GRAVITY]
+    pieces = add_plant(spec, plant, params, contype=0, conaffinity=0)
+    return PlantMechanics(spec.compile(), plant, pieces, params).frequencies
 
 
 class PlantMechanics:
@@ -356,7 +348,16 @@ class PlantMechanics:
             columns.append((pair[0] - pair[1]) / (2 * step))
         K = np.array(columns)
         mujoco.mj_forward(m, data)
-        return np.diag(m.jnt_stiffness[self.joints]) + (K + K.T) / 2
+        return np.diag(m.jnt_stiffness[self.joints]) + (K + K.T) / 2 + self._tie(data)
+
+    def _tie(self, data: Any) -> Array:
+        """Return (D, D) what the tie to a stake adds."""
+        if self.plant.tie is None:
+            return np.zeros((len(self.dofs), len(self.dofs)))
+        place = np.zeros((3, self.model.nv))
+        mujoco.mj_jacSite(self.model, data, place, None, self.model.site("tied").id)
+        sideways = place[:2, self.dofs]
+        return self.plant.tie[1] * sideways.T @ sideways
 
     def _air_damping(self, omega: float, shape: Array) -> float:
         """Return alpha so that a bending mode's ratio is the strain-energy mean of the segments' ratios."""
@@ -385,8 +386,17 @@ class PlantMechanics:
         strain are those of bending.
         """
         angle = qpos[self.model.jnt_qposadr[self.joints[self._bends]]]
-        square = np.bincount(self._piece_of_joint()[self._bends], angle**2)
+        return self._per_angle() * np.sqrt(np.bincount(self._piece_of_joint()[self._bends], angle**2))
+
+    def swing_strain(self, motion: NDArray[np.complex128]) -> Array:
+        """Return (B,) the largest strain of a steady swing of the hinges (D,), x(t) = Im(x exp(i w t))."""
+        angle, piece = motion[self._bends], self._piece_of_joint()[self._bends]
+        square = angle**2
+        coherent = np.hypot(np.bincount(piece, square.real), np.bincount(piece, square.imag))
+        return self._per_angle() * np.sqrt((np.bincount(piece, np.abs(square)) + coherent) / 2)
+
+    def _per_angle(self) -> Array:
+        """Return (B,) strain at a body's root per angle of its hinges [1/rad]."""
         k = self.pieces.first
         radius = self.plant.radius_start[k]
-        stiff = self.plant.youngs[k] * np.pi / 4 * radius**4
-        return np.sqrt(square) * radius * self.pieces.stiffness / stiff
+        return radius * self.pieces.stiffness / (self.plant.youngs[k] * np.pi / 4 * radius**4)

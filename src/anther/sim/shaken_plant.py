@@ -1,9 +1,10 @@
 """A simulated plant without an arm: held at one piece of its stem and moved to and fro, until every flower is steady.
 
 The grip holds the piece's direction and its place sideways; its height is free, because a stem that cannot stretch dips
-when it bends. A heavy carriage follows the sine exactly, and the piece is welded to it. The simulation starts in the
-steady state of MuJoCo's own linear equations, so that only what is not linear has to settle. Every mode of the held
-plant up to 30 Hz has the damping ratio that the plant's truth states.
+when it bends. A heavy carriage follows the sine exactly; the piece is welded to it, or held by soft pads. The
+simulation starts in the steady state of MuJoCo's own linear equations, so that only what is not linear has to settle.
+Every mode of the held plant up to 30 Hz has the damping ratio that the plant's truth states; the air's drag comes
+besides.
 
 The weld holds the grip to 0.03 % up to 10 Hz, 0.2 % at 30 Hz (measured, pepper 15 held at 0.45 of its stem); `linear`
 holds it exactly.
@@ -13,6 +14,7 @@ D degrees of freedom of the plant, F flowers, T samples, Q frequencies, B pieces
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import mujoco as mujoco_module
@@ -25,14 +27,23 @@ from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.oscillation import fit_swing
 from anther.sim import plant_mechanics
+from anther.sim.air import Air
 from anther.sim.finer_plant import divided
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
+from anther.sim.truth import NOMINAL, Truth
+from anther.vibration.observables import semi_major
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
 CARRIAGE_MASS = 1e6
 """[kg]: it does not feel the plant."""
+PAD_LOSS = 1e-3
+"""Viscous time of soft pads [s]: a loss factor of 0.06 at 10 Hz and 0.19 at 30 Hz, as of soft silicone; a guess."""
+PAD_MASS, PAD_INERTIA = 0.005, 1e-6
+"""Of the soft pads' inner faces [kg], [kg m2]."""
+SOFTENINGS = 3
+"""How often the drag at the swing that it allows is found again: it changes a flower's amplitude by a few per cent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,14 +100,29 @@ class ShakenPlant:
         mechanics: of the plant.
     """
 
-    def __init__(self, plant: SimPlant, point: ArrayLike, direction: ArrayLike, params: Params = Params()) -> None:
+    def __init__(
+        self,
+        plant: SimPlant,
+        point: ArrayLike,
+        direction: ArrayLike,
+        params: Params = Params(),
+        truth: Truth = NOMINAL,
+    ) -> None:
         """Hold the piece of the main stem whose middle is nearest to `point` (3,) [m]; shake along `direction` (3,).
+
+        Args:
+            plant: as it truly is.
+            point: where it is held.
+            direction: of the shake.
+            params: how finely it is cut and stepped.
+            truth: of pads and wind; the plant has its own already.
 
         Raises:
             StageFailure: "no_convergence": the plant cannot carry its own weight.
         """
         self.plant, self.params = plant, params
         self.direction = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
+        self._pads = np.repeat([truth.pad_stiffness, truth.pad_rotation], [2, 3])
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         spec.option.timestep, spec.option.gravity = params.timestep, [0, 0, -9.81]
@@ -105,9 +131,10 @@ class ShakenPlant:
         finer, self._part = divided(plant, params.plant.piece)
         pieces = plant_mechanics.add_plant(spec, finer, params.plant, contype=0, conaffinity=0)
         held, self.point = _nearest_piece(finer, pieces, np.asarray(point, dtype=np.float64))
-        _add_carriage(spec, self.point, self.direction, f"plant_{held}", params.timestep)
+        _add_carriage(spec, self.point, self.direction, f"plant_{held}", self._pads, params.timestep)
         self.model: Any = spec.compile()
         self.mechanics = PlantMechanics(self.model, finer, pieces, params.plant)
+        self.air = Air(self.mechanics, truth.wind, plant.seed)
         self._held = int(self.mechanics.bodies[held])
         self._carriage = int(self.model.joint("carriage").dofadr[0])
         self._linear, self._drag = self._linearised()
@@ -121,9 +148,10 @@ class ShakenPlant:
         check_range("shake amplitude", amplitude, 0, 1, "m")
         m, p, omega = self.model, self.params, 2 * np.pi * frequency
         data, dt, dofs = mujoco.MjData(m), self.params.timestep, self.mechanics.dofs
-        motion = amplitude * self._phasor(frequency)
+        motion = amplitude * self._phasor(frequency, amplitude)
         data.qpos[m.jnt_qposadr[self.mechanics.joints]] = motion.imag
         data.qvel[dofs] = (omega * motion).real
+        self._start_pads(data, motion, omega, amplitude)
         settled = max(1 / frequency, p.settle)
         steps = round((settled + max(2, np.ceil(p.measure * frequency)) / frequency) / dt)
         every = max(1, int(1 / (p.samples * frequency * dt)))
@@ -135,6 +163,7 @@ class ShakenPlant:
             data.qpos[self._carriage], data.qvel[self._carriage] = place[i + 1], speed[i]
             data.qfrc_applied[dofs] = -self._drag @ (self._drag.T @ data.qvel[dofs])
             data.qfrc_applied[self._carriage] = push[i]
+            self.air.push(data, dt)
             if i * dt >= settled and i % every == 0:
                 rows.append((i * dt, data.qpos.copy()))
             mujoco.mj_step(m, data)
@@ -149,10 +178,30 @@ class ShakenPlant:
         mujoco.mj_kinematics(self.model, data)
         return self.mechanics.segment_poses(data)[self._part]
 
-    def linear(self, frequencies: ArrayLike) -> NDArray[np.complex128]:
-        """Return (Q, F, 3) what small shakes do to the flowers, per metre of grip motion."""
+    def linear(self, frequencies: ArrayLike, amplitude: float = 0.0) -> NDArray[np.complex128]:
+        """Return (Q, F, 3) what shakes do to the flowers, per metre of grip motion.
+
+        Args:
+            frequencies: (Q,) [Hz].
+            amplitude: of the grip [m], at which the air's drag is taken; 0 is a shake too small to feel it.
+        """
         flowers = self._jacobians()
-        return np.array([np.tensordot(flowers, self._phasor(float(f)), 1) for f in np.atleast_1d(frequencies)])
+        motions = [self._phasor(float(f), amplitude) for f in np.atleast_1d(frequencies)]
+        return np.array([np.tensordot(flowers, motion, 1) for motion in motions])
+
+    def strains(self, frequencies: ArrayLike, amplitude: float = 0.0) -> Array:
+        """Return (Q, B) the bending strain at the root of every piece of the plant, per metre of grip motion [1/m]."""
+        motions = [self._phasor(float(f), amplitude) for f in np.atleast_1d(frequencies)]
+        return np.array([self.mechanics.swing_strain(motion) for motion in motions])
+
+    def _start_pads(self, data: Any, motion: NDArray[np.complex128], omega: float, amplitude: float) -> None:
+        """Put soft pads where the steady motion of the hinges (D,) has them."""
+        if not np.isfinite(self._pads).any():
+            return
+        held, first = self._linear[3] @ motion, int(self.model.joint("pads_0").dofadr[0])
+        data.qpos[first : first + 5] = held.imag
+        data.qvel[first : first + 5] = omega * held.real
+        data.qvel[first : first + 2] -= omega * amplitude * self.direction[:2]
 
     def _measured(self, times: Array, qpos: Array, frequency: float) -> Shaken:
         data, k = mujoco.MjData(self.model), self.plant.flower_segment
@@ -195,13 +244,41 @@ class ShakenPlant:
         drag = _drag(self.mechanics, mass, stiffness, grip)
         return (mass, np.diag(m.dof_damping[d]) + drag @ drag.T, stiffness, grip), drag
 
-    def _phasor(self, frequency: float) -> NDArray[np.complex128]:
+    def _phasor(self, frequency: float, amplitude: float = 0.0) -> NDArray[np.complex128]:
         """Return (D,) the steady linear motion of the hinges per metre of grip motion, x(t) = Im(x exp(i w t))."""
-        mass, damping, stiffness, grip = self._linear
+        mass, damping, stiffness, _ = self._linear
         omega = 2 * np.pi * frequency
-        reached = np.linalg.solve(stiffness + 1j * omega * damping - omega**2 * mass, grip.T.astype(np.complex128))
+        undragged = stiffness + 1j * omega * damping - omega**2 * mass
+        motion = self._held_motion(undragged, omega)
+        for _ in range(SOFTENINGS if amplitude > 0 and not self.air.still else 0):
+            velocity = omega * amplitude * np.tensordot(self._centres, motion, 1)
+            drag = self.air.linear(semi_major(velocity))[self._blown]
+            rows = self._centres[self._blown].reshape(-1, len(motion))
+            motion = self._held_motion(undragged + 1j * omega * (rows.T * np.repeat(drag, 3)) @ rows, omega)
+        return motion
+
+    def _held_motion(self, dynamic: NDArray[np.complex128], omega: float) -> NDArray[np.complex128]:
+        """Return (D,) what the dynamic stiffness (D, D) answers to a metre of grip motion through the pads."""
+        grip = self._linear[3]
+        reached = np.linalg.solve(dynamic, grip.T.astype(np.complex128))
+        give = np.diag(1 / self._pads / (1 + 1j * omega * PAD_LOSS))
         wanted = np.concatenate([self.direction[:2], np.zeros(3)])
-        return reached @ (np.linalg.pinv(grip @ reached, rcond=1e-9) @ wanted)
+        return reached @ (np.linalg.pinv(grip @ reached + give, rcond=1e-9) @ wanted)
+
+    @cached_property
+    def _centres(self) -> Array:
+        """(B, 3, D) Jacobians of the pieces' centres of mass at rest."""
+        m, data = self.model, mujoco.MjData(self.model)
+        mujoco.mj_forward(m, data)
+        out = np.zeros((len(self.mechanics.bodies), 3, m.nv))
+        for row, body in zip(out, self.mechanics.bodies, strict=True):
+            mujoco.mj_jacBodyCom(m, data, row, None, int(body))
+        return out[:, :, self.mechanics.dofs]
+
+    @cached_property
+    def _blown(self) -> NDArray[Any]:
+        """Pieces on which there is drag."""
+        return np.flatnonzero(self.air.linear(np.ones(len(self.mechanics.bodies))))
 
     def _jacobians(self) -> Array:
         """Return (F, 3, D) of the flowers at rest."""
@@ -247,14 +324,18 @@ def _nearest_piece(plant: SimPlant, pieces: plant_mechanics.Pieces, point: Array
     return stem[nearest], middles[nearest]
 
 
-def _add_carriage(spec: Any, point: Array, direction: Array, held: str, dt: float) -> None:
-    slide = mujoco.mjtJoint.mjJNT_SLIDE
+def _add_carriage(spec: Any, point: Array, direction: Array, held: str, pads: Array, dt: float) -> None:
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     carriage = spec.worldbody.add_body(name="carriage", pos=point, gravcomp=1)
     carriage.add_joint(name="carriage", type=slide, axis=direction)
     carriage.mass, carriage.explicitinertial, carriage.inertia = CARRIAGE_MASS, True, [CARRIAGE_MASS] * 3
     follower = carriage.add_body(name="follower", gravcomp=1)
     follower.add_joint(name="height", type=slide, axis=[0, 0, 1])
-    follower.mass, follower.explicitinertial, follower.inertia = 0.05, True, [1e-6] * 3
+    follower.mass, follower.explicitinertial, follower.inertia = PAD_MASS, True, [PAD_INERTIA] * 3
+    for i, stiffness in enumerate(pads if np.isfinite(pads).all() else ()):
+        spring = follower.add_joint(name=f"pads_{i}", type=slide if i < 2 else hinge)
+        spring.axis = np.eye(3)[i if i < 2 else i - 2]
+        spring.stiffness, spring.damping = [stiffness, 0, 0], [PAD_LOSS * stiffness, 0, 0]
     tie = spec.add_equality(type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY)
     tie.name1, tie.name2 = "follower", held
     tie.data[:3] = 0.0  # the anchor lies in the piece; that of a new weld lies 1 m beside it

@@ -124,12 +124,12 @@ WIDE: dict[str, dict[str, Spread]] = {
         "flower_mass": Spread(0.5, 2.0),
         "pedicel_joint": Spread(0.0, 1.0, log=False),
     },
-    # A canopy 0.31 (Sase 2012, facts: pollination 6), a plate across the wind 1.2.
-    "drag": {"drag_coefficient": Spread(0.2, 1.2)},
+    # A canopy's leaves, which shelter each other, 0.31 (Sase 2012, facts: pollination 6); the spread is a guess.
+    "drag": {"drag_coefficient": Spread(0.15, 0.6)},
     # A stem's own foot, 3 cm of it, has 1-15 N m/rad; a root ball in substrate is taken for softer to rigid. Guess.
     "pot": {"foot": Spread(3.0, 100.0)},
-    # Fans and vents move air in a greenhouse by 0-1.5 m/s.
-    "wind": {"wind": Spread(0.0, 1.5, log=False)},
+    # Still houses, fans, open vents; 2-4 m/s is an ordinary breeze outdoors (facts: pollination 6). A guess.
+    "wind": {"wind": Spread(0.1, 1.5)},
     # 16 mm of soft silicone, 3-8 mm thick, by its shear modulus of 0.1-0.5 MPa. Guess.
     "pads": {
         "pad_stiffness": Spread(2e3, 3e4),
