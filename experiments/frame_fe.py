@@ -16,12 +16,14 @@ to node j, j farther from the foot; L lumps; G Gauss points of an element, M mod
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csc_array, csr_array
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import eigsh, splu
 
 Array = NDArray[np.float64]
@@ -115,7 +117,22 @@ class Frame:
         mass: (6N, 6N) sparse.
     """
 
-    def __init__(self, beams: Beams, lumps: Lumps = NO_LUMPS, *, gravity: float = STANDARD_GRAVITY) -> None:
+    def __init__(
+        self,
+        beams: Beams,
+        lumps: Lumps = NO_LUMPS,
+        ties: Mapping[int, float] = MappingProxyType({}),
+        *,
+        gravity: float = STANDARD_GRAVITY,
+    ) -> None:
+        """Assemble.
+
+        Args:
+            beams: the elements.
+            lumps: what they carry.
+            ties: stiffness of horizontal springs by node [N/m].
+            gravity: [m/s2].
+        """
         self.beams, self.lumps = beams, lumps
         self._shapes = _shapes(beams)
         self._element_stiffness = _elastic(beams, self._shapes)
@@ -124,6 +141,10 @@ class Frame:
         if gravity:
             self.stiffness = self.elastic + _assembled(beams, _prestress(beams, lumps, self._shapes, gravity))
             self.stiffness += _at_nodes(beams, lumps.node, _lump_weight(lumps, gravity))
+        spring = np.zeros(6 * len(beams.nodes))
+        for node, stiffness in ties.items():
+            spring[6 * node : 6 * node + 2] = stiffness
+        self.stiffness = self.stiffness + diags_array(spring)
         self.mass = _assembled(beams, _inertia(beams, self._shapes)) + _at_nodes(beams, lumps.node, _lump_mass(lumps))
 
     def free(self, held: ArrayLike = ()) -> NDArray[np.int64]:

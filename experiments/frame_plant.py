@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from anther.sim.plant import Organ, SimPlant
 
 RIGID = 1e3
-"""GJ over EI of what does not twist; a hundred times that changes no flower by 1e-4 (measured)."""
+"""GJ over EI of what does not twist."""
+STUB = 2e-4
+"""Length at a segment's start over which a compliant joint, or the foot's, is spread [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +57,7 @@ class FramedPlant:
     """
 
     def __init__(
-        self, plant: SimPlant, point: Array, direction: Array, *, size: float, twist: float, twisting: Sequence[Organ]
+        self, plant: SimPlant, point: Array, direction: Array, *, size: float, twisting: Sequence[Organ]
     ) -> None:
         """Mesh a plant.
 
@@ -64,7 +66,6 @@ class FramedPlant:
             point: (3,) on the main stem's axis; held [m].
             direction: (3,) horizontal, along which it is moved.
             size: longest element [m].
-            twist: EI/GJ of what twists.
             twisting: organs that twist.
         """
         stem = plant.stem_segments()
@@ -72,12 +73,15 @@ class FramedPlant:
         gaps = np.linalg.norm(_on(plant, stem, np.clip(shares, 0, 1)) - point, axis=1)
         held, share = int(stem[np.argmin(gaps)]), float(np.clip(shares, 0, 1)[np.argmin(gaps)])
         carried = np.array([_share(plant, k, plant.lump_centre[k]) for k in range(len(plant.start))])
+        joint = plant.joint_compliance + np.where(plant.parent < 0, 1 / plant.foot, 0.0)
         wanted = [(k, s) for k, s in enumerate(carried) if plant.lump_mass[k] > 0]
+        wanted += [(int(k), STUB / plant.length[k]) for k in np.flatnonzero(joint)]
         self.plant, self.mesh = plant, meshed(plant, size, [*wanted, (held, share)])
         self._carriers = np.array([self.mesh.node_beside(k, s) for k, s in enumerate(carried)])
         soft = np.isin(plant.organ, twisting)
-        beams = _beams(plant, self.mesh, np.where(soft, 1 / twist, RIGID))
-        self.frame = Frame(beams, self._lumps())
+        beams = _beams(plant, self.mesh, np.where(soft, 1 / plant.bend_over_twist, RIGID), joint)
+        ties = {} if plant.tie is None else {self.mesh.node_beside(plant.tie[0], 1.0): plant.tie[1]}
+        self.frame = Frame(beams, self._lumps(), ties)
         direction = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
         self.shake = Shake(self.mesh.node_beside(held, share), direction)
 
@@ -139,21 +143,33 @@ def _cuts(wanted: Sequence[float], least: float) -> Array:
     return np.concatenate([*parts, [1.0]])
 
 
-def _beams(plant: SimPlant, mesh: Mesh, twist_over_bend: Array) -> Beams:
-    """Return the elements of round sections; `twist_over_bend` (K,) is GJ/EI."""
+def _beams(plant: SimPlant, mesh: Mesh, twist_over_bend: Array, joint: Array) -> Beams:
+    """Return the elements.
+
+    Args:
+        plant: ground truth.
+        mesh: its elements.
+        twist_over_bend: (K,) GJ/EI of the round section.
+        joint: (K,) compliance in bending at a segment's start [rad/(N m)], spread over its first element.
+    """
     k = mesh.segment
     at = mesh.share[:, :1] + AT * np.diff(mesh.share, axis=1)
     radius = plant.radius_start[k, None] + at * (plant.radius_end - plant.radius_start)[k, None]
     area, second = np.pi * radius**2, np.pi / 4 * radius**4
     youngs, density = plant.youngs[k, None], plant.density[k, None]
+    length = np.diff(mesh.share, axis=1) * plant.length[k, None]
+    softer = np.where(mesh.share[:, :1] == 0, joint[k, None] / length, 0.0)
+    bend = 1 / (1 / (youngs * second) + softer)
+    wide = np.linalg.norm(plant.oval[k], axis=1)
     tangent = (plant.end - plant.start)[k] / plant.length[k, None]
-    across = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent), axis=1)])
+    any_axis = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
+    across = np.cross(tangent, np.where(wide[:, None] > 0, plant.oval[k], any_axis))
     return Beams(
         nodes=mesh.nodes,
         ends=mesh.ends,
         across=across / np.linalg.norm(across, axis=1)[:, None],
         stretch=youngs * area,
-        bend=np.stack(2 * [youngs * second], axis=-1),
+        bend=bend[..., None] * np.exp(np.stack([wide, -wide], axis=1) / 2)[:, None],
         twist=youngs * second * twist_over_bend[k, None],
         mass=density * area,
         spin=np.stack(2 * [density * second], axis=-1),

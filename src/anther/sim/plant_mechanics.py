@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim.inertia import mass_properties
+from anther.sim.inertia import mass_properties, spread
 from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
@@ -123,10 +123,19 @@ def _softness(plant: SimPlant) -> Array:
 
 
 def _twist(softness: Array, run: NDArray[Any], params: Params) -> Array:
-    """Return (B,) stiffnesses of the hinges for twist: one for every few pieces of a run; those in run -1 do not."""
+    """Return (B,) stiffnesses of the hinges for twist: one for every few pieces of a run; those in run -1 do not.
+
+    Where every piece has one, its two ends share its softness, but for the last of a run, which takes all of its own.
+    """
     out = np.zeros(len(softness))
     for number in np.unique(run[run >= 0]):
         pieces = np.flatnonzero(run == number)
+        if params.twist_every == 1:
+            halves = softness[pieces] / 2
+            shared = halves + np.concatenate([[0.0], halves[:-1]])
+            shared[-1] += halves[-1]
+            out[pieces] = 1 / shared
+            continue
         for group in np.array_split(pieces, -(-len(pieces) // params.twist_every)):
             out[group[len(group) // 2]] = 1 / softness[group].sum()
     return out
@@ -158,14 +167,28 @@ def _stiffness(plant: SimPlant, heir: NDArray[Any], body: NDArray[Any], first: N
 
 
 def _levers(plant: SimPlant, first: NDArray[Any]) -> Array:
-    """Return (B,) how far ahead of each piece's start the centre lies of all mass from there on [m]."""
+    """Return (B,) how far ahead of each piece's start the centre of percussion lies of all mass from there on [m].
+
+    About which that mass swings as a point there would; inf where its centre of mass does not lie ahead.
+    """
     mass = plant.mass + plant.lump_mass
-    moment = (plant.mass * (plant.start + plant.end).T / 2 + plant.lump_mass * plant.lump_centre.T).T
+    middle, blades = (plant.start + plant.end) / 2, spread(plant)
+    moment = (plant.mass * middle.T + plant.lump_mass * plant.lump_centre.T).T
+    second = np.trace(blades, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 2 - blades
+    for share, place in ((plant.mass, middle), (plant.lump_mass, plant.lump_centre)):
+        second = second + share[:, None, None] * place[:, :, None] * place[:, None, :]
     for k in range(len(mass) - 1, 0, -1):
-        mass[plant.parent[k]] += mass[k]
-        moment[plant.parent[k]] += moment[k]
+        for total in (mass, moment, second):
+            total[plant.parent[k]] += total[k]
+    origin, mass = plant.start[first], mass[first]
     along = (plant.end - plant.start)[first] / plant.length[first, None]
-    return np.einsum("bi,bi->b", moment[first] / mass[first, None] - plant.start[first], along)
+    ahead = np.einsum("bi,bi->b", moment[first] - mass[:, None] * origin, along)
+    crossed = moment[first][:, :, None] * origin[:, None, :]
+    crossed = crossed + crossed.transpose(0, 2, 1) - mass[:, None, None] * origin[:, :, None] * origin[:, None, :]
+    about = second[first] - crossed
+    square = np.einsum("bi,bij,bj->b", along, about, along)
+    inertia = (square + np.trace(about, axis1=1, axis2=2)) / 2  # the mean over the axes across
+    return np.where(ahead > 0, inertia / np.where(ahead > 0, ahead, 1.0), np.inf)
 
 
 def _chains(plant: SimPlant, heir: NDArray[Any]) -> NDArray[Any]:
