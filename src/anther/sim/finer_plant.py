@@ -15,12 +15,13 @@ NEAR = 0.1
 """What is attached nearer to a segment's end than this share of it is as good as at that end."""
 
 
-def divided(plant: SimPlant, longest: float) -> tuple[SimPlant, NDArray[Any]]:
+def divided(plant: SimPlant, longest: float) -> tuple[SimPlant, NDArray[Any], NDArray[np.bool_]]:
     """Return the same plant with no segment longer than `longest` [m], and (K,) the part that carries each segment.
 
+    Then for each part whether it begins a segment, and so is to be joined with the part before to one rigid piece.
+
     Where something is attached, at a segment's end or at the centre of what it carries, lies the middle of a rigid
-    piece, once the halves of two segments that follow each other are joined: a rigid piece turns as the stem does at
-    its middle. What a segment carries, and the vertices that ride on it, stay together: leaves keep their inertia.
+    piece, once these are joined: a rigid piece turns as the stem does at its middle. What a segment carries, and the vertices that ride on it, stay together: leaves keep their inertia.
     """
     unit = (plant.end - plant.start) / plant.length[:, None]
     ahead = np.einsum("kj,kj->k", plant.lump_centre - plant.start, unit) / plant.length
@@ -58,7 +59,7 @@ def divided(plant: SimPlant, longest: float) -> tuple[SimPlant, NDArray[Any]]:
         flower_segment=carries[plant.flower_segment],
         vertex_segment=np.where(rides >= 0, carries[rides], -1).astype(np.int32),
     )
-    return finer, carries
+    return finer, carries, part == 0
 
 
 def _cuts(attached: float, least: float) -> Array:

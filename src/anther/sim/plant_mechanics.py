@@ -87,8 +87,14 @@ class Pieces:
     twist: Array
 
 
-def cut(plant: SimPlant, params: Params) -> Pieces:
-    """Cut the plant into rigid pieces and find the stiffness between them."""
+def cut(plant: SimPlant, params: Params, joined: NDArray[np.bool_] | None = None) -> Pieces:
+    """Cut the plant into rigid pieces and find the stiffness between them.
+
+    Args:
+        plant: the truth.
+        params: how.
+        joined: (K,) of a plant divided already: the segments that lie in one piece with those that they continue.
+    """
     heir, body = _heirs(plant), np.full(len(plant.start), -1)
     chain = _chains(plant, heir)
     limit = np.minimum(params.piece, np.bincount(chain, plant.length) / params.least)
@@ -97,7 +103,8 @@ def cut(plant: SimPlant, params: Params) -> Pieces:
     size: list[float] = []
     for k, p in enumerate(plant.parent):
         follows = p >= 0 and heir[p] == k and plant.organ[k] == plant.organ[p]
-        fits = follows and size[body[p]] + plant.length[k] <= limit[chain[k]] and plant.joint_compliance[k] == 0
+        short = size[body[p]] + plant.length[k] <= limit[chain[k]] if joined is None else joined[k]
+        fits = follows and short and plant.joint_compliance[k] == 0
         if fits and _turn(plant, first[body[p]], k) < params.bend:
             body[k] = body[p]
             size[body[p]] += plant.length[k]
@@ -223,7 +230,15 @@ def _turn(plant: SimPlant, a: int, b: int) -> float:
     return float(np.arccos(np.clip(u @ v / np.linalg.norm(u) / np.linalg.norm(v), -1, 1)))
 
 
-def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaffinity: int) -> Pieces:
+def add_plant(
+    spec: Any,
+    plant: SimPlant,
+    params: Params,
+    joined: NDArray[np.bool_] | None = None,
+    *,
+    contype: int,
+    conaffinity: int,
+) -> Pieces:
     """Add the plant's bodies `plant_<b>`, hinges and contact capsules `segment_<k>` to a world.
 
     Stems, branches, petioles, rachises, peduncles and pedicels touch; petals do not: they are masses only, and leaf
@@ -231,9 +246,12 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaf
 
     Args:
         spec: the world; its timestep sets the least damping.
+        plant: the truth.
+        params: how it is cut and damped.
+        joined: see `cut`.
         contype, conaffinity: MuJoCo's collision bits of the capsules.
     """
-    pieces = cut(plant, params)
+    pieces = cut(plant, params, joined)
     mass, com, inertia = mass_properties(plant, pieces.body)
     bodies: list[Any] = []
     for b, k in enumerate(pieces.first):

@@ -66,7 +66,9 @@ class Params:
     settle: float = 1.0
     measure: float = 1.0
     samples: int = 40
-    plant: plant_mechanics.Params = field(default_factory=lambda: plant_mechanics.Params(piece=0.025, twist_every=1))
+    plant: plant_mechanics.Params = field(
+        default_factory=lambda: plant_mechanics.Params(piece=0.025, twist_every=1, foliage=300.0)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,8 +130,8 @@ class ShakenPlant:
         spec.option.timestep, spec.option.gravity = params.timestep, [0, 0, -9.81]
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        finer, self._part = divided(plant, params.plant.piece)
-        pieces = plant_mechanics.add_plant(spec, finer, params.plant, contype=0, conaffinity=0)
+        finer, self._part, joined = divided(plant, params.plant.piece)
+        pieces = plant_mechanics.add_plant(spec, finer, params.plant, joined, contype=0, conaffinity=0)
         held, self.point = _nearest_piece(finer, pieces, np.asarray(point, dtype=np.float64))
         _add_carriage(spec, self.point, self.direction, f"plant_{held}", self._pads, params.timestep)
         self.model: Any = spec.compile()
