@@ -85,7 +85,7 @@ def test_a_resonance_is_as_wide_as_the_plants_damping_ratio_asks() -> None:
 @settings(max_examples=10)
 def test_a_divided_plant_is_the_same_plant_in_shorter_segments(longest: float) -> None:
     plant = grow_pepper(11)
-    finer, part, _ = divided(plant, longest)
+    finer, part = divided(plant, longest)
     assert finer.length.max() <= longest + 1e-9
     assert finer.length.sum() == pytest.approx(plant.length.sum(), rel=1e-9)
     assert finer.mass.sum() == pytest.approx(plant.mass.sum(), rel=1e-9)

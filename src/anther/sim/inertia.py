@@ -32,14 +32,14 @@ def mass_properties(plant: SimPlant, piece: NDArray[Any]) -> tuple[Array, Array,
     d = centres - com[body]
     steiner = masses[:, None, None] * ((d**2).sum(1)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None, :])
     steiner[: len(rod)] += own
-    steiner[len(rod) :] += spread(plant)
+    steiner[len(rod) :] += _spread(plant)
     inertia = np.zeros((len(mass), 3, 3))
     np.add.at(inertia, body, steiner)
     i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     return mass, com, inertia[:, i, j]
 
 
-def spread(plant: SimPlant) -> Array:
+def _spread(plant: SimPlant) -> Array:
     """Return (K, 3, 3) the inertia of what each segment carries about its own centre: it spreads as its mesh does.
 
     Without it a leaf had hardly any about its midrib, and spun when its margin was touched.

@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim.inertia import mass_properties, spread
+from anther.sim.inertia import mass_properties
 from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
@@ -87,14 +87,8 @@ class Pieces:
     twist: Array
 
 
-def cut(plant: SimPlant, params: Params, joined: NDArray[np.bool_] | None = None) -> Pieces:
-    """Cut the plant into rigid pieces and find the stiffness between them.
-
-    Args:
-        plant: the truth.
-        params: how.
-        joined: (K,) of a plant divided already: the segments that lie in one piece with those that they continue.
-    """
+def cut(plant: SimPlant, params: Params) -> Pieces:
+    """Cut the plant into rigid pieces and find the stiffness between them."""
     heir, body = _heirs(plant), np.full(len(plant.start), -1)
     chain = _chains(plant, heir)
     limit = np.minimum(params.piece, np.bincount(chain, plant.length) / params.least)
@@ -103,8 +97,7 @@ def cut(plant: SimPlant, params: Params, joined: NDArray[np.bool_] | None = None
     size: list[float] = []
     for k, p in enumerate(plant.parent):
         follows = p >= 0 and heir[p] == k and plant.organ[k] == plant.organ[p]
-        short = size[body[p]] + plant.length[k] <= limit[chain[k]] if joined is None else joined[k]
-        fits = follows and short and plant.joint_compliance[k] == 0
+        fits = follows and size[body[p]] + plant.length[k] <= limit[chain[k]] and plant.joint_compliance[k] == 0
         if fits and _turn(plant, first[body[p]], k) < params.bend:
             body[k] = body[p]
             size[body[p]] += plant.length[k]
@@ -130,19 +123,10 @@ def _softness(plant: SimPlant) -> Array:
 
 
 def _twist(softness: Array, run: NDArray[Any], params: Params) -> Array:
-    """Return (B,) stiffnesses of the hinges for twist: one for every few pieces of a run; those in run -1 do not.
-
-    Where every piece has one, its two ends share its softness, but for the last of a run, which takes all of its own.
-    """
+    """Return (B,) stiffnesses of the hinges for twist: one for every few pieces of a run; those in run -1 do not."""
     out = np.zeros(len(softness))
     for number in np.unique(run[run >= 0]):
         pieces = np.flatnonzero(run == number)
-        if params.twist_every == 1:
-            halves = softness[pieces] / 2
-            shared = halves + np.concatenate([[0.0], halves[:-1]])
-            shared[-1] += halves[-1]
-            out[pieces] = 1 / shared
-            continue
         for group in np.array_split(pieces, -(-len(pieces) // params.twist_every)):
             out[group[len(group) // 2]] = 1 / softness[group].sum()
     return out
@@ -174,28 +158,14 @@ def _stiffness(plant: SimPlant, heir: NDArray[Any], body: NDArray[Any], first: N
 
 
 def _levers(plant: SimPlant, first: NDArray[Any]) -> Array:
-    """Return (B,) how far ahead of each piece's start the centre of percussion lies of all mass from there on [m].
-
-    About which that mass swings as a point there would; inf where its centre of mass does not lie ahead.
-    """
+    """Return (B,) how far ahead of each piece's start the centre lies of all mass from there on [m]."""
     mass = plant.mass + plant.lump_mass
-    middle, blades = (plant.start + plant.end) / 2, spread(plant)
-    moment = (plant.mass * middle.T + plant.lump_mass * plant.lump_centre.T).T
-    second = np.trace(blades, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 2 - blades
-    for share, place in ((plant.mass, middle), (plant.lump_mass, plant.lump_centre)):
-        second = second + share[:, None, None] * place[:, :, None] * place[:, None, :]
+    moment = (plant.mass * (plant.start + plant.end).T / 2 + plant.lump_mass * plant.lump_centre.T).T
     for k in range(len(mass) - 1, 0, -1):
-        for total in (mass, moment, second):
-            total[plant.parent[k]] += total[k]
-    origin, mass = plant.start[first], mass[first]
+        mass[plant.parent[k]] += mass[k]
+        moment[plant.parent[k]] += moment[k]
     along = (plant.end - plant.start)[first] / plant.length[first, None]
-    ahead = np.einsum("bi,bi->b", moment[first] - mass[:, None] * origin, along)
-    crossed = moment[first][:, :, None] * origin[:, None, :]
-    crossed = crossed + crossed.transpose(0, 2, 1) - mass[:, None, None] * origin[:, :, None] * origin[:, None, :]
-    about = second[first] - crossed
-    square = np.einsum("bi,bij,bj->b", along, about, along)
-    inertia = (square + np.trace(about, axis1=1, axis2=2)) / 2  # the mean over the axes across
-    return np.where(ahead > 0, inertia / np.where(ahead > 0, ahead, 1.0), np.inf)
+    return np.einsum("bi,bi->b", moment[first] / mass[first, None] - plant.start[first], along)
 
 
 def _chains(plant: SimPlant, heir: NDArray[Any]) -> NDArray[Any]:
@@ -230,15 +200,7 @@ def _turn(plant: SimPlant, a: int, b: int) -> float:
     return float(np.arccos(np.clip(u @ v / np.linalg.norm(u) / np.linalg.norm(v), -1, 1)))
 
 
-def add_plant(
-    spec: Any,
-    plant: SimPlant,
-    params: Params,
-    joined: NDArray[np.bool_] | None = None,
-    *,
-    contype: int,
-    conaffinity: int,
-) -> Pieces:
+def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaffinity: int) -> Pieces:
     """Add the plant's bodies `plant_<b>`, hinges and contact capsules `segment_<k>` to a world.
 
     Stems, branches, petioles, rachises, peduncles and pedicels touch; petals do not: they are masses only, and leaf
@@ -246,12 +208,9 @@ def add_plant(
 
     Args:
         spec: the world; its timestep sets the least damping.
-        plant: the truth.
-        params: how it is cut and damped.
-        joined: see `cut`.
         contype, conaffinity: MuJoCo's collision bits of the capsules.
     """
-    pieces = cut(plant, params, joined)
+    pieces = cut(plant, params)
     mass, com, inertia = mass_properties(plant, pieces.body)
     bodies: list[Any] = []
     for b, k in enumerate(pieces.first):
