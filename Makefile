@@ -9,7 +9,7 @@ RUN ?=
 .PHONY: demo test slow check sync bench docs lock clean
 
 demo: $(CORE)  ## install and run the main job: a simulated tomato is seen, grasped, shaken, measured
-	$(BIN)/anther trial --plant tomato --seed 0 --out runs/demo --overwrite
+	$(BIN)/anther trial --plant tomato --seed 0 --out runs/demo --overwrite || [ $$? -eq 1 ]  # 1: a part of its verdict failed
 
 test: $(DEV)  ## run the tests
 	$(BIN)/python -m pytest -n 2

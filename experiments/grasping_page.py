@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from grasping_table import MEASURES, PAPER, PAPER_SECONDS, PHASES, Row, lost
@@ -16,6 +16,15 @@ PLANNING = {
     "plan_{}_p95_s": "the same, 95th percentile",
     "plan_cpu_{}_p95_s": "the same, processor time",
 }
+EFFECTS = {
+    "harm_probability_mean": ("harm, mean probability", "{:.1%}"),
+    "moved_share": ("flowers moved", "{:.1%}"),
+    "flower_acceleration_median_ms2": ("their median [m/s²]", "{:.1f}"),
+    "flower_acceleration_least_ms2": ("their least [m/s²]", "{:.1f}"),
+    "pollen_freed_median": ("pollen freed", "{:.1%}"),
+    "all_three_share": ("held, unharmed, moved", "{:.1%}"),
+}
+"""Keys of `grasping_table.effects`, with the head of their column and how they are written."""
 GROUPS = {"40": "ten plants, 30 views", "400": "further plants, 30 views", "fast": "ten plants, `fast`"}
 
 
@@ -46,7 +55,15 @@ def successes(table: dict[str, float]) -> str:
             theirs = "" if group == "400" else f"{won}/{trials} = {won / trials:.1%}"
             ours = f"{table[name + '_won']:.0f}/{table[name + '_trials']:.0f} = {table[name]:.1%}"
             lines.append((words, species or "both", theirs, ours, f"{low:.1%} to {high:.1%}", f"{held:.1%}"))
-    return rows_of(("trials", "species", "the paper", "Anther", "95 % interval", "main stem held"), lines)
+            lines[-1] += effect_cells({key: table.get(name.replace("success", key)) for key in EFFECTS})
+    heads = ("trials", "species", "the paper", "Anther, held and unharmed", "95 % interval", "main stem held")
+    return rows_of((*heads, *(words for words, _ in EFFECTS.values())), lines)
+
+
+def effect_cells(values: Mapping[str, float | None], keys: Iterable[str] = EFFECTS) -> tuple[str, ...]:
+    """Return the cells below the words of `EFFECTS`, "" for what is not known."""
+    known = {key: values.get(key) for key in keys}
+    return tuple("" if value is None else EFFECTS[key][1].format(value) for key, value in known.items())
 
 
 def comparison(rows: Sequence[Row], table: dict[str, float]) -> str:

@@ -15,9 +15,42 @@ PAPER = {"tomato": (6, 8), "pepper": (31, 32), "": (37, 40)}
 """Grasps that succeeded, and trials, as the paper reports them (R4)."""
 PAPER_SECONDS = {"capture": 45.0, "compute": 30.0, "shake": 15.0}
 MEASURES = ("success", "stem_held", "axis_held")
-"""`success` by the judge; the main stem was held and shaken, whatever became of the plant; that, or a pepper's branch
-above the first fork, which the paper may have counted as its main stem."""
+"""`success`: held and unharmed, by the judge; the main stem was held and shaken, whatever became of the plant; that, or
+a pepper's branch above the first fork, which the paper may have called its main stem."""
 PHASES = ("capture", "compute", "reach", "shake", "retreat")
+
+
+def as_counted(summary: Row) -> Row:
+    """Return a trial's summary with `success` as the paper's grasps are counted: held and unharmed.
+
+    `all_three` is what `anther trial` calls success: the flowers moved as well. Earlier summaries have no such parts.
+    """
+    if "held" not in summary:
+        return summary
+    return summary | {"success": bool(summary["held"] and summary["unharmed"]), "all_three": summary["success"]}
+
+
+def effects(performed: Sequence[Row]) -> dict[str, float]:
+    """Return what some trials did to their plants, by the simulator's truth; nothing of trials that were not asked.
+
+    Keys: moved_share and all_three_share, of all trials; harm_probability_mean, of those that were judged;
+    flower_acceleration_median_ms2 and _least_ms2 and pollen_freed_median, the medians of what a trial's flowers felt
+    and freed, of those that shook.
+    """
+    asked = [one for one in performed if "flowers_moved" in one or one["failure"] == "crashed"]
+    if not asked:
+        return {}
+    table = {"moved_share": float(np.mean([bool(one.get("flowers_moved")) for one in asked]))}
+    table["all_three_share"] = float(np.mean([bool(one.get("all_three")) for one in asked]))
+    harm = [one["harm_probability"] for one in asked if one.get("harm_probability") is not None]
+    table |= {"harm_probability_mean": float(np.mean(harm))} if harm else {}
+    felt = {
+        f"flower_acceleration_{which}_ms2": f"true_flower_acceleration_{which}_ms2" for which in ("median", "least")
+    }
+    for name, key in (felt | {"pollen_freed_median": "pollen_freed_median"}).items():
+        values = [one[key] for one in asked if one.get(key) is not None]
+        table |= {name: float(np.median(values))} if values else {}
+    return table
 
 
 def interval(successes: int, trials: int) -> tuple[float, float]:
@@ -83,6 +116,7 @@ def of_part(name: str, rows: Sequence[Row]) -> dict[str, float]:
         table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"] = interval(won, len(some))
         for measure in MEASURES[1:]:
             table[f"{prefix}{measure}_{name}"] = float(np.mean([row["ours"].get(measure, False) for row in some]))
+        table |= {f"{prefix}{key}_{name}": value for key, value in effects([row["ours"] for row in some]).items()}
         pairs = [row for row in some if row["paper"] is not None]
         if pairs:
             table |= compared(prefix, name, pairs)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from grasping_pictures import portrait
+from grasping_table import as_counted
 
 from anther.arm.planner import Planner
 from anther.cloud import Cloud
@@ -24,6 +25,7 @@ from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, poll
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
 from anther.sim.judge import judge
+from anther.sim.truth import NOMINAL, Truth, draw
 from anther.vibration import ArmShaker, plan_shake
 
 COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan", "motions")
@@ -33,12 +35,16 @@ LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the p
 
 @dataclass(frozen=True)
 class Case:
-    """One plant, seen from one side, by one of the presets of `anther trial`."""
+    """One plant, seen from one side, by one of the presets of `anther trial`.
+
+    `truth` is "nominal", "wide", or the group of `sim.truth.WIDE` that alone is not nominal.
+    """
 
     species: Species
     seed: int
     viewpoint: int
     preset: str = "full"
+    truth: str = "nominal"
 
     @property
     def name(self) -> str:
@@ -47,7 +53,18 @@ class Case:
 
     def file(self, out: Path) -> Path:
         """Where its result is kept; its picture lies beside it."""
-        return out / self.preset / f"{self.name}.json"
+        return out / (self.preset if self.truth == "nominal" else f"{self.preset}, {self.truth}") / f"{self.name}.json"
+
+    def build(self) -> SimulatedCell:
+        """Return the case's cell."""
+        return build(
+            self.species, self.seed, self.viewpoint, PRESETS[self.preset], truth=truth_of(self.truth, self.seed)
+        )
+
+
+def truth_of(name: str, seed: int) -> Truth:
+    """Return the truth of a plant: "nominal", "wide", or one group of `sim.truth.WIDE`."""
+    return NOMINAL if name == "nominal" else draw(seed) if name == "wide" else draw(seed, name)
 
 
 class Memory(Run):
@@ -105,7 +122,7 @@ def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
     begin, first = time.process_time(), not _begun
     _begun.append(case.name)
     run = Memory(file.parent)
-    cell = build(case.species, case.seed, case.viewpoint, PRESETS[case.preset])
+    cell = case.build()
     material = PEPPER if case.species == "pepper" else TOMATO
     ours, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
     row = {**asdict(case), "first": first, "ours": ours, "paper": None, "notes": notes(run)}
@@ -115,7 +132,7 @@ def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
     row["plan_s"] = run.total.get("grasp")
     row["plan_cpu_s"] = run.cpu.get("grasp")
     if rule and case.preset == "full":
-        again = build(case.species, case.seed, case.viewpoint, PRESETS[case.preset])
+        again = case.build()
         row["paper"] = (
             performed(again, lambda: by_the_paper(again, run, material))[0] if "flowers" in run.results else ours
         )
@@ -167,7 +184,8 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
         verdict = judge(cell.world, shaken, done.shake.frequency)
     except StageFailure as stopped:
         failure, shaken = stopped, None
-    row = {k: v for k, v in summarise(cell, done, verdict, failure).items() if np.ndim(v) == 0 or k in LISTED}
+    summary = as_counted(summarise(cell, done, verdict, failure))
+    row = {k: v for k, v in summary.items() if np.ndim(v) == 0 or k in LISTED}
     row["stem_held"] = shaken is not None and row["organ_grasped"] == "stem"
     row["axis_held"] = shaken is not None and row["organ_grasped"] in ("stem", "branch")
     if shaken is not None:

@@ -15,7 +15,8 @@
 | view lost | one of the 30 views is missing |
 
 Plants are of seeds that no other experiment uses. Finished trials are kept in --out and not run again. Keys of the
---json file: trials_CASE, success_CASE, sway_mm (the widest of the wind), and CASE_KIND, how many failed of which kind.
+--json file: trials_CASE, success_CASE (held and unharmed), what `grasping_table.effects` says of harm and flowers, with
+_CASE behind it, sway_mm (the widest of the wind), and CASE_KIND, how many failed of which kind.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from grasping_page import insert, rows_of
+from grasping_page import EFFECTS, effect_cells, insert, rows_of
+from grasping_table import effects
 from grasping_trial import Memory, notes, performed, watched
 from hard_plants import denser, leaning, sway, swaying, two_stems
 from rich.progress import track
@@ -164,6 +166,7 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         if some:
             name = kind.replace(" ", "_")
             out |= {f"trials_{name}": len(some), f"success_{name}": sum(row["success"] for row in some) / len(some)}
+            out |= {f"{key}_{name}": value for key, value in effects(some).items()}
             failures = Counter(row["failure"] for row in some if not row["success"])
             out |= {f"{name}_{failure}": count for failure, count in failures.items()}
     return out
@@ -172,7 +175,10 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
 def report(rows: list[dict[str, Any]]) -> str:
     """Return how each case went, and every failure, as Markdown."""
     table = [
-        (kind, sum(row["success"] for row in some), len(some), sum(row.get("stem_held", False) for row in some))
+        (
+            *(kind, sum(row["success"] for row in some), len(some), sum(row.get("stem_held", False) for row in some)),
+            *effect_cells(effects(some)),
+        )
         for kind in CASES
         if (some := [row for row in rows if row["kind"] == kind])
     ]
@@ -181,7 +187,8 @@ def report(rows: list[dict[str, Any]]) -> str:
         for row in rows
         if not row["success"]
     ]
-    text = rows_of(("case", "successes", "trials", "main stem held"), table)
+    heads = ("case", "held and unharmed", "trials", "main stem held", *(words for words, _ in EFFECTS.values()))
+    text = rows_of(heads, table)
     return text + ("\n\n" + rows_of(("failed trial", "kind", "what happened"), failed) if failed else "")
 
 

@@ -1,8 +1,9 @@
-"""Ten trials: tomato and pepper, seeds 0 to 4, the whole pipeline: successes, failures, predicted and measured motion.
+"""Ten trials: tomato and pepper, seeds 0 to 4, the whole pipeline: verdicts, predicted, measured and true motion.
 
     python experiments/trials.py --json docs/results/trials.json
 
-Each trial is one `anther trial` in its own process; finished ones are kept in --out and not run again.
+Each trial is one `anther trial` in its own process; finished ones are kept in --out and not run again. In the --json
+file success_SPECIES is the share held and unharmed, and `grasping_table.effects` says what became of the flowers.
 """
 
 from __future__ import annotations
@@ -16,11 +17,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from grasping_page import EFFECTS, effect_cells
+from grasping_table import as_counted, effects
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from anther.files import read_json, write_json
+
+SHOWN = ("harm_probability_mean", "flower_acceleration_median_ms2", "flower_acceleration_least_ms2")
+"""Of `EFFECTS`, for a line a trial."""
 
 
 def one_trial(species: str, seed: int, viewpoint: float, out: Path) -> dict[str, Any]:
@@ -39,7 +45,7 @@ def one_trial(species: str, seed: int, viewpoint: float, out: Path) -> dict[str,
                 "message": done.stderr.strip().splitlines()[-1:],
                 "seconds": {},
             }
-    return {**read_json(folder / "trial.json"), "seconds": read_json(folder / "timing.json")}
+    return {**as_counted(read_json(folder / "trial.json")), "seconds": read_json(folder / "timing.json")}
 
 
 def one_row(trial: dict[str, Any]) -> dict[str, float | None]:
@@ -66,14 +72,15 @@ def ratio(trial: dict[str, Any], above: str, below: str) -> float:
 def show(rows: list[tuple[str, int, dict[str, Any]]]) -> None:
     """Print one line a trial."""
     table = Table(
-        "plant", "seed", "result", "organ", "grasp [cm]", "shake", "predicted [mm]", "measured [mm]", "true [mm]", "s"
-    )
+        "plant", "seed", "result", "organ", "grasp [cm]", "shake", "predicted [mm]", "measured [mm]", "true [mm]", "s",
+        *(EFFECTS[key][0] for key in SHOWN),
+    )  # fmt: skip
     for species, seed, t in rows:
         amplitude, hertz = t.get("shake_amplitude_m"), t.get("shake_frequency_hz")
         table.add_row(
             species,
             str(seed),
-            "success" if t["success"] else str(t["failure"]),
+            ("success" if t.get("all_three", True) else "hardly moved") if t["success"] else str(t["failure"]),
             str(t.get("organ_grasped") or ""),
             _scaled(t.get("grasp_arc_length_m"), 100, 1),
             "" if amplitude is None else f"{1000 * amplitude:.2f} mm, {hertz:.1f} Hz",
@@ -82,6 +89,7 @@ def show(rows: list[tuple[str, int, dict[str, Any]]]) -> None:
                 for kind in ("predicted", "measured", "true")
             ),
             f"{sum(t['seconds'].values()):.0f}",
+            *effect_cells(effects([t]), SHOWN),
         )
     Console().print(table)
 
@@ -112,7 +120,7 @@ def main() -> None:
     }
     true_ratio = [ratio(t, "true_flower_amplitude_median_m", "predicted_flower_amplitude_median_m") for *_, t in rows]
     seen_ratio = [ratio(t, "measured_flower_amplitude_median_m", "true_flower_amplitude_median_m") for *_, t in rows]
-    metrics |= {
+    metrics |= effects([t for *_, t in rows]) | {
         "trials": len(rows),
         "true_over_predicted_amplitude_median": float(np.nanmedian(true_ratio)),
         "measured_over_true_amplitude_median": float(np.nanmedian(seen_ratio)),

@@ -153,7 +153,8 @@ def test_a_plant_out_of_reach_is_said_so_and_kept(tmp_path, capfd) -> None:
     words = ["trial", "--distance", 2.5, "--views", 4, "--out", out, "--history", tmp_path / "h.sqlite"]
     assert "can be reached. Move the plant or arm." in refused(capfd, *words)
     summary = json.loads((out / "trial.json").read_text())
-    assert (summary["success"], summary["failure"]) == (False, "unreachable")
+    assert (summary["success"], summary["held"], summary["failure"]) == (False, False, "unreachable")
+    assert summary["unharmed"] is summary["flowers_moved"] is None, "nobody has touched it"
     assert (out / "10_report.html").exists()
 
 
@@ -177,7 +178,11 @@ def test_a_trial_end_to_end(tmp_path, capsys) -> None:
     )
     summary = json.loads((out / "trial.json").read_text())
     assert code == (0 if summary["success"] else 1)
-    assert summary["success"] or summary["failure"]
+    assert summary["success"] == (summary["held"] and summary["unharmed"] and summary["flowers_moved"])
+    assert (summary["failure"] is None) == (summary["held"] and summary["unharmed"])
+    assert 0 <= summary["harm_probability"] <= 1
+    assert summary["true_flower_acceleration_least_ms2"] <= summary["true_flower_acceleration_median_ms2"]
+    assert summary["pollen_freed_low"] < summary["pollen_freed_median"] < summary["pollen_freed_high"]
     assert {"01_capture", "03_cloud.ply", "04_skeleton.npz", "10_report.html"} <= {p.name for p in out.iterdir()}
     assert not list(Path(out).rglob(".*")), "no temporary files are left"
     assert len(summary["grasp_pose7"]) == 7

@@ -170,9 +170,11 @@ def test_the_simulated_arm_feels_what_it_runs_into() -> None:
 )
 def test_trial_json_names_the_fault_rather_than_what_the_judge_found(execution: str | None, told: str) -> None:
     done: Any = SimpleNamespace(trial=SimpleNamespace(failure=execution, stop_reason="the cable"))
-    verdict: Any = SimpleNamespace(success=False, failure="slipped", reason="it slipped", organ_grasped="stem")
+    parts = {"unharmed": True, "flowers_moved": True, "organ_grasped": "stem"}
+    verdict: Any = SimpleNamespace(success=False, held=False, failure="slipped", reason="it slipped", **parts)
     summary = _verdict(done, verdict, None)
     assert summary["failure"] == told
     assert summary["message"] == ("it slipped" if told == "slipped" else "the cable")
-    held: Any = SimpleNamespace(success=True, failure=None, reason="", organ_grasped="stem")
-    assert _verdict(done, held, None)["success"] == (told == "slipped")
+    held: Any = SimpleNamespace(success=True, held=True, failure=None, reason="", **parts)
+    summary = _verdict(done, held, None)
+    assert summary["success"] == summary["held"] == (told == "slipped")

@@ -16,7 +16,7 @@ import grasping
 import grasping_trial
 from grasping_page import BEGIN, END, insert, report
 from grasping_pictures import TILE, sheet
-from grasping_table import interval, mcnemar, metrics
+from grasping_table import as_counted, effects, interval, mcnemar, metrics
 from grasping_trial import Case, one_trial
 
 
@@ -52,6 +52,34 @@ def test_table_keeps_groups_apart_and_leaves_cold_starts_out_of_times():
     assert "paper_rule_success_fast" not in table
     assert table["cycle_30_views_s"] == pytest.approx(40 + (4 + 6) / 2 + 5 + 3)  # without the retreat, 1000 was cold
     assert table["plan_30_views_p95_s"] == pytest.approx(np.quantile([0.1, 0.2, 0.4], 0.95))
+
+
+def judged(*, held: bool, moved: bool, harm: float, felt: float) -> dict:
+    """What is kept of a trial that the judge saw."""
+    parts = {"held": held, "unharmed": True, "flowers_moved": moved, "success": held and moved}
+    numbers = {"harm_probability": harm, "true_flower_acceleration_median_ms2": felt, "pollen_freed_median": 0.1}
+    return as_counted(parts | numbers | {"failure": None if held else "slipped"})
+
+
+def test_success_stays_held_and_unharmed_and_what_the_flowers_felt_stands_beside_it():
+    hardly, moved = (
+        judged(held=True, moved=False, harm=0.02, felt=2.0),
+        judged(held=True, moved=True, harm=0.1, felt=6.0),
+    )
+    slipped = judged(held=False, moved=True, harm=0.0, felt=7.0)
+    refused = {"held": False, "unharmed": None, "flowers_moved": None, "success": False, "failure": "no_stem_found"}
+    assert [one["success"] for one in (hardly, moved, slipped, as_counted(refused))] == [True, True, False, False]
+    assert as_counted({"success": True, "failure": None})["success"], "an earlier trial"
+    table = effects([hardly, moved, slipped, as_counted(refused)])
+    assert (table["moved_share"], table["all_three_share"]) == (0.5, 0.25)
+    assert table["harm_probability_mean"] == pytest.approx(0.04)
+    assert table["flower_acceleration_median_ms2"] == 6.0
+    rows = [row(seed, ours=True, paper=None) for seed in (1, 2)]
+    assert "moved_share_40" not in metrics(rows), "earlier trials were not asked"
+    rows = [one | {"ours": one["ours"] | ours} for one, ours in zip(rows, (hardly, moved), strict=True)]
+    table = metrics(rows)
+    assert (table["success_40"], table["moved_share_40"], table["pepper_all_three_share_40"]) == (1.0, 0.5, 0.5)
+    assert "| 100.0% | 6.0% | 50.0% | 4.0 |  | 10.0% | 50.0% |" in report(rows, table)
 
 
 def test_page_shows_shares_pairs_and_every_failure(tmp_path):

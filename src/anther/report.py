@@ -33,6 +33,9 @@ td.n, th.n { text-align:right } tr:last-child td { border-bottom:0 }
 .verdict { border-left:8px solid var(--leaf) } .verdict.bad { border-left-color:var(--bad) }
 .facts { display:grid; grid-template-columns:repeat(auto-fit,minmax(150px,1fr)); gap:16px; margin-top:12px }
 .facts b { display:block; font-size:22px; font-weight:600 } .facts span { color:var(--soft); font-size:14px }
+.answers { display:grid; grid-template-columns:repeat(auto-fit,minmax(240px,1fr)); gap:16px }
+.answer b { display:block; font-size:26px } .answer span { color:var(--soft); font-size:14px }
+b.yes { color:var(--leaf) } b.no { color:var(--bad) }
 .bar { display:flex; height:26px; border-radius:6px; overflow:hidden; margin-bottom:14px } .bar i { display:block }
 .key { display:inline-block; width:10px; height:10px; border-radius:2px; margin-right:8px }
 li { margin-bottom:4px } footer { margin-top:28px; color:var(--soft); font-size:14px }
@@ -103,14 +106,24 @@ def _verdict(results: RunResults) -> str:
     if results.summary is None:
         return ""
     good = bool(results.summary.get("success"))
-    failure = str(results.summary.get("failure") or "").replace("_", " ")
-    headline = "Success" if good else f"Failed: {failure}"
+    headline = results.headline[:1].upper() + results.headline[1:]
     why = str(results.summary.get("message") or "")
     facts = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in results.headline_facts())
     return (
         f"<section class='verdict{'' if good else ' bad'}'><h2>{escape(headline)}</h2>"
-        f"<p>{escape(why)}</p><div class=facts>{facts}</div></section>"
+        f"<p>{escape(why)}</p>{_answers(results)}<div class=facts>{facts}</div></section>"
     )
+
+
+def _answers(results: RunResults) -> str:
+    """Return the three questions and their answers, side by side."""
+    colour = {True: "yes", False: "no", None: "soft"}
+    cells = "".join(
+        f"<div class=answer><span>{escape(a.question)}</span><b class={colour[a.good]}>{escape(a.said)}</b>"
+        f"<span>{escape(a.why)}</span></div>"
+        for a in results.answers()
+    )
+    return f"<div class=answers>{cells}</div>" if cells else ""
 
 
 def _views(results: RunResults) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from anther.capture import Capture
 from anther.cloud import Cloud
@@ -20,6 +22,22 @@ from anther.stem import Stem
 from anther.stem.confidence import doubt
 from anther.store.records import TrialRecord
 from anther.vibration import ShakePlan
+
+
+class Answer(NamedTuple):
+    """One of the three questions about a trial, as its truth answers it.
+
+    Attributes:
+        question: in words.
+        good: whether it is what was wanted; None where it never came to that.
+        said: the answer in a few words.
+        why: the numbers behind it, "" if there are none.
+    """
+
+    question: str
+    good: bool | None
+    said: str
+    why: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +79,29 @@ class RunResults:
         """When and with what."""
         return f"{self.params.get('started', '')} · Anther {self.params.get('anther', '')} · {self.folder.name}"
 
+    @property
+    def headline(self) -> str:
+        """Whether the trial succeeded, or the first of its parts that failed."""
+        summary = self.summary or {}
+        if summary.get("success"):
+            return "success"
+        failure = str(summary.get("failure") or "").replace("_", " ")
+        unmoved = "the flowers hardly moved" if summary.get("flowers_moved") is False else "execution stopped"
+        return f"failed: {failure or unmoved}"
+
+    def answers(self) -> tuple[Answer, ...]:
+        """Return what the simulator's truth says: held? harmed? did the flowers move? None of it in older runs."""
+        s = self.summary or {}
+        if "held" not in s:
+            return ()
+        organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
+        between = "" if s["unharmed"] is None else f"simulated: {organ} between the pads, {_slip(s)}"
+        return (
+            Answer("Was the main stem held?", s["held"], "yes" if s["held"] else "no", between),
+            Answer("Was the plant harmed?", s["unharmed"], *_harm(s)),
+            Answer("Did the flowers move?", s["flowers_moved"], *_moved(s)),
+        )
+
     def headline_facts(self) -> list[tuple[str, str]]:
         """Return (name, value) pairs that sum up the trial."""
         facts: list[tuple[str, str]] = []
@@ -87,6 +128,30 @@ class RunResults:
         """Return a line for the main stem and for the best grasp if their confidence is low."""
         stem = () if self.stem is None else doubt(self.stem.confidence)
         return [*stem, *(note for grasp in self.grasps[:1] for note in doubt(grasp.confidence, "best grasp"))]
+
+
+def _slip(s: dict[str, Any]) -> str:
+    slip = s.get("true_slip_m")
+    return "not shaken" if slip is None or not np.isfinite(slip) else f"it slipped {1000 * slip:.1f} mm"
+
+
+def _harm(s: dict[str, Any]) -> tuple[str, str]:
+    if s["unharmed"] is None:
+        return "not known", ""
+    said = "no" if s["unharmed"] else f"yes: {s['harmed']}"
+    strains = ", ".join(f"{s[f'true_{kind}_strain']:.2%} in {kind}s" for kind in ("stem", "pedicel", "base"))
+    loads = f"strain {strains}, leaves {s['true_leaf_acceleration_ms2'] / 9.81:.2f} g"
+    return said, f"simulated: harm has a probability of {s['harm_probability']:.1%}; {loads}"
+
+
+def _moved(s: dict[str, Any]) -> tuple[str, str]:
+    felt, least = (s.get(f"true_flower_acceleration_{which}_ms2") for which in ("median", "least"))
+    if felt is None or least is None:
+        return "not known" if s["flowers_moved"] is None else "no", ""
+    shares = f"{s['share_above_5_ms2']:.0%} above 5 and {s['share_above_10_ms2']:.0%} above 10 m/s²"
+    freed = f"pollen freed {s['pollen_freed_median']:.1%} ({s['pollen_freed_low']:.1%} to {s['pollen_freed_high']:.1%})"
+    said = "yes" if s["flowers_moved"] else "hardly"
+    return said, f"simulated: median {felt:.1f} m/s², least {least:.1f}; {shares}; {freed}"
 
 
 def read_run(folder: Path | str) -> RunResults:

@@ -21,12 +21,15 @@ from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.safety import guard
 from anther.sim import cell as world
-from anther.sim.capture import CameraErrors, CaptureTruth, capture_views, perturbed_hand_eye
+from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
 from anther.sim.robot import robot_of
+from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
+from anther.sim.true_plant import as_true
+from anther.sim.truth import NOMINAL, Truth
 
 Species = Literal["tomato", "pepper"]
 
@@ -126,13 +129,21 @@ class SimulatedCell:
         return capture_time(self.views)
 
 
-def grow(species: Species, seed: int, viewpoint: float, distance: float) -> SimPlant:
+def grow(species: Species, seed: int, viewpoint: float, distance: float, truth: Truth = NOMINAL) -> SimPlant:
     """Grow a plant in a pot `distance` [m] in front of the arm; `viewpoint` [deg] turns it about the pot's axis."""
     match species:
         case "tomato":
-            return grow_tomato(seed, viewpoint=viewpoint, axis=(distance, 0.0))
+            return as_true(grow_tomato(seed, viewpoint=viewpoint, axis=(distance, 0.0)), truth)
         case "pepper":
-            return grow_pepper(seed, viewpoint=viewpoint, axis=(distance, 0.0))
+            return as_true(grow_pepper(seed, viewpoint=viewpoint, axis=(distance, 0.0)), truth)
+
+
+def in_wind(plant: SimPlant, scene: Scene, views: Views, truth: Truth) -> Sight:
+    """Return what each of the views finds of a plant that sways in the truth's wind while they are taken."""
+    if truth.wind == 0:
+        return scene
+    poses = swaying(plant, truth.wind, np.linspace(0, capture_time(views), len(views.joints)))
+    return lambda view: scene.moved(plant.posed_vertices(poses[view]))
 
 
 @cache
@@ -151,9 +162,15 @@ def to_waiting(distance: float, views: ViewParams) -> JointTrajectory:
 
 
 def build(
-    species: Species, seed: int, viewpoint: float, views: ViewParams, *, distance: float = USUAL_DISTANCE
+    species: Species,
+    seed: int,
+    viewpoint: float,
+    views: ViewParams,
+    *,
+    distance: float = USUAL_DISTANCE,
+    truth: Truth = NOMINAL,
 ) -> SimulatedCell:
-    """Build a cell around one plant. All randomness comes from `seed`.
+    """Build a cell around one plant. All randomness comes from `seed`, but for what `truth` says.
 
     The views are rendered, not driven to: the arm stands where it waits after the last of them.
 
@@ -162,13 +179,13 @@ def build(
     """
     place = layout(distance)
     planned, last = views_at(distance, views), to_waiting(distance, views)
-    plant = grow(species, seed, viewpoint, distance)
+    plant = grow(species, seed, viewpoint, distance, truth)
     noise = np.random.default_rng([seed, int(viewpoint), 2])
     scene = Scene.of_plant(plant)
-    mujoco = world.Cell(plant, WAITING)
+    mujoco = world.Cell(plant, WAITING, truth=truth)
     robot = robot_of(
         mujoco,
-        errors=CameraErrors(),
+        errors=camera_errors(truth),
         T_world_side_camera=place.T_world_side_camera,
         seed=int(noise.integers(1 << 31)),
         scene=scene,
@@ -180,7 +197,9 @@ def build(
         views=planned,
         to_waiting=last,
         robot_side=pipeline.Cell(
-            take_views=lambda advance: photograph(scene, planned.joints, seed, viewpoint, progress=advance)[0],
+            take_views=lambda advance: photograph(
+                in_wind(plant, scene, planned, truth), planned.joints, seed, viewpoint, progress=advance, truth=truth
+            )[0],
             plan_around=lambda cloud: Planner(
                 cloud.points,
                 cloud.obstacles,
@@ -196,14 +215,28 @@ def build(
 
 
 def photograph(
-    plant: SimPlant | Scene, joints: Array, seed: int, viewpoint: float = 0.0, *, progress: Advance | None = None
+    plant: Sight,
+    joints: Array,
+    seed: int,
+    viewpoint: float = 0.0,
+    *,
+    progress: Advance | None = None,
+    truth: Truth = NOMINAL,
 ) -> tuple[Capture, CaptureTruth]:
     """Return what the wrist camera sees of a plant from joints (V, 7) [rad], and the truth, which is for judges.
 
-    Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed` and `viewpoint` [deg].
+    Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed` and `viewpoint` [deg];
+    `truth` says how large they are.
     """
     sight, camera = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(2))
-    T_flange_cam_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera)
+    T_flange_cam_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera, factor=truth.hand_eye_error)
     return capture_views(
-        plant, joints, sawyer.forward, T_flange_cam_true, sawyer.T_FLANGE_CAM, rng=sight, progress=progress
+        plant,
+        joints,
+        sawyer.forward,
+        T_flange_cam_true,
+        sawyer.T_FLANGE_CAM,
+        rng=sight,
+        errors=camera_errors(truth),
+        progress=progress,
     )

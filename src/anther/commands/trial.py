@@ -46,6 +46,9 @@ class Args:
     """Replace the results of an earlier run in the same folder."""
     history: str = "runs/history.sqlite"
     """Trial history to learn from and to add this trial to: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
+    truth: Literal["nominal", "wide"] = "nominal"
+    """What is true of plant, air, pads, arm and camera: as usual, or drawn from the seed wider than any stage believes.
+    It is for judging: no stage is told."""
     material: Literal["learned", "facts"] = "learned"
     """Begin with what the history teaches of this plant or its crop, or as if nothing had ever been measured."""
     params: Params = field(default_factory=Params)
@@ -53,7 +56,12 @@ class Args:
 
 
 def run(args: Args) -> int:
-    """Run one trial; return 0 when the main stem was shaken without harm, 1 when not, 2 when it never came to that."""
+    """Run one trial; return how it ended.
+
+    Returns:
+        0 only if all three parts of the verdict are good: the main stem was held through the shake, the plant was not
+        harmed, and its flowers moved as in a breeze or more; 1 if one of them is not; 2 if it never came to that.
+    """
     from anther.checks import check_range
     from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run, parameters
@@ -108,10 +116,12 @@ def run(args: Args) -> int:
 
 def _build(args: Args) -> SimulatedCell:
     from anther.commands.simulated_cell import PRESETS, build
+    from anther.sim.truth import NOMINAL, draw
 
     views = PRESETS[args.preset]
     views = views if args.views is None else replace(views, count=args.views)
-    return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance)
+    truth = draw(args.seed) if args.truth == "wide" else NOMINAL
+    return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance, truth=truth)
 
 
 def _belief(args: Args) -> Belief:
@@ -124,7 +134,7 @@ def _belief(args: Args) -> Belief:
 
 
 def _label(args: Args) -> str:
-    return f"simulated {args.seed}"
+    return f"simulated {args.seed}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
 
 
 def _judge(cell: SimulatedCell, done: Done) -> Verdict:
@@ -135,10 +145,13 @@ def _judge(cell: SimulatedCell, done: Done) -> Verdict:
 
 
 def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], done: Done | None) -> TrialRecord:
-    """Return what the history keeps of the trial."""
+    """Return what the history keeps of the trial: held and unharmed is a success that teaches.
+
+    That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that.
+    """
     from anther.commands.visit_record import with_what_was_done
     from anther.store import TrialRecord
 
-    result = {"success": summary["success"], "failure": summary["failure"]}
+    result = {"success": bool(summary["held"] and summary["unharmed"]), "failure": summary["failure"]}
     record = TrialRecord(args.plant, _label(args), **result, run=str(out), time=began)
     return record if done is None else with_what_was_done(record, done, summary["organ_grasped"])

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 def summarise(
     cell: SimulatedCell | None, done: Done | None, verdict: Verdict | None, failure: StageFailure | None
 ) -> dict[str, Any]:
-    """Return trial.json: flat, units in the names, null for what was not reached or cannot be measured."""
+    """Return trial.json: flat, units in the names, null for what was not reached or cannot be measured.
+
+    The verdict has three parts, all by the simulator's truth: held, unharmed, flowers_moved; success is all three.
+    """
     return {
         **_verdict(done, verdict, failure),
         **_planned(done),
@@ -39,13 +42,26 @@ STOPPED = ("device_fault", "interrupted", "limits_exceeded")
 """Ends of an execution that say more than what the judge then found between the pads."""
 
 
+LOADS = {
+    "stem": "stem_strain",
+    "pedicel": "pedicel_strain",
+    "base": "base_strain",
+    "leaf": "leaf_acceleration_ms2",
+}
+"""Kind of load -> its name in trial.json, after "true_"; after "borne_": what this plant bears of it."""
+
+
 def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure | None) -> dict[str, Any]:
     if done is None or verdict is None:
         kind, message = (None, None) if failure is None else (failure.kind, str(failure))
-        return {"success": False, "failure": kind, "message": message, "organ_grasped": None}
+        parts = {"success": False, "held": False, "unharmed": None, "flowers_moved": None}
+        return parts | {"failure": kind, "message": message, "organ_grasped": None}
     stopped = done.trial.failure in STOPPED
     return {
         "success": verdict.success and not stopped,
+        "held": verdict.held and not stopped,
+        "unharmed": verdict.unharmed,
+        "flowers_moved": verdict.flowers_moved,
         "failure": done.trial.failure if stopped else verdict.failure,
         "message": done.trial.stop_reason if stopped else verdict.reason,
         "organ_grasped": verdict.organ_grasped or None,
@@ -100,14 +116,26 @@ def _true(verdict: Verdict | None) -> dict[str, Any]:
     """The judge's own figures, by the simulator's truth."""
     if verdict is None:
         return {}
+    from anther.sim.effect import MOVED, MUCH, pollen_freed
+
+    felt = verdict.flower_acceleration_peak[np.isfinite(verdict.flower_acceleration_peak)]
+    low, middle, high = pollen_freed(felt)
+    loads, limits = verdict.harm.loads, verdict.harm.limits
     return {
+        "harm_probability": verdict.harm.probability,
+        "harmed": ", ".join(verdict.harm.passed),
+        "true_flower_acceleration_median_ms2": _median(felt),
+        "true_flower_acceleration_least_ms2": float(felt.min()) if len(felt) else None,
+        "share_above_5_ms2": float(np.mean(felt > MOVED)) if len(felt) else None,
+        "share_above_10_ms2": float(np.mean(felt > MUCH)) if len(felt) else None,
+        "pollen_freed_low": low,
+        "pollen_freed_median": middle,
+        "pollen_freed_high": high,
         "true_flower_amplitude_median_m": _median(verdict.flower_amplitude),
-        "true_flower_acceleration_peak_median_ms2": _median(verdict.flower_acceleration_peak),
         "true_slip_m": verdict.slip,
         "true_push_before_closing_n": verdict.push,
-        "true_stem_strain": verdict.stem_strain,
-        "true_joint_strain": verdict.joint_strain,
-        "true_leaf_acceleration_ms2": verdict.leaf_acceleration,
+        **{f"true_{name}": loads[kind] for kind, name in LOADS.items()},
+        **{f"borne_{name}": limits[kind] for kind, name in LOADS.items()},
         "true_effort_share": verdict.effort,
         "true_held_beside": ", ".join(verdict.held_beside),
     }
@@ -121,7 +149,7 @@ def _median(values: Array) -> float | None:
 def print_summary(results: RunResults) -> None:
     """Print the short table that ends a trial."""
     table = Table(title=results.title, show_header=False, title_justify="left", pad_edge=False)
-    for name, value in _rows(results.summary or {}):
+    for name, value in _rows(results):
         table.add_row(name, value)
     for note in results.doubts():
         table.add_row("warning", note)
@@ -132,9 +160,10 @@ def print_summary(results: RunResults) -> None:
     Console().print(table)
 
 
-def _rows(s: dict[str, Any]) -> list[tuple[str, str]]:
-    rows = [("verdict", "success" if s["success"] else f"failed: {s['failure'] or 'execution stopped'}")]
-    rows.append(("", s["message"] or ""))
+def _rows(results: RunResults) -> list[tuple[str, str]]:
+    s = results.summary or {}
+    rows = [("verdict", results.headline), ("", s["message"] or "")]
+    rows += [(answer.question, f"{answer.said}; {answer.why}".removesuffix("; ")) for answer in results.answers()]
     if "grasp_pose7" in s:
         held = s["organ_grasped"] or "nothing"
         height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
@@ -153,8 +182,8 @@ def _rows(s: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("flowers, measured", _motion(s, "measured")))
         true = s.get("true_flower_amplitude_median_m")
         if true is not None:
-            acceleration = s["true_flower_acceleration_peak_median_ms2"]
-            rows.append(("flowers, simulator", f"median {1000 * true:.2f} mm, {acceleration:.1f} m/s²"))
+            acceleration = s["true_flower_acceleration_median_ms2"]
+            rows.append(("flowers, simulated", f"median {1000 * true:.2f} mm, {acceleration:.1f} m/s²"))
     return rows
 
 

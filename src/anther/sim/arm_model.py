@@ -11,37 +11,48 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
 from anther.geometry import Array
+from anther.sim.truth import JOINT_STIFFNESS, NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
 FINGER_MASS = 0.04  # kg, our estimate
 FINGER_ARMATURE = 0.3  # kg, drive inertia seen at a finger, our estimate
-PAD_FRICTION = 1.0  # silicone on a stem, our estimate; the brief of the cell
+PAD_MASS = 0.004  # kg, 16 x 7 x 37 mm of silicone
+PAD_DAMPING = (0.15, 10.0)  # ratio at a frequency [Hz]: silicone loses a third of its strain energy in a swing; a guess
+PAD_WAYS = ("x", "z", "turn")  # in which a pad gives way on its finger, see `add_arm`
+FLEX_DAMPING = 0.05  # ratio of each joint's spring with its motor still, at neutral; a guess
+FASTEST = (
+    150.0  # Hz: springs carry so much rotor inertia that none swings faster, since each step takes them explicitly
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """The servos.
+    """The gripper.
 
     Attributes:
-        bandwidth: natural frequency of each critically damped joint servo [Hz]. Published simulation gains (kp 800,
-            about 4 Hz) are too soft to shake with (facts: sawyer 2).
         grip_force: what the gripper holds with at most, both fingers alike [N]: about 30 % of 35 N (facts: sawyer 3).
         grip_stiffness: of the gripper's position servo [N/m].
         pad_softness: time constant of pad contact [s].
     """
 
-    bandwidth: float = 10.0
     grip_force: float = 10.0
     grip_stiffness: float = 40e3
     pad_softness: float = 0.004
 
 
-def add_arm(spec: Any, params: Params, *, contype: int, conaffinity: int) -> None:
+def flex_name(joint: str) -> str:
+    """Return the name of the hinge by which a joint's link runs ahead of its motor."""
+    return f"{joint}_flex"
+
+
+def add_arm(spec: Any, params: Params, truth: Truth = NOMINAL, *, contype: int, conaffinity: int) -> None:
     """Add base, links `right_l0`.., flange, gripper, wrist camera and their actuators to a world.
 
     Actuators, in order: 7 positions, 7 velocities, 7 torques (feed-forward), 1 half opening of the gripper.
-    Joints: `right_j0`.., `left_finger`, `right_finger` (each the half opening [m]).
+    Joints: `right_j0`.., `left_finger`, `right_finger` (each the half opening [m]). Where the truth has them, also
+    `right_j0_flex`.. [rad], and of each pad on its finger, in the flange's frame, `left_pad_x`, `left_pad_z` [m] and
+    `left_pad_turn` about y [rad].
     """
     bits = {"contype": contype, "conaffinity": conaffinity}
     base = spec.worldbody.add_body(name="base")
@@ -49,13 +60,13 @@ def add_arm(spec: Any, params: Params, *, contype: int, conaffinity: int) -> Non
     _solids(base, sawyer.BASE_SOLIDS, bits)
     body = base
     for i, link in enumerate(sawyer.LINKS):
-        body = _add_link(body, i, link, bits)
+        body = _add_link(body, i, link, truth.joint_stiffness * JOINT_STIFFNESS[i], bits)
         if i == 0:
             head = body.add_body(name="head", pos=sawyer.HEAD_XYZ, gravcomp=1)
             _inertial(head, sawyer.HEAD_MASS, sawyer.HEAD_COM, sawyer.HEAD_INERTIA)
             _capsules(head, "head", sawyer.HEAD_CAPSULES, bits)
             _solids(head, sawyer.HEAD_SOLIDS, bits)
-    _add_gripper(spec, body, params, bits)
+    _add_gripper(spec, body, params, truth, bits)
     for kind in ("position", "velocity", "torque"):
         for name in sawyer.JOINTS:
             actuator = spec.add_actuator(name=f"{kind}_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -66,8 +77,12 @@ def add_arm(spec: Any, params: Params, *, contype: int, conaffinity: int) -> Non
     grip.forcelimited, grip.forcerange = 1, [-2 * params.grip_force, 2 * params.grip_force]
 
 
-def tune_servos(model: Any, params: Params) -> None:
-    """Set the joint servos' gains from the inertia at neutral: kp = J w^2, kv = 2 J w (critically damped)."""
+def tune_servos(model: Any, truth: Truth) -> None:
+    """Set the joint servos' gains from the inertia at neutral: kp = J w^2, kv = 2 J w (critically damped).
+
+    Published simulation gains (kp 800, about 4 Hz) are too soft to shake with (facts: sawyer 2). The joints' springs,
+    which the servos do not know, are damped by the inertia of their links at neutral.
+    """
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in sawyer.JOINTS]
     for joint, q in zip(joints, sawyer.NEUTRAL, strict=True):
@@ -75,7 +90,7 @@ def tune_servos(model: Any, params: Params) -> None:
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, mass)
-    omega = 2 * np.pi * params.bandwidth
+    omega = 2 * np.pi * truth.servo_bandwidth
     for i, joint in enumerate(joints):
         inertia = mass[joint.dofadr[0], joint.dofadr[0]]
         kp, kv = inertia * omega**2, 2 * inertia * omega
@@ -83,9 +98,13 @@ def tune_servos(model: Any, params: Params) -> None:
             model.actuator_gainprm[actuator, 0] = gain
             model.actuator_biastype[actuator] = mujoco.mjtBias.mjBIAS_AFFINE
             model.actuator_biasprm[actuator, slot] = -gain
+        if np.isfinite(truth.joint_stiffness):
+            flex = model.joint(flex_name(sawyer.JOINTS[i])).dofadr[0]
+            stiffness = truth.joint_stiffness * JOINT_STIFFNESS[i]
+            model.dof_damping[flex] = 2 * FLEX_DAMPING * np.sqrt(stiffness * mass[flex, flex])
 
 
-def _add_link(parent: Any, i: int, link: sawyer.Link, bits: dict[str, int]) -> Any:
+def _add_link(parent: Any, i: int, link: sawyer.Link, stiffness: float, bits: dict[str, int]) -> Any:
     body = parent.add_body(name=link.name, pos=link.xyz, quat=_quaternion(link.rpy), gravcomp=1)
     _inertial(body, link.mass, link.com, link.inertia)
     joint = body.add_joint(name=sawyer.JOINTS[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
@@ -94,11 +113,14 @@ def _add_link(parent: Any, i: int, link: sawyer.Link, bits: dict[str, int]) -> A
     joint.armature = sawyer.ROTOR_INERTIA[i]
     joint.actgravcomp = 1  # the motors carry the arm's weight too: it counts against their efforts
     joint.actfrclimited, joint.actfrcrange = 1, [-sawyer.EFFORT[i], sawyer.EFFORT[i]]
+    if np.isfinite(stiffness):
+        flex = body.add_joint(name=flex_name(sawyer.JOINTS[i]), type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        flex.stiffness, flex.armature = [stiffness, 0, 0], _least_inertia(stiffness)
     _capsules(body, link.name, link.capsules, bits)
     return body
 
 
-def _add_gripper(spec: Any, wrist: Any, params: Params, bits: dict[str, int]) -> None:
+def _add_gripper(spec: Any, wrist: Any, params: Params, truth: Truth, bits: dict[str, int]) -> None:
     T = sawyer.T_L6_FLANGE
     quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     flange = wrist.add_body(name="flange", pos=T[:3, 3], quat=quat, gravcomp=1)
@@ -109,7 +131,7 @@ def _add_gripper(spec: Any, wrist: Any, params: Params, bits: dict[str, int]) ->
     _solids(flange, (sawyer.GRIPPER_BODY, *sawyer.CAMERA_SOLIDS), bits)
     pad_z = sawyer.TIP_Z - sawyer.PAD[2] / 2
     half_z = (sawyer.TIP_Z - sawyer.FINGER_Z) / 2
-    for side, sign in (("left", 1), ("right", -1)):
+    for side, sign, wear in (("left", 1, truth.pad_wear), ("right", -1, 0.0)):
         finger = flange.add_body(name=f"{side}_finger", gravcomp=1)
         _inertial(finger, FINGER_MASS, (0, 0.01 * sign, pad_z), (2e-5, 2e-5, 4e-6, 0, 0, 0))
         joint = finger.add_joint(name=f"{side}_finger", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, sign, 0])
@@ -121,14 +143,52 @@ def _add_gripper(spec: Any, wrist: Any, params: Params, bits: dict[str, int]) ->
             (sawyer.PAD[0] / 2, sawyer.FINGER_THICKNESS / 2, half_z),
         )
         _solids(finger, (stick,), bits)
-        pad = _box(finger, f"{side}_pad", (0, sign * sawyer.PAD[1] / 2, pad_z), np.array(sawyer.PAD) / 2, bits)
-        pad.condim, pad.priority, pad.friction = 4, 1, [PAD_FRICTION, 0.003, 0.0001]
+        holder, centre = _pad_holder(finger, side, np.array([0, sign * sawyer.PAD[1] / 2, pad_z]), truth)
+        pad = _box(holder, f"{side}_pad", centre, np.array(sawyer.PAD) / 2, bits)
+        pad.condim, pad.priority, pad.friction = 4, 1, [truth.pad_friction * (1 - wear), 0.003, 0.0001]
         pad.solref, pad.solimp = [params.pad_softness, 1.0], [0.95, 0.99, 0.001, 0.5, 2]
     coupling = spec.add_equality(
         name="fingers", type=mujoco.mjtEq.mjEQ_JOINT, name1="left_finger", name2="right_finger"
     )
     coupling.data[:2] = [0, 1]
     coupling.solref = [0.004, 1.0]
+
+
+def _pad_holder(finger: Any, side: str, centre: Array, truth: Truth) -> tuple[Any, Array]:
+    """Return the body that carries a pad, and the pad's centre (3,) in it [m]: a finger, or its own on springs.
+
+    Along the closing axis the pad is fixed: there the contact itself is soft.
+    """
+    springs = [
+        (name, kind, axis, stiffness / 2)  # two pads side by side
+        for name, (kind, axis, stiffness) in zip(
+            PAD_WAYS,
+            (
+                (mujoco.mjtJoint.mjJNT_SLIDE, [1, 0, 0], truth.pad_stiffness),
+                (mujoco.mjtJoint.mjJNT_SLIDE, [0, 0, 1], truth.pad_stiffness),
+                (mujoco.mjtJoint.mjJNT_HINGE, [0, 1, 0], truth.pad_rotation),
+            ),
+            strict=True,
+        )
+        if np.isfinite(stiffness)
+    ]
+    if not springs:
+        return finger, centre
+    finger.mass -= PAD_MASS
+    pad = finger.add_body(name=f"{side}_pad", pos=centre, gravcomp=1)
+    x, y, z = np.square(sawyer.PAD)
+    _inertial(pad, PAD_MASS, (0, 0, 0), (*(PAD_MASS / 12 * np.array([y + z, x + z, x + y])), 0, 0, 0))
+    ratio, frequency = PAD_DAMPING
+    for name, kind, axis, stiffness in springs:
+        joint = pad.add_joint(name=f"{side}_pad_{name}", type=kind, axis=axis)
+        joint.stiffness, joint.armature = [stiffness, 0, 0], _least_inertia(stiffness)
+        joint.damping = [2 * ratio * stiffness / (2 * np.pi * frequency), 0, 0]
+    return pad, np.zeros(3)
+
+
+def _least_inertia(stiffness: float) -> float:
+    """Return the rotor inertia with which a spring alone swings at `FASTEST` [kg or kg m^2]."""
+    return stiffness / (2 * np.pi * FASTEST) ** 2
 
 
 def _capsules(body: Any, name: str, capsules: tuple[sawyer.Capsule, ...], bits: dict[str, int]) -> None:

@@ -21,9 +21,12 @@ from anther.geometry import Array, Intrinsics, look_at, small_transform
 from anther.sim.depth_noise import DepthNoise, noisy_depth
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
+from anther.sim.truth import Truth
 
 Progress = Callable[[int, int], None]
 """Called with the number of views done and the number of all."""
+Sight = SimPlant | Scene | Callable[[int], Scene]
+"""What is looked at: a plant, its scene, or the scene as each view finds it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,17 @@ class CameraErrors:
         check_range("pose translation error", self.pose_translation, 0.0, 0.05, "m")
 
 
+def camera_errors(truth: Truth) -> CameraErrors:
+    """Return the errors of camera and arm that are true of a trial."""
+    usual = CameraErrors()
+    return replace(
+        usual,
+        pose_rotation=truth.pose_error * usual.pose_rotation,
+        pose_translation=truth.pose_error * usual.pose_translation,
+        exposure=truth.exposure_spread,
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CaptureTruth:
     """What the planner must not see; only judges may.
@@ -77,7 +91,7 @@ class CaptureTruth:
 
 
 def capture_views(
-    plant: SimPlant | Scene,
+    plant: Sight,
     joints: ArrayLike,
     forward: Callable[[Array], Array],
     T_flange_cam_true: ArrayLike,
@@ -94,7 +108,7 @@ def capture_views(
     itself; the capture says forward(q) . T_flange_cam_believed.
 
     Args:
-        plant: what is looked at; a `Scene` if it is built already.
+        plant: what is looked at.
         joints: (V, 7) arm joint angles [rad].
         forward: joint angles (7,) -> T_world_flange (4, 4).
         T_flange_cam_true: where the camera is on the flange.
@@ -117,7 +131,7 @@ def capture_views(
 
 
 def capture_from_poses(
-    plant: SimPlant | Scene,
+    plant: Sight,
     T_world_cam: ArrayLike,
     *,
     rng: np.random.Generator,
@@ -138,13 +152,15 @@ def perturbed_hand_eye(
     *,
     rotation: float = float(np.radians(0.2)),
     translation: float = 0.001,
+    factor: float = 1.0,
 ) -> Array:
-    """Return a hand-eye transform off by `rotation` [rad] and `translation` [m], each about a random axis.
+    """Return a hand-eye transform off by `factor` times `rotation` [rad] and `translation` [m], about random axes.
 
     The sizes are those of a fair calibration (facts: perception, hand-eye table: 0.15 deg, 1.2 mm).
     """
     turn, shift = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-    return check_transform("T_flange_cam", T_flange_cam) @ small_transform(rotation * turn, translation * shift)
+    error = small_transform(factor * rotation * turn, factor * translation * shift)
+    return check_transform("T_flange_cam", T_flange_cam) @ error
 
 
 def orbit_poses(
@@ -176,7 +192,7 @@ def noisy_rgb(rgb: NDArray[Any], rng: np.random.Generator, errors: CameraErrors 
     errors = errors or CameraErrors()
     gain = (1 + errors.exposure * rng.normal()) * (1 + errors.white_balance * rng.normal(size=3))
     image = cv2.GaussianBlur(rgb, (0, 0), errors.blur) if errors.blur > 0 else rgb
-    level = image.astype(np.float32) * np.clip(gain, 0.7, 1.3).astype(np.float32)
+    level = image.astype(np.float32) * np.clip(gain, 0.3, 1.7).astype(np.float32)
     sigma = np.sqrt(np.float32(errors.read_noise**2) + np.float32(errors.shot_noise) * level)
     level += sigma * rng.standard_normal(rgb.shape, dtype=np.float32)
     return np.clip(level + 0.5, 0, 255).astype(np.uint8)
@@ -189,7 +205,7 @@ def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> 
 
 
 def _capture(
-    plant: SimPlant | Scene,
+    plant: Sight,
     true: Array,
     believed: Array,
     *,
@@ -199,7 +215,7 @@ def _capture(
     progress: Progress | None,
 ) -> tuple[Capture, CaptureTruth]:
     """Render all views on two threads, each view with a random stream of its own: the order does not matter."""
-    scene = plant if isinstance(plant, Scene) else Scene.of_plant(plant)
+    still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
     intrinsics = intrinsics or d455()
     count, size = len(true), (intrinsics.height, intrinsics.width)
     rgb, organ = np.empty((count, *size, 3), np.uint8), np.empty((count, *size), np.uint8)
@@ -207,6 +223,7 @@ def _capture(
     streams = rng.spawn(count)
 
     def take(view: int) -> None:
+        scene = still if isinstance(still, Scene) else still(view)
         image = scene.render(intrinsics, true[view])
         rgb[view], organ[view], exact[view] = noisy_rgb(image.rgb, streams[view], errors), image.organ, image.depth
         depth[view] = noisy_depth(image.depth, intrinsics, streams[view], errors.depth)

@@ -12,14 +12,17 @@ from typing import Any
 import mujoco as mujoco_module
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
 from anther.errors import StageFailure
-from anther.geometry import Array
+from anther.geometry import Array, transform
 from anther.sim import arm_model, plant_mechanics
+from anther.sim.air import Air
 from anther.sim.blades import add_blades
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
+from anther.sim.truth import NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
@@ -55,7 +58,7 @@ class CellLog:
     Attributes:
         times: (T,) [s].
         qpos: (T, nq) generalised positions of the whole world.
-        joints: (T, 7) arm [rad].
+        joints: (T, 7) of the arm's motors [rad].
         torques: (T, 7) of its motors [N m].
         grip_command, opening: (T,) commanded and true distance between the pads [m].
         contact_sample: (C,) log sample of each contact of the robot with plant, pot or bench.
@@ -85,26 +88,38 @@ class Cell:
 
     Attributes:
         plant: ground truth.
+        truth: of air, pads, arm and side camera.
         model, data: MuJoCo's.
         mechanics: the plant's part of the model.
     """
 
-    def __init__(self, plant: SimPlant, joints: ArrayLike = sawyer.NEUTRAL, params: Params | None = None) -> None:
+    def __init__(
+        self,
+        plant: SimPlant,
+        joints: ArrayLike = sawyer.NEUTRAL,
+        params: Params | None = None,
+        truth: Truth = NOMINAL,
+    ) -> None:
         """Build the world, plant at rest under gravity, arm at `joints` (7,) [rad], gripper open."""
-        self.plant, self.params = plant, params or Params()
+        self.plant, self.params, self.truth = plant, params or Params(), truth
         spec = _world(self.params.timestep, plant)
         pieces = plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
         add_blades(spec, plant, pieces, contype=PLANT_BIT, conaffinity=0)
-        arm_model.add_arm(spec, self.params.arm, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
+        arm_model.add_arm(spec, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
         self._arm = np.array([self.model.joint(name).qposadr[0] for name in sawyer.JOINTS])
         self._arm_dofs = np.array([self.model.joint(name).dofadr[0] for name in sawyer.JOINTS])
         self._fingers = [self.model.joint(f"{side}_finger").qposadr[0] for side in ("left", "right")]
+        self._flex = _addresses(self.model, [arm_model.flex_name(name) for name in sawyer.JOINTS])
+        self._give = [_addresses(self.model, [f"left_pad_{way}", f"right_pad_{way}"]) for way in arm_model.PAD_WAYS]
+        errors = np.random.default_rng([plant.seed, 8]).normal(size=7)
+        self._expected = 1 + truth.feedforward_error * errors
         self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, sawyer.STROKE / 2
         self.data.ctrl[:7], self.data.ctrl[21] = joints, sawyer.STROKE / 2
-        arm_model.tune_servos(self.model, self.params.arm)
+        arm_model.tune_servos(self.model, truth)
         self.mechanics = PlantMechanics(self.model, plant, pieces, self.params.plant)
+        self._air = Air(self.mechanics, truth.wind, plant.seed)
         self._codes = _contact_codes(self.model)
         self._samples: list[tuple[Any, ...]] = []
         self._contacts: list[tuple[Any, ...]] = []
@@ -119,7 +134,7 @@ class Cell:
 
     @property
     def joints(self) -> Array:
-        """(7,) true arm joint angles [rad]."""
+        """(7,) true angles of the arm's motors, which its encoders read [rad]."""
         return self.data.qpos[self._arm].copy()
 
     @property
@@ -167,8 +182,10 @@ class Cell:
         motion = np.zeros(m.nv)  # arm and plant share no joint: one product serves both
         motion[self._arm_dofs], motion[plant] = a, d.qvel[plant]
         mujoco.mj_mulM(m, d, inertia, motion)
-        d.ctrl[:7], d.ctrl[7:14], d.ctrl[14:21], d.ctrl[21] = q, v, inertia[self._arm_dofs], opening / 2
+        d.ctrl[:7], d.ctrl[7:14], d.ctrl[21] = q, v, opening / 2
+        d.ctrl[14:21] = self._expected * inertia[self._arm_dofs]
         d.qfrc_applied[plant] = -self.mechanics.mass_damping * inertia[plant]
+        self._air.push(d, m.opt.timestep)
         mujoco.mj_step(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")
@@ -213,8 +230,21 @@ class Cell:
         return self.mechanics.segment_poses(self._at(qpos))
 
     def flange_pose(self, qpos: Array | None = None) -> Array:
-        """Return T_world_flange (4, 4) now, or at a logged `qpos` (nq,)."""
-        return sawyer.forward((self.data.qpos if qpos is None else qpos)[self._arm])
+        """Return T_world_flange (..., 4, 4) now, or at logged `qpos` (..., nq): where the links truly are."""
+        at = self.data.qpos if qpos is None else qpos
+        links = at[..., self._arm]
+        return sawyer.forward(links + at[..., self._flex] if len(self._flex) else links)
+
+    def pads_pose(self, qpos: Array | None = None) -> Array:
+        """Return T_world_pads (4, 4) now, or at a logged `qpos` (nq,): the flange's frame, carried along by the pads.
+
+        It moves on the flange by the mean of what both give way.
+        """
+        at = self.data.qpos if qpos is None else qpos
+        x, z, turn = (float(at[ways].mean()) if len(ways) else 0.0 for ways in self._give)
+        centre = sawyer.T_FLANGE_GRASP[:3, 3]
+        R = Rotation.from_rotvec([0, turn, 0]).as_matrix()
+        return self.flange_pose(at) @ transform(R, centre - R @ centre + np.array([x, 0, z]))
 
     def _at(self, qpos: Array | None) -> Any:
         if qpos is None:
@@ -222,6 +252,12 @@ class Cell:
         self._scratch.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, self._scratch)
         return self._scratch
+
+
+def _addresses(model: Any, joints: list[str]) -> NDArray[Any]:
+    """Return where in qpos these joints are, all of them or none."""
+    there = [joint for joint in joints if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint) >= 0]
+    return np.array([model.joint(joint).qposadr[0] for joint in there], dtype=int)
 
 
 def _world(timestep: float, plant: SimPlant) -> Any:

@@ -158,13 +158,14 @@ class Growth:
         self.pot(pot_radius)
         c, s = np.cos(np.radians(viewpoint)), np.sin(np.radians(viewpoint))
         T = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [*axis, soil_z])
-        part = {name: np.array([s[name] for s in self._segments]) for name in self._segments[0]}
-        mesh = {name: np.concatenate([m[name] for m in self._meshes]) for name in self._meshes[0]}
+        part: dict[str, Any] = {name: np.array([s[name] for s in self._segments]) for name in self._segments[0]}
+        mesh: dict[str, Any] = {name: np.concatenate([m[name] for m in self._meshes]) for name in self._meshes[0]}
         lump_mass, moment = part["lump_mass"], part.pop("lump_moment")
         middle = (part["start"] + part["end"]) / 2
         centre = np.where(lump_mass[:, None] > 0, moment / np.maximum(lump_mass, 1e-12)[:, None], middle)
         places = {"start": part.pop("start"), "end": part.pop("end"), "lump_centre": centre}
         places |= {"flower_position": np.array([p for _, p in self._flowers]), "vertices": mesh.pop("vertices")}
+        placed: dict[str, Any] = {name: transform_points(T, value) for name, value in places.items()}
         plant = SimPlant(
             species=species,
             seed=seed,
@@ -173,6 +174,6 @@ class Growth:
             pot=Pot(T[:3, 3], pot_radius, 0.74 * pot_radius),
             **part,
             **mesh,
-            **{name: transform_points(T, value) for name, value in places.items()},
+            **placed,
         )
         return supported_youngs(plant)

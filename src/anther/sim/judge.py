@@ -1,5 +1,6 @@
 """The judge: what really happened in the cell, from its log and the plant's truth alone. No stage sees this.
 
+A verdict has three parts: the main stem was held, the plant was not harmed, its flowers moved.
 T log samples, K plant segments, F flowers.
 """
 
@@ -17,7 +18,9 @@ from anther.errors import FailureKind
 from anther.geometry import Array, inverse
 from anther.oscillation import find_frequency, fit_swing
 from anther.sim.cell import Cell, CellLog
+from anther.sim.effect import MOVED, Harm
 from anther.sim.plant import Organ
+from anther.sim.truth import tolerances
 
 TRAVEL, TRAVEL_TIME = 0.01, 0.2
 """An arm travels while a joint turns by this [rad] in this time [s]: on the way in by 0.02 to 0.06 rad."""
@@ -35,10 +38,6 @@ class Params:
         grip: a pad touches with at least this [N].
         held_share: the pads must hold the stem in at least this share of the samples of the shake.
         beside_share: another organ counts as held with it that a pad presses in at least this share of them.
-        stem_strain, joint_strain: peak bending strain in stem and branches, and peak swing of it elsewhere (facts:
-            pollination 1d, proposed limits: 1 % and 0.5 %).
-        leaf_acceleration: at the bases of petioles, low-passed below 5 Hz, quasi-static [m/s2] (facts: pollination 1d,
-            0.7 g).
         leaf_band: up to which a leaf is taken to follow quasi-statically [Hz].
     """
 
@@ -47,9 +46,6 @@ class Params:
     grip: float = 0.2
     held_share: float = 0.95
     beside_share: float = 0.2
-    stem_strain: float = 0.01
-    joint_strain: float = 0.005
-    leaf_acceleration: float = 0.7 * 9.81
     leaf_band: float = 5.0
 
 
@@ -58,34 +54,31 @@ class Verdict:
     """The truth about a trial.
 
     Attributes:
-        success: the main stem was held through the shake, nothing pushed, struck, slipped or damaged.
-        failure: its kind, or None.
-        reason: in words.
+        held: the main stem was held through the shake, and nothing pushed, struck or slipped.
+        failure: what became of the hold, or else "damaged"; None if it was held and not harmed.
+        reason: why, in words, or what was held.
         organ_grasped: name of the organ between the pads most of the time, "" if none.
         grasp_height: height of the held point above the soil [m]; NaN if nothing was held.
         slip: largest wander of the held point between the pads [m]; NaN if nothing was held.
         push: largest force on the plant before closing [N], leaves included.
-        stem_strain, joint_strain: peak added bending strain of stem and branches, peak swing of it in the rest.
-        leaf_acceleration: peak quasi-static acceleration at a petiole's base [m/s2].
+        harm: the loads that the plant bore, what it bears, and how probable harm was.
         flower_amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency, over the middle 60 % of
             the shake [m]: as `anther.response` measures it.
         flower_frequency: (F,) of that swing [Hz].
         flower_acceleration: (F,) rms [m/s2].
-        flower_acceleration_peak: (F,) [m/s2].
+        flower_acceleration_peak: (F,) the largest in a period, its median over the periods of that part [m/s2].
         effort: largest share of a motor's torque limit that the arm used.
         held_beside: names of other organs that were between the pads with what is held.
     """
 
-    success: bool
+    held: bool
     failure: FailureKind | None
     reason: str
     organ_grasped: str
     grasp_height: float
     slip: float
     push: float
-    stem_strain: float
-    joint_strain: float
-    leaf_acceleration: float
+    harm: Harm
     flower_amplitude: Array
     flower_frequency: Array
     flower_acceleration: Array
@@ -97,6 +90,22 @@ class Verdict:
         flowers = len(self.flower_amplitude)
         for name in ("flower_amplitude", "flower_frequency", "flower_acceleration", "flower_acceleration_peak"):
             object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
+
+    @property
+    def unharmed(self) -> bool:
+        """Whether the plant bears every load that it bore."""
+        return not self.harm.passed
+
+    @property
+    def flowers_moved(self) -> bool:
+        """Whether half of the flowers or more felt what a breeze gives them, `effect.MOVED`, or more."""
+        felt = self.flower_acceleration_peak[np.isfinite(self.flower_acceleration_peak)]
+        return bool(len(felt)) and float(np.median(felt)) >= MOVED
+
+    @property
+    def success(self) -> bool:
+        """All three: held, unharmed, flowers moved."""
+        return self.held and self.unharmed and self.flowers_moved
 
 
 def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, params: Params | None = None) -> Verdict:
@@ -115,12 +124,11 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
     organ, *beside = _organs(cell, log, holding, segment, params)
     slip, height = _slip(cell, log, shaking, segment)
     push = _push(log, shake)
-    stem, joint = _strain(cell, log, shaking)
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses, params)
+    harm = Harm(_strain(cell, log, shaking) | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed))
     motion = _flower_motion(cell, log.times[shaking], poses, frequency)
     effort = np.abs(log.torques / sawyer.EFFORT).max(axis=0)
-    worst = max(stem / params.stem_strain, joint / params.joint_strain, leaf / params.leaf_acceleration)
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
         (push > params.push, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
@@ -130,17 +138,15 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
         (shake is None, "nothing_grasped", "the plant was not shaken"),
         (not slip <= params.slip, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
         (share < params.held_share, "slipped", f"the stem was held in {share:.0%} of the shake only"),
-        (worst > 1, "damaged", f"strain {stem:.2%} in the stem, {joint:.2%} in joints, {leaf:.1f} m/s2 at leaf bases"),
     ]
-    failure: FailureKind | None = None
-    reason = f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else "")
+    failure: FailureKind | None = "damaged" if harm.passed else None
+    reason = harm.words or f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else "")
+    held = not any(found for found, _, _ in findings)
     for found, kind, why in reversed(findings):
         failure, reason = (kind, why) if found else (failure, reason)
-    facts = (organ, height, slip, push, stem, joint, leaf)
+    facts = (held, failure, reason, organ, height, slip, push, harm)
     amplitude, hertz, rms, peak = motion
-    return Verdict(
-        failure is None, failure, reason, *facts, amplitude, hertz, rms, peak, float(effort.max()), tuple(beside)
-    )
+    return Verdict(*facts, amplitude, hertz, rms, peak, float(effort.max()), tuple(beside))
 
 
 def _closed(log: CellLog, shake: tuple[float, float] | None) -> NDArray[np.bool_]:
@@ -187,7 +193,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, par
     pressed = np.flatnonzero(_pressed(log, when, params))
     sample, other, blade = (x[pressed] for x in (log.contact_sample, log.contact_other, log.contact_blade))
     times, row = np.unique(sample, return_inverse=True)
-    flange = inverse(sawyer.forward(log.joints[times]))[row]
+    flange = inverse(cell.flange_pose(log.qpos[times]))[row]
     across = np.einsum("ci,ci->c", flange[:, 1, :3], log.contact_point[pressed]) + flange[:, 1, 3]
     between = np.abs(across) < log.opening[sample] / 2 + 0.001
     organ = np.where(blade, int(Organ.LEAF), cell.plant.organ[other])
@@ -199,7 +205,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, par
 
 
 def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) -> tuple[float, float]:
-    """Return the largest wander of the held point in the flange's frame [m] and its height above the soil at rest."""
+    """Return the largest wander of the held point between the pads [m] and its height above the soil at rest."""
     samples = np.flatnonzero(shaking)
     if segment < 0 or len(samples) == 0:
         return np.nan, np.nan
@@ -207,7 +213,7 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
     touch = log.contact_point[near & (log.contact_sample <= samples[0] + 50)]
     T_first = cell.segment_poses(log.qpos[samples[0]])[segment]
     rest = inverse(T_first) @ np.r_[touch.mean(axis=0), 1] if len(touch) else np.r_[cell.plant.start[segment], 1]
-    held = [inverse(cell.flange_pose(q)) @ cell.segment_poses(q)[segment] @ rest for q in log.qpos[samples]]
+    held = [inverse(cell.pads_pose(q)) @ cell.segment_poses(q)[segment] @ rest for q in log.qpos[samples]]
     wander = np.linalg.norm(np.array(held)[:, :3] - held[0][:3], axis=1)
     return float(wander.max()), float(rest[2] - cell.plant.pot.soil_z)
 
@@ -221,19 +227,21 @@ def _push(log: CellLog, shake: tuple[float, float] | None) -> float:
     return float(np.bincount(log.contact_sample[before], log.contact_force[before], minlength=1).max())
 
 
-def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[float, float]:
+def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> dict[str, float]:
     """Return the peak bending strain during the shake: all that is added in stem and branches, the swing elsewhere.
 
-    A petiole that the gripper holds aside is bent, which it survives; what counts there is how the shake swings it.
+    Keys: "stem" with branches, "pedicel", and "base" for all the rest, which is bent most where it begins. A petiole
+    that the gripper holds aside is bent, which it survives; what counts there is how the shake swings it.
     """
     if not shaking.any():
-        return 0.0, 0.0
+        return {"stem": 0.0, "pedicel": 0.0, "base": 0.0}
     organ = cell.plant.organ[cell.mechanics.pieces.first]
-    trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
+    trunk, stalk = np.isin(organ, (Organ.STEM, Organ.BRANCH)), organ == Organ.PEDICEL
     qpos = log.qpos[shaking]
     bent = np.max([cell.mechanics.strain(q) for q in qpos], axis=0)
     swung = np.max([cell.mechanics.strain(q) for q in qpos - qpos.mean(axis=0)], axis=0)
-    return float(bent[trunk].max(initial=0)), float(swung[~trunk].max(initial=0))
+    parts = {"stem": bent[trunk], "pedicel": swung[stalk], "base": swung[~trunk & ~stalk]}
+    return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}
 
 
 def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None, params: Params) -> float:
@@ -263,7 +271,14 @@ def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: flo
     for x in np.swapaxes(path[steady][::every], 0, 1):
         swings.append((fit_swing(t, x, frequency).amplitude, find_frequency(t, x, frequency)))
     amplitude, frequencies = np.array(swings).reshape(-1, 2).T
-    return amplitude, frequencies, np.sqrt(np.mean(size**2, axis=0)), size.max(axis=0, initial=0)
+    return amplitude, frequencies, np.sqrt(np.mean(size**2, axis=0)), _usual_peak(size[steady], 1 / (dt * frequency))
+
+
+def _usual_peak(size: Array, period: float) -> Array:
+    """(F,) median over the periods of `period` samples of the largest of (T, F): one jolt makes no peak."""
+    samples = min(max(round(period), 1), len(size))
+    periods = len(size) // samples
+    return np.median(size[: periods * samples].reshape(periods, samples, -1).max(axis=1), axis=0)
 
 
 def _acceleration(path: Array, dt: float) -> Array:

@@ -15,12 +15,13 @@ from anther.devices import ArmRecord, ArmSample, Frame, GripperState, JointTraje
 from anther.errors import bad_input
 from anther.geometry import Array, Intrinsics, look_at
 from anther.sim.capture import CameraErrors, noisy_rgb
-from anther.sim.cell import Cell
+from anther.sim.cell import Cell, CellLog
 from anther.sim.depth_noise import noisy_depth
-from anther.sim.render import Scene, d455
+from anther.sim.render import Image, Scene, d455
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
+SEEN_BLUR = 0.3  # px that the plant moves in an exposure, from which on frames are blurred
 CYCLE = 0.01  # s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)
 
 
@@ -119,6 +120,8 @@ class SimCamera:
         *,
         seed: int = 0,
         most_frames: int = 60,
+        late: float = 0.0,
+        exposure: float = 0.0,
     ) -> None:
         """Build the camera.
 
@@ -130,9 +133,12 @@ class SimCamera:
             errors: of the sensor; None is an ideal one.
             seed: of those errors.
             most_frames: of a longer recording only so many frames from its middle are rendered and returned.
+            late: by which its frames' times are late on the cell's clock [s].
+            exposure: of each frame of a recording [s]; what moves visibly in it is blurred.
         """
         self.cell, self.scene, self.pose, self.errors = cell, scene, pose, errors
         self._intrinsics, self._most = intrinsics, most_frames
+        self._late, self._exposure = late, exposure
         self._rng = np.random.default_rng(seed)
         self._recording: tuple[float, float] | None = None
 
@@ -143,14 +149,17 @@ class SimCamera:
 
     def read(self) -> Frame:
         """Return one frame taken now."""
-        return self._frame(self.cell.time, self.cell.segment_poses(), self._rng)
+        return self._frame(self.cell.time, self._vertices(None), None, self._rng)
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
         self._recording = (self.cell.time, rate)
 
     def stop(self) -> list[Frame]:
-        """End the recording and return its frames, each at the log sample nearest its time."""
+        """End the recording and return its frames, each of the log sample nearest to when it was exposed.
+
+        A frame that is late was exposed before its time says: the first ones before the recording began.
+        """
         if self._recording is None:
             return []
         (start, rate), self._recording = self._recording, None
@@ -158,19 +167,41 @@ class SimCamera:
         wanted = np.arange(start, self.cell.time, 1 / rate)
         surplus = max(len(wanted) - self._most, 0)
         wanted = wanted[surplus // 2 : len(wanted) - (surplus + 1) // 2]
-        after = np.clip(np.searchsorted(log.times, wanted), 1, len(log.times) - 1)
-        samples = after - (wanted - log.times[after - 1] < log.times[after] - wanted)
-        poses = [self.cell.segment_poses(log.qpos[i]) for i in samples]
+        exposed = wanted - self._late
+        after = np.clip(np.searchsorted(log.times, exposed), 1, len(log.times) - 1)
+        samples = after - (exposed - log.times[after - 1] < log.times[after] - exposed)
+        shapes = [self._vertices(log.qpos[i]) for i in samples]
+        ways = [self._way(log, int(i)) for i in samples]
         with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(self._frame, log.times[samples].tolist(), poses, self._rng.spawn(len(samples))))
+            return list(pool.map(self._frame, log.times[samples].tolist(), shapes, ways, self._rng.spawn(len(samples))))
 
-    def _frame(self, time: float, poses: Array, rng: np.random.Generator) -> Frame:
-        moved = self.scene.moved(self.cell.plant.posed_vertices(poses))
-        image = moved.render(self._intrinsics, self.pose())
+    def _vertices(self, qpos: Array | None) -> Array:
+        return self.cell.plant.posed_vertices(self.cell.segment_poses(qpos))
+
+    def _way(self, log: CellLog, sample: int) -> Array | None:
+        """Return by how much the plant's vertices (Nv, 3) move in an exposure [m]; None: nothing that is seen."""
+        if self._exposure == 0:
+            return None
+        before, after = max(sample - 1, 0), min(sample + 1, len(log.times) - 1)
+        here = self._vertices(log.qpos[after])
+        way = (here - self._vertices(log.qpos[before])) * self._exposure / (log.times[after] - log.times[before])
+        T = self.pose()
+        depth = np.maximum((here - T[:3, 3]) @ T[:3, 2], 0.1)
+        return way if (self._intrinsics.fx * np.linalg.norm(way, axis=1) / depth).max() > SEEN_BLUR else None
+
+    def _frame(self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator) -> Frame:
+        image = self._image(vertices)
+        rgb = image.rgb
+        if way is not None:
+            sides = [self._image(vertices + share * way).rgb for share in (-1 / 3, 1 / 3)]
+            rgb = np.rint(np.mean([rgb, *sides], axis=0)).astype(np.uint8)
         if self.errors is None:
-            return Frame(time, image.rgb, image.depth)
+            return Frame(time + self._late, rgb, image.depth)
         depth = noisy_depth(image.depth, self._intrinsics, rng, self.errors.depth)
-        return Frame(time, noisy_rgb(image.rgb, rng, self.errors), depth)
+        return Frame(time + self._late, noisy_rgb(rgb, rng, self.errors), depth)
+
+    def _image(self, vertices: Array) -> Image:
+        return self.scene.moved(vertices).render(self._intrinsics, self.pose())
 
 
 def cut_out(whole: Intrinsics, width: int, height: int) -> Intrinsics:
@@ -200,7 +231,7 @@ def robot_of(
     seed: int = 0,
     scene: Scene | None = None,
 ) -> Robot:
-    """Return the devices of a cell: arm, gripper, wrist camera (1280 x 720) and side camera.
+    """Return the devices of a cell: arm, gripper, wrist camera (1280 x 720) and side camera, as the cell's truth says.
 
     The side camera is the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, and quick to render.
 
@@ -214,5 +245,14 @@ def robot_of(
     scene = scene or Scene.of_plant(cell.plant)
     T_side = side_pose(cell) if T_world_side_camera is None else T_world_side_camera
     wrist = SimCamera(cell, scene, d455(), lambda: cell.flange_pose() @ sawyer.T_FLANGE_CAM, errors, seed=seed)
-    side = SimCamera(cell, scene, cut_out(d455(848, 480), 480, 480), lambda: T_side, errors, seed=seed + 1)
+    side = SimCamera(
+        cell,
+        scene,
+        cut_out(d455(848, 480), 480, 480),
+        lambda: T_side,
+        errors,
+        seed=seed + 1,
+        late=cell.truth.clock_offset,
+        exposure=cell.truth.exposure_time,
+    )
     return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side)

@@ -77,7 +77,7 @@ class TrialRecord:
     Attributes:
         species: "tomato", "pepper", or whatever the user calls the crop.
         plant: label of the plant: a row and number in the greenhouse, or the seed of a simulated one.
-        success: whether the shake was carried out and no limit was passed.
+        success: whether the plant was held through the shake and not harmed, however little its flowers moved.
         failure: kind of failure (`errors.FailureKind`), or None.
         grasp, shake: None where it never came to that.
         predicted_amplitude, measured_amplitude, measured_amplitude_std: (F,) [m]; NaN where not measurable.

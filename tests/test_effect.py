@@ -1,0 +1,165 @@
+"""What harms a plant, how probably, what frees its pollen, and how the three parts of a verdict make a success."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from html import escape
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anther.commands.trial import Args, _record
+from anther.commands.trial_summary import _true, _verdict, summarise
+from anther.errors import StageFailure
+from anther.geometry import Array
+from anther.report import write_report
+from anther.results import RunResults
+from anther.sim.effect import Harm, pollen_freed
+from anther.sim.judge import Verdict
+from anther.sim.truth import HALF_DOSE, TOLERANCE, tolerances
+from anther.vibration import Params as Planned
+
+GENTLE = {"stem": 0.005, "pedicel": 0.001, "base": 0.001, "leaf": 1.0}
+BREEZE = (4.0, 6.0, 12.0)
+FINISHED: Any = SimpleNamespace(trial=SimpleNamespace(failure=None, stop_reason="finished"))
+
+
+def verdict_of(held: bool = True, felt: tuple[float, ...] = BREEZE, **loads: float) -> Verdict:
+    """The verdict on a trial that went well but for what is given; this plant bears what half of all plants do."""
+    harm = Harm(GENTLE | loads, {kind: bears.median for kind, bears in TOLERANCE.items()})
+    failure = "slipped" if not held else "damaged" if harm.passed else None
+    flowers: list[Array] = [np.array(felt)] * 4
+    return Verdict(held, failure, "so it was", "stem", 0.2, 1e-4, 0.0, harm, *flowers, 0.5)  # type: ignore[arg-type]
+
+
+def told(verdict: Verdict | None, failure: StageFailure | None = None) -> dict[str, Any]:
+    """The parts of trial.json that come from the verdict."""
+    return _verdict(None if verdict is None else FINISHED, verdict, failure) | _true(verdict)
+
+
+@pytest.mark.parametrize("kind", TOLERANCE)
+def test_harm_is_as_probable_as_plants_that_bear_less(kind: str) -> None:
+    bears = TOLERANCE[kind]
+    assert bears.share_below([0, bears.low, bears.median, bears.high]) == pytest.approx([0, 0.05, 0.5, 0.95], abs=1e-3)
+    rest = dict.fromkeys(TOLERANCE, 0.0)
+    probabilities = [Harm(rest | {kind: load}, {}).probability for load in bears.median * np.geomspace(0.2, 5, 20)]
+    assert np.all(np.diff(probabilities) > 0)
+    assert Harm(rest | {kind: bears.median}, {}).probability == pytest.approx(0.5)
+    drawn = np.array([tolerances("pepper", seed)[kind] for seed in range(400)])
+    assert np.mean(drawn < bears.median) == pytest.approx(0.5, abs=0.08)
+    assert np.mean(drawn < bears.low) == pytest.approx(0.05, abs=0.04)
+
+
+def test_every_kind_of_load_adds_to_the_probability_of_harm() -> None:
+    medians = {kind: bears.median for kind, bears in TOLERANCE.items()}
+    assert Harm(medians, medians).probability == pytest.approx(1 - 0.5**4)
+
+
+def test_each_plant_bears_something_else_and_none_what_the_planner_believes() -> None:
+    planned = Planned()
+    believed = {planned.stem_strain, planned.joint_strain, planned.leaf_load}
+    drawn = [tolerances(species, seed) for species in ("tomato", "pepper") for seed in range(100)]
+    values = [limit for plant in drawn for limit in plant.values()]
+    assert len(set(values)) == 200 * 4
+    assert not believed & {*values, *(bears.median for bears in TOLERANCE.values())}
+    assert tolerances("tomato", 3) == tolerances("tomato", 3)
+
+
+def test_a_load_is_harm_where_it_passes_what_the_plant_bears() -> None:
+    limits = dict.fromkeys(TOLERANCE, 0.01)
+    assert Harm(limits, limits).passed == ()
+    harm = Harm(limits | {"pedicel": 0.0101, "leaf": np.nan}, limits)
+    assert harm.passed == ("pedicel", "leaf"), "what could not be reckoned is not taken for harmless"
+    assert "pedicels: 1.01%, this plant bears 1.00%" in harm.words
+
+
+def test_pollen_freed_spans_what_is_not_known_of_the_dose() -> None:
+    low, middle, high = pollen_freed(np.full(3, HALF_DOSE.median))
+    assert middle == pytest.approx(0.5, abs=0.01)
+    # at its 5 % and 95 % quantile the half dose is four times as far, which is worth 1/5 to 1/17 by the exponent
+    assert 1 / 17 < low < 1 / 5
+    assert 1 - high == pytest.approx(low, abs=0.01)
+    assert pollen_freed(np.zeros(2)) == (0, 0, 0)
+    assert np.isnan(pollen_freed(np.array([np.nan]))).all()
+    more = [pollen_freed(np.array([a, 3.0])) for a in (1.0, 5.0, 30.0, 200.0)]
+    assert np.all(np.diff(more, axis=0) > 0)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "parts"),
+    [
+        (verdict_of(), (True, True, True)),
+        (verdict_of(held=False), (False, True, True)),
+        (verdict_of(pedicel=0.02), (True, False, True)),
+        (verdict_of(leaf=40.0), (True, False, True)),
+        (verdict_of(felt=(1.0, 4.9, 60.0)), (True, True, False)),
+        (verdict_of(felt=()), (True, True, False)),
+    ],
+)
+def test_success_is_all_three_parts_and_each_can_fail_alone(verdict: Verdict, parts: tuple[bool, ...]) -> None:
+    summary = told(verdict)
+    assert (verdict.held, verdict.unharmed, verdict.flowers_moved) == parts
+    assert (summary["held"], summary["unharmed"], summary["flowers_moved"]) == parts
+    assert summary["success"] == verdict.success == all(parts)
+    assert (summary["failure"] is None) == (verdict.held and verdict.unharmed)
+
+
+def test_trial_json_says_what_the_flowers_felt() -> None:
+    summary = told(verdict_of(felt=(1.0, 4.0, 6.0, 12.0, np.nan)))
+    felt = (summary["true_flower_acceleration_median_ms2"], summary["true_flower_acceleration_least_ms2"])
+    assert (*felt, summary["share_above_5_ms2"], summary["share_above_10_ms2"]) == (5.0, 1.0, 0.5, 0.25)
+    assert summary["flowers_moved"], "half of them felt as much or more"
+    assert summary["true_pedicel_strain"] == GENTLE["pedicel"]
+    assert summary["borne_pedicel_strain"] == TOLERANCE["pedicel"].median
+
+
+@pytest.mark.parametrize(
+    ("summary", "kept"),
+    [
+        (told(verdict_of()), (True, None)),
+        (told(verdict_of(felt=(0.1,))), (True, None)),
+        (told(verdict_of(base=0.1)), (False, "damaged")),
+        (told(verdict_of(held=False)), (False, "slipped")),
+        (told(None, StageFailure("no_stem_found", "none")), (False, "no_stem_found")),
+    ],
+)
+def test_the_history_keeps_held_and_unharmed(summary: dict[str, Any], kept: tuple[bool, str | None], tmp_path) -> None:
+    record = _record(Args(), tmp_path, datetime.now(UTC), summary, None)
+    assert (record.success, record.failure) == kept
+
+
+@pytest.mark.parametrize(
+    ("summary", "said", "headline"),
+    [
+        (told(verdict_of()), ["yes", "no", "yes"], "success"),
+        (told(verdict_of(felt=(2.7,))), ["yes", "no", "hardly"], "failed: the flowers hardly moved"),
+        (told(verdict_of(pedicel=0.05)), ["yes", "yes: pedicel", "yes"], "failed: damaged"),
+        (told(verdict_of(held=False)), ["no", "no", "yes"], "failed: slipped"),
+        (
+            summarise(None, None, None, StageFailure("no_stem_found", "two trees")),
+            ["no", "not known", "not known"],
+            "failed: no stem found",
+        ),
+    ],
+)
+def test_the_report_begins_with_the_three_answers(
+    summary: dict[str, Any], said: list[str], headline: str, tmp_path
+) -> None:
+    results = RunResults(folder=tmp_path, summary=summary)
+    assert [answer.said for answer in results.answers()] == said
+    assert results.headline == headline
+    write_report(tmp_path / "report.html", results)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    first = page[page.index("<section") : page.index("</section>")]
+    places = [first.index(f"{answer.question}</span><b class=") for answer in results.answers()]
+    assert places == sorted(places)
+    assert all(f">{escape(answer.said)}</b><span>{escape(answer.why)}</span>" in first for answer in results.answers())
+    assert summary["message"] in first
+    assert ("simulated" in first) == (summary["unharmed"] is not None), "whose truth it is"
+
+
+def test_a_report_of_an_older_run_has_no_answers(tmp_path) -> None:
+    older = RunResults(folder=tmp_path, summary={"success": False, "failure": "slipped", "message": "6 mm"})
+    assert (older.answers(), older.headline) == ((), "failed: slipped")
