@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.linalg import eigsh, splu
 
@@ -33,6 +34,10 @@ STANDARD_GRAVITY = 9.81
 _ROOTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 AT, WEIGHT = (_ROOTS + 1) / 2, _WEIGHTS / 2
 """Gauss points of an element and their weights, shares of its length."""
+
+
+DENSE = 400
+"""Up to so many degrees of freedom all modes are found at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,16 +168,11 @@ class Frame:
         """
         free = self.free(held)
         K, M = (A[free][:, free].tocsc() for A in (self.stiffness, self.mass))
-        count = min(40, len(free) - 2)
-        while True:
-            values, shapes = eigsh(K, count, M, sigma=0.0, v0=np.ones(len(free)))
-            if values.min() <= 0:
-                raise ValueError("the frame does not carry its own weight")
-            if values.max() > (2 * np.pi * below) ** 2 or count == len(free) - 2:
-                break
-            count = min(2 * count, len(free) - 2)
+        values, shapes = _lowest(K, M, (2 * np.pi * below) ** 2)
+        if values.min() <= 0:
+            raise ValueError("the frame does not carry its own weight")
         order = np.argsort(values)
-        out = np.zeros((self.mass.shape[0], count))
+        out = np.zeros((self.mass.shape[0], len(values)))
         out[free] = shapes[:, order]
         return np.sqrt(values[order]), out
 
@@ -263,13 +263,27 @@ def _columns(frame: Frame, shake: Shake, dynamic: Any, frequencies: ArrayLike) -
     return np.array(columns).T
 
 
+def _lowest(K: Any, M: Any, least: float) -> tuple[Array, Array]:
+    """Return eigenvalues and vectors of K x = w M x: all up to `least`, and some more."""
+    size, count = K.shape[0], 40
+    if size <= DENSE:
+        return eigh(K.toarray(), M.toarray())
+    values, shapes = eigsh(K, count, M, sigma=0.0, v0=np.ones(size))
+    while values.max() <= least and 2 * count < size:
+        count *= 2
+        values, shapes = eigsh(K, count, M, sigma=0.0, v0=np.ones(size))
+    return values, shapes
+
+
 def _shapes(beams: Beams) -> Shapes:
     """Evaluate Hermite's cubics; the local order is u_t, u_1, u_2, theta_t, theta_1, theta_2 at i and then at j."""
     s, h = AT, beams.length[:, None]
     one = np.ones_like(h)
     cubic = np.stack([one * (1 - 3 * s**2 + 2 * s**3), h * (s - 2 * s**2 + s**3), one * (3 * s**2 - 2 * s**3)], -1)
     cubic = np.concatenate([cubic, (h * (s**3 - s**2))[..., None]], -1)
-    slope = np.stack([6 * (s**2 - s) / h, one * (1 - 4 * s + 3 * s**2), 6 * (s - s**2) / h, one * (3 * s**2 - 2 * s)], -1)
+    slope = np.stack(
+        [6 * (s**2 - s) / h, one * (1 - 4 * s + 3 * s**2), 6 * (s - s**2) / h, one * (3 * s**2 - 2 * s)], -1
+    )
     curve = np.stack([(12 * s - 6) / h**2, (6 * s - 4) / h, (6 - 12 * s) / h**2, (6 * s - 2) / h], -1)
     linear, rate = np.stack([one * (1 - s), one * s], -1), np.stack([-one / h, one / h], -1) * np.ones((1, len(s), 1))
     place, turn, place_slope, turn_slope = np.zeros((4, len(h), len(s), 3, 12))

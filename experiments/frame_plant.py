@@ -116,7 +116,7 @@ class FramedPlant:
 
 
 def meshed(plant: SimPlant, size: float, nodes_at: Sequence[tuple[int, float]]) -> Mesh:
-    """Divide every segment into elements no longer than `size` [m], with nodes at some (segment, share of its length)."""
+    """Divide every segment into elements no longer than `size` [m], with nodes at (segment, share of its length)."""
     wanted: dict[int, list[float]] = {}
     for k, share in nodes_at:
         wanted.setdefault(k, []).append(min(max(share, 0.0), 1.0))
@@ -178,7 +178,7 @@ def _beams(plant: SimPlant, mesh: Mesh, twist_over_bend: Array, joint: Array) ->
 
 
 def _blade_inertia(plant: SimPlant, k: int) -> Array:
-    """Return (3, 3) the inertia about its own centre of what a segment carries: spread evenly over its mesh vertices."""
+    """Return (3, 3) the inertia about its own centre of what a segment carries, spread over its mesh vertices."""
     of_blades = np.zeros(len(plant.vertices), dtype=bool)
     of_blades[plant.faces[(plant.face_organ == Organ.LEAF) | (plant.face_organ == Organ.FLOWER)]] = True
     places = plant.vertices[of_blades & (plant.vertex_segment == k)]

@@ -103,7 +103,9 @@ def compare(plant: SimPlant, pieces_mm: tuple[float, ...], direction: Array) -> 
     """
     stem = plant.stem_centreline()[0]
     point = stem[len(stem) // 2]
-    fine = [Params(plant=plant_mechanics.Params(p / 1e3, stiffest=STIFF, foliage=STIFF, twist_every=1)) for p in pieces_mm]
+    fine = [
+        Params(plant=plant_mechanics.Params(p / 1e3, stiffest=STIFF, foliage=STIFF, twist_every=1)) for p in pieces_mm
+    ]
     judged: dict[float, Array] = {}
     frames: dict[float, FramedPlant] = {}
     for piece, params in zip((0.0, *pieces_mm), (Params(), *fine), strict=True):
