@@ -256,7 +256,7 @@ def _columns(frame: Frame, shake: Shake, dynamic: Any, frequencies: ArrayLike) -
     free, columns = frame.free(shake.held), []
     for f in np.atleast_1d(np.asarray(frequencies, dtype=np.float64)):
         D = csc_array(dynamic(2 * np.pi * f), dtype=np.complex128)
-        column = np.zeros(D.shape[0], dtype=np.complex128)
+        column = np.zeros(frame.mass.shape[0], dtype=np.complex128)
         column[shake.held] = shake.value
         column[free] = splu(D[free][:, free].tocsc()).solve(-(D[free][:, shake.held] @ shake.value.astype(complex)))
         columns.append(column)

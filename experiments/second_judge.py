@@ -12,7 +12,8 @@ per metre of grip.
 Keys of the --json file: second_judge_error_max (largest over plants and frequencies, finest pieces),
 second_judge_error_median (over plants and frequencies) and second_judge_error_plant_median_max (largest over plants of
 the median over frequencies), second_judge_flower_error_max and second_judge_flower_error_median (single flowers); the
-same with _as_used behind for the judge as it is used; hysteretic_change_median and hysteretic_change_max (frame:
+same with _as_used behind for the judge as it is used; second_judge_extrapolated_max, _median and _share_within_3_percent
+(of plants and frequencies), the difference extrapolated from pieces of 12 and 6 mm to none (not with --quick); hysteretic_change_median and hysteretic_change_max (frame:
 material with the loss factor that its damping ratio means, against modal damping); frame_mesh_change_max (frame:
 elements of half the length); plants, flowers, plants_that_buckle (passed over: they stand in the coarse judge alone),
 finest_piece_mm.
@@ -26,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from frame_fe import Array, hysteretic_response, modal_response
+from frame_fe import Array, ComplexArray, hysteretic_response, modal_response
 from frame_plant import FramedPlant
 from rich.console import Console
 from rich.progress import track
@@ -56,25 +57,31 @@ class Comparison:
 
     Attributes:
         name: species and seed.
-        judged: by longest piece [mm], (Q, F) amplitudes of the judge per metre of grip; 0: as it is used.
+        judged: by longest piece [mm], (Q, F, 3) flower motion of the judge per metre of grip; 0: as it is used.
         framed: likewise, those of the frame held at the same point.
         hysteretic: (Q, F) of the frame with material damping, held as the judge that is used.
         halved: (Q, F) of the frame with elements half as long, likewise.
     """
 
     name: str
-    judged: dict[float, Array]
-    framed: dict[float, Array]
+    judged: dict[float, ComplexArray]
+    framed: dict[float, ComplexArray]
     hysteretic: Array
     halved: Array
 
     def differences(self, piece: float) -> Array:
         """Return (Q,) the judge's difference from the frame, the flowers weighted by their amplitude."""
-        return weighted(self.judged[piece], self.framed[piece])
+        return weighted(semi_major(self.judged[piece]), semi_major(self.framed[piece]))
 
     def flower_differences(self, piece: float) -> Array:
         """Return (Q, F) every flower's."""
-        return np.abs(self.judged[piece] / self.framed[piece] - 1)
+        return np.abs(semi_major(self.judged[piece]) / semi_major(self.framed[piece]) - 1)
+
+    def extrapolated(self, coarse: float, fine: float) -> Array:
+        """Return (Q,) what remains of the difference for ever finer pieces, if it is of first order in their length."""
+        gap = {piece: self.judged[piece] - self.framed[piece] for piece in (coarse, fine)}
+        limit = self.framed[fine] + (coarse * gap[fine] - fine * gap[coarse]) / (coarse - fine)
+        return weighted(semi_major(limit), semi_major(self.framed[fine]))
 
 
 def weighted(found: Array, reference: Array) -> Array:
@@ -87,10 +94,9 @@ def framed(plant: SimPlant, point: Array, direction: Array, size: float = ELEMEN
     return FramedPlant(plant, point, direction, size=size, twisting=plant_mechanics.TWISTING)
 
 
-def modal_amplitudes(frame: FramedPlant) -> Array:
-    """Return (Q, F) the flowers' semi-major axes per metre of grip, each mode damped as the truth states."""
-    motion = modal_response(frame.frame, frame.shake, FREQUENCIES, damped_below=DAMPED_BELOW)
-    return semi_major(frame.flowers(motion))
+def modal_motion(frame: FramedPlant) -> ComplexArray:
+    """Return (Q, F, 3) the flowers' motion per metre of grip, each mode damped as the truth states."""
+    return frame.flowers(modal_response(frame.frame, frame.shake, FREQUENCIES, damped_below=DAMPED_BELOW))
 
 
 def compare(plant: SimPlant, pieces_mm: tuple[float, ...], direction: Array) -> Comparison:
@@ -106,17 +112,17 @@ def compare(plant: SimPlant, pieces_mm: tuple[float, ...], direction: Array) -> 
     fine = [
         Params(plant=plant_mechanics.Params(p / 1e3, stiffest=STIFF, foliage=STIFF, twist_every=1)) for p in pieces_mm
     ]
-    judged: dict[float, Array] = {}
+    judged: dict[float, ComplexArray] = {}
     frames: dict[float, FramedPlant] = {}
     for piece, params in zip((0.0, *pieces_mm), (Params(), *fine), strict=True):
         shaken = ShakenPlant(plant, point, direction, params)
-        judged[piece] = semi_major(shaken.linear(FREQUENCIES))
+        judged[piece] = shaken.linear(FREQUENCIES)
         frames[piece] = framed(plant, shaken.point, direction)
     used = frames[0.0]
     lossy = semi_major(used.flowers(hysteretic_response(used.frame, used.shake, FREQUENCIES)))
-    halved = modal_amplitudes(framed(plant, used.mesh.nodes[used.shake.node], direction, ELEMENT / 2))
-    amplitudes = {piece: modal_amplitudes(frame) for piece, frame in frames.items()}
-    return Comparison(f"{plant.species} {plant.seed}", judged, amplitudes, lossy, halved)
+    halved = semi_major(modal_motion(framed(plant, used.mesh.nodes[used.shake.node], direction, ELEMENT / 2)))
+    moved = {piece: modal_motion(frame) for piece, frame in frames.items()}
+    return Comparison(f"{plant.species} {plant.seed}", judged, moved, lossy, halved)
 
 
 def standing(grow: Callable[[int], SimPlant], seed: int, count: int) -> tuple[list[SimPlant], int]:
@@ -145,9 +151,14 @@ def metrics(rows: list[Comparison], finest: float) -> dict[str, float]:
         out[f"second_judge_error_plant_median_max{tail}"] = float(np.median(plants, axis=1).max())
         out[f"second_judge_flower_error_max{tail}"] = float(flowers.max())
         out[f"second_judge_flower_error_median{tail}"] = float(np.median(flowers))
-    lossy = np.array([weighted(row.hysteretic, row.framed[0.0]) for row in rows])
+    if len(rows[0].judged) > 2:
+        limits = np.array([row.extrapolated(2 * finest, finest) for row in rows])
+        out["second_judge_extrapolated_max"] = float(limits.max())
+        out["second_judge_extrapolated_median"] = float(np.median(limits))
+        out["second_judge_extrapolated_share_within_3_percent"] = float(np.mean(limits < 0.03))
+    lossy = np.array([weighted(row.hysteretic, semi_major(row.framed[0.0])) for row in rows])
     out["hysteretic_change_median"], out["hysteretic_change_max"] = float(np.median(lossy)), float(lossy.max())
-    out["frame_mesh_change_max"] = float(max(weighted(row.halved, row.framed[0.0]).max() for row in rows))
+    out["frame_mesh_change_max"] = float(max(weighted(row.halved, semi_major(row.framed[0.0])).max() for row in rows))
     out["plants"], out["flowers"] = len(rows), sum(row.halved.shape[1] for row in rows)
     return out | {"finest_piece_mm": finest}
 
@@ -157,7 +168,9 @@ def table(rows: list[Comparison]) -> Table:
     out = Table("plant", "judge", *(f"{f:.3g} Hz" for f in FREQUENCIES), "median", title="difference from the frame, %")
     for row in rows:
         found = {("as used" if piece == 0 else f"{piece:g} mm"): row.differences(piece) for piece in row.judged}
-        found["(frame, material damping)"] = weighted(row.hysteretic, row.framed[0.0])
+        if 12.0 in row.judged and 6.0 in row.judged:
+            found["extrapolated"] = row.extrapolated(12.0, 6.0)
+        found["(material damping)"] = weighted(row.hysteretic, semi_major(row.framed[0.0]))
         for name, values in found.items():
             out.add_row(row.name, name, *(f"{100 * v:.1f}" for v in values), f"{100 * np.median(values):.1f}")
     return out

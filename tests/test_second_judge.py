@@ -34,7 +34,7 @@ def rod(
     points = np.asarray(points, dtype=float)
     n = len(points) - 1
     share = (np.arange(n)[:, None] + AT) / n
-    r = radius(share) if callable(radius) else np.full(share.shape, radius)
+    r: Any = radius(share) if callable(radius) else np.full(share.shape, radius)
     tangent = np.diff(points, axis=0) / np.linalg.norm(np.diff(points, axis=0), axis=1)[:, None]
     across = np.cross(tangent, np.eye(3)[np.argmin(np.abs(tangent), axis=1)])
     bend = YOUNGS * np.pi / 4 * r**4
