@@ -13,9 +13,9 @@ Keys of the --json file: second_judge_error_max (largest over plants and frequen
 second_judge_error_median (over plants and frequencies) and second_judge_error_plant_median_max (largest over plants of
 the median over frequencies), second_judge_flower_error_max and second_judge_flower_error_median (single flowers); the
 same with _as_used behind for the judge as it is used; second_judge_extrapolated_max, _median and
-_share_within_3_percent (of plants and frequencies), the difference extrapolated from pieces of 12 and 6 mm to none
-(not with --quick); hysteretic_change_median and hysteretic_change_max (frame: material with the loss factor that its
-damping ratio means, against modal damping); frame_mesh_change_max (frame: elements of half the length); plants, flowers,
+_share_within_3_percent (of plants and frequencies), the difference extrapolated from pieces of 12 and 6 mm to none (not
+with --quick); hysteretic_change_median and hysteretic_change_max (frame: material with the loss factor that its damping
+ratio means, against modal damping); frame_mesh_change_max (frame: elements of half the length); plants, flowers,
 plants_that_buckle (passed over), finest_piece_mm.
 """
 
