@@ -233,5 +233,5 @@ def _swing(times: Array, moved: Array, hint: float, pixel: float, params: Params
     cosine, sine = swing.coefficients[:2, 0]
     phasor = complex(sine, cosine) * np.exp(-2j * np.pi * hint * swing.span[0])
     return complex(phasor), float(
-        np.linalg.norm([swing.amplitude_std, params.least_spread, params.phase_error * abs(phasor)])
+        np.linalg.norm([swing.amplitude_std, params.least_spread, params.spread * abs(phasor)])
     )
