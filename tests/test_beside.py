@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from anther.devices import Frame
 from anther.flowers import Flowers
@@ -28,7 +29,7 @@ def gain(arc: Array) -> Array:
     return 1 + 6 * (arc - 0.1)
 
 
-def draw(shift: float, time: float, rng: np.random.Generator, wall: Array, hidden: bool) -> Frame:
+def draw(shift: float, time: float, rng: np.random.Generator, wall: NDArray[np.uint8], hidden: bool) -> Frame:
     K = CAMERA
     rgb, depth = wall.copy(), np.full(wall.shape[:2], 0.9, np.float32)
     fine = np.linspace(0, 0.2, 60)

@@ -43,7 +43,7 @@ def trial(force: Any, constant: Any, *, size: float = 1.5e-3, late: float = 0.01
     measured[:, :3] = size * grip[:, None] * PLAN.direction
     when = times[::10]
     turning = np.exp(2j * np.pi * F * (when - START - late))
-    felt = np.linalg.norm(constant + (turning[:, None] * np.asarray(force)).imag, axis=1)
+    felt = np.linalg.norm(constant + np.imag(turning[:, None] * np.asarray(force)), axis=1)
     felt = felt + noise * np.random.default_rng(3).normal(size=len(felt))
     none: Any = np.zeros((0, 3))
     return Trial(

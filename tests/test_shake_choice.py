@@ -15,6 +15,7 @@ from sample_plants import branched, grasps_on, stem_along, straight_stem
 from anther import fruit_set
 from anther.arm import sawyer, shaking
 from anther.elastic_rod import Clamp, Rods
+from anther.elastic_rod.grip import Springs
 from anther.elastic_rod.response import driven_response, frequency_response
 from anther.elastic_rod.simulation import simulate
 from anther.errors import InputError, StageFailure
@@ -93,6 +94,23 @@ def test_a_sweeps_flowers_do_what_the_time_shares_say(plant: PlantModel) -> None
     linear = 1e-4 * pieces.of(semi_major(response)).max(axis=0)
     done = shaken(plant, Shake(node, (also,), way, 1e-4, 6.0, 6.0, SWEEP))
     assert done.amplitude == pytest.approx(linear, rel=0.15)
+
+
+def test_a_sweep_on_springs_does_what_linear_theory_says_of_them(plant: PlantModel) -> None:
+    way, held = np.array([1.0, 0.0, 0.0]), tuple(int(n) for n in plant.stem_nodes[[14, 15]])
+    shake = Shake(held[0], held[1:], way, 1e-4, 6.0, 4.0, SWEEP)
+    rigid, stiff = shaken(plant, shake), shaken(plant, shake, Springs(1e9, 1e6))
+    assert stiff.amplitude == pytest.approx(rigid.amplitude, rel=0.01)
+    frequencies, soft = np.linspace(6, 9.6, 60), Springs(5e3, 0.1)
+    rods = plant.rods_at(6 * np.sqrt(SWEEP.ratio))
+    motion = driven_response(
+        rods, plant.clamp, [held], way[None], frequencies, observe=plant.flower_nodes, springs=soft
+    ).motion[:, 0, 0]
+    pieces = mix(SWEEP, frequencies, 0, 4.0)
+    assert pieces is not None
+    done = shaken(plant, shake, soft)
+    assert done.amplitude == pytest.approx(1e-4 * pieces.of(semi_major(motion)).max(axis=0), rel=0.15)
+    assert np.abs(np.log(done.amplitude / rigid.amplitude)).max() > 0.2
 
 
 def test_a_burst_has_the_energy_that_its_spectrum_says(plant: PlantModel) -> None:

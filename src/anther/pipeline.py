@@ -192,10 +192,10 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
             shake, trial = _shaken(cell, planner, rods, grasps, run, arrive, params=params)
     answer = _watched(cell, trial, shake, seen, run, params=params)
     if answer is None:
-        return Done(shake, trial, answer, rods.material, rods.material, shake.pads)
+        return Done(shake, trial, answer, rods.material, rods.material, params.vibration.pads)
     felt = feel(trial, shake, cell.limits.forward)
-    seen = [Observed.of(shake, answer, felt)]
-    learned = run.timed("learning", lambda _: refine(rods, seen, pads=shake.pads))
+    told = [Observed.of(shake, answer, felt)]
+    learned = run.timed("learning", lambda _: refine(rods, told, pads=params.vibration.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
 
 

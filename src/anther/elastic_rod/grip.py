@@ -88,7 +88,9 @@ def grasped(receptance: ComplexArray, body: Array, directions: Array, springs: S
         springs: C is their compliance.
     """
     asked = np.concatenate([directions.T, np.zeros((3, len(directions)))])
-    forces = np.linalg.solve(receptance + (body * springs.compliance) @ body.T, body @ asked)
+    forces: ComplexArray = np.linalg.solve(receptance + (body * springs.compliance) @ body.T, body @ asked).astype(
+        np.complex128
+    )
     wrench = body.T @ forces
     return Grasped(forces, wrench, asked - springs.compliance[:, None] * wrench)
 

@@ -62,7 +62,7 @@ def _steady(times: Array) -> slice:
 
 def _force(trial: Trial, omega: float, began: float) -> tuple[float, float, float]:
     """Return the force at the shake's frequency [N], its standard deviation, and by what it is ahead [rad]."""
-    nothing = (float("nan"),) * 3
+    nothing = float("nan"), float("nan"), float("nan")
     rows = trial.felt[_steady(trial.felt[:, 0])]
     if len(rows) < LEAST or not np.isfinite(rows).all():
         return nothing

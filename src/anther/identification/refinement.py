@@ -182,7 +182,7 @@ def _told(members: Sequence[Version], one: Observed) -> _Told:
     beside = plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)]
     frequency = np.array([shake.frequency])
     answers = [answer(member, grip, shake.direction, frequency, beside) for member in members]
-    flowers, stem, force = (np.array([getattr(a, name)[0, 0] for a in answers]) for name in Answer._fields)
+    flowers, stem, force = (np.array([a[k][0, 0] for a in answers], np.complex128) for k in range(len(Answer._fields)))
     planned = flowers[0]
     if shake.pads != pads:
         planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequency)[0, 0]

@@ -107,9 +107,11 @@ def measure_stem(
         if place[2] <= params.depth_gate:
             continue
         strip = _strip(intrinsics, place, way, float(radius), params)
-        moved = None if strip is None else _followed(frames, images, strip, params)
+        if strip is None:
+            continue
+        moved = _followed(frames, images, strip, params)
         swing = None if moved is None else _swing(times, moved * strip.metres, hint, strip.metres, params)
-        if strip is not None and swing is not None:
+        if swing is not None:
             size = float(np.linalg.norm(strip.axis))
             rows.append((point, T_world_cam[:3, :3] @ strip.axis / size, swing[0] / size, swing[1] / size))
     return StemMotion.of(rows)
@@ -231,5 +233,5 @@ def _swing(times: Array, moved: Array, hint: float, pixel: float, params: Params
     cosine, sine = swing.coefficients[:2, 0]
     phasor = complex(sine, cosine) * np.exp(-2j * np.pi * hint * swing.span[0])
     return complex(phasor), float(
-        np.linalg.norm([swing.amplitude_std, params.least_spread, params.phase_error * abs(phasor)])
+        np.linalg.norm([swing.amplitude_std, params.least_spread, params.spread * abs(phasor)])
     )

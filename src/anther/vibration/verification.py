@@ -126,7 +126,9 @@ def shaken(plant: PlantModel, shake: Shake, springs: Springs = RIGID) -> Shaken:
 
 def _pads_in(rods: Rods, plant: PlantModel, shake: Shake, springs: Springs, highest: float, dt: float) -> SampledDrive:
     """Return the motion of pads on springs in a shake that is no sine: its spectrum times theirs."""
-    times = dt * np.arange(2 * int(np.ceil(shake.duration / dt)))  # as long again at rest: what goes on does not wrap
+    times: Array = dt * np.arange(
+        2 * int(np.ceil(shake.duration / dt)), dtype=np.float64
+    )  # as long again at rest: what goes on does not wrap
     spectrum = np.fft.rfft(shake.displacement(times) @ shake.direction)
     frequencies = np.fft.rfftfreq(len(times), dt)
     low = frequencies <= PAD_BAND * highest
