@@ -7,6 +7,7 @@ uncertainty; its steps are `density_from_samples`, `fit_free_vibration`, `youngs
 
 from anther.identification.clamped_stem import ClampedStem, Orientation, first_frequency, tip_deflections
 from anther.identification.density import Density, density_from_samples
+from anther.identification.expectation import Expected, expect, flowers_at, loads_at
 from anther.identification.feeling import feel
 from anther.identification.free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification.material_test import (
@@ -32,6 +33,7 @@ __all__ = [
     "ClampedStem",
     "Density",
     "Estimate",
+    "Expected",
     "Felt",
     "FreeVibration",
     "Identification",
@@ -44,12 +46,15 @@ __all__ = [
     "combine",
     "density_from_samples",
     "disagreement",
+    "expect",
     "feel",
     "first_frequency",
     "fit_free_vibration",
     "fitted_motion",
+    "flowers_at",
     "identify",
     "leaf_mass_effect",
+    "loads_at",
     "mean_vibration",
     "propagate",
     "read_material",

@@ -96,13 +96,17 @@ class Refinement:
             direction: (3,) unit vector of the shake.
             frequencies: (Q,) [Hz].
         """
-        counts = self.weights >= COUNTS * self.weights.max()
-        share = self.weights[counts] / self.weights[counts].sum()
-        plant, pads = self.members[0]
-        grips = pad_nodes(plant, grip_rows(plant, points), pads.width)
-        which = [member for member, used in zip(self.members, counts, strict=True) if used]
-        logs = [_log_amplitude(flower_motion(member, grips, direction, frequencies)) for member in which]
+        members, share, grips = self.counting(points)
+        logs = [_log_amplitude(flower_motion(member, grips, direction, frequencies)) for member in members]
         return np.swapaxes(np.exp(np.tensordot(share, np.array(logs), axes=1)), 0, 1)
+
+    def counting(self, points: Array) -> tuple[list[Version], Array, list[NDArray[Any]]]:
+        """Return the members that count, their weights, and the rod nodes between the pads at each of (G, 3) points."""
+        counts = self.weights >= COUNTS * self.weights.max()
+        plant, pads = self.members[0]
+        members = [member for member, used in zip(self.members, counts, strict=True) if used]
+        share = self.weights[counts] / self.weights[counts].sum()
+        return members, share, pad_nodes(plant, grip_rows(plant, points), pads.width)
 
 
 def refine(

@@ -141,8 +141,10 @@ class ShakenPlant:
         self._carriage = int(self.model.joint("carriage").dofadr[0])
         self._linear, self._drag = self._linearised()
 
-    def steady(self, amplitude: float, frequency: float) -> Shaken:
+    def steady(self, amplitude: float, frequency: float, rate: float | None = None) -> Shaken:
         """Shake by `amplitude` [m] at `frequency` [Hz] and return the steady motion.
+
+        It is recorded `rate` times a second; None: `Params.samples` times a period.
 
         Raises:
             StageFailure: "no_convergence": the simulation became unstable.
@@ -156,7 +158,7 @@ class ShakenPlant:
         self._start_pads(data, motion, omega, amplitude)
         settled = max(1 / frequency, p.settle)
         steps = round((settled + max(2, np.ceil(p.measure * frequency)) / frequency) / dt)
-        every = max(1, int(1 / (p.samples * frequency * dt)))
+        every = max(1, round(1 / ((rate or p.samples * frequency) * dt)))
         place = amplitude * np.sin(omega * dt * np.arange(-1, steps + 1))
         speed = np.diff(place) / dt  # differences, as the integrator takes them: then its steps follow the sine exactly
         push = CARRIAGE_MASS * np.diff(speed) / dt
@@ -203,6 +205,13 @@ class ShakenPlant:
         """
         phasors = [self._phasor(float(f), amplitude, loss_factor) for f in np.atleast_1d(frequencies)]
         return np.array([self.mechanics.bending(phasor) for phasor in phasors])
+
+    def force(self, frequency: float) -> NDArray[np.complex128]:
+        """Return (3,) the force of a small shake between pads and plant, across, per metre of grip motion [N/m]."""
+        mass, damping, stiffness, _ = self._linear
+        omega = 2 * np.pi * frequency
+        _, load = self._held_motion(stiffness + 1j * omega * damping - omega**2 * mass, omega)
+        return np.append(load[:2], 0.0)
 
     def _start_pads(self, data: Any, motion: NDArray[np.complex128], omega: float, amplitude: float) -> None:
         """Put soft pads where the steady motion of the hinges (D,) has them."""
@@ -263,21 +272,24 @@ class ShakenPlant:
         springs = self.model.jnt_stiffness[self.mechanics.joints]
         loss = omega * damping if loss_factor is None else np.diag(loss_factor * springs)
         undragged = stiffness + 1j * loss - omega**2 * mass
-        motion = self._held_motion(undragged, omega)
+        motion, _ = self._held_motion(undragged, omega)
         for _ in range(SOFTENINGS if amplitude > 0 and not self.air.still else 0):
             velocity = omega * amplitude * np.tensordot(self._centres, motion, 1)
             drag = self.air.linear(semi_major(velocity))[self._blown]
             rows = self._centres[self._blown].reshape(-1, len(motion))
-            motion = self._held_motion(undragged + 1j * omega * (rows.T * np.repeat(drag, 3)) @ rows, omega)
+            motion, _ = self._held_motion(undragged + 1j * omega * (rows.T * np.repeat(drag, 3)) @ rows, omega)
         return motion
 
-    def _held_motion(self, dynamic: NDArray[np.complex128], omega: float) -> NDArray[np.complex128]:
-        """Return (D,) what the dynamic stiffness (D, D) answers to a metre of grip motion through the pads."""
+    def _held_motion(
+        self, dynamic: NDArray[np.complex128], omega: float
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Return (D,) what the dynamic stiffness (D, D) answers to a metre of grip motion, and the pads' load (5,)."""
         grip = self._linear[3]
         reached = np.linalg.solve(dynamic, grip.T.astype(np.complex128))
         give = np.diag(1 / self._pads / (1 + 1j * omega * PAD_LOSS))
         wanted = np.concatenate([self.direction[:2], np.zeros(3)])
-        return reached @ (np.linalg.pinv(grip @ reached + give, rcond=1e-9) @ wanted)
+        load = np.linalg.pinv(grip @ reached + give, rcond=1e-9) @ wanted
+        return reached @ load, load
 
     @cached_property
     def _centres(self) -> Array:

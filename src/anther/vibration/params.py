@@ -15,6 +15,10 @@ FLOWER_SPREAD = 0.65
 simulated plants at 5 and 10 Hz (docs/identification.md): how far one flower differs from its plant whatever material
 and gain."""
 
+LOAD_SPREAD = {"stem_strain": 0.5, "joint_strain": 0.8, "base_strain": 0.7, "leaf_load": 0.6}
+"""Standard deviation of ln(true over modelled) of the largest load of each kind, by its name in `search.Gains`, beside
+what scenarios explain."""
+
 RESONANT = 10.0
 """Up to this frequency [Hz] a resonant pedicel is strained in proportion to the grip's acceleration, beyond it to the
 grip's speed: so the 98 % quantile of `Params.resonant_strain` is 0.45-0.56 % from 5 to 25 Hz (measured by us)."""

@@ -1,0 +1,198 @@
+"""Prediction for one plant whose truth is drawn: scanned, probed by a camera, and what it then does to every shake.
+
+F flowers that were seen and are there, G grips, Q frequencies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+from grasping_trial import truth_of
+from numpy.typing import NDArray
+from vibration_models import PRIOR, Seen, perceive, scanned
+from vibration_plant import matched, stem_points
+
+from anther.commands.simulated_cell import (
+    PRESETS,
+    USUAL_DISTANCE,
+    Species,
+    grow,
+    in_wind,
+    layout,
+    photograph,
+    views_at,
+)
+from anther.devices import Frame
+from anther.errors import StageFailure
+from anther.files import read_json, write_json
+from anther.geometry import Array
+from anther.identification import Felt, Observed, Refinement, expect, flowers_at, loads_at, refine
+from anther.plant import PlantModel
+from anther.response import measure_response, stem_near
+from anther.sim.capture import camera_errors, noisy_rgb
+from anther.sim.depth_noise import noisy_depth
+from anther.sim.plant import Organ
+from anther.sim.render import Scene, d455
+from anther.sim.robot import cut_out
+from anther.sim.shaken_plant import Params as ShakenParams
+from anther.sim.shaken_plant import Shaken, ShakenPlant
+from anther.sim.truth import Truth
+from anther.vibration import ShakePlan
+from anther.vibration.observables import semi_major
+from anther.vibration.pads import PADS, grip_rows, pad_nodes
+from anther.vibration.search import Version, flower_motion
+from anther.vibration.waveforms import SINE
+
+HEIGHTS = (0.3, 0.45, 0.6, 0.75)
+"""Grips, in shares of the main stem's length."""
+HELD = 1
+"""Of `HEIGHTS`: where it is probed."""
+DIRECTION = np.array([1.0, 0.0, 0.0])
+SLOW, FAST = (0.7, 1.0, 1.3, 1.6, 1.9), (3.0, 5.0, 8.0)
+"""Frequencies that are predicted [Hz]: the paper's, and those at which an arm moves flowers."""
+TONES = (1.2, 1.7, 4.0, 8.0)
+"""Of the probe, one after the other in one hold [Hz]."""
+RAISED = 1.5
+"""By how much a shake at a tone of the probe is then raised."""
+FORCE_ERROR = (0.15, 0.3)
+"""Of the force that the arm feels: relative, and absolute [N]; a guess."""
+RATES = (15.0, 30.0)
+"""Frames a second, up to 2.5 Hz and beyond: enough for the tones, and quick to render."""
+KINDS = ("stem_strain", "joint_strain", "base_strain")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One plant under one truth: "nominal", "wide", or a group of `sim.truth.WIDE` alone."""
+
+    species: Species
+    seed: int
+    truth: str = "wide"
+
+    def file(self, out: Path) -> Path:
+        """Where its row is kept."""
+        return out / self.truth / f"{self.species}-{self.seed}.json"
+
+
+def one_plant(case: Case, out: Path) -> dict[str, Any]:
+    """Return what is found for one plant, or why it was lost; kept in `out` and not done again."""
+    file = case.file(out)
+    if not file.exists():
+        try:
+            row = predicted(case)
+        except StageFailure as failure:
+            row = {"species": case.species, "seed": case.seed, "lost": str(failure)}
+        write_json(file, row)
+    return read_json(file)
+
+
+@lru_cache(maxsize=4)
+def _scanned(species: Species, seed: int, seen_as: Truth) -> Seen:
+    """Return what ten views tell of a plant of this truth."""
+    views = views_at(USUAL_DISTANCE, PRESETS["fast"])
+    plant = grow(species, seed, 0, USUAL_DISTANCE, seen_as)
+    sight = in_wind(plant, Scene.of_plant(plant), views, seen_as)
+    return perceive(photograph(sight, views.joints, seed, truth=seen_as)[0], layout(USUAL_DISTANCE).workspace)
+
+
+def predicted(case: Case) -> dict[str, Any]:
+    """Scan, model, probe and predict one plant, and return it beside the truth."""
+    truth = truth_of(case.truth, case.seed)
+    plant = grow(case.species, case.seed, 0, USUAL_DISTANCE, truth)
+    seen = _scanned(case.species, case.seed, truth)
+    model = scanned(seen, PRIOR[case.species])
+    i, j = matched(seen.flowers.positions, plant.flower_position)
+    points = stem_points(plant, HEIGHTS)
+    grips = [ShakenPlant(plant, point, DIRECTION, ShakenParams(timestep=1e-3), truth) for point in points]
+    points = np.array([grip.point for grip in grips])
+    probes = [_probe(model, grips[HELD], seen, case.seed, f, truth) for f in TONES]
+    before, after = refine(model, []), refine(model, probes)
+    frequencies = np.array(SLOW + FAST)
+    true = np.array([semi_major(grip.linear(frequencies)) for grip in grips])
+    loads = {k: np.array([_loads(grip, frequencies)[k] for grip in grips]) for k in KINDS}
+    row: dict[str, Any] = {"species": case.species, "seed": case.seed, "true": true[:, :, j]}
+    row["loads"] = loads
+    for name, belief in (("before", before), ("after", after)):
+        row[name] = flowers_at(belief, points, DIRECTION, frequencies)[:, :, i]
+        said = loads_at(belief, points, DIRECTION, frequencies)
+        row[f"loads {name}"] = {k: said[k] for k in KINDS}
+    row["held"] = [_raised(after, probes, grips[HELD], f, i, j) for f in TONES]
+    row["pads"] = {
+        "found": [after.pads.stiffness, after.pads.turning],
+        "true": [truth.pad_stiffness, truth.pad_rotation],
+    }
+    row["youngs"] = {"found": after.material.youngs, "true": float(plant.youngs[0])}
+    row["flowers"] = {"true": len(plant.flower_position), "seen": len(seen.flowers.positions), "matched": len(i)}
+    return row
+
+
+def tone_amplitude(frequency: float) -> float:
+    """Return how far the gripper moves in a tone of the probe [m]: 4 mm, or 2 m/s2 if that is less."""
+    return min(4e-3, 2.0 / (2 * np.pi * frequency) ** 2)
+
+
+def _probe(model: PlantModel, grip: ShakenPlant, seen: Seen, seed: int, frequency: float, truth: Truth) -> Observed:
+    """Shake at one tone, in the wind; return what camera and arm measured of it."""
+    amplitude = tone_amplitude(frequency)
+    intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
+    done = grip.steady(amplitude, frequency, RATES[int(frequency > 2.5)])
+    frames = _filmed(grip, done, pose, seed, truth)
+    ids = seen.stem.node_ids
+    nodes, arc = seen.skeleton.nodes[ids], seen.stem.arc_length
+    held = float(arc[np.argmin(np.linalg.norm(nodes - grip.point, axis=1))])
+    beside = stem_near(nodes, arc, seen.skeleton.radius[ids], held)
+    answer = measure_response(frames, intrinsics, pose, seen.flowers, frequency, stem=beside)
+    where = pad_nodes(model, grip_rows(model, grip.point[None]))
+    linear = semi_major(flower_motion(Version(model), where, DIRECTION, np.array([frequency]))[0, 0])
+    facts = {"direction": DIRECTION, "amplitude": amplitude, "frequency": frequency, "waveform": SINE, "pads": PADS}
+    place = SimpleNamespace(point=grip.point)
+    shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=amplitude * linear, **facts))
+    return Observed.of(shake, answer, _felt(grip, amplitude, frequency, seed))
+
+
+def _filmed(grip: ShakenPlant, done: Shaken, pose: Array, seed: int, truth: Truth) -> list[Frame]:
+    """Return what the side camera sees of a shake, its clock late; nothing is blurred."""
+    scene, errors = Scene.of_plant(grip.plant), camera_errors(truth)
+    intrinsics, frames = cut_out(d455(848, 480), 480, 480), []
+    for time, qpos, rng in zip(done.times, done.qpos, np.random.default_rng(seed).spawn(len(done.times)), strict=True):
+        image = scene.moved(grip.plant.posed_vertices(grip.segment_poses(qpos))).render(intrinsics, pose)
+        depth = noisy_depth(image.depth, intrinsics, rng, errors.depth)
+        frames.append(Frame(float(time) + truth.clock_offset, noisy_rgb(image.rgb, rng, errors), depth))
+    return frames
+
+
+def _felt(grip: ShakenPlant, amplitude: float, frequency: float, seed: int) -> Felt:
+    """Return what the arm feels of a shake, with its errors; a force that drowns in them is not felt."""
+    true = amplitude * grip.force(frequency)
+    square = complex(np.sum(true**2))
+    size, rng = abs(square) ** 0.5, np.random.default_rng([seed, 11])
+    error = float(np.hypot(FORCE_ERROR[0] * size, FORCE_ERROR[1]))
+    if size < 3 * error:
+        return Felt(moved=amplitude, began=0.0)
+    felt = abs(size + error * rng.normal())
+    return Felt(amplitude, 0.0, felt, error, float(np.angle(square) / 2 + error / size * rng.normal()))
+
+
+def _loads(grip: ShakenPlant, frequencies: Array) -> dict[str, Array]:
+    """Return, by kind, (Q,) the largest strain of small shakes, per metre of grip motion."""
+    strain = semi_major(grip.bending(frequencies))
+    pieces = grip.mechanics.pieces
+    organ = grip.mechanics.plant.organ[pieces.first]
+    above = np.where(pieces.parent >= 0, organ[pieces.parent], Organ.STEM)
+    places = (organ == Organ.STEM, organ == Organ.PEDICEL, (organ != Organ.STEM) & (above == Organ.STEM))
+    return {kind: strain[:, where].max(axis=1, initial=0.0) for kind, where in zip(KINDS, places, strict=True)}
+
+
+def _raised(
+    belief: Refinement, probes: list[Observed], grip: ShakenPlant, f: float, i: NDArray[Any], j: NDArray[Any]
+) -> dict[str, Array]:
+    """Return what a shake at a tone of the probe, raised, does and is expected to do."""
+    amplitude = RAISED * tone_amplitude(f)
+    told = expect(belief, probes, grip.point, DIRECTION, f, amplitude)
+    true = amplitude * semi_major(grip.linear([f], amplitude)[0])
+    return {"true": true[j], "said": told.amplitude[i], "interval": told.interval[i], "measured": told.measured[i]}
