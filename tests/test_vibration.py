@@ -69,7 +69,8 @@ def test_rigid_motion_strains_nothing_and_loads_a_leaf_with_its_acceleration(pla
     assert moved["flowers"] == pytest.approx(1.0)
     assert np.all((moved["leaf_load"] > 0.3) & (moved["leaf_load"] <= 1 + 1e-9))
     rocked = seen_sizes(plant, np.cross([0.0, 1.0, 0.0], x))
-    assert rocked["stem_strain"].max() < 1e-9
+    assert rocked["stem_strain"][1:].max() < 1e-9
+    assert rocked["stem_strain"][0] > 0.1  # the soil does not rock along
 
 
 def test_stem_strain_is_moment_over_section_modulus() -> None:

@@ -92,16 +92,16 @@ def _flowers(plant: PlantModel) -> Blocks:
 
 
 def _strains(plant: PlantModel) -> tuple[Blocks, Blocks]:
-    """Return the strains of the joints of the main stem and of those of the pedicels."""
+    """Return the strains of the joints of the main stem, the one with the soil too, and of those of the pedicels."""
     rods = plant.rods
-    j = np.flatnonzero(rods.parent > 0)
+    j = np.arange(1, len(rods.parent))
     p = rods.parent[j]
     of_pedicel, on_stem = plant.is_pedicel[j], np.isin(np.arange(len(rods.nodes)), plant.stem_nodes)
     radius = np.asarray(rods.edge_radius)
     softness = radius / (np.asarray(rods.youngs) * np.pi * radius**4 / 4)
-    strain = bend_stiffness(rods)[j] * np.maximum(softness[p], softness[j])
+    strain = bend_stiffness(rods, plant.clamp.planted)[j] * np.maximum(softness[np.where(p > 0, p, j)], softness[j])
     nodes, blocks = (
-        np.stack([rods.parent[p], p, j], axis=1),
+        np.stack([np.maximum(rods.parent[p], 0), p, j], axis=1),
         strain[:, None, None, None] * _bend(rods.nodes, p, j, rods),
     )
     kinds = []
@@ -115,14 +115,18 @@ def _bend(x: Array, p: NDArray[Any], j: NDArray[Any], rods: Rods) -> Array:
     """Return (J, 3, 3, 3): the change of direction from edge p to edge j, less their common rotation, by nodes.
 
     Nodes are the parent of p, p and j. A rigid rotation across the tangents gives nothing; of one about the tangents, a
-    share sin(kink) / 2 remains.
+    share sin(kink) / 2 remains. Below an edge that leaves the root is the soil, in line with it, which does not turn.
     """
     turns, spins, tangents = [], [], []
+    soil = np.flatnonzero(p == 0)
     for start, end in ((rods.parent[p], p), (p, j)):
         edge = x[end] - x[start]
+        edge[soil] = (x[j] - x[p])[soil]
         size = np.linalg.norm(edge, axis=1)[:, None]
         t = edge / size
         turn = (np.eye(3) - t[:, :, None] * t[:, None]) / size[:, None]
+        if not turns:
+            turn[soil] = 0
         turns.append(turn)
         spins.append(_cross(t) @ turn)
         tangents.append(t)
