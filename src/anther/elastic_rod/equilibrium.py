@@ -166,7 +166,7 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
 
     Returns the last residual [N], the last correction [m] and the shift that it was made with.
     """
-    shift, floor, weight = 0.0, 1e-12 * model.stretch.max() + 1e-12, np.pad(model.weight, ((0, 0), (0, 1)))
+    shift, floor, weight = 0.0, 1e-12 * model.stretch.max(), np.pad(model.weight, ((0, 0), (0, 1)))
     residual, correction, unshifted = np.inf, np.inf, False
     for _ in range(NEWTON_LIMIT):
         stiffness = tangent(model, free, state.x, state.frames, blocks, shift)
@@ -181,7 +181,7 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
         solve(stiffness.model, blocks, step)
         correction, before = float(np.abs(stiffness.moves(step)[:, :3]).max()), correction
         rounding = shift == 0 and SETTLED > correction > before / 2
-        if correction < POSITION_FLOOR or residual <= floor or rounding:
+        if correction < POSITION_FLOOR or rounding or (residual <= floor and correction < SETTLED):
             if shift == 0 or unshifted:
                 return residual, correction, shift
             shift, unshifted = 0.0, True

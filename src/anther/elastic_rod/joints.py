@@ -95,6 +95,14 @@ def line_on(rods: Rods) -> NDArray[Any]:
     return on
 
 
+def turned_alone(rods: Rods) -> NDArray[Any]:
+    """Return (N,) whether edge j alone turns a lump at its end: unless that is one of several lumps in line."""
+    lumps, on = np.asarray(rods.lumped_inertia) > 0, line_on(rods)
+    in_line = (on >= 0) & (lumps[on] | lumps[rods.parent])
+    in_line[0] = False
+    return lumps & ~in_line
+
+
 def _shares(rods: Rods, near: NDArray[Any], jointed: NDArray[Any]) -> tuple[Array, Array]:
     """Return which shares of the parent edge and of edge j bend in the joint of edge j.
 
@@ -111,7 +119,7 @@ def _shares(rods: Rods, near: NDArray[Any], jointed: NDArray[Any]) -> tuple[Arra
         return of_near, own
     children, on = np.bincount(parent[1:], minlength=n), line_on(rods)
     lumps = np.asarray(rods.lumped_inertia) > 0
-    whole = (children > 1) | (lumps & (on < 0))
+    whole = (children > 1) | turned_alone(rods)
     whole[0] = False
     own[whole & jointed] = 1
     of_near[1:][(whole & jointed)[near[1:]]] = 0

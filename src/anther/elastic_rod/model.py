@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array
 from anther.elastic_rod import springs
-from anther.elastic_rod.joints import joint_matrix, joint_stiffness, line_on
+from anther.elastic_rod.joints import joint_matrix, joint_stiffness, line_on, turned_alone
 from anther.elastic_rod.rods import Array, NaturalShape, Rods
 from anther.elastic_rod.vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
 from anther.errors import bad_input
@@ -127,10 +127,10 @@ def _soil(rods: Rods, frames: Frames) -> Array:
 def _turning_lumps(rods: Rods) -> Array:
     """Return (N,) the moment of inertia of lumps that turns with edge j [kg m^2].
 
-    A lump between two edges in line turns at the mean of their angles: half of it with either.
+    Several lumps in line turn at the mean of the angles of the edges beside them: half of each with either.
     """
     lump, on = np.asarray(rods.lumped_inertia), line_on(rods)
-    inner = np.flatnonzero((on >= 0) & (np.arange(len(on)) > 0))
+    inner = np.flatnonzero((on >= 0) & (rods.parent >= 0) & ~turned_alone(rods))
     turning = lump.copy()
     turning[inner] -= lump[inner] / 2
     turning[on[inner]] += lump[inner] / 2
