@@ -112,6 +112,8 @@ def _lowest(stiffness: Tangent, mass: Operator, count: int) -> tuple[Array, Arra
         rounded = len(errors) > 3 and errors[-1] > errors[-4] / 2 and errors[-1] < ROUNDED
         if len(inverse) == count and (errors[-1] < CONVERGED or rounded or len(block) == 0):
             return 1 / inverse, (mix @ basis).reshape(-1, *free.shape)
+        if len(block) == 0:
+            break
         block = image
     raise StageFailure("no_convergence", f"rods: {count} modes did not converge. Ask for a few more or fewer modes.")
 
@@ -127,6 +129,7 @@ def _orthonormal(block: Array, basis: Array, weights: Array, mass: Operator) -> 
 
     Done twice, as the first time leaves rounding; what depends on the other rows is dropped.
     """
+    weight = block
     for _ in range(2):
         block = block - (block @ weights.T) @ basis
         weight = mass(block)
