@@ -49,6 +49,7 @@ from anther.elastic_rod import (
     Rods,
     Scenario,
     Trajectory,
+    natural_frequencies,
     response_map,
     simulate,
     simulate_many,
@@ -211,6 +212,16 @@ def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
     return len(above) * (48 * 4 + 313 * 6 + 260 * 2) + 3 * row * float(depth[grips].sum() + len(grips) * wanted.sum())
 
 
+def mode_rows(repeats: int) -> list[Row]:
+    """The six lowest modes of 20,000 nodes in line, hanging sideways under gravity; compilation not included."""
+    rods, times = Rods(np.linspace(0, [0.3, 0, 0], 20_000), np.arange(20_000) - 1, 3e-3, 2e8, 1100.0), []
+    for _ in track(range(repeats + 1), "modes"):
+        begin = time.process_time()
+        natural_frequencies(rods, Clamp.root(rods), 6)
+        times.append(time.process_time() - begin)
+    return [Row("modes_20000_s", "equilibrium, six modes of 20,000 nodes in line", "s", tuple(times[1:]), limit=5.0)]
+
+
 def many_rows(quick: bool, repeats: int) -> list[Row]:
     """Many short shakes of the 86-node network, viscous time 0.1 ms, 0.1 s each: all cores against one."""
     rods = replace(reference_network(), viscous_time=1e-4)
@@ -360,7 +371,7 @@ def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
     for rods in (replace(network, bend_over_twist=0.0), network):
         case = Case(rods, steps=steps, twist=bool(rods is network))
         rows += reference_rows(case, operations, ceilings, repeats)
-    rows += map_rows(ceilings, 20 if args.quick else 200, repeats)
+    rows += map_rows(ceilings, 20 if args.quick else 200, repeats) + mode_rows(3)
     rows += start_rows(repeats) + many_rows(args.quick, repeats)
     return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
 

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from rod_cases.authors_plants import AuthorsPlant, study
+from rod_cases.ends import end_cases
 from rod_cases.figures import draw_authors_plants, draw_convergence, draw_energy
 from rod_cases.hinged_pieces import hinged_cases
 from rod_cases.motion import energy_cases, order_cases, violent_cases
@@ -39,6 +40,7 @@ Case = Callable[[bool], Findings]
 def cases(data: Path) -> Iterator[Case]:
     """Yield the groups of cases, those of the peer references only where their folder is there."""
     yield static_cases
+    yield end_cases
     yield frequency_cases
     yield decay_cases
     yield energy_cases

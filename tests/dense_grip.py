@@ -27,7 +27,7 @@ def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, way
     others = np.setdiff1d(np.arange(len(matrix)), rows)
     follow = np.zeros((len(matrix), len(others) + 6))
     follow[others, np.arange(len(others))] = 1
-    x = system.positions
+    x = system.state.x
     for k, node in enumerate(pad):
         for axis in range(3):
             turn = np.cross(np.eye(3)[axis], x[node] - x[pad[0]])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from anther.elastic_rod import Clamp, NaturalShape, Rods, equilibrium, simulate
+from anther.elastic_rod import Clamp, equilibrium, simulate, with_gravity_equilibrium
 from anther.identification import ClampedStem, first_frequency, tip_deflections
 
 
@@ -38,12 +38,9 @@ def nonlinear_trace(truth: Truth, seconds: float = 6.0, dt: float = 2e-3) -> tup
     elastic = first_frequency(truth.stem, truth.youngs, truth.density, "weightless")  # viscosity resists that part only
     straight = replace(straight, viscous_time=truth.damping_ratio * frequency / (np.pi * elastic**2))
     clamp = Clamp.root(straight)
-    bent = equilibrium(straight, clamp, gravity=(2.5, 0, -9.81))
-    n = len(bent)
-    natural = NaturalShape(straight.lengths, np.zeros((n, 2)), np.zeros(n))
-    released = Rods(
-        **{f: getattr(straight, f) for f in straight.__dataclass_fields__} | {"nodes": bent, "natural": natural}
-    )
+    sideways = (2.5, 0, -9.81)
+    bent = equilibrium(straight, clamp, gravity=sideways)
+    released = with_gravity_equilibrium(replace(straight, nodes=bent), clamp, gravity=sideways)
     run = simulate(released, clamp, None, seconds, dt, start="scanned", record_every=5)
     return run.times, run.positions[:, -1, 0]
 

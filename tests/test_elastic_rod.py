@@ -84,7 +84,7 @@ def test_hessian_is_the_curvature_of_the_energy():
 @settings(max_examples=20)
 def test_tree_elimination_solves_the_assembled_system(seed, n):
     rods = random_tree(seed, n)
-    model, frames = build_model(rods, NO_GRAVITY)
+    model, frames = build_model(rods, NO_GRAVITY, planted=True)
     free = Clamp.root(rods).free(rods)
     blocks = assembled(model, rods.nodes, frames)
     constrain(model, free, blocks)
@@ -120,7 +120,7 @@ def test_a_rigid_rotation_stores_no_energy(seed):
 def test_rods_that_cannot_twist_are_the_limit_of_stiff_ones():
     ends = []
     for ratio in (1.0, 0.3, 0.1, 0.0):
-        rods = random_tree(6, 14, bend_over_twist=ratio, lumped_mass=2e-3, youngs=1e8)
+        rods = random_tree(6, 14, bend_over_twist=ratio, lumped_mass=2e-3, youngs=1e9)
         ends.append(equilibrium(rods, Clamp.root(rods)))
     gaps = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
     assert gaps[0] > 1e-5
@@ -193,7 +193,7 @@ def test_no_mode_is_missed_and_inertia_of_lumps_counts():
     np.testing.assert_allclose(modes.frequencies[:6:2], modes.frequencies[1:6:2], rtol=1e-9)
     everything = natural_frequencies(cantilever(4), Clamp.root(cantilever(4)), 5, gravity=NO_GRAVITY)
     assert np.all(np.diff(everything.frequencies) >= 0)
-    mass, inertia, length, EI = 0.05, 2e-5, 0.3 - 0.3 / 180, 2e9 * np.pi * 3e-3**4 / 4
+    mass, inertia, length, EI = 0.05, 2e-5, 0.3, 2e9 * np.pi * 3e-3**4 / 4
     tip = np.zeros(91)
     tip[-1] = 1
     heavy = cantilever(90, youngs=2e9, density=1e-3, lumped_mass=mass * tip, lumped_inertia=inertia * tip)
@@ -215,9 +215,8 @@ def test_damping_ratios_are_told():
 def test_static_cantilever_is_euler_bernoulli():
     rods = cantilever(60, youngs=2e9)
     tip = equilibrium(rods, Clamp.root(rods))[-1]
-    free_length = 0.3 - 0.3 / 60 / 2  # a clamped edge holds the slope in its middle
     area, inertia = np.pi * 3e-3**2, np.pi * 3e-3**4 / 4
-    assert tip[2] == pytest.approx(-1100 * area * 9.81 * free_length**4 / (8 * 2e9 * inertia), rel=1e-3)
+    assert tip[2] == pytest.approx(-1100 * area * 9.81 * 0.3**4 / (8 * 2e9 * inertia), rel=1e-3)
 
 
 def test_an_l_shaped_rod_bends_and_twists():
@@ -230,7 +229,6 @@ def test_an_l_shaped_rod_bends_and_twists():
     rods = Rods(nodes, np.arange(2 * k + 1) - 1, 3e-3, 2e9, 1e-3, bend_over_twist=12.0, lumped_mass=weight)
     drop = equilibrium(rods, Clamp.root(rods))[-1, 2]
     EI = 2e9 * np.pi * 3e-3**4 / 4
-    a -= a / k / 2
     expected = -1e-4 * 9.81 * ((a**3 + b**3) / (3 * EI) + a * b**2 / (EI / 12.0))
     assert drop == pytest.approx(expected, rel=0.01)
 
@@ -249,7 +247,7 @@ def test_buckling_is_an_error_not_a_result():
 
 
 def test_least_stiffness_is_greenhills():
-    rods = cantilever(60, axis=2, length=0.5 * 120 / 119)
+    rods = cantilever(60, axis=2, length=0.5)
     critical = 1100 * 9.81 * 0.5**3 / (7.8373 * 3e-3**2 / 4)
     factor = least_stiffness(rods, Clamp.root(rods))
     assert factor is not None
@@ -262,7 +260,7 @@ def test_least_stiffness_is_greenhills():
 def test_a_column_buckles_at_greenhills_height(youngs, standing):
     length, radius = 0.5, 3e-3
     critical = 1100 * 9.81 * length**3 / (7.8373 * radius**2 / 4)  # E where g rho A L^3 = 7.8373 E I
-    rods = cantilever(100, axis=2, length=length * 200 / 199, youngs=youngs * critical)
+    rods = cantilever(100, axis=2, length=length, youngs=youngs * critical)
     if standing:
         assert natural_frequencies(rods, Clamp.root(rods), 1)[0][0] > 0
     else:

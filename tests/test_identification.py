@@ -44,8 +44,7 @@ def test_identifies_the_rod_engines_own_stiffness(tip_mass: float) -> None:
     lumps[-1] = tip_mass
     rods = Rods(nodes, np.arange(-1, n - 1), 3e-3, 2e8, 1100.0, lumped_mass=lumps)
     first = natural_frequencies(rods, Clamp.root(rods), 2, gravity=(0, 0, 0))[0][0]
-    free = 0.30 + 0.0025  # the clamped edge bends over half its length
-    assert youngs_from_frequency(free, 3e-3, first, 1100, tip_mass=tip_mass) == pytest.approx(2e8, rel=0.01)
+    assert youngs_from_frequency(0.305, 3e-3, first, 1100, tip_mass=tip_mass) == pytest.approx(2e8, rel=0.01)
 
 
 @given(st.floats(0.1, 1), st.floats(1e-3, 1e-2), st.floats(0.2, 10), st.floats(0, 0.1))
@@ -121,7 +120,7 @@ def plan(plant: PlantModel) -> ShakePlan:
     return plan_shake(
         plant,
         grasps_on(skeleton, stem, [8]),
-        params=ShakeParams(frequencies=8, lowest=3, highest=6, draws=2, directions=2, resonant_strain=0.0),
+        params=ShakeParams(frequencies=8, lowest=3, highest=5, draws=2, directions=2, resonant_strain=0.0),
     )
 
 

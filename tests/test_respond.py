@@ -121,7 +121,7 @@ def test_pads_hold_neighbours_along_the_stem(file: Path):
     assert held(7, 0.061) == {6, 7, 8}
     assert held(7, 0.002) == {7, 8}
     assert held(16, 0.01) == {15, 16}
-    assert held(3, 0.3) == {3, 4, 5, 6, 7, 8}
+    assert held(3, 0.3) == {2, 3, 4, 5, 6, 7, 8}
 
 
 def test_a_plant_that_cannot_stand_is_refused(data: Path):

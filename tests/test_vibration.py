@@ -69,6 +69,11 @@ def test_rigid_motion_strains_nothing_and_loads_a_leaf_with_its_acceleration(pla
         assert moved[kind].max() < 1e-9
     assert moved["flowers"] == pytest.approx(1.0)
     assert np.all((moved["leaf_load"] > 0.3) & (moved["leaf_load"] <= 1 + 1e-9))
+    along = x - x[np.maximum(plant.rods.parent, 0)]
+    along[1:] /= np.linalg.norm(along[1:], axis=1)[:, None]
+    rocked = seen_sizes(plant, np.column_stack([np.cross([0.0, 1.0, 0.0], x), along[:, 1]]))
+    assert np.sort(rocked["stem_strain"])[:-1].max() < 1e-9
+    assert rocked["stem_strain"].max() > 0.1  # the soil does not rock along
 
 
 def test_stem_strain_is_moment_over_section_modulus() -> None:

@@ -212,7 +212,7 @@ def _plant(data: Path, name: str, arrays: dict[str, Any], setup: dict[str, Any],
     fixed = np.array([skeleton.node(int(n)) for n in arrays["fixed_nodes"] if n != setup["drive_node"]])
     return _Plant(
         rods,
-        Clamp(np.concatenate([Clamp.root(rods).nodes, fixed])),
+        Clamp(np.concatenate([[0], np.flatnonzero(parent == 0), fixed])),
         Clamp(fixed),
         skeleton.node(setup["drive_node"]),
         skeleton.node(setup["flower_node"]),

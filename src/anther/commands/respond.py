@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +18,7 @@ from anther.arm import sawyer
 from anther.arm.shaking import amplitude_limit
 from anther.checks import check_range
 from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant
-from anther.elastic_rod import Clamp, natural_frequencies, response_map
+from anther.elastic_rod import natural_frequencies, response_map
 from anther.errors import bad_input
 from anther.files import replacing, write_json
 from anther.geometry import Array
@@ -199,7 +199,7 @@ def _best_direction(moves: Any, ways: Array) -> tuple[Array, Array]:
 
 def _resonances(plant: RodPlant, held: tuple[int, ...]) -> Array:
     """Return the lowest natural frequencies (K,) [Hz] while these nodes are held."""
-    clamp = Clamp(np.concatenate([plant.clamp.nodes, held]))
+    clamp = replace(plant.clamp, nodes=np.concatenate([plant.clamp.nodes, held]))
     return natural_frequencies(plant.rods, clamp, MODES).frequencies
 
 

@@ -11,7 +11,7 @@ from anther.elastic_rod import lanes, springs
 from anther.elastic_rod.lanes import LANES, get, get3, new_lanes, put, put3, put6
 from anther.elastic_rod.model import Frames, Model, spring_edges
 from anther.elastic_rod.rods import Array
-from anther.elastic_rod.vectors import compiled, load, merged, norm, six, store, subtract, twist_angle
+from anther.elastic_rod.vectors import compiled, halves, load, merged, norm, six, store, subtract, twist_angle
 
 
 class Blocks(NamedTuple):
@@ -56,10 +56,13 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
         f = subtract(load(x, j), load(x, model.parent[j]))
         strain = norm(f) / model.length[j] - 1
         total += 0.5 * model.stretch[j] * model.length[j] * strain * strain
-        if model.far[j] >= 0:
-            e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
-            b = springs.bent(e, f)
-            m1e, m1f = load(m1, model.near[j]), load(m1, j)
+        if model.joint[j, 0] > 0:
+            if model.far[j] >= 0:
+                e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
+                m1e = load(m1, model.near[j])
+            else:
+                e, m1e = halves(model.soil, j)
+            b, m1f = springs.bent(e, f), load(m1, j)
             k1, k2 = springs.curvatures(b, m1e, m1f)
             sine, cosine = springs.twist_parts(b, m1e, m1f)
             k1, k2 = k1 - model.curvature[j, 0], k2 - model.curvature[j, 1]
@@ -82,33 +85,13 @@ def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, 
         rate: d velocity / d position of the time step [1/s]; 0 for statics.
         blocks: filled anew.
     """
-    order, parent, near, far = model.order, model.parent, model.near, model.far  # unpacked once: it is faster
-    swapped, joint, viscous, stretch, length = model.swapped, model.joint, model.viscous, model.stretch, model.length
-    curvature, natural_twist = model.curvature, model.natural_twist
-    m1, twist = frames.m1, frames.twist
+    order, parent, near, far, swapped = model.order, model.parent, model.near, model.far, model.swapped
     D, U, V, g, b = blocks.diagonal, blocks.near, blocks.far, blocks.gradient, blocks.lanes
     n = len(x)
     _clear(D, g, 0)
     for first in range(1, n, LANES):
         count = min(LANES, n - first)
-        for i in range(count):
-            j = order[n - 1 - first - i]  # from the root outward, so that a block is written before it is added to
-            m, a, o = parent[j], near[j], far[j]
-            if o < 0:  # the hub has no spring: joined to itself, with stiffness 0
-                _gather(x, m1, velocity, b, j, m, m, j, j, 1.0, i)
-            elif swapped[j]:  # from the hub back to the root: the hub edge reversed
-                _gather(x, m1, velocity, b, j, m, a, m, a, -1.0, i)
-            else:
-                _gather(x, m1, velocity, b, j, m, o, m, a, 1.0, i)
-            put6(b, lanes.JOINT, i, six(joint, j))
-            put3(b, lanes.START_J, i, subtract(load(x_start, j), load(x_start, m)))
-            put3(b, lanes.VISCOUS, i, (viscous[j], curvature[j, 0], curvature[j, 1]))
-            put3(b, lanes.NATURAL_TWIST, i, (natural_twist[j], stretch[j], length[j]))
-        springs.twist_lanes(b)
-        for i in range(count):
-            j = order[n - 1 - first - i]
-            twist[j] = twist_angle(get(b, lanes.SINE, i), get(b, lanes.COSINE, i), twist[j])
-            put(b, lanes.TWIST, i, twist[j])
+        gather_springs(model, x_start, x, frames, velocity, b, first, count)
         springs.spring_lanes(b, rate)
         for i in range(count):
             j = order[n - 1 - first - i]
@@ -137,6 +120,37 @@ def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, 
 
 
 @merged
+def gather_springs(
+    model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, b: Any, first: int, count: int
+) -> None:
+    """Write the input of `count` springs, counted from the root outward, into the lanes, and their present twist."""
+    order, parent, near, far = model.order, model.parent, model.near, model.far  # unpacked: it is faster
+    swapped, joint, viscous, stretch, length = model.swapped, model.joint, model.viscous, model.stretch, model.length
+    curvature, natural_twist, soil = model.curvature, model.natural_twist, model.soil
+    m1, twist, n = frames.m1, frames.twist, len(x)
+    for i in range(count):
+        j = order[n - 1 - first - i]  # from the root outward, so that a block is written before it is added to
+        m, a, o = parent[j], near[j], far[j]
+        if o < 0:  # joined to the soil, or, where there is none, to itself with stiffness 0
+            _gather(x, m1, velocity, b, j, m, m, j, j, 1.0, i)
+            if joint[j, 0] > 0:
+                _gather_soil(soil, b, j, i)
+        elif swapped[j]:  # from the hub back to the root: the hub edge reversed
+            _gather(x, m1, velocity, b, j, m, a, m, a, -1.0, i)
+        else:
+            _gather(x, m1, velocity, b, j, m, o, m, a, 1.0, i)
+        put6(b, lanes.JOINT, i, six(joint, j))
+        put3(b, lanes.START_J, i, subtract(load(x_start, j), load(x_start, m)))
+        put3(b, lanes.VISCOUS, i, (viscous[j], curvature[j, 0], curvature[j, 1]))
+        put3(b, lanes.NATURAL_TWIST, i, (natural_twist[j], stretch[j], length[j]))
+    springs.twist_lanes(b)
+    for i in range(count):
+        j = order[n - 1 - first - i]
+        twist[j] = twist_angle(get(b, lanes.SINE, i), get(b, lanes.COSINE, i), twist[j])
+        put(b, lanes.TWIST, i, twist[j])
+
+
+@merged
 def _clear(D: Any, g: Any, j: Any) -> None:
     for i in range(4):
         g[j, i] = 0
@@ -157,6 +171,16 @@ def _gather(
     put3(b, lanes.SPEED_J, i, subtract(load(velocity, j), load(velocity, m)))
     put(b, lanes.SPIN_M, i, sign * velocity[edge, 3])
     put(b, lanes.SPIN_J, i, velocity[j, 3])
+
+
+@merged
+def _gather_soil(soil: Any, b: Any, j: Any, i: int) -> None:
+    """Write the soil, which neither moves nor turns, as edge m into lane i."""
+    edge, director = halves(soil, j)
+    put3(b, lanes.EDGE_M, i, edge)
+    put3(b, lanes.DIRECTOR_M, i, director)
+    put3(b, lanes.SPEED_M, i, (0.0, 0.0, 0.0))
+    put(b, lanes.SPIN_M, i, 0.0)
 
 
 @merged

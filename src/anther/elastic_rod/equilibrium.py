@@ -9,20 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.elastic_rod import springs
-from anther.elastic_rod.assembly import (
-    Blocks,
-    assemble,
-    elastic_energy,
-    move_frames,
-    new_blocks,
-)
+from anther.elastic_rod.assembly import Blocks, elastic_energy, move_frames, new_blocks
+from anther.elastic_rod.edges import Tangent, tangent
 from anther.elastic_rod.model import Frames, Model, build_model
 from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.newton import POSITION_FLOOR, State, new_state
+from anther.elastic_rod.newton import LARGEST_TURN, POSITION_FLOOR, State, new_state
 from anther.elastic_rod.rods import GRAVITY, Array, NaturalShape, Rods
-from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled, dot, load, merged, scale, six, subtract
+from anther.elastic_rod.tree_solver import solve
+from anther.elastic_rod.vectors import add, compiled, dot, halves, load, merged, norm, scale, six, store, subtract
 from anther.errors import StageFailure
+
+SETTLED = 1e-8
+"""A Newton correction below this [m] has found the equilibrium."""
 
 NEWTON_LIMIT = 500
 """Newton iterations of a static solve; a cantilever that bends through 90 degrees needs some tens."""
@@ -39,7 +37,7 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
     Raises:
         StageFailure: kind "no_convergence" when nothing can balance the weight, for instance with a single pin.
     """
-    model, frames = build_model(replace(rods, natural=None), gravity)
+    model, frames = build_model(replace(rods, natural=None), gravity, clamp.planted)
     return replace(rods, natural=balancing_shape(rods, model, frames, clamp.free(rods)))
 
 
@@ -49,15 +47,12 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
     Raises:
         StageFailure: as there.
     """
-    blocks, still, sag = new_blocks(len(rods.nodes)), np.zeros((len(rods.nodes), 4)), np.zeros((len(rods.nodes), 4))
-    assemble(model, rods.nodes, rods.nodes, frames, still, 0.0, blocks)
-    constrain(model, free, blocks)
-    factor(model, blocks)
-    tension, moments = np.zeros(len(sag)), np.zeros((len(sag), 3))
+    n = len(rods.nodes)
+    stiffness = tangent(model, free, rods.nodes, frames, new_blocks(n))
+    tension, moments = np.zeros(n), np.zeros((n, 3))
     load_left = scale_of_load = np.where(free, np.pad(model.weight, ((0, 0), (0, 1))), 0)
     for _ in range(4):  # iterative refinement
-        sag = load_left.copy()
-        solve(model, blocks, sag)
+        sag = stiffness.solve(load_left)
         load_left = load_left - np.where(free, _stress_of(model, rods.nodes, frames, sag, tension, moments), 0)
     if not np.abs(load_left).max() < 1e-8 * np.abs(scale_of_load).max() + 1e-12:
         raise StageFailure(
@@ -69,7 +64,7 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
 
 
 def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> NaturalShape:
-    w11, w12, w22, w13, w23, w33 = np.where(model.far[:, None] >= 0, model.joint, [1.0, 0, 1, 0, 0, 1]).T
+    w11, w12, w22, w13, w23, w33 = np.where(model.joint[:, :1] > 0, model.joint, [1.0, 0, 1, 0, 0, 1]).T
     stiffness = np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
     strain: Array = np.linalg.solve(stiffness, moments[:, :, None])[:, :, 0].astype(np.float64)
     stretch = np.divide(tension, model.stretch, out=np.zeros_like(tension), where=model.stretch > 0)
@@ -89,16 +84,21 @@ def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, mo
         change = model.stretch[j] / model.length[j] * dot(t, by_f)
         tension[j] += change
         _pull(force, j, p, change, t)
-        if model.far[j] < 0:
+        if model.joint[j, 0] == 0:
             continue
         a, o, sign = model.near[j], model.far[j], 1.0
-        if model.swapped[j]:
-            o, sign = a, -1.0
-        e, by_e = subtract(load(x, p), load(x, o)), subtract(load(move, p), load(move, o))
-        slopes = springs.gradients(springs.bent(e, f), load(frames.m1, a), load(frames.m1, j))
-        k1 = springs.rate_of(slopes[0], by_e, by_f, sign * move[a, 3], move[j, 3])
-        k2 = springs.rate_of(slopes[1], by_e, by_f, sign * move[a, 3], move[j, 3])
-        tau = springs.rate_of(slopes[2], by_e, by_f, sign * move[a, 3], move[j, 3])
+        if o < 0:  # the soil: its director, and no motion
+            o = p
+            e, m1e = halves(model.soil, j)
+        else:
+            if model.swapped[j]:
+                o, sign = a, -1.0
+            e, m1e = subtract(load(x, p), load(x, o)), load(frames.m1, a)
+        by_e, turn = subtract(load(move, p), load(move, o)), sign * move[a, 3]
+        slopes = springs.gradients(springs.bent(e, f), m1e, load(frames.m1, j))
+        k1 = springs.rate_of(slopes[0], by_e, by_f, turn, move[j, 3])
+        k2 = springs.rate_of(slopes[1], by_e, by_f, turn, move[j, 3])
+        tau = springs.rate_of(slopes[2], by_e, by_f, turn, move[j, 3])
         stress = springs.moments(six(model.joint, j), (k1, k2, tau))
         for k in range(3):
             moment = stress[k]
@@ -124,7 +124,7 @@ def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Ar
     Raises:
         StageFailure: kind "no_convergence" when none is found, or it is not stable (buckling).
     """
-    model, frames = build_model(rods, gravity)
+    model, frames = build_model(rods, gravity, clamp.planted)
     return static_state(model, frames, rods.nodes, clamp.free(rods)).x
 
 
@@ -135,8 +135,8 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
         StageFailure: kind "no_convergence" when none is found, or it is not stable (buckling).
     """
     state, blocks = new_state(x, frames), new_blocks(len(x))
-    residual, correction = _descend(model, free, state, blocks)
-    if not (correction < 1e-8 and residual < 1e-3 * np.abs(model.weight).sum() + 1e-6):
+    residual, correction, shift = _descend(model, free, state, blocks)
+    if not (correction < SETTLED and (shift == 0 or residual < 1e-3 * np.abs(model.weight).sum() + 1e-6)):
         raise StageFailure(
             "no_convergence",
             f"rods: no static equilibrium found; residual {residual:.3g} N after {NEWTON_LIMIT} Newton iterations. "
@@ -154,51 +154,72 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
 
 def unstable_directions(model: Model, free: Any, state: State, blocks: Blocks) -> int:
     """Return how many directions have no positive stiffness: 0 where the equilibrium is stable."""
-    assemble(model, state.x, state.x, state.frames, np.zeros_like(state.v), 0.0, blocks)
-    constrain(model, free, blocks)
-    return int(factor(model, blocks))
+    return tangent(model, free, state.x, state.frames, blocks).unstable
 
 
 def _potential(model: Model, x: Array, frames: Frames) -> float:
     return elastic_energy(model, x, frames) - float(np.sum(model.weight * x))
 
 
-def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[float, float]:
+def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[float, float, float]:
     """Minimise the potential energy by Newton's method with a shift where needed and a backtracking line search.
 
-    Returns the last residual [N] and the last correction [m].
+    Returns the last residual [N], the last correction [m] and the shift that it was made with.
     """
-    shift, floor = 0.0, 1e-12 * model.stretch.max() + 1e-12
-    residual = correction = np.inf
+    shift, floor, weight = 0.0, 1e-12 * model.stretch.max(), np.pad(model.weight, ((0, 0), (0, 1)))
+    residual, correction, unshifted = np.inf, np.inf, False
     for _ in range(NEWTON_LIMIT):
-        assemble(model, state.x, state.x, state.frames, state.v, 0.0, blocks)
-        blocks.gradient[:, :3] -= model.weight
-        blocks.diagonal[:, range(4), range(4)] += shift * np.array([1, 1, 1, 1e-4])
-        constrain(model, free, blocks)
-        residual = float(np.linalg.norm(blocks.gradient))
-        if factor(model, blocks) > 0:
+        stiffness = tangent(model, free, state.x, state.frames, blocks, shift)
+        gradient = np.where(free, blocks.gradient, 0) - stiffness.forces(weight)
+        residual = float(np.linalg.norm(gradient))
+        if stiffness.unstable:
             if residual <= floor and shift == 0:
-                return residual, 0.0  # balanced but unstable: the caller tells
+                return residual, 0.0, shift  # balanced but unstable: the caller tells
             shift = max(4 * shift, 1e-3)
             continue
-        step = blocks.gradient.copy()
-        solve(model, blocks, step)
-        correction = float(np.abs(step[:, :3]).max())
-        if correction < POSITION_FLOOR or residual <= floor:
-            return residual, correction
-        _line_search(model, state, blocks, step, correction)
+        step = gradient.copy()
+        solve(stiffness.model, blocks, step)
+        correction, before = float(np.abs(stiffness.moves(step)[:, :3]).max()), correction
+        rounding = shift == 0 and SETTLED > correction > before / 2
+        if correction < POSITION_FLOOR or rounding or (residual <= floor and correction < SETTLED):
+            if shift == 0 or unshifted:
+                return residual, correction, shift
+            shift, unshifted = 0.0, True
+            continue
+        _line_search(model, state, stiffness, step, float(np.sum(step * gradient)), correction)
         shift = shift / 8 if shift > 1e-9 else 0.0
-    return residual, correction
+    return residual, correction, shift
 
 
-def _line_search(model: Model, state: State, blocks: Blocks, step: Array, size: float) -> None:
-    """Move the state against `step`, halving it until the potential energy falls."""
-    start, slope = _potential(model, state.x, state.frames), float(np.sum(step * blocks.gradient))
-    x, m1 = state.x.copy(), state.frames.m1.copy()
-    share = min(1.0, 5 * model.length.max() / size)
+def _line_search(model: Model, state: State, stiffness: Tangent, step: Array, slope: float, size: float) -> None:
+    """Move the state against `step` (N, 4), halving it until the potential energy falls, but for its rounding."""
+    x, m1, lanes = state.x.copy(), state.frames.m1.copy(), stiffness.blocks.lanes
+    stored, start = elastic_energy(model, x, state.frames), _potential(model, x, state.frames)
+    edges = x - x[model.parent]
+    if stiffness.together:
+        share = min(1.0, LARGEST_TURN / np.max(np.linalg.norm(step[1:, :3], axis=1) / model.length[1:]))
+    else:
+        share = min(1.0, 5 * model.length.max() / size)
     for _ in range(40):
-        state.x[:] = x - share * step[:, :3]
-        move_frames(model, x, m1, state.x, -share * step[:, 3], state.frames.m1, blocks.lanes)
-        if _potential(model, state.x, state.frames) <= start - 1e-4 * share * slope + 1e-14 * abs(start):
+        if stiffness.together:
+            _turn_edges(model.parent, edges, -share * step, state.x)
+        else:
+            state.x[:] = x - share * step[:, :3]
+        move_frames(model, x, m1, state.x, -share * step[:, 3], state.frames.m1, lanes)
+        if (
+            _potential(model, state.x, state.frames)
+            <= start - 1e-4 * share * slope + 1e-14 * abs(start) + 1e-9 * stored
+        ):
             return
         share *= 0.5
+
+
+@compiled
+def _turn_edges(parent: Any, edges: Any, step: Any, x: Any) -> None:
+    """Write the positions after a step of the edges: across itself an edge turns, so that it does not stretch."""
+    for j in range(1, len(x)):
+        edge = load(edges, j)
+        turned = add(edge, load(step, j))
+        size = norm(edge)
+        size = (size + dot(edge, load(step, j)) / size) / norm(turned)
+        store(x, j, add(load(x, parent[j]), scale(size, turned)))

@@ -99,6 +99,7 @@ def _model_of(m: Any, k: Any) -> Any:
         m.length[:, k],
         m.curvature[:, :, k],
         m.natural_twist[:, k],
+        m.soil[:, :, k],
     )
 
 

@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 
 from anther.elastic_rod.rods import Array, Rods
 
+SOFTER = 1.2
+"""A last edge may be this much softer than the one before it for the latter's joint to stay well above 0."""
+
 NO_TWIST = 1e-2
 """EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
 
 
-def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[Any]) -> Array:
+def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[Any], jointed: NDArray[Any]) -> Array:
     """Return (N, 6) entries 11, 12, 22, 13, 23, 33 of the stiffness on (kappa1, kappa2, twist) [N m]; 0 without joint.
 
     A straight joint has K = 1 / (sum of the bend compliances of its shares of both edges, and of the joint itself),
@@ -34,8 +37,9 @@ def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[
         rods: the rods.
         curvature: (N, 2) curvatures of the scanned shape, |curvature| = 2 tan h.
         near, far: of `Model`.
+        jointed: (N,) which edges have a joint at their inner end.
     """
-    shares = _shares(rods, near, far)
+    shares = _shares(rods, near, jointed)
     bend, twist = _compliances(rods)
     e, soft = np.where(far >= 0, near, 0), np.asarray(rods.joint_compliance)
     a_EI, a_GJ = shares[0] * bend[e], shares[0] * twist[e]
@@ -60,7 +64,7 @@ def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[
         ],
         axis=1,
     )
-    return np.where(far[:, None] >= 0, entries, 0)
+    return np.where(jointed[:, None], entries, 0)
 
 
 def _compliances(rods: Rods) -> tuple[Array, Array]:
@@ -70,15 +74,59 @@ def _compliances(rods: Rods) -> tuple[Array, Array]:
     return bend, bend * np.maximum(rods.bend_over_twist, NO_TWIST)
 
 
-def _shares(rods: Rods, near: NDArray[Any], far: NDArray[Any]) -> tuple[Array, Array]:
+def line_on(rods: Rods) -> NDArray[Any]:
+    """Return (N,) the only child of node j where that is joined to edge j without an extra compliance; else -1."""
+    n, parent = len(rods.parent), rods.parent
+    children = np.bincount(parent[1:], minlength=n)
+    on = np.full(n, -1)
+    plain = 1 + np.flatnonzero((children[parent[1:]] == 1) & (np.asarray(rods.joint_compliance)[1:] == 0))
+    on[parent[plain]] = plain
+    return on
+
+
+def turned_alone(rods: Rods) -> NDArray[Any]:
+    """Return (N,) whether edge j alone turns a lump at its end: unless that is one of several lumps in line."""
+    lumps, on = np.asarray(rods.lumped_inertia) > 0, line_on(rods)
+    in_line = (on >= 0) & (lumps[on] | lumps[rods.parent])
+    in_line[0] = False
+    return lumps & ~in_line
+
+
+def _shares(rods: Rods, near: NDArray[Any], jointed: NDArray[Any]) -> tuple[Array, Array]:
     """Return which shares of the parent edge and of edge j bend in the joint of edge j.
 
     Half an edge each. But an edge that ends in a fork turns the fork's joints together, which none of them can do
-    alone: its own joint takes the whole of it, theirs none.
+    alone: its own joint takes the whole of it, theirs none. Likewise an edge that alone turns a lump at its end; at a
+    tip the last half edge, which is nearer to the lump than any joint is, counts 7/4 in the last joint and -3/4 in the
+    one before: so bend both angle and place of the lump as far as they should. An edge that leaves the root has a joint
+    of its own only in the soil; without soil the hub's is that of its one sibling, and where it has several siblings,
+    which then fork from it at the root, that of its one child.
     """
-    fork = np.bincount(rods.parent[1:], minlength=len(near)) > 1
-    fork &= (far >= 0) & (rods.discretisation == "consistent")
-    return np.where(fork[np.where(far >= 0, near, 0)], 0.0, 0.5), np.where(fork, 1.0, 0.5)
+    n, parent = len(near), rods.parent
+    of_near, own = np.where(near > 0, 0.5, 0.0), np.full(n, 0.5)
+    if rods.discretisation == "paper":
+        return of_near, own
+    children, on = np.bincount(parent[1:], minlength=n), line_on(rods)
+    lumps = np.asarray(rods.lumped_inertia) > 0
+    whole = (children > 1) | turned_alone(rods)
+    whole[0] = False
+    own[whole & jointed] = 1
+    of_near[1:][(whole & jointed)[near[1:]]] = 0
+    tips = np.flatnonzero(lumps & (children == 0) & jointed)
+    before, bend = parent[tips], _compliances(rods)[0]
+    share = bend[tips] / bend[before]
+    plain = (on[before] == tips) & (before > 0) & jointed[before] & (share < SOFTER)
+    own[tips[plain]] += 3 / 8
+    own[before[plain]] -= 3 / 8 * share[plain]
+    siblings = near != parent
+    if siblings.any():
+        hub = near[siblings][0]
+        beyond = (near == hub) & ~siblings
+        if whole[hub] and siblings.sum() == 1:
+            of_near[siblings], of_near[beyond] = 1, 0
+        elif siblings.sum() > 1 and beyond.sum() == 1:
+            of_near[siblings], of_near[beyond] = 0, 1
+    return of_near, own
 
 
 def _kink(curvature: Array) -> tuple[Array, Array, Array]:

@@ -12,6 +12,7 @@ from anther.elastic_rod.assembly import Blocks, assemble, new_blocks
 from anther.elastic_rod.equilibrium import static_state
 from anther.elastic_rod.model import Model, build_model
 from anther.elastic_rod.motion import Clamp
+from anther.elastic_rod.newton import State
 from anther.elastic_rod.rods import Array, Rods
 from anther.elastic_rod.tree_solver import constrain
 from anther.elastic_rod.vectors import compiled
@@ -30,7 +31,7 @@ class Linear:
         damping: C, from viscosity and drag.
         loss: the elastic stiffness times the loss factor: hysteretic damping, i loss at every frequency.
         mass: M.
-        positions: (N, 3) of the nodes in equilibrium [m].
+        state: the equilibrium.
     """
 
     model: Model
@@ -39,7 +40,7 @@ class Linear:
     damping: Blocks
     loss: Blocks
     mass: Blocks
-    positions: Array
+    state: State
 
 
 def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float = 0.0) -> Linear:
@@ -48,7 +49,7 @@ def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float =
     Raises:
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
-    model, frames = build_model(rods, gravity)
+    model, frames = build_model(rods, gravity, clamp.planted)
     free = clamp.free(rods)
     state = static_state(model, frames, rods.nodes, free)
     n = len(free)
@@ -70,7 +71,7 @@ def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float =
     _add_diagonal(damping, np.repeat(model.drag[:, None], 3, axis=1))
     loss = per_rate(model._replace(viscous=np.full(n, loss_factor))) if loss_factor > 0 else new_blocks(n)
     constrain(model, free, stiffness)
-    return Linear(model, free, stiffness, damping, loss, _mass(model), state.x)
+    return Linear(model, free, stiffness, damping, loss, _mass(model), state)
 
 
 def _mass(model: Model) -> Blocks:

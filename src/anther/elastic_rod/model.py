@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array
 from anther.elastic_rod import springs
-from anther.elastic_rod.joints import joint_matrix
+from anther.elastic_rod.joints import joint_matrix, line_on, turned_alone
 from anther.elastic_rod.rods import Array, NaturalShape, Rods
 from anther.elastic_rod.vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
 from anther.errors import bad_input
@@ -21,7 +21,7 @@ class Model(NamedTuple):
     Block j couples to at most two blocks nearer to the root, `near` and `far`; these are coupled to each other, so
     elimination from the tips inward creates no new coupling. Normally near is the parent and far the grandparent.
     Another child of the root than the hub (the stiffest child) has near = hub and far = root: its spring joins it to
-    the reversed hub edge.
+    the reversed hub edge. In planted rods every child of the root has near = root, no far, and a spring to the soil.
     """
 
     parent: NDArray[Any]  # (N,)
@@ -40,6 +40,9 @@ class Model(NamedTuple):
     length: Array  # (N,) natural length [m]
     curvature: Array  # (N, 2) natural curvature [-]
     natural_twist: Array  # (N,) [rad]
+    soil: (
+        Array  # (N, 6) of an edge that leaves the root: its scanned direction and first director, which the soil keeps
+    )
 
 
 class Frames(NamedTuple):
@@ -49,8 +52,11 @@ class Frames(NamedTuple):
     twist: Array
 
 
-def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
+def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[Model, Frames]:
     """Return the constants of `rods` under `gravity` (3,) [m/s^2], and the frames of the scanned shape.
+
+    Of planted rods every edge that leaves the root is joined to the soil, which keeps its scanned direction; the rods
+    bend from the root on.
 
     Masses are those of linear finite elements (m/3 of an edge at each end, m/6 between them), written as m/2 at each
     end and -m/6 on their relative velocity: with them the bending frequencies converge with the fourth order. The
@@ -63,11 +69,14 @@ def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
     """
     near, far, swapped, order = _couplings(rods)
     frames, curvature = _rest_frames(rods.nodes, rods.parent, near, far, swapped)
+    if planted:
+        near, far, swapped = _planted(rods.parent, far)
+        curvature[rods.parent == 0] = 0
     natural = rods.natural or NaturalShape(rods.lengths, curvature, np.zeros(len(near)))
     area = np.pi * np.square(rods.edge_radius)
     paper = rods.discretisation == "paper"
     edge_mass = np.asarray(rods.density) * area * rods.lengths
-    lump = np.asarray(rods.lumped_inertia)
+    lump = np.asarray(rods.lumped_inertia) if paper else _turning_lumps(rods)
     turning = lump if paper else lump + edge_mass * np.square(rods.edge_radius) / 4
     rotary = np.divide(turning, rods.lengths**2, out=np.zeros(len(lump)), where=rods.lengths > 0)
     model = Model(
@@ -82,13 +91,42 @@ def build_model(rods: Rods, gravity: ArrayLike) -> tuple[Model, Frames]:
         drag=rods.node_total_drag,
         weight=rods.node_mass[:, None] * check_array("gravity", gravity, (3,)),
         stretch=area * np.asarray(rods.youngs),
-        joint=joint_matrix(rods, curvature, near, far),
+        joint=joint_matrix(rods, curvature, near, far, _jointed(rods.parent, far, planted)),
         viscous=np.asarray(rods.viscous_time),
         length=natural.length,
         curvature=natural.curvature,
         natural_twist=natural.twist,
+        soil=_soil(rods, frames),
     )
     return Model(*(np.array(a) for a in model)), frames
+
+
+def _planted(parent: NDArray[Any], far: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return near, far and swapped of rods whose root edges are joined to the soil instead of each other."""
+    return parent, np.where(parent > 0, far, -1), np.zeros(len(parent), dtype=np.bool_)
+
+
+def _jointed(parent: NDArray[Any], far: NDArray[Any], planted: bool) -> NDArray[Any]:
+    return (far >= 0) | (planted & (parent == 0))
+
+
+def _soil(rods: Rods, frames: Frames) -> Array:
+    edges = rods.nodes - rods.nodes[0]
+    directions = edges / np.maximum(np.linalg.norm(edges, axis=1), 1e-300)[:, None]
+    return np.where((rods.parent == 0)[:, None], np.hstack([directions, frames.m1]), 0)
+
+
+def _turning_lumps(rods: Rods) -> Array:
+    """Return (N,) the moment of inertia of lumps that turns with edge j [kg m^2].
+
+    Several lumps in line turn at the mean of the angles of the edges beside them: half of each with either.
+    """
+    lump, on = np.asarray(rods.lumped_inertia), line_on(rods)
+    inner = np.flatnonzero((on >= 0) & (rods.parent >= 0) & ~turned_alone(rods))
+    turning = lump.copy()
+    turning[inner] -= lump[inner] / 2
+    turning[on[inner]] += lump[inner] / 2
+    return turning
 
 
 def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -97,15 +135,19 @@ def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], ND
     far = np.where(parent > 0, parent[parent], -1)
     swapped = np.zeros(n, dtype=np.bool_)
     children = np.flatnonzero(parent == 0)
-    hub = _stiffest(rods, children)
+    hub = _hub(rods, children)
     others = children[children != hub]
     near[others], far[others], swapped[others] = hub, 0, True
     order = np.array([j for j in range(n - 1, 0, -1) if j != hub] + [hub, 0])
     return near, far, swapped, order
 
 
-def _stiffest(rods: Rods, children: NDArray[Any]) -> int:
+def _hub(rods: Rods, children: NDArray[Any]) -> int:
+    """Return the stiffest child of the root; where several siblings fork from it, preferably one with one child."""
     radius, youngs = np.asarray(rods.edge_radius), np.asarray(rods.youngs)
+    if len(children) > 2 and rods.discretisation == "consistent":
+        single = children[np.bincount(rods.parent[1:], minlength=len(radius))[children] == 1]
+        children = single if len(single) else children
     return int(children[np.argmax(youngs[children] * radius[children] ** 4)])
 
 

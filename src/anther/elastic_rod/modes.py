@@ -1,23 +1,27 @@
-"""Natural frequencies, mode shapes and damping ratios, by subspace iteration with the tree solver."""
+"""Natural frequencies, mode shapes and damping ratios, by a block Lanczos method with the tree solver."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import eigh
 
 from anther.checks import check_range
 from anther.elastic_rod.assembly import Blocks, new_blocks
-from anther.elastic_rod.linear import MATRIX, Linear, linearise, product
+from anther.elastic_rod.edges import Tangent, assemble_edges, by_edges, hangs_together, tangent
+from anther.elastic_rod.linear import Linear, linearise, product
 from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.tree_solver import constrain, factor, solve
 from anther.errors import StageFailure
 
-SWEEPS = 200
-"""Most iterations; each shrinks the error of mode k by the ratio of its squared frequency to the first one left out."""
+CONVERGED, ROUNDED = 1e-8, 1e-4
+"""What is left of a mode after K^-1 M, over what K^-1 M makes of it: wanted, and accepted where rounding forbids that.
+
+The error of the squared frequency is that squared, over the relative distance to the next one.
+"""
 
 
 class Modes(NamedTuple):
@@ -37,10 +41,9 @@ class Modes(NamedTuple):
 def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY) -> Modes:
     """Return the lowest modes of small vibrations about the equilibrium under gravity.
 
-    Subspace iteration (Bathe & Wilson 1972) with more vectors than modes, so that equal frequencies, as of a round rod
-    in its two planes, come out as often as they occur. That none is missing is checked by Sylvester's law of inertia:
-    the tree factorisation of K - s M has as many negative pivots as there are modes below s. K = min(count, half of
-    the unknowns).
+    Block Lanczos iteration with K^-1 M (Golub & Underwood 1977) and full orthogonalisation. A block has more vectors
+    than modes are wanted, so that equal frequencies, as of a round rod in its two planes, come out as often as they
+    occur. K = min(count, half of the unknowns).
 
     Raises:
         InputError: count < 1.
@@ -48,72 +51,92 @@ def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayL
     """
     check_range("number of modes", count, 1, 1e5)
     system = linearise(rods, clamp, gravity)
-    unknowns = int(system.free.sum())
-    count = max(1, min(count, unknowns // 2))
-    squares, vectors = _subspace(system, count, min(unknowns, 2 * count + 8))
-    damped = product(system.model, system.damping, vectors)
-    ratios = np.einsum("nik,nik->k", vectors, damped) / (2 * np.sqrt(squares))
-    shapes = np.moveaxis(vectors, 2, 0)[:, :, :3]
+    count = max(1, min(count, int(system.free.sum()) // 2))
+    n = len(system.free)
+    stiffness = tangent(system.model, system.free, system.state.x, system.state.frames, new_blocks(n))
+    squares, vectors = _lowest(stiffness, partial(_times_mass, system), count)
+    ratios = _damping_of(system, vectors) / (2 * np.sqrt(squares))
+    shapes = vectors[:, :, :3]
     largest = np.abs(shapes).max(axis=(1, 2), keepdims=True)
     return Modes(np.sqrt(squares) / (2 * np.pi), shapes / np.where(largest > 0, largest, 1), ratios)
 
 
-def _subspace(system: Linear, count: int, size: int) -> tuple[Array, Array]:
-    """Return (K,) squared angular frequencies and (N, 4, K) vectors with v^T M v = 1."""
-    model, free = system.model, system.free
-    stiffness = _copied(system.stiffness)
-    factor(model, stiffness)
-    vectors = np.where(free[:, :, None], np.random.default_rng(0).normal(size=(*free.shape, size)), 0)
-    previous, squares = np.zeros(count), np.zeros(0)
-    for _ in range(SWEEPS):
-        load = np.where(free[:, :, None], product(model, system.mass, vectors), 0)
-        for k in range(vectors.shape[2]):
-            column = load[:, :, k].copy()
-            solve(model, stiffness, column)
-            vectors[:, :, k] = column
-        weight = np.where(free[:, :, None], product(model, system.mass, vectors), 0)
-        inverse, mix = _ritz(_gram(vectors, weight), _gram(vectors, load))
-        vectors = vectors @ mix
-        squares = 1 / inverse[:count]
-        if np.all(np.abs(squares - previous) <= 1e-11 * squares):
+Operator = Callable[[Array], Array]
+"""From rows (B, 4N) to as many."""
+
+
+def _times_mass(system: Linear, rows: Array) -> Array:
+    """Return M times rows (B, 4N), without the held unknowns."""
+    vectors = np.moveaxis(rows.reshape(-1, *system.free.shape), 0, 2)
+    weights = np.where(system.free[:, :, None], product(system.model, system.mass, vectors), 0)
+    return np.moveaxis(weights, 2, 0).reshape(rows.shape)
+
+
+def _damping_of(system: Linear, vectors: Array) -> Array:
+    """Return (K,) v^T C v of vectors (K, N, 4); of what hangs together by its edges, see `edges`."""
+    v, model = np.moveaxis(vectors, 0, 2), system.model
+    if not hangs_together(model, system.free):
+        return np.einsum("nik,nik->k", v, product(model, system.damping, v))
+    turns = v.copy()
+    turns[1:, :3] -= v[model.parent[1:], :3]
+    faster, still = new_blocks(len(v)), new_blocks(len(v))
+    for rate, blocks in ((1.0, faster), (0.0, still)):
+        assemble_edges(model, system.state.x, system.state.frames, rate, blocks)
+    viscous = Blocks(*(a - b for a, b in zip(faster, still, strict=True)))
+    drag = np.einsum("n,nik->k", model.drag, v[:, :3] ** 2)
+    return drag + np.einsum("nik,nik->k", turns, product(by_edges(model), viscous, turns))
+
+
+def _lowest(stiffness: Tangent, mass: Operator, count: int) -> tuple[Array, Array]:
+    """Return (K,) squared angular frequencies and (K, N, 4) vectors with v^T M v = 1.
+
+    Raises:
+        StageFailure: kind "no_convergence".
+    """
+    free, most = stiffness.free, int(stiffness.free.sum())
+    start = np.where(free, np.random.default_rng(0).normal(size=(min(most, count + 2), *free.shape)), 0)
+    block, basis, weights, images = (
+        _solved(stiffness, mass(start.reshape(len(start), -1))),
+        *np.empty((3, 0, free.size)),
+    )
+    errors: list[float] = []
+    while len(basis) < most:
+        block, weight = _orthonormal(block, basis, weights, mass)
+        image = _solved(stiffness, weight)
+        basis, weights, images = (np.vstack(pair) for pair in ((basis, block), (weights, weight), (images, image)))
+        gram = weights @ images.T
+        values, mix = np.linalg.eigh((gram + gram.T) / 2)
+        inverse, mix = values[: -count - 1 : -1], mix[:, : -count - 1 : -1].T
+        left = mix @ images - inverse[:, None] * (mix @ basis)
+        errors.append(float(np.max(np.sqrt(np.abs(np.sum(left * mass(left), axis=1))) / inverse)))
+        rounded = len(errors) > 3 and errors[-1] > errors[-4] / 2 and errors[-1] < ROUNDED
+        if len(inverse) == count and (errors[-1] < CONVERGED or rounded or len(block) == 0):
+            return 1 / inverse, (mix @ basis).reshape(-1, *free.shape)
+        if len(block) == 0:
             break
-        previous = squares
-    found = vectors[:, :, :count]
-    if not _complete(system, squares):
-        raise StageFailure(
-            "no_convergence",
-            f"rods: {count} modes did not converge in {SWEEPS} sweeps. Ask for a few more or fewer modes.",
-        )
-    return squares, found
+        block = image
+    raise StageFailure("no_convergence", f"rods: {count} modes did not converge. Ask for a few more or fewer modes.")
 
 
-def _ritz(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """Return 1 / squared frequencies, falling, and the mixtures of columns that are modes with v^T M v = 1."""
-    scale = 1 / np.sqrt(np.diag(stiffness))
-    values, basis = eigh(scale[:, None] * stiffness * scale)
-    sound = values > 1e-13 * values[-1]
-    basis = scale[:, None] * basis[:, sound] / np.sqrt(values[sound])
-    inverse, mix = eigh(basis.T @ mass @ basis)
-    return inverse[::-1], (basis @ mix)[:, ::-1] / np.sqrt(np.maximum(inverse[::-1], 1e-300))
+def _solved(stiffness: Tangent, loads: Array) -> Array:
+    """Return K^-1 times rows (B, 4N)."""
+    shape = stiffness.free.shape
+    return np.array([stiffness.solve(load.reshape(shape)).ravel() for load in loads]).reshape(loads.shape)
 
 
-def _gram(a: Array, b: Array) -> Array:
-    product_ = np.einsum("nik,nil->kl", a, b)
-    return (product_ + product_.T) / 2
+def _orthonormal(block: Array, basis: Array, weights: Array, mass: Operator) -> tuple[Array, Array]:
+    """Return rows (B, 4N) made orthogonal to the basis and to each other, v^T M v = 1, and M times them.
 
-
-def _complete(system: Linear, squares: Array) -> bool:
-    """Return whether as many modes lie below just above the last frequency as were found (or an equal one is cut)."""
-    shifted = _copied(system.stiffness)
-    shift = float(squares[-1]) * (1 - 1e-6)
-    for name in MATRIX:
-        getattr(shifted, name)[:] -= shift * getattr(system.mass, name)
-    constrain(system.model, system.free, shifted)
-    return factor(system.model, shifted) == int(np.sum(squares < shift))
-
-
-def _copied(blocks: Blocks) -> Blocks:
-    copy = new_blocks(len(blocks.diagonal))
-    for name in MATRIX:
-        getattr(copy, name)[:] = getattr(blocks, name)
-    return copy
+    Done twice, as the first time leaves rounding; what depends on the other rows is dropped.
+    """
+    weight = block
+    for _ in range(2):
+        block = block - (block @ weights.T) @ basis
+        weight = mass(block)
+        gram = block @ weight.T
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        values, mix = np.linalg.eigh(gram / size / size[:, None])
+        sound = values > 1e-12
+        mix = (mix / size[:, None])[:, sound] / np.sqrt(values[sound])
+        block, weight = mix.T @ block, mix.T @ weight
+    return block, weight

@@ -16,31 +16,36 @@ from anther.errors import bad_input
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clamp:
-    """Nodes that never move. An edge with both ends clamped, or next to a clamped root, cannot spin either.
+    """What never moves: nodes, and what the soil holds.
 
-    One clamped node alone is a pin: the rod may swing about it. Clamp both ends of an edge to hold its direction.
+    One clamped node alone is a pin: the rods may swing about it, but an edge next to a pinned root cannot spin. An edge
+    with both ends clamped is rigid and holds the slope in its middle.
 
     Attributes:
         nodes: (C,) int node numbers.
+        planted: whether the soil also holds the direction in which every edge leaves the root. The rods bend from the
+            root on: half of such an edge, and its `joint_compliance`, is the spring between it and the soil.
     """
 
     nodes: NDArray[Any]
+    planted: bool = False
 
     def __post_init__(self) -> None:
         nodes = np.unique(np.asarray(self.nodes, dtype=np.int64).ravel())
         nodes.flags.writeable = False
         object.__setattr__(self, "nodes", nodes)
+        if self.planted and 0 not in nodes:
+            raise bad_input("planted clamp", given=f"nodes {nodes}", allowed="nodes with 0, the root", do="Add node 0.")
 
     @classmethod
     def root(cls, rods: Rods) -> Clamp:
-        """Clamp the root and its children: the stem leaves the soil in a fixed place and direction."""
-        return cls(np.concatenate([[0], np.flatnonzero(rods.parent == 0)]))
+        """Plant the root: the stem leaves the soil in a fixed place and direction."""
+        return cls(np.array([0]), planted=True)
 
     @classmethod
     def below(cls, rods: Rods, height: float) -> Clamp:
-        """Clamp every node with z < height [m], and at least the root and its children."""
-        low = np.flatnonzero(rods.nodes[:, 2] < height)
-        return cls(np.concatenate([cls.root(rods).nodes, low]))
+        """Plant the root, and clamp every other node with z < height [m]."""
+        return cls(np.append(np.flatnonzero(rods.nodes[:, 2] < height), 0), planted=True)
 
     def free(self, rods: Rods, driven: Sequence[int] = ()) -> NDArray[np.bool_]:
         """Return (N, 4) which unknowns (x, y, z, spin) are free, with the driven nodes held as well.
@@ -55,7 +60,7 @@ class Clamp:
         free = np.ones((n, 4), dtype=np.bool_)
         free[held, :3] = False
         free[0, 3] = False
-        free[1:, 3] = ~held[rods.parent[1:]] | (~held[1:] & (rods.parent[1:] != 0))
+        free[1:, 3] = ~held[rods.parent[1:]] | (~held[1:] & (self.planted | (rods.parent[1:] != 0)))
         for node in driven:
             _check_node("grip node", node, n)
             if held[node]:

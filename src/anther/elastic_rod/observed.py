@@ -94,7 +94,7 @@ def observed_response(
     vectors = np.empty((len(frequencies), len(held), operator.shape[0] // 3, 3, 3), np.complex128)
     wrench, moved = (np.empty((len(frequencies), len(held), 6, 3), np.complex128) for _ in range(2))
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
-        body = rigid_motion(rods.parent, system.positions, np.asarray(pad))
+        body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
         at, rows = view.place[unknowns // 4] * 4 + unknowns % 4, np.searchsorted(loads, unknowns)
         taken = grasped(trunk[:, rows][:, :, at], body, np.eye(3), springs)
         wrench[:, g], moved[:, g] = taken.wrench, taken.pads

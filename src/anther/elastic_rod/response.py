@@ -148,7 +148,7 @@ def driven_response(
     motion, wrench, moved = (np.empty((*shape, width), np.complex128) for width in (3 * len(seen), 6, 6))
     for g, (pad, unknowns) in enumerate(zip(pads, held, strict=True)):
         rows = np.searchsorted(loads, unknowns)
-        body = rigid_motion(rods.parent, system.positions, pad)
+        body = rigid_motion(rods.parent, system.state.x, pad)
         taken = grasped(receptances[:, rows][:, :, 3 * len(seen) + rows], body, units, springs)
         motion[:, g] = np.swapaxes(taken.forces, 1, 2) @ receptances[:, rows, : 3 * len(seen)]
         wrench[:, g], moved[:, g] = (np.swapaxes(part, 1, 2) for part in (taken.wrench, taken.pads))
@@ -169,7 +169,7 @@ def steady_motion(
     system, everything, pad = linearise(rods, clamp, gravity), np.arange(4 * len(rods.nodes)), np.array(drive.nodes)
     held = held_unknowns(rods.parent, pad)
     receptance = _receptances(system, held, everything, np.array([2 * np.pi * drive.frequency]))
-    body = rigid_motion(rods.parent, system.positions, pad)
+    body = rigid_motion(rods.parent, system.state.x, pad)
     taken = grasped(receptance[:, :, held], body, drive.direction[None], springs)
     motion = taken.forces[0, :, 0] @ receptance[0]
     return Steady(drive.amplitude * motion.reshape(-1, 4), drive.amplitude * taken.pads[0, :, 0])

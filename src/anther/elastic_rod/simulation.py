@@ -173,7 +173,7 @@ def prepare(
         raise bad_input("start", given=start, allowed="equilibrium or scanned", do="Check the spelling.")
     if predictor not in PREDICTORS:
         raise bad_input("predictor", given=predictor, allowed=", ".join(PREDICTORS), do="Check the spelling.")
-    model, frames = build_model(rods, gravity)
+    model, frames = build_model(rods, gravity, clamp.planted)
     free = clamp.free(rods, () if drive is None else drive.nodes)
     if start == "equilibrium":
         state = static_state(model, frames, rods.nodes, clamp.free(rods))
@@ -251,7 +251,8 @@ class Run:
         self.work = Work(mid, end, np.zeros(n), np.zeros((n, 4)), new_blocks(n), np.zeros(3))
         stored, total = energies(model, state)
         self.work.energy[:] = total, stored, 0
-        self.first_x, self.first_m1, self.first_energy = state.x.copy(), frames.m1.copy(), total
+        self.first_x, self.first_m1 = state.x.copy(), frames.m1.copy()
+        self.first_energy, self.first_stored = total, stored
         self.iterations = self.splits = 0
 
     def trajectory(self) -> Trajectory:
@@ -288,7 +289,7 @@ class Run:
             newton_iterations=self.iterations,
             split_steps=self.splits,
         )
-        _refuse_free_energy(trajectory, self.model)
+        _refuse_free_energy(trajectory, self.model, self.first_stored)
         return trajectory
 
     def _split(self, t0: float, dt: float, residual: float, halvings: int) -> None:
@@ -333,13 +334,14 @@ def new_output(rows: int, n: int) -> Output:
     return Output(x, director, np.zeros(rows), np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros(rows))
 
 
-def _refuse_free_energy(run: Trajectory, model: Model) -> None:
-    """Refuse a trajectory that gained far more energy than the drive and the weight can have given it.
+def _refuse_free_energy(run: Trajectory, model: Model, stored: float) -> None:
+    """Refuse a trajectory that gained far more energy than it began with and the drive and the weight can have given.
 
-    Midpoint steps that are much too long for undamped, stiff stretching modes can gain energy without end.
+    Midpoint steps that are much too long for undamped, stiff stretching modes can gain energy without end. `stored` is
+    the elastic and kinetic energy at the start [J].
     """
     gained = run.energy - run.energy[0] - run.work
-    given = np.abs(run.work).max() + np.abs(model.weight).sum() * np.ptp(run.positions, axis=0).max()
+    given = stored + np.abs(run.work).max() + np.abs(model.weight).sum() * np.ptp(run.positions, axis=0).max()
     if gained.max() > given + 1e-9:
         start = run.times[np.argmax(gained > given + 1e-9)]
         raise StageFailure(

@@ -25,7 +25,7 @@ def stands(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> bool:
     Rods without a natural shape get the one of `with_gravity_equilibrium`.
     """
     free = clamp.free(rods)
-    model, frames = build_model(rods, gravity)
+    model, frames = build_model(rods, gravity, clamp.planted)
     if rods.natural is None:
         try:
             natural = balancing_shape(rods, model, frames, free)

@@ -47,6 +47,12 @@ def six(array: Any, row: Any) -> Any:
 
 
 @merged
+def halves(array: Any, row: Any) -> tuple[Vector, Vector]:
+    """Return one row of an (N, 6) array as two vectors."""
+    return (array[row, 0], array[row, 1], array[row, 2]), (array[row, 3], array[row, 4], array[row, 5])
+
+
+@merged
 def store(array: Any, row: Any, v: Vector) -> None:
     """Write `v` into one row of an (N, 3) array."""
     array[row, 0], array[row, 1], array[row, 2] = v

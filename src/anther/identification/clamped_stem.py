@@ -18,8 +18,6 @@ Orientation = Literal["upright", "horizontal", "hanging", "weightless"]
 
 G = 9.81
 """Acceleration of free fall [m/s^2], as in `anther.elastic_rod.GRAVITY`."""
-SOCKET = 1e-5
-"""Length of the clamped edge over the stem's length [-]; its half adds to the free length."""
 SIDEWAYS = 0.5
 """A mode with more than this share of its motion out of the vertical plane is a sideways one [-]."""
 
@@ -99,24 +97,23 @@ class ClampedStem:
         )
 
     def rods(self, youngs: float, density: float, orientation: Orientation) -> Rods:
-        """Return the stem as rods: one clamped edge, then `edges` equal ones; it is stress-free when straight.
+        """Return the stem as rods, `edges` equal ones, to be planted at the root; it is stress-free when straight.
 
         A leaf's mass is shared by the two nearest nodes so that its moment about the clamp is kept.
         """
         at = np.linspace(0, self.length, self.edges + 1)
-        along = np.concatenate([[-SOCKET * self.length], at])
-        nodes = np.zeros((len(along), 3))
-        nodes[:, 0 if orientation == "horizontal" else 2] = -along if orientation == "hanging" else along
-        middle = np.concatenate([[0, 0], (at[1:] + at[:-1]) / 2])
-        mass = np.zeros(len(along))
+        nodes = np.zeros((len(at), 3))
+        nodes[:, 0 if orientation == "horizontal" else 2] = -at if orientation == "hanging" else at
+        middle = np.concatenate([[0], (at[1:] + at[:-1]) / 2])
+        mass = np.zeros(len(at))
         step = self.length / self.edges
         low = np.clip((self.leaf_distance // step).astype(int), 0, self.edges - 1)
         upper = self.leaf_distance / step - low
-        np.add.at(mass, low + 1, (1 - upper) * self.leaf_mass)
-        np.add.at(mass, low + 2, upper * self.leaf_mass)
+        np.add.at(mass, low, (1 - upper) * self.leaf_mass)
+        np.add.at(mass, low + 1, upper * self.leaf_mass)
         return Rods(
             nodes,
-            np.arange(len(along)) - 1,
+            np.arange(len(at)) - 1,
             np.interp(middle, self.distance, self.radius),
             youngs,
             density,

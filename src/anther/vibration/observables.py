@@ -55,7 +55,7 @@ def observables(plant: PlantModel) -> Observables:
     """
     n = len(plant.rods.nodes)
     flowers, load = _displacements(_flowers(plant), n), _displacements(_loads(plant), n)
-    found = joints(plant.rods)
+    found = joints(plant.rods, plant.clamp.planted)
     bending, edges, counts = _bending(plant, found.moments)
     operator = vstack([flowers, bending @ found.strains, load], format="csr")
     ends = np.cumsum([0, flowers.shape[0] // 3, *counts, load.shape[0] // 3])
@@ -115,7 +115,7 @@ def _bending(plant: PlantModel, moments: Array) -> tuple[Any, NDArray[Any], list
     that go on from there. The end is left out where one edge goes straight on that is no thicker: its start says it.
     """
     rods = plant.rods
-    j = np.flatnonzero(rods.parent > 0)
+    j = np.arange(1, len(rods.parent))
     p = rods.parent[j]
     edge = np.arange(len(rods.nodes))
     surface, along = _surface(rods)
@@ -150,6 +150,7 @@ def _surface(rods: Rods) -> tuple[Array, Array]:
     along[0] = 1
     along /= np.linalg.norm(along, axis=1)[:, None]
     section = np.asarray(rods.youngs) * np.pi * np.asarray(rods.edge_radius) ** 3 / 4
+    section[0] = np.inf  # there is no edge 0
     return (np.eye(3) - along[:, :, None] * along[:, None]) / section[:, None, None], along
 
 

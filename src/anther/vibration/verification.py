@@ -188,7 +188,7 @@ def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, held: int, 
     """
     moved = np.zeros((*path.positions.shape[:2], 4))
     moved[..., :3] = path.positions - plant.rods.nodes
-    strains = strain_changes(plant.rods, path.positions, path.directors)
+    strains = strain_changes(plant.rods, path.positions, path.directors, plant.clamp.planted)
     vectors, bent = (
         (operator @ of.reshape(len(of), -1).T).T.reshape(len(of), -1, 3)
         for operator, of in ((seen.operator, moved), (seen.bending, strains))
