@@ -18,8 +18,6 @@ from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import TWISTING
 
 PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
-BEND_OVER_TWIST = 12.0
-"""EI/GJ of what twists: `sim.plant_mechanics.Params.twist`."""
 RIGID = 1e6
 """The edge below the soil is so many times as stiff as the one above it: the stem is clamped at the soil itself."""
 ARM = 10.0
@@ -95,7 +93,7 @@ def true_rods(plant: SimPlant) -> TrueRods:
         youngs=float(plant.youngs[0]),
         density=float(plant.density[0]),
         damping_ratio=float(plant.damping_ratio[0]),
-        bend_over_twist=BEND_OVER_TWIST,
+        bend_over_twist=plant.bend_over_twist,
     )
     model = PlantModel(
         rods=rods,
@@ -118,7 +116,7 @@ def _add_segment(tree: _Tree, plant: SimPlant, k: int, above: int) -> tuple[int,
     end's where the centre lies beyond.
     """
     way, mass, centre = plant.end[k] - plant.start[k], float(plant.lump_mass[k]), plant.lump_centre[k]
-    twist = BEND_OVER_TWIST if plant.organ[k] in TWISTING else 0.0
+    twist = plant.bend_over_twist if plant.organ[k] in TWISTING else 0.0
 
     def edge(share: float) -> tuple[float, float, float, float]:
         radius = plant.radius_start[k] + share * (plant.radius_end[k] - plant.radius_start[k])

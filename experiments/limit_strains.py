@@ -21,7 +21,8 @@ from anther.sim.finer_plant import divided
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.vibration.observables import Observables, observables, semi_major
-from anther.vibration.search import gains, grip_rows, pad_nodes
+from anther.vibration.pads import Pads, grip_rows, pad_nodes
+from anther.vibration.search import Version, gains
 
 FREQUENCIES = np.array([1.0, 2.0, 5.0, 10.0, 30.0])
 HELD_AT = 0.5
@@ -87,7 +88,7 @@ def shaken(plant: SimPlant, piece: float) -> Shaken:
     response = observed_response(
         model.rods,
         model.clamp,
-        _held_nodes(rods, hinges)[None],
+        [_held_nodes(rods, hinges)],
         seen.operator,
         FREQUENCIES,
         loss_factor=2 * model.material.damping_ratio,
@@ -117,7 +118,7 @@ def strain_rows(plant: SimPlant, piece: float) -> list[StrainRow]:
     both = shaken(plant, piece)
     finer, pieces = both.hinges.mechanics.plant, both.hinges.mechanics.pieces
     loss = 2 * both.rods.model.material.damping_ratio
-    same, own = (semi_major(both.hinges.bending(FREQUENCIES, damped)) for damped in (loss, None))
+    same, own = (semi_major(both.hinges.bending(FREQUENCIES, loss_factor=damped)) for damped in (loss, None))
     rows = []
     for kind, observed in _kinds(both, finer).items():
         edges = both.seen.edges[observed]
@@ -200,6 +201,7 @@ def strain_metrics(rows: list[StrainRow]) -> dict[str, float]:
 
 SPREAD_AT = np.geomspace(1, 35, 40)
 HEIGHTS = np.linspace(0.2, 0.8, 7)
+FIRM = Pads(width=0.01, stiffness=1e9, turning=1e6, stiffness_spread=0, turning_spread=0)
 
 
 def strain_per_acceleration(plant: SimPlant, piece: float) -> Array:
@@ -209,9 +211,9 @@ def strain_per_acceleration(plant: SimPlant, piece: float) -> Array:
     """
     model = true_rods(divided(plant, piece)[0]).model
     rows = np.searchsorted(model.arc_length, HEIGHTS * model.arc_length[-1])
-    pads = pad_nodes(model, grip_rows(model, model.rods.nodes[model.stem_nodes[rows]]))
+    pads = pad_nodes(model, grip_rows(model, model.rods.nodes[model.stem_nodes[rows]]), FIRM.width)
     angle = np.arange(8) * np.pi / 8
     ways = np.tile(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), (len(pads), 1, 1))
     omega = 2 * np.pi * SPREAD_AT[:, None, None]
-    strain = gains([model], pads, ways, SPREAD_AT).joint_strain[0]
+    strain = gains([Version(model, FIRM)], pads, ways, SPREAD_AT).joint_strain[0]
     return strain / (omega * np.minimum(omega, 20 * np.pi))
