@@ -1,0 +1,152 @@
+r"""What Anther's promises are worth where the truth is not what any stage believes.
+
+    python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/wide_truth.md
+
+Every plant's truth is drawn from `anther.sim.truth.WIDE`: stiffness, damping, sections, masses, drag, wind, pads, arm
+and cameras, which no stage reads. Three parts, each a --part of its own:
+
+prediction   plants are scanned, held, probed at a few tones before a noisy camera, and every flower and strain is then
+             predicted, there and at other grips, with a 90 % interval (`wide_plant.py`)
+grasping     whole trials with the preset `fast`, judged as held, unharmed and flowers moved (`wide_grasping.py`)
+shaking      what the planned shakes of these trials did to the flowers and to the plants
+
+Both are also run with a nominal truth, and with one group of assumptions at a time drawn wide, ranked by what it
+changes: the assumption at the top is the one that would ruin the result.
+
+Every plant and trial ends in one JSON in --out and is not run again. Keys of --json: those of `wide_table.metrics` and
+`wide_grasping.metrics` for everything drawn (the latter as grasp_<key>), grasp_400_wide, second_judge_error_max, and
+for one group at a time <key>__<group>.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import wide_grasping
+import wide_table
+from grasping_page import insert
+from grasping_trial import one_trial
+from rich.console import Console
+from rich.markdown import Markdown
+from rich.progress import track
+from rich.table import Table
+from wide_plant import Case, one_plant
+
+from anther.files import read_json, write_json
+from anther.sim.truth import WIDE
+
+PARTS = ("prediction", "grasping")
+FIRST = 9000
+"""Plants of the predictions from this seed on are in no other table, those from `DEVELOPMENT` on set the spreads."""
+DEVELOPMENT = 500
+PREDICTED = ("error_other_tomato", "error_other_pepper", "error_held_seen", "coverage_90", "measured_share")
+GRASPED = ("harm_probability_mean", "success", "flower_acceleration_median_ms2", "moved_share")
+
+
+def predictions(args: argparse.Namespace, pool: ProcessPoolExecutor) -> dict[str, dict[str, float]]:
+    """Return the metrics of the predictions by truth."""
+    first = (DEVELOPMENT if args.development else FIRST) + args.seed
+    out = {}
+    for truth, plants in _truths(args.plants, args.perturbed):
+        cases = [Case(wide_grasping.SPECIES[k % 2], first + k // 2, truth) for k in range(plants)]
+        out[truth] = wide_table.metrics(_run(partial(one_plant, out=args.out), cases, pool, f"predicted, {truth}"))
+    return out
+
+
+def grasps(args: argparse.Namespace, pool: ProcessPoolExecutor) -> tuple[dict[str, dict[str, float]], list[str]]:
+    """Return the metrics of the trials by truth, and what failed where everything was drawn."""
+    out, failed = {}, []
+    groups = wide_grasping.GROUPS if args.perturbed_trials else ()
+    for truth, trials in (("wide", args.trials), *((g, args.perturbed_trials) for g in ("nominal", *groups))):
+        if not trials:
+            continue
+        cases = wide_grasping.cases(trials, args.seed, "fast", truth)
+        rows = _run(partial(one_trial, out=args.out, rule=False), cases, pool, f"trials, {truth}")
+        out[truth] = wide_grasping.metrics(rows)
+        failed += wide_grasping.failures(rows) if truth == "wide" else []
+    return out, failed
+
+
+def _truths(plants: int, perturbed: int) -> list[tuple[str, int]]:
+    return [("wide", plants), *((name, perturbed) for name in ("nominal", *WIDE) if perturbed)]
+
+
+def _run(
+    one: Callable[[Any], dict[str, Any]], cases: Sequence[Any], pool: ProcessPoolExecutor, title: str
+) -> list[dict[str, Any]]:
+    return list(track(pool.map(one, cases), title, total=len(cases), console=Console()))
+
+
+def flat(predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, float]]) -> dict[str, float]:
+    """Return all metrics as one flat table."""
+    out: dict[str, float] = dict(predicted.get("wide", {}))
+    if "wide" in grasped:
+        out |= {f"grasp_{key}": value for key, value in grasped["wide"].items()}
+        out["grasp_400_wide"] = grasped["wide"]["success"]
+    for by_truth, names in ((predicted, PREDICTED), (grasped, GRASPED)):
+        for truth in set(by_truth) - {"wide"}:
+            out |= {f"{key}__{truth.replace(' ', '_')}": by_truth[truth].get(key, float("nan")) for key in names}
+    judged = Path("docs/results/second_judge.json")
+    if judged.is_file():
+        out["second_judge_error_max"] = read_json(judged)["metrics"]["second_judge_error_max"]
+    return out
+
+
+def report(predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, float]], failed: list[str]) -> str:
+    """Return the tables as Markdown."""
+    parts = []
+    if "wide" in predicted:
+        table = Table("everything drawn", "value")
+        for name, value in predicted["wide"].items():
+            table.add_row(name, f"{value:.3g}")
+        parts += [f"Probed at {wide_table.tones()}.", _markdown(table)]
+        parts.append(_markdown(wide_table.ranking(predicted, PREDICTED)))
+    if grasped:
+        parts.append(_markdown(wide_table.ranking(grasped, GRASPED)))
+        parts.append("\n".join(f"- {line}" for line in failed) or "No trial failed.")
+    return "\n\n".join(parts)
+
+
+def _markdown(table: Table) -> str:
+    heads = [str(column.header) for column in table.columns]
+    cells = zip(*(list(column.cells) for column in table.columns), strict=True)
+    lines = [heads, ["---"] * len(heads), *cells]
+    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
+
+
+def main() -> None:
+    """Run what is not there yet, print the tables, write --json and the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="four plants and four trials")
+    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
+    parser.add_argument("--part", choices=PARTS, nargs="*", default=PARTS)
+    parser.add_argument("--plants", type=int, default=200, help="predicted with everything drawn")
+    parser.add_argument("--perturbed", type=int, default=24, help="predicted with one group drawn")
+    parser.add_argument("--trials", type=int, default=400, help="with everything drawn")
+    parser.add_argument("--perturbed-trials", type=int, default=24, help="with one group drawn")
+    parser.add_argument("--development", action="store_true", help="predict the plants that set the spreads")
+    parser.add_argument("--jobs", type=int, default=1, help="plants or trials at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/wide"), help="where what is done is kept")
+    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
+    args = parser.parse_args()
+    if args.quick:
+        args.plants, args.perturbed, args.trials, args.perturbed_trials = 4, 0, 4, 0
+    with ProcessPoolExecutor(args.jobs) as pool:
+        predicted = predictions(args, pool) if "prediction" in args.part else {}
+        grasped, failed = grasps(args, pool) if "grasping" in args.part else ({}, [])
+    text = report(predicted, grasped, failed)
+    Console().print(Markdown(text))
+    if args.json:
+        write_json(args.json, flat(predicted, grasped))
+    if args.page:
+        insert(args.page, text)
+
+
+if __name__ == "__main__":
+    main()
