@@ -78,8 +78,11 @@ def test_shakes_of_soft_pads_teach_how_they_turn_and_better_predictions(plant: P
     assert abs(np.log(soft.material.youngs / plant.material.youngs)) < 0.1
 
 
-@pytest.mark.parametrize("source", ["stem", "force"])
-def test_the_grips_force_or_the_stem_beside_it_tell_both_stiffnesses(plant: PlantModel, source: str) -> None:
+@pytest.mark.parametrize(("source", "turning_within"), [("stem", 1.6), ("force", 2.0)])
+def test_the_grips_force_or_the_stem_beside_it_tell_both_stiffnesses(
+    plant: PlantModel, source: str, turning_within: float
+) -> None:
+    """Of turning, which the prior has half of, the force tells little: the prior moves to the right side."""
     believed, truth = Pads(stiffness=300, turning=0.05), Pads(stiffness=120, turning=0.1)
     plant, sharp = (
         replace(plant, material=replace(plant.material, youngs_spread=0.05)),
@@ -99,11 +102,11 @@ def test_the_grips_force_or_the_stem_beside_it_tell_both_stiffnesses(plant: Plan
         told.append(only)
         blind.append(Observed(whole.shake, nothing, nothing))
     found = refine(plant, told, sharp, pads=believed).pads
-    print(source, found)
     assert refine(plant, blind, sharp, pads=believed).pads == believed
     assert 1 / 1.5 < found.stiffness / truth.stiffness < 1.5
     assert found.stiffness_spread < 0.7 * believed.stiffness_spread
-    assert 1 / 1.6 < found.turning / truth.turning < 1.6
+    assert 1 / turning_within < found.turning / truth.turning < turning_within
+    assert found.turning_spread < believed.turning_spread
 
 
 def test_pads_hold_all_nodes_between_them_and_at_least_an_edge(plant: PlantModel) -> None:
@@ -111,10 +114,10 @@ def test_pads_hold_all_nodes_between_them_and_at_least_an_edge(plant: PlantModel
     wide, narrow = pad_nodes(plant, rows, 4.1 * step), pad_nodes(plant, rows, 0.5 * step)
     assert [plant.stem_nodes[r] for r in rows] == [w[0] for w in wide]
     assert [sorted(np.flatnonzero(np.isin(plant.stem_nodes, w))) for w in wide] == [
-        [6, 7, 8, 9, 10], [2, 3, 4], [22, 23, 24],
+        [6, 7, 8, 9, 10], [1, 2, 3, 4], [22, 23, 24],
     ]  # fmt: skip
     assert [len(n) for n in narrow] == [2, 2, 2]
-    assert grip_rows(plant, plant.rods.nodes[plant.stem_nodes[[8, 0]]]).tolist() == [8, 2]
+    assert grip_rows(plant, plant.rods.nodes[plant.stem_nodes[[8, 0]]]).tolist() == [8, 1]
 
 
 def test_drawn_pads_have_the_spreads_that_are_believed() -> None:
