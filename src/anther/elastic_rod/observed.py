@@ -5,9 +5,7 @@ Q frequencies, G grips, K observed vectors, L loaded unknowns, R rows of the tru
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +17,7 @@ from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_
 from anther.elastic_rod.linear import linearise, set_dynamic
 from anther.elastic_rod.model import Model
 from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.response import towards_root
+from anther.elastic_rod.response import on_all_cores, towards_root
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.tree_solver import factor, solve_columns, substitute_columns
 from anther.elastic_rod.vectors import compiled
@@ -88,9 +86,7 @@ def observed_response(
             _trunk_motion(system.model, dynamic, loads, view.trunk, columns, trunk[q])
             _branch_motion(system.model, dynamic, view.branches, view.preset, view.beyond, branch[q])
 
-    cores = min(os.cpu_count() or 1, len(frequencies))
-    with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(solve_some, np.array_split(np.arange(len(frequencies)), cores)))
+    on_all_cores(solve_some, len(frequencies))
     vectors = np.empty((len(frequencies), len(held), operator.shape[0] // 3, 3, 3), np.complex128)
     wrench, moved = (np.empty((len(frequencies), len(held), 6, 3), np.complex128) for _ in range(2))
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):

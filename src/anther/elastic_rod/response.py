@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -187,10 +187,18 @@ def _receptances(system: Linear, loads: NDArray[Any], wanted: NDArray[Any], omeg
             factor(system.model, dynamic)
             _solve_columns(system.model, dynamic, loads, wanted, rows, out[q])
 
-    cores = min(os.cpu_count() or 1, len(omegas))
-    with ThreadPoolExecutor(cores) as pool:
-        list(pool.map(solve_some, np.array_split(np.arange(len(omegas)), cores)))
+    on_all_cores(solve_some, len(omegas))
     return out
+
+
+def on_all_cores(solve_some: Callable[[NDArray[Any]], None], count: int) -> None:
+    """Share the numbers 0 to `count` - 1 out among the cores; one alone is not worth a thread."""
+    cores = min(os.cpu_count() or 1, count)
+    if cores <= 1:
+        solve_some(np.arange(count))
+        return
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(solve_some, np.array_split(np.arange(count), cores)))
 
 
 @compiled

@@ -40,8 +40,8 @@ CARRIAGE_MASS = 1e6
 """[kg]: it does not feel the plant."""
 PAD_LOSS = 1e-3
 """Viscous time of soft pads [s]: a loss factor of 0.06 at 10 Hz and 0.19 at 30 Hz, as of soft silicone; a guess."""
-PAD_MASS, PAD_INERTIA = 0.005, 1e-6
-"""Of the soft pads' inner faces [kg], [kg m2]."""
+PAD_RESONANCE = 200.0
+"""Of the soft pads' inner faces, without a plant [Hz]: they weigh little."""
 SOFTENINGS = 3
 """How often the drag at the swing that it allows is found again: it changes a flower's amplitude by a few per cent."""
 
@@ -174,6 +174,20 @@ class ShakenPlant:
         if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the shaken plant became unstable ({frequency:g} Hz).")
         return self._measured(np.array([t for t, _ in rows]), np.array([q for _, q in rows]), frequency)
+
+    def swing(self, amplitude: float, frequency: float, times: Array) -> Array:
+        """Return (T, nq) the configurations in the steady swing of the linear equations, for `segment_poses`.
+
+        Args:
+            amplitude: of the grip [m].
+            frequency: [Hz].
+            times: (T,) [s]; the grip moves as sin(2 pi f t).
+        """
+        motion = amplitude * self._phasor(frequency, amplitude)
+        out = np.zeros((len(times), self.model.nq))
+        turned = np.exp(2j * np.pi * frequency * np.asarray(times))[:, None] * motion
+        out[:, self.model.jnt_qposadr[self.mechanics.joints]] = turned.imag
+        return out
 
     def segment_poses(self, qpos: Array) -> Array:
         """Return T_world_rest (K, 4, 4) of the plant's segments at one configuration (nq,)."""
@@ -357,7 +371,8 @@ def _add_carriage(spec: Any, point: Array, direction: Array, held: str, pads: Ar
     carriage.mass, carriage.explicitinertial, carriage.inertia = CARRIAGE_MASS, True, [CARRIAGE_MASS] * 3
     follower = carriage.add_body(name="follower", gravcomp=1)
     follower.add_joint(name="height", type=slide, axis=[0, 0, 1])
-    follower.mass, follower.explicitinertial, follower.inertia = PAD_MASS, True, [PAD_INERTIA] * 3
+    firm = np.where(np.isfinite(pads), pads, 2e4 * np.repeat([1, 1e-4], [2, 3])) / (2 * np.pi * PAD_RESONANCE) ** 2
+    follower.mass, follower.explicitinertial, follower.inertia = firm[0], True, [firm[2]] * 3
     for i, stiffness in enumerate(pads if np.isfinite(pads).all() else ()):
         spring = follower.add_joint(name=f"pads_{i}", type=slide if i < 2 else hinge)
         spring.axis = np.eye(3)[i if i < 2 else i - 2]
