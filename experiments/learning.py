@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from grasping_trial import truth_of
 from learning_figure import draw
 from numpy.typing import NDArray
 from rich.console import Console
@@ -36,7 +37,16 @@ from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 
 from anther import cloud, masks, skeleton, stem
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.commands.simulated_cell import (
+    PRESETS,
+    USUAL_DISTANCE,
+    Species,
+    grow,
+    in_wind,
+    layout,
+    photograph,
+    views_at,
+)
 from anther.errors import StageFailure
 from anther.files import read_json, replacing, write_json
 from anther.flowers import find_flowers, flower_centres
@@ -45,7 +55,9 @@ from anther.grasp import Grasp, plan_grasps
 from anther.identification import Observed, refine
 from anther.plant import Material, PlantModel, build_plant
 from anther.sim.plant import SimPlant
+from anther.sim.render import Scene as Rendered
 from anther.sim.shaken_plant import ShakenPlant
+from anther.sim.truth import NOMINAL, Truth
 from anther.store import ShakeRecord, TrialRecord, add_missing, facts_prior, starting_material
 from anther.vibration import Params as ShakeParams
 from anther.vibration import ShakePlan, plan_shake
@@ -55,6 +67,8 @@ ARMS = ("facts", "crop", "plant")
 CROPS: tuple[Species, ...] = ("tomato", "pepper")
 SEEN = (0.6, 0.08, 0.15e-3)
 """How often a flower's amplitude can be measured; its error, relative and absolute [m] (docs/response.md)."""
+MISJUDGED = (0.5, 2.5)
+"""Under a truth that is not nominal the camera errs by this times what it says; a guess."""
 SAME = 0.02
 """A found flower is the true one nearest to it if that is no farther away [m]."""
 BEGIN = datetime(2026, 5, 1, tzinfo=UTC)
@@ -95,15 +109,18 @@ class Scene:
     """A plant as truth and as perception has it: flowers[k] is the true number of found flower k, or -1."""
 
     truth: SimPlant
+    around: Truth
     model: Any
     grasps: list[Grasp]
     flowers: NDArray[Any]
 
 
-def see(species: Species, seed: int) -> Scene:
+def see(species: Species, seed: int, around: Truth = NOMINAL) -> Scene:
     """Photograph a plant, perceive it, and rank its grasps. `Scene.model` makes the plant model of a material."""
-    truth, place = grow(species, seed, 0.0, USUAL_DISTANCE), layout(USUAL_DISTANCE)
-    capture, _ = photograph(truth, views_at(USUAL_DISTANCE, PRESETS["fast"]).joints, seed)
+    truth, place = grow(species, seed, 0.0, USUAL_DISTANCE, around), layout(USUAL_DISTANCE)
+    views = views_at(USUAL_DISTANCE, PRESETS["fast"])
+    sight = in_wind(truth, Rendered.of_plant(truth), views, around)
+    capture, _ = photograph(sight, views.joints, seed, truth=around)
     labels = masks.segment(capture, place.workspace)
     points = cloud.fuse(capture, labels, place.workspace)
     tree, centres = skeleton.skeletonize(points), flower_centres(points)
@@ -113,7 +130,7 @@ def see(species: Species, seed: int) -> Scene:
     same = np.full(len(found.positions), -1)
     for k, true in zip(*linear_sum_assignment(gap), strict=True):
         same[k] = true if gap[k, true] < SAME else -1
-    return Scene(truth, partial(build_plant, tree, main, found, points), plan_grasps(main, tree, points), same)
+    return Scene(truth, around, partial(build_plant, tree, main, found, points), plan_grasps(main, tree, points), same)
 
 
 def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Generator) -> Visit:
@@ -122,14 +139,15 @@ def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Gen
     try:
         model: PlantModel = scene.model(belief)
         plan = plan_shake(model, scene.grasps)
-        true, more, jolt, strain = shaken(scene.truth, plan)
+        true, more, jolt, strain = shaken(scene, plan)
     except StageFailure as failure:
         return Visit(arm, str(failure), None, [], [], [], [], [], 0.0, 0.0, 0.0, before, before)
     known = scene.flowers >= 0
     answer = np.where(known, true[scene.flowers], np.nan)
     share, relative, absolute = SEEN
     error = np.hypot(relative * answer, absolute)
-    measured = np.abs(answer + error * rng.normal(size=len(answer)))
+    misjudged = 1.0 if scene.around == NOMINAL else float(np.exp(rng.uniform(*np.log(MISJUDGED))))
+    measured = np.abs(answer + misjudged * error * rng.normal(size=len(answer)))
     faint = measured < 3 * absolute
     measured[(rng.random(len(answer)) > share)] = np.nan
     bound = np.where(faint & np.isfinite(measured), 3 * absolute, np.nan)
@@ -153,10 +171,11 @@ def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Gen
     )
 
 
-def shaken(truth: SimPlant, plan: ShakePlan) -> tuple[Array, float, float, float]:
+def shaken(scene: Scene, plan: ShakePlan) -> tuple[Array, float, float, float]:
     """Return the true flowers' amplitudes (F,) [m], what more sets, their mean acceleration [m/s2], and the strain."""
     limits = ShakeParams()
-    plant = ShakenPlant(truth, plan.grasp.point, plan.direction)
+    truth = scene.truth
+    plant = ShakenPlant(truth, plan.grasp.point, plan.direction, truth=scene.around)
     done = plant.steady(plan.amplitude, plan.frequency)
     jolt = (2 * np.pi * plan.frequency) ** 2 * done.amplitude
     freed = freed_share(jolt[None], np.array([plan.duration]), limits.half_dose, limits.release_time)
@@ -166,14 +185,16 @@ def shaken(truth: SimPlant, plan: ShakePlan) -> tuple[Array, float, float, float
     return done.amplitude, float(more), float(jolt.mean()), float(strain / limits.stem_strain)
 
 
-def learn(species: Species, seeds: Sequence[int], out: Path, console: Console) -> list[list[Visit]]:
+def learn(
+    species: Species, seeds: Sequence[int], out: Path, console: Console, truth: str = "nominal"
+) -> list[list[Visit]]:
     """Return the visits of each plant in turn; plants done already are read from `out`."""
     history, rows = out / f"{species}.sqlite", []
     history.unlink(missing_ok=True)
     for number, seed in enumerate(track(seeds, species, console=console)):
         kept, day = out / f"{species}-{seed}.json", BEGIN + timedelta(days=number)
         if not kept.exists():
-            write_json(kept, [asdict(v) for v in visits(species, seed, history, day)])
+            write_json(kept, [asdict(v) for v in visits(species, seed, history, day, truth)])
         done = [Visit(**row) for row in read_json(kept)]
         for hours, learner in enumerate(done[1:]):
             record(species, seed, learner, history, day + timedelta(hours=hours))
@@ -181,11 +202,11 @@ def learn(species: Species, seeds: Sequence[int], out: Path, console: Console) -
     return rows
 
 
-def visits(species: Species, seed: int, history: Path, day: datetime) -> list[Visit]:
+def visits(species: Species, seed: int, history: Path, day: datetime, truth: str) -> list[Visit]:
     """Return one plant's visits in the order of `ARMS`."""
     rng = np.random.default_rng([seed, 7])
     try:
-        scene = see(species, seed)
+        scene = see(species, seed, truth_of(truth, seed))
     except StageFailure as failure:
         empty = asdict(facts_prior(species))
         return [Visit(arm, str(failure), None, [], [], [], [], [], 0.0, 0.0, 0.0, empty, empty) for arm in ARMS]
@@ -253,6 +274,7 @@ def main() -> None:
     parser.add_argument("--crops", nargs="+", default=list(CROPS), choices=CROPS)
     parser.add_argument("--jobs", type=int, default=1, help="crops at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/learning"), help="where each plant's visits are kept")
+    parser.add_argument("--truth", default="nominal", help="or wide, or a group of anther.sim.truth.WIDE alone")
     parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
     crops = args.crops[:1] if args.quick else args.crops
@@ -260,7 +282,9 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     console = Console()
     with ProcessPoolExecutor(min(args.jobs, len(crops)), mp_context=get_context("spawn")) as pool:
-        done = dict(zip(crops, pool.map(partial(_crop, seeds=seeds, out=args.out), crops), strict=True))
+        done = dict(
+            zip(crops, pool.map(partial(_crop, seeds=seeds, out=args.out, truth=args.truth), crops), strict=True)
+        )
     found: dict[str, float] = {}
     for species, rows in done.items():
         belief = starting_material(species, "the next", args.out / f"{species}.sqlite").material
@@ -273,8 +297,8 @@ def main() -> None:
             draw(done).savefig(temporary, dpi=110)
 
 
-def _crop(species: Species, seeds: Sequence[int], out: Path) -> list[list[Visit]]:
-    return learn(species, seeds, out, Console())
+def _crop(species: Species, seeds: Sequence[int], out: Path, truth: str) -> list[list[Visit]]:
+    return learn(species, seeds, out, Console(), truth)
 
 
 def _table(found: dict[str, float], crops: Sequence[str]) -> Table:
