@@ -65,7 +65,7 @@ RATES = (15.0, 30.0)
 """Frames a second, up to 2.5 Hz and beyond: enough for the tones, and quick to render."""
 FIRM = 500.0
 """Pads that hold a plant in the wind are no firmer [N/m]: it presses with 0.1 N, and steps of 2 ms stay stable."""
-FILM = 1.0
+FILM = 0.8
 """How long each tone is filmed at least [s], and two periods."""
 KINDS = ("stem_strain", "joint_strain", "base_strain")
 
@@ -122,7 +122,8 @@ def predicted(case: Case) -> dict[str, Any]:
     points = stem_points(plant, HEIGHTS)
     grips = [ShakenPlant(plant, point, DIRECTION, truth=truth) for point in points]
     points = np.array([grip.point for grip in grips])
-    probes = [_probe(model, grips[HELD], seen, case.seed, f, truth) for f in TONES]
+    swayed = _swayed(grips[HELD], truth)
+    probes = [_probe(model, grips[HELD], seen, f, truth, sway) for f, sway in zip(TONES, swayed, strict=True)]
     before, after = refine(model, []), refine(model, probes)
     frequencies = np.array(SLOW + FAST)
     true = np.array([semi_major(grip.linear(frequencies)) for grip in grips])
@@ -131,8 +132,8 @@ def predicted(case: Case) -> dict[str, Any]:
     row["loads"] = loads
     for name, belief in (("before", before), ("after", after)):
         row[name] = flowers_at(belief, points, DIRECTION, frequencies)[:, :, i]
-        said = loads_at(belief, points, DIRECTION, frequencies)
-        row[f"loads {name}"] = {k: said[k] for k in KINDS}
+    said = loads_at(after, points, DIRECTION, frequencies)
+    row["loads after"] = {k: said[k] for k in KINDS}
     row["held"] = [_raised(after, probes, grips[HELD], f, i, j) for f in TONES]
     row["pads"] = {
         "found": [after.pads.stiffness, after.pads.turning],
@@ -148,11 +149,11 @@ def tone_amplitude(frequency: float) -> float:
     return min(4e-3, 2.0 / (2 * np.pi * frequency) ** 2)
 
 
-def _probe(model: PlantModel, grip: ShakenPlant, seen: Seen, seed: int, frequency: float, truth: Truth) -> Observed:
+def _probe(model: PlantModel, grip: ShakenPlant, seen: Seen, frequency: float, truth: Truth, swayed: Array) -> Observed:
     """Shake at one tone, in the wind; return what camera and arm measured of it."""
     amplitude = tone_amplitude(frequency)
     intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
-    frames = _filmed(grip, amplitude, frequency, pose, seed, truth)
+    frames = _filmed(grip, amplitude, frequency, pose, truth, swayed)
     ids = seen.stem.node_ids
     nodes, arc = seen.skeleton.nodes[ids], seen.stem.arc_length
     held = float(arc[np.argmin(np.linalg.norm(nodes - grip.point, axis=1))])
@@ -163,28 +164,40 @@ def _probe(model: PlantModel, grip: ShakenPlant, seen: Seen, seed: int, frequenc
     facts = {"direction": DIRECTION, "amplitude": amplitude, "frequency": frequency, "waveform": SINE, "pads": PADS}
     place = SimpleNamespace(point=grip.point)
     shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=amplitude * linear, **facts))
-    return Observed.of(shake, answer, _felt(grip, amplitude, frequency, seed))
+    return Observed.of(shake, answer, _felt(grip, amplitude, frequency, grip.plant.seed))
 
 
-def _filmed(grip: ShakenPlant, amplitude: float, frequency: float, pose: Array, seed: int, truth: Truth) -> list[Frame]:
+def _times(frequency: float) -> Array:
+    """Return (T,) when the frames of a tone are taken [s]."""
+    rate = RATES[int(frequency > 2.5)]
+    return np.arange(int(rate * max(2 / frequency, FILM))) / rate
+
+
+def _swayed(grip: ShakenPlant, truth: Truth) -> list[Array]:
+    """Return for each tone (T, Nv, 3) by how far the wind has moved the plant, tied where it is held, in each frame."""
+    plant, times = grip.plant, [_times(f) for f in TONES]
+    if truth.wind == 0:
+        return [np.zeros((len(t), *plant.vertices.shape)) for t in times]
+    stem = plant.stem_segments()
+    held = int(stem[np.argmin(np.linalg.norm(plant.end[stem] - grip.point, axis=1))])
+    begins = np.cumsum([0.0, *(t[-1] + 0.1 for t in times[:-1])])
+    tied = replace(plant, tie=(held, min(truth.pad_stiffness, FIRM)))
+    poses = swaying(tied, truth.wind, np.concatenate([t + begin for t, begin in zip(times, begins, strict=True)]))
+    moved = np.array([plant.posed_vertices(T) for T in poses]) - plant.vertices
+    return np.split(moved, np.cumsum([len(t) for t in times])[:-1])
+
+
+def _filmed(
+    grip: ShakenPlant, amplitude: float, frequency: float, pose: Array, truth: Truth, swayed: Array
+) -> list[Frame]:
     """Return what the side camera sees of a shake, its clock late; nothing is blurred.
 
-    The swing is that of MuJoCo's linear equations with the drag at its amplitude; the wind moves the plant as one that
-    is tied where it is held.
+    The swing is that of MuJoCo's linear equations with the drag at its amplitude, and the wind's motion besides.
     """
-    rate = RATES[int(frequency > 2.5)]
-    times = np.arange(int(rate * max(2 / frequency, FILM))) / rate
-    plant, scene, errors = grip.plant, Scene.of_plant(grip.plant), camera_errors(truth)
-    swayed = np.zeros((len(times), *plant.vertices.shape))
-    if truth.wind > 0:
-        stem = plant.stem_segments()
-        held = int(stem[np.argmin(np.linalg.norm(plant.end[stem] - grip.point, axis=1))])
-        tied = replace(plant, seed=plant.seed + round(1e3 * frequency), tie=(held, min(truth.pad_stiffness, FIRM)))
-        poses = swaying(tied, truth.wind, times)
-        swayed = np.array([plant.posed_vertices(T) for T in poses]) - plant.vertices
+    plant, scene, errors, times = grip.plant, Scene.of_plant(grip.plant), camera_errors(truth), _times(frequency)
     intrinsics, frames = cut_out(d455(848, 480), 480, 480), []
     shapes = [plant.posed_vertices(grip.segment_poses(q)) for q in grip.swing(amplitude, frequency, times)]
-    streams = np.random.default_rng(seed).spawn(len(times))
+    streams = np.random.default_rng(plant.seed).spawn(len(times))
     for time, shape, sway, rng in zip(times, shapes, swayed, streams, strict=True):
         image = scene.moved(shape + sway).render(intrinsics, pose)
         depth = noisy_depth(image.depth, intrinsics, rng, errors.depth)

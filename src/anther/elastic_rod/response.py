@@ -192,8 +192,8 @@ def _receptances(system: Linear, loads: NDArray[Any], wanted: NDArray[Any], omeg
 
 
 def on_all_cores(solve_some: Callable[[NDArray[Any]], None], count: int) -> None:
-    """Share the numbers 0 to `count` - 1 out among the cores; one alone is not worth a thread."""
-    cores = min(os.cpu_count() or 1, count)
+    """Share the numbers 0 to `count` - 1 out among the cores of this process; one alone is not worth a thread."""
+    cores = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, count)
     if cores <= 1:
         solve_some(np.arange(count))
         return
