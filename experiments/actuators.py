@@ -96,7 +96,12 @@ def plans(plant: SimPlant, params: Params) -> dict[tuple[str, float], ShakePlan 
     for name, actuator in ACTUATORS.items():
         for strain in STRAINS:
             try:
-                plan = plan_shake(model, grasps_on(model), actuator, replace(params, joint_strain=strain))
+                plan = plan_shake(
+                    model,
+                    grasps_on(model),
+                    actuator,
+                    replace(params, plant=replace(params.plant, pedicel_strain=strain, base_strain=strain)),
+                )
             except StageFailure as failure:
                 found[name, strain] = str(failure)
             else:

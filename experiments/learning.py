@@ -182,7 +182,7 @@ def shaken(scene: Scene, plan: ShakePlan) -> tuple[Array, float, float, float]:
     more = set_probability(freed, limits.unshaken, limits.gain).mean() - limits.unshaken
     on_stem = np.isin(plant.mechanics.pieces.first, truth.stem_segments())
     strain = np.max([plant.mechanics.strain(q)[on_stem].max() for q in done.qpos])
-    return done.amplitude, float(more), float(jolt.mean()), float(strain / limits.stem_strain)
+    return done.amplitude, float(more), float(jolt.mean()), float(strain / limits.plant.stem_strain)
 
 
 def learn(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
 from datetime import UTC, datetime
 from html import escape
 from types import SimpleNamespace
@@ -19,7 +20,7 @@ from anther.results import RunResults
 from anther.sim.effect import Harm, pollen_freed
 from anther.sim.judge import Verdict
 from anther.sim.truth import HALF_DOSE, TOLERANCE, tolerances
-from anther.vibration import Params as Planned
+from anther.vibration import PRESETS
 
 GENTLE = {"stem": 0.005, "pedicel": 0.001, "base": 0.001, "leaf": 1.0}
 BREEZE = (4.0, 6.0, 12.0)
@@ -58,8 +59,7 @@ def test_every_kind_of_load_adds_to_the_probability_of_harm() -> None:
 
 
 def test_each_plant_bears_something_else_and_none_what_the_planner_believes() -> None:
-    planned = Planned()
-    believed = {planned.stem_strain, planned.joint_strain, planned.leaf_load}
+    believed = {value for preset in PRESETS.values() for value in astuple(preset)}
     drawn = [tolerances(species, seed) for species in ("tomato", "pepper") for seed in range(100)]
     values = [limit for plant in drawn for limit in plant.values()]
     assert len(set(values)) == 200 * 4

@@ -22,12 +22,23 @@ from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
 from anther.grasp import Grasp
 from anther.plant import TOMATO, PlantModel, build_plant
-from anther.vibration import SINE, WAVEFORMS, ArmShaker, Params, ShakePlan, VibratingGripper, Waveform, plan_shake
+from anther.vibration import (
+    PRESETS,
+    SINE,
+    WAVEFORMS,
+    ArmShaker,
+    Params,
+    PlantLimits,
+    ShakePlan,
+    VibratingGripper,
+    Waveform,
+    plan_shake,
+)
 from anther.vibration.choice import plant_limits
 from anther.vibration.dose import freed_share
 from anther.vibration.limits import pollen_dose, sawyer_limit
 from anther.vibration.observables import semi_major
-from anther.vibration.pads import Pads, grip_rows, pad_nodes
+from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.params import FLOWER_SPREAD
 from anther.vibration.search import Version, gains, scenarios
 from anther.vibration.verification import Shake, shaken, verified
@@ -232,35 +243,26 @@ def strain_of_pedicels(version: Version, plan: ShakePlan) -> float:
     return plan.amplitude * float(response.joint_strain.max())
 
 
-def test_the_more_a_resonance_may_strain_pedicels_the_gentler_the_shake(plant: PlantModel, grasps: list[Grasp]) -> None:
+def test_a_smaller_risk_and_tighter_limits_make_a_gentler_shake(plant: PlantModel, grasps: list[Grasp]) -> None:
     strong = ArmShaker(lambda g, d, f: 9 * sawyer_limit(g, d, f))
 
-    def pushed(strain: float) -> float:
-        """Return the grip's acceleration, beyond 10 Hz what its speed would be there [m/s2]; firm pads."""
-        firm = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0, turning_spread=0)
-        plan = plan_shake(plant, grasps, strong, replace(QUICK, resonant_strain=strain, pads=firm))
-        omega = 2 * np.pi * plan.frequency
-        return plan.amplitude * omega * min(omega, 20 * np.pi)
+    def used(params: Params) -> float:
+        plan = plan_shake(plant, grasps, strong, replace(params, lowest=6, highest=6, least_amplitude=1e-6))
+        return plan.amplitude
 
-    found = [pushed(strain) for strain in (0.0, 0.005, 0.01, 0.02)]
-    assert np.all(np.diff(found) < 0)
-    assert np.all(np.multiply(found[1:], [0.005, 0.01, 0.02]) <= Params().joint_strain * (1 + 1e-9))
+    by_risk = [used(replace(QUICK, risk=risk)) for risk in (0.001, 0.02, 0.3)]
+    by_preset = [used(replace(QUICK, plant=PRESETS[name])) for name in ("gentle", "default", "bold")]
+    assert np.all(np.diff(by_risk) > 0)
+    assert np.all(np.diff(by_preset) > 0)
 
 
-def test_a_belief_gone_stale_strains_pedicels_no_more_than_a_breeze(plant: PlantModel, grasps: list[Grasp]) -> None:
-    believed = TOMATO.changed(youngs_spread=0.2)
-
-    def strained(stiffer: float, params: Params) -> float:
-        stale = plant.with_material(replace(believed, youngs=stiffer * plant.material.youngs))
-        return strain_of_pedicels(Version(plant), plan_shake(stale, grasps, params=params))
-
-    ruled, trusting = (
-        np.array([strained(stiffer, params) for stiffer in np.geomspace(0.5, 6.0, 10)])
-        for params in (QUICK, replace(QUICK, resonant_strain=0.0))
-    )
-    assert np.median(ruled) < 0.5 * QUICK.joint_strain
-    assert ruled.max() < 0.01  # what a breeze of 4 m/s gives (facts: pollination 6)
-    assert trusting.max() > ruled.max()
+def test_few_plants_that_are_not_what_is_believed_pass_a_limit(plant: PlantModel, grasps: list[Grasp]) -> None:
+    """Whatever their stiffness: the plan was made for another, and its risk is 2 %."""
+    believed, strains = TOMATO.changed(youngs_spread=0.4), []
+    for stiffer in np.geomspace(0.6, 4.0, 12):
+        stale = plant.with_material(replace(believed, youngs=float(stiffer) * plant.material.youngs))
+        strains.append(strain_of_pedicels(Version(plant), plan_shake(stale, grasps, params=QUICK)))
+    assert np.mean(np.array(strains) > QUICK.plant.pedicel_strain) <= 1 / 12
 
 
 def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: PlantModel, grasps: list[Grasp]) -> None:
@@ -268,12 +270,12 @@ def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: Plant
     drawn = scenarios(plant, 60, seed=3, branch_spread=0.5)
     strains = np.array([strain_of_pedicels(one, plan) for one in drawn])
     assert len(drawn) > 50
-    assert np.mean(strains > QUICK.joint_strain) <= 0.02
+    assert np.mean(strains > QUICK.plant.pedicel_strain) <= 0.02
 
 
 def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:
     with pytest.raises(StageFailure, match=r"the largest is .* mm at .* Hz\. The limit that binds is leaf-base") as no:
-        plan_shake(plant, grasps, params=replace(QUICK, leaf_load=1e-3))
+        plan_shake(plant, grasps, params=replace(QUICK, plant=PlantLimits(leaf_load=1e-3)))
     assert no.value.kind == "limits_exceeded"
 
 

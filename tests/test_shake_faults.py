@@ -21,7 +21,7 @@ from anther.plant import TOMATO, Material, build_plant
 from anther.plant import Params as PlantParams
 from anther.store import starting_material
 from anther.vibration import Params as ShakeParams
-from anther.vibration import plan_shake
+from anther.vibration import PlantLimits, plan_shake
 
 QUICK = ShakeParams(frequencies=6, lowest=3, highest=6, draws=1, directions=2, heights=0)
 
@@ -56,7 +56,7 @@ def test_no_shake_within_the_limits_names_the_limit() -> None:
     skeleton, stem, flowers = branched()
     plant = build_plant(skeleton, stem, flowers, None, replace(TOMATO, youngs=2e8))
     with pytest.raises(StageFailure, match=r"no shake of .* is allowed.* The limit that binds is") as told:
-        plan_shake(plant, grasps_on(skeleton, stem, [8]), params=replace(QUICK, joint_strain=1e-8))
+        plan_shake(plant, grasps_on(skeleton, stem, [8]), params=replace(QUICK, plant=PlantLimits(pedicel_strain=1e-8)))
     assert told.value.kind == "limits_exceeded"
 
 

@@ -216,7 +216,7 @@ TOLERANCE: dict[str, Lognormal] = {
     # rupture at 4-15 % (facts: pollination 6). Bending strain.
     "pedicel": Lognormal(0.01, 0.03),
     # A guess: between a pedicel and a stem. Petioles, peduncles, rachises and midribs, bending strain.
-    "base": Lognormal(0.01, 0.04),
+    "base": Lognormal(0.009, 0.04),
     # Petioles bear 1.7-2.9 times the leaf's weight (fpls.2021.765605), that is 0.7-1.9 g more, but plants stand breezes
     # that add 3 g: the weakest number here. Quasi-static acceleration at a leaf's base [m/s2].
     "leaf": Lognormal(1.2 * 9.81, 6 * 9.81),

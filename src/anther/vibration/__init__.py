@@ -15,18 +15,19 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
-from anther.vibration.choice import Grips, Place, Search, best, closest, grips_of, limit_rows, plant_limits, search
+from anther.vibration.choice import Grips, Place, Search, best, checked_limits, closest, grips_of, limit_rows, search
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.pads import PADS, Pads
 from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params
+from anther.vibration.plant_limits import PRESETS, PlantLimits
 from anther.vibration.search import Gains, gains, scenarios
 from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan
 from anther.vibration.verification import Shake, Shaken, verified
 from anther.vibration.waveforms import SINE, Waveform, mix
 
 __all__ = [
-    "PADS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Pads", "Params", "ResponseMap", "RunnerUp", "ShakePlan",
-    "VibratingGripper", "Waveform", "plan_shake", "sawyer_limit",
+    "PADS", "PRESETS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Pads", "Params", "PlantLimits", "ResponseMap",
+    "RunnerUp", "ShakePlan", "VibratingGripper", "Waveform", "plan_shake", "sawyer_limit",
 ]  # fmt: skip
 
 
@@ -43,9 +44,8 @@ def plan_shake(
 
     Linear theory (complex tree solves about the gravity equilibrium) gives the response of every flower to a shake of
     one metre at every grip, direction and frequency, for the plant as believed and for `Params.draws` scenarios drawn
-    from the spread of its material. Each shake is as large as actuator and plant allow; its worth is the expectation
-    over the scenarios, and a scenario in which it would pass a limit of the plant gains nothing, so that a resonance
-    that would only help if the stiffness were exactly right is not trusted. The winner is checked by the nonlinear
+    from the spread of its material. Each shake is as large as actuator and plant allow, with the one margin that
+    `Params.risk` states; its worth is the expectation over the scenarios. The winner is checked by the nonlinear
     solver, whose amplitudes are the prediction, and made smaller where that says a limit is passed; the interval is
     that of the scenarios, widened by how far one flower differs from its plant.
 
@@ -163,7 +163,8 @@ def _check(
     steady = np.swapaxes(response.flower[:, :, g, d], 0, 1)  # (Q, M, F)
     gain = pieces.of(steady).max(axis=0)
     jolt = pieces.of((2 * np.pi * found.frequencies[:, None, None]) ** 2 * steady).max(axis=0)
-    shake, done, notes = _verified(plant, asked, Shaken(size * gain[0], size * jolt[0], {}), least, params)
+    linear = Shaken(size * gain[0], size * jolt[0], {})
+    shake, done, notes = _verified(plant, asked, linear, least, checked_limits(found, at, params), params)
     span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
     spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)
     spread = np.exp([-1, 1] * np.hypot(np.log(np.maximum(spread, 1e-6)), 1.645 * FLOWER_SPREAD))
@@ -171,11 +172,11 @@ def _check(
 
 
 def _verified(
-    plant: PlantModel, asked: Shake, linear: Shaken, least: float, params: Params
+    plant: PlantModel, asked: Shake, linear: Shaken, least: float, limits: dict[str, float], params: Params
 ) -> tuple[Shake, Shaken, tuple[str, ...]]:
     """Return the shake and what it does by the nonlinear solver, and what the user should know about it."""
     try:
-        shake, done, notes = verified(plant, asked, plant_limits(params), least, springs=params.pads.springs)
+        shake, done, notes = verified(plant, asked, limits, least, springs=params.pads.springs)
     except StageFailure as failure:
         return asked, linear, (f"shake: not verified by the nonlinear solver, prediction is linear ({failure})",)
     expected = linear.amplitude * shake.amplitude / asked.amplitude
@@ -186,12 +187,16 @@ def _verified(
 
 
 def _limits(found: Search, at: Place, shake: Shake, done: Shaken, params: Params) -> list[LimitRow]:
-    """Return the table of limits: of the plant, the larger of linear theory over the scenarios and nonlinear solver."""
+    """Return the table of limits: of the plant, what its loads pass with the probability `Params.risk`.
+
+    Where the nonlinear solver says more than linear theory of the plant as believed, it is more by that.
+    """
     scale = shake.amplitude / found.amplitude[at]
     rows: list[LimitRow] = []
     for name, value, limit, _ in limit_rows(found, at):
-        largest = max(value * scale, done.peaks.get(name, 0.0))
-        rows.append((name, largest, limit, largest / limit))
+        believed = float(found.amplitude[at] * found.believed[name][at]) * scale
+        more = max(done.peaks.get(name, 0.0) / believed, 1.0) if believed > 0 else 1.0
+        rows.append((name, value * scale * more, limit, value * scale * more / limit))
     return [*rows, ("duration [s]", shake.duration, params.most_duration, shake.duration / params.most_duration)]
 
 

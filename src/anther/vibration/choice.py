@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from anther.geometry import Array
 from anther.grasp import Grasp
@@ -17,7 +18,7 @@ from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator
 from anther.vibration.dose import freed_share, set_probability
 from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.params import RESONANT, Params
+from anther.vibration.params import LOAD_SPREAD, Params
 from anther.vibration.search import Gains
 from anther.vibration.verification import PEAKS
 from anther.vibration.waveforms import Mix, mix
@@ -43,6 +44,7 @@ class Search(NamedTuple):
     amplitude: Array  # largest allowed [m]; 0 where the waveform would leave the frequencies
     score: Array  # of the objective; -1 where less than the least amplitude is allowed
     bounds: dict[str, tuple[Array, float]]  # name -> (value per metre of amplitude (W, Q, G, D), its limit)
+    believed: dict[str, Array]  # the same of the plant as believed: what its values are without the margin
 
 
 def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> Grips:
@@ -68,10 +70,28 @@ def _directions(plant: PlantModel, nodes: NDArray[Any], count: int) -> Array:
     return np.where(size > 0.3, across / np.maximum(size, 1e-9), flat)  # along a lying stem: leave it horizontal
 
 
+class Bound(NamedTuple):
+    """Something that grows with the amplitude, and how large it may be."""
+
+    values: Array  # (M or 1, Q, G, D) per metre of amplitude
+    limit: float
+    spread: float | None = None  # of ln(true over modelled) beside the scenarios'; None: it is known
+
+
 def plant_limits(params: Params) -> dict[str, float]:
-    """Return what `PEAKS` may reach: the share of the plant's limits that is used."""
-    values = (params.stem_strain, params.joint_strain, params.joint_strain, params.leaf_load)
-    return {name: params.plant_share * value for name, value in zip(PEAKS, values, strict=True)}
+    """Return what `PEAKS` may reach."""
+    may = params.plant
+    values = (may.stem_strain, may.pedicel_strain, may.base_strain, may.leaf_load)
+    return dict(zip(PEAKS, values, strict=True))
+
+
+def checked_limits(found: Search, at: Place, params: Params) -> dict[str, float]:
+    """Return what `PEAKS` may reach for the plant as believed, so that the margin of the search is kept."""
+    believed = {name: float(found.believed[name][at]) for name in PEAKS}
+    return {
+        name: limit * believed[name] / float(found.bounds[name][0][at]) if believed[name] > 0 else limit
+        for name, limit in plant_limits(params).items()
+    }
 
 
 def search(
@@ -86,72 +106,65 @@ def search(
 ) -> Search:
     """Return every shake at the largest amplitude that all limits allow, and its worth.
 
-    The plant's limits must hold for the plant as believed, at which the nonlinear solver will look, and in the
-    `caution` quantile of the scenarios; a scenario in which one is passed gains nothing: its flowers set as if they had
-    not been shaken. Pedicels must bear a resonance besides that no scenario has: `Params.resonant_strain`.
+    The plant's loads are lognormal: about the scenarios' mean, as wide as the scenarios and `LOAD_SPREAD` say. A limit
+    must hold but for a share `Params.risk` of that.
     """
     omega = 2 * np.pi * frequencies[:, None, None]
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
-    per_metre = {  # (M or 1, Q, G, D)
-        f"{actuator.name} amplitude [share of its limit]": (1 / np.maximum(most, 1e-12)[None], params.arm_share),
-        "grip amplitude [m]": (np.ones_like(most)[None], params.most_amplitude),
-        "grip speed [m/s]": (np.ones_like(most)[None] * omega, params.most_speed),
-        "pedicel strain in a resonance [-]": (np.ones_like(most)[None] * _resonant(omega, params), params.joint_strain),
-    }
-    strains = (response.stem_strain, response.joint_strain, response.base_strain, response.leaf_load)
-    for (name, limit), values in zip(plant_limits(params).items(), strains, strict=True):
-        per_metre[name] = (values, limit)
-    hold = 2 * params.pad_friction * params.grip_force
-    per_metre["force in the grip, against slip [N]"] = (response.grip_force, params.plant_share * hold)
+    slip = 2 * params.pad_friction * params.grip_force
     acceleration = response.flower * omega[..., None] ** 2
-    per_metre["flower acceleration [m/s2]"] = (acceleration.max(axis=-1), params.flower_acceleration)
+    per_metre = {
+        f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], params.arm_share),
+        "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
+        "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, params.most_speed),
+        "force in the grip, against slip [N]": Bound(response.grip_force, slip, LOAD_SPREAD["grip_force"]),
+        "flower acceleration [m/s2]": Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
+    }
+    for (name, limit), kind in zip(plant_limits(params).items(), LOAD_SPREAD, strict=False):
+        per_metre[name] = Bound(getattr(response, kind), limit, LOAD_SPREAD[kind])
 
     duration = np.clip(5 / frequencies, params.duration, params.most_duration)
     shape = (len(params.waveforms), *most.shape)
     amplitude, score = np.zeros(shape), np.full(shape, -1.0)
-    bounds = {name: (np.zeros(shape), limit) for name, (_, limit) in per_metre.items()}
+    bounds = {name: (np.zeros(shape), bound.limit) for name, bound in per_metre.items()}
+    believed = {name: np.zeros(shape) for name in per_metre}
     for w, waveform in enumerate(params.waveforms):
         for q in range(len(frequencies)):
             pieces = mix(waveform, frequencies, q, float(duration[q]))
             if pieces is None:
                 continue
-            amplitude[w, q], worth = _one(pieces, per_metre, response.flower, acceleration, bounds, (w, q), params)
+            for name, bound in per_metre.items():
+                worst = pieces.of(np.swapaxes(bound.values, 0, 1)).max(axis=0)  # (M or 1, G, D)
+                bounds[name][0][w, q], believed[name][w, q] = _margined(worst, bound.spread, params.risk), worst[0]
+            room = [limit / np.maximum(value[w, q], 1e-12) for value, limit in bounds.values()]
+            amplitude[w, q] = np.min(room, axis=0)
+            worth = _worth(pieces, response.flower, acceleration, amplitude[w, q], params)
             score[w, q] = np.where(amplitude[w, q] < least, -1.0, worth)
-    return Search(frequencies, duration, amplitude, score, bounds)
+    return Search(frequencies, duration, amplitude, score, bounds, believed)
 
 
-def _resonant(omega: Array, params: Params) -> Array:
-    """Return the strain of a pedicel in a resonance per metre of grip amplitude [1/m], see `Params.resonant_strain`."""
-    return params.resonant_strain * omega * np.minimum(omega, 2 * np.pi * RESONANT)
+def _margined(values: Array, spread: float | None, risk: float) -> Array:
+    """Return (G, D) what a lognormal load of which scenarios have values (M, G, D) passes with probability `risk`."""
+    if spread is None:
+        return values.mean(axis=0)
+    logs = np.log(np.maximum(values, 1e-12))
+    return np.exp(logs.mean(axis=0) + norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
 
 
-def _one(
-    pieces: Mix,
-    per_metre: dict[str, tuple[Array, float]],
-    flower: Array,
-    acceleration: Array,
-    bounds: dict[str, tuple[Array, float]],
-    at: tuple[int, int],
-    params: Params,
-) -> tuple[Array, Array]:
-    """Fill `bounds` for one waveform and frequency; return the largest amplitude (G, D) and the worth there (G, D)."""
+def _worth(pieces: Mix, flower: Array, acceleration: Array, amplitude: Array, params: Params) -> Array:
+    """Return (G, D) the objective's expectation over the scenarios at amplitudes (G, D)."""
 
     def over_time(values: Array) -> Array:
-        """Return (K, M, G, D, ...) of values (M, Q, G, D, ...)."""
+        """Return (K, M, G, D, F) of values (M, Q, G, D, F)."""
         return pieces.of(np.swapaxes(values, 0, 1))
 
-    amplitude = np.full(flower.shape[2:4], np.inf)
-    worst = {name: over_time(values).max(axis=0) for name, (values, _) in per_metre.items()}  # (M or 1, G, D)
-    for name, (into, limit) in bounds.items():
-        into[at] = np.maximum(worst[name][0], np.quantile(worst[name], params.caution, axis=0))
-        amplitude = np.minimum(amplitude, limit / np.maximum(into[at], 1e-12))
-    kept = np.all([amplitude * v <= per_metre[name][1] * (1 + 1e-9) for name, v in worst.items() if len(v) > 1], axis=0)
     if params.objective == "amplitude":
-        return amplitude, (amplitude[..., None] * over_time(flower).max(axis=0) * kept[..., None]).mean(axis=(0, -1))
-    a = amplitude[..., None] * over_time(acceleration)
-    freed = freed_share(a, pieces.seconds, params.half_dose, params.release_time) * kept[..., None]
-    return amplitude, set_probability(freed, params.unshaken, params.gain).sum(axis=-1).mean(axis=0)
+        return (amplitude[..., None] * over_time(flower).max(axis=0)).mean(axis=(0, -1))
+    freed = freed_share(
+        amplitude[..., None] * over_time(acceleration), pieces.seconds, params.half_dose, params.release_time
+    )
+    return set_probability(freed, params.unshaken, params.gain).sum(axis=-1).mean(axis=0)
 
 
 def best(found: Search, rows: NDArray[Any], *, avoid: Place | None = None) -> Place:
