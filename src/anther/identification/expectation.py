@@ -17,7 +17,7 @@ from anther.elastic_rod.rods import Array
 from anther.identification.observed import Observed
 from anther.identification.refinement import Refinement
 from anther.vibration.observables import semi_major
-from anther.vibration.params import FLOWER_SPREAD, LOAD_SPREAD
+from anther.vibration.params import FLOWER_SPREAD, LOAD_ERROR
 from anther.vibration.search import flower_motion, gains
 
 NINETY = 1.645
@@ -103,14 +103,14 @@ def flowers_at(learned: Refinement, points: Array, direction: Array, frequencies
 def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> dict[str, Array]:
     """Return, by kind, (G, Q, 3) the 5 %, 50 % and 95 % quantile of a plant's largest loads per metre of motion.
 
-    Kinds are those of `vibration.params.LOAD_SPREAD`; arguments as of `flowers_at`.
+    Kinds are those of `vibration.params.LOAD_ERROR`; arguments as of `flowers_at`.
     """
     members, weights, grips = learned.counting(points)
     ways = np.broadcast_to(direction, (len(grips), 1, 3))
     answer = gains(members, grips, np.ascontiguousarray(ways), frequencies)
     return {
-        kind: np.moveaxis(_quantiles(_log(getattr(answer, kind)[..., 0]), weights, spread), 1, 0)
-        for kind, spread in LOAD_SPREAD.items()
+        kind: median * np.moveaxis(_quantiles(_log(getattr(answer, kind)[..., 0]), weights, spread), 1, 0)
+        for kind, (median, spread) in LOAD_ERROR.items()
     }
 
 

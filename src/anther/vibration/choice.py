@@ -18,7 +18,7 @@ from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator
 from anther.vibration.dose import freed_share, set_probability
 from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.params import LOAD_SPREAD, Params
+from anther.vibration.params import LOAD_ERROR, Params
 from anther.vibration.search import Gains
 from anther.vibration.verification import PEAKS
 from anther.vibration.waveforms import Mix, mix
@@ -75,7 +75,7 @@ class Bound(NamedTuple):
 
     values: Array  # (M or 1, Q, G, D) per metre of amplitude
     limit: float
-    spread: float | None = None  # of ln(true over modelled) beside the scenarios'; None: it is known
+    error: tuple[float, float] | None = None  # see `LOAD_ERROR`; None: it is known
 
 
 def plant_limits(params: Params) -> dict[str, float]:
@@ -106,8 +106,8 @@ def search(
 ) -> Search:
     """Return every shake at the largest amplitude that all limits allow, and its worth.
 
-    The plant's loads are lognormal: about the scenarios' mean, as wide as the scenarios and `LOAD_SPREAD` say. A limit
-    must hold but for a share `Params.risk` of that.
+    The plant's loads are lognormal, where and as wide as scenarios and `LOAD_ERROR` say. A limit must hold but for a share
+    `Params.risk` of that.
     """
     omega = 2 * np.pi * frequencies[:, None, None]
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
@@ -118,11 +118,11 @@ def search(
         f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], params.arm_share),
         "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
         "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, params.most_speed),
-        "force in the grip, against slip [N]": Bound(response.grip_force, slip, LOAD_SPREAD["grip_force"]),
+        "force in the grip, against slip [N]": Bound(response.grip_force, slip, LOAD_ERROR["grip_force"]),
         "flower acceleration [m/s2]": Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
     }
-    for (name, limit), kind in zip(plant_limits(params).items(), LOAD_SPREAD, strict=False):
-        per_metre[name] = Bound(getattr(response, kind), limit, LOAD_SPREAD[kind])
+    for (name, limit), kind in zip(plant_limits(params).items(), LOAD_ERROR, strict=False):
+        per_metre[name] = Bound(getattr(response, kind), limit, LOAD_ERROR[kind])
 
     duration = np.clip(5 / frequencies, params.duration, params.most_duration)
     shape = (len(params.waveforms), *most.shape)
@@ -136,7 +136,7 @@ def search(
                 continue
             for name, bound in per_metre.items():
                 worst = pieces.of(np.swapaxes(bound.values, 0, 1)).max(axis=0)  # (M or 1, G, D)
-                bounds[name][0][w, q], believed[name][w, q] = _margined(worst, bound.spread, params.risk), worst[0]
+                bounds[name][0][w, q], believed[name][w, q] = _margined(worst, bound.error, params.risk), worst[0]
             room = [limit / np.maximum(value[w, q], 1e-12) for value, limit in bounds.values()]
             amplitude[w, q] = np.min(room, axis=0)
             worth = _worth(pieces, response.flower, acceleration, amplitude[w, q], params)
@@ -144,12 +144,13 @@ def search(
     return Search(frequencies, duration, amplitude, score, bounds, believed)
 
 
-def _margined(values: Array, spread: float | None, risk: float) -> Array:
+def _margined(values: Array, error: tuple[float, float] | None, risk: float) -> Array:
     """Return (G, D) what a lognormal load of which scenarios have values (M, G, D) passes with probability `risk`."""
-    if spread is None:
+    if error is None:
         return values.mean(axis=0)
+    median, spread = error
     logs = np.log(np.maximum(values, 1e-12))
-    return np.exp(logs.mean(axis=0) + norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
+    return median * np.exp(logs.mean(axis=0) + norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
 
 
 def _worth(pieces: Mix, flower: Array, acceleration: Array, amplitude: Array, params: Params) -> Array:
