@@ -7,8 +7,8 @@ and cameras, which no stage reads. Two parts, each a --part of its own:
 
 prediction   plants are scanned, held, probed at a few tones before a noisy camera, and every flower and strain is then
              predicted, there and at other grips, with a 90 % interval (`wide_plant.py`)
-grasping     whole trials with the preset `fast`, judged as held, unharmed and flowers moved, with what their shakes did to
-             flowers and plants (`wide_grasping.py`)
+grasping     whole trials with the preset `fast`, judged as held, unharmed and flowers moved, and what their shakes did
+             to flowers and plants (`wide_grasping.py`)
 
 Both are also run with a nominal truth, and with one group of assumptions at a time drawn wide, ranked by what it
 changes: the assumption at the top is the one that would ruin the result.
