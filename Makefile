@@ -28,7 +28,7 @@ sync: $(DEV)  ## only the environment
 bench: $(DEV)  ## speed
 	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
 
-docs: $(DEV)  ## measure again what docs/ shows (a few hours)
+docs: $(DEV)  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/masks.py
 	$(BIN)/python tools/record.py experiments/registration.py --figures docs/pictures
 	$(BIN)/python tools/record.py experiments/skeletons.py --figures docs/pictures
@@ -44,6 +44,8 @@ docs: $(DEV)  ## measure again what docs/ shows (a few hours)
 	$(BIN)/python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --page docs/grasping.md
 	$(BIN)/python tools/record.py experiments/actuators.py --figure docs/pictures/actuators.png
 	$(BIN)/python tools/record.py experiments/limits.py
+	$(BIN)/python tools/record.py experiments/second_judge.py
+	$(BIN)/python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/wide_truth.md
 	$(BIN)/python tools/record.py experiments/fruit_set.py --figure docs/pictures/fruit_set.png
 	$(BIN)/python tools/record.py experiments/trials.py
 	$(BIN)/python tools/record.py experiments/hinged_plant.py

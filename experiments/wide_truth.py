@@ -3,12 +3,12 @@ r"""What Anther's promises are worth where the truth is not what any stage belie
     python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/wide_truth.md
 
 Every plant's truth is drawn from `anther.sim.truth.WIDE`: stiffness, damping, sections, masses, drag, wind, pads, arm
-and cameras, which no stage reads. Three parts, each a --part of its own:
+and cameras, which no stage reads. Two parts, each a --part of its own:
 
 prediction   plants are scanned, held, probed at a few tones before a noisy camera, and every flower and strain is then
              predicted, there and at other grips, with a 90 % interval (`wide_plant.py`)
-grasping     whole trials with the preset `fast`, judged as held, unharmed and flowers moved (`wide_grasping.py`)
-shaking      what the planned shakes of these trials did to the flowers and to the plants
+grasping     whole trials with the preset `fast`, judged as held, unharmed and flowers moved, and what their shakes did
+             to flowers and plants (`wide_grasping.py`)
 
 Both are also run with a nominal truth, and with one group of assumptions at a time drawn wide, ranked by what it
 changes: the assumption at the top is the one that would ruin the result.

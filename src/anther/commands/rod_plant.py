@@ -51,7 +51,7 @@ class PlantOptions:
     node_drag: float = 0.0
     """Drag at every node [N s/m]; the authors' solver has 0.5."""
     clamp_below: float | None = None
-    """Hold every node with z below this [m]. The root and its first edge are always held."""
+    """Hold every node with z below this [m]. The root and the direction of the stem there are always held."""
     pads: float = 0.0
     """Length of stem between the gripper's pads [m], which hold its direction too; 0 moves one node, about which the
     stem may turn."""

@@ -24,6 +24,8 @@ FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)
 STALKS = (Organ.PEDUNCLE, Organ.PEDICEL)
 FLOWER_AREA = 1.5e-4
 """Of a flower across the wind [m2], with a drag coefficient of 1 (facts: pollination 6)."""
+CANOPY_DRAG = 0.31
+"""Of leaves in the wind where the truth says nothing of drag [-] (Sase 2012, facts: pollination 6)."""
 TIED = 1.5
 """A plant that is less stiff than this, over buckling, is tied to a stake: nobody leaves a plant that nearly falls."""
 TIE_AT, TIE = (0.55, 0.85), (20.0, 200.0)
@@ -91,7 +93,8 @@ def _massive(plant: SimPlant, truth: Truth) -> SimPlant:
     """Return the plant with its leaves' and flowers' masses, and what the air finds of them."""
     flowers = np.zeros(len(plant.start), dtype=bool)
     flowers[plant.flower_segment] = True
-    area = np.where(flowers, FLOWER_AREA, truth.drag_coefficient * plant.lump_mass / AREAL_DENSITY)
+    drag = truth.drag_coefficient or CANOPY_DRAG
+    area = np.where(flowers, FLOWER_AREA, drag * plant.lump_mass / AREAL_DENSITY)
     factor = np.where(flowers, truth.flower_mass, truth.leaf_density)
     blown = truth.drag_coefficient > 0 or truth.wind > 0
     return replace(plant, lump_mass=factor * plant.lump_mass, drag_area=area if blown else 0 * area)

@@ -1,7 +1,8 @@
 """What is true of a simulated trial and no stage knows: plant, air, pads, arm and camera, drawn wider than any belief.
 
-No stage reads this file, and no range here is centred on what a planner takes for granted. `NOMINAL` is a plant and a
-robot without these doubts; `draw` draws all of them, or one group only, which shows what that one assumption is worth.
+No stage reads this file. Only leaf mass, pedicels and the pads' turning are centred near what a planner takes for
+granted. `NOMINAL` is a plant and a robot without these doubts; `draw` draws all of them, or one group only, which shows
+what that one assumption is worth.
 `TOLERANCE` is what plants bear, `tolerances` what one of them does; `HALF_DOSE` is what its flowers ask for.
 Sources are the facts (docs: facts) where they are named; what is called a guess has none.
 """
