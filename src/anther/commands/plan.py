@@ -64,6 +64,8 @@ class Args:
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-50 Hz)."""
     waveforms: Literal["sine", "all"] = "sine"
     """Only sines, or also sweeps and bursts. Response and learning can follow a sine only."""
+    shake: Literal["gentle", "default", "bold"] | None = None
+    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says."""
     lowest: float | None = None
     """Lowest frequency [Hz]; by default the actuator's."""
     highest: float | None = None

@@ -51,6 +51,8 @@ class Args:
     It is for judging: no stage is told."""
     material: Literal["learned", "facts"] = "learned"
     """Begin with what the history teaches of this plant or its crop, or as if nothing had ever been measured."""
+    shake: Literal["gentle", "default", "bold"] | None = None
+    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says."""
     params: Params = field(default_factory=Params)
     """Parameters of the stages."""
 
@@ -72,6 +74,7 @@ def run(args: Args) -> int:
     from anther.pipeline import pollinate
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
     from anther.store import shown
+    from anther.vibration import PRESETS
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
@@ -87,6 +90,9 @@ def run(args: Args) -> int:
             allowed="a stage up to 'execution'",
             do="The simulated world and its video are not kept: restart from execution.",
         )
+    if args.shake is not None:
+        bolder = replace(args.params.vibration, plant=PRESETS[args.shake])
+        args = replace(args, params=replace(args.params, vibration=bolder))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     belief, began = _belief(args), datetime.now(UTC)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there

@@ -106,8 +106,8 @@ def search(
 ) -> Search:
     """Return every shake at the largest amplitude that all limits allow, and its worth.
 
-    The plant's loads are lognormal, where and as wide as scenarios and `LOAD_ERROR` say. A limit must hold but for a share
-    `Params.risk` of that.
+    The plant's loads are lognormal, where and as wide as scenarios and `LOAD_ERROR` say. A limit must hold but for a
+    share `Params.risk` of that.
     """
     omega = 2 * np.pi * frequencies[:, None, None]
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
