@@ -160,7 +160,7 @@ def test_expected_loads_are_the_plants_own_and_as_uncertain_as_each_kind_is(
     own = gains([Version(plant, FIRM)], pad_nodes(plant, grip_rows(plant, point[None])), WAY[None, None], pitches)
     for kind, spread in LOAD_SPREAD.items():
         low, middle, high = np.moveaxis(told[kind], -1, 0)
-        assert middle == pytest.approx(np.maximum(getattr(own, kind)[0, :, :, 0], 1e-12), rel=1e-4)
+        assert middle == pytest.approx(np.maximum(getattr(own, kind)[0, :, :, 0].T, 1e-12), rel=1e-4)
         assert np.log(high / low) == pytest.approx(np.full((1, 2), 2 * NINETY * spread))
 
 

@@ -25,7 +25,9 @@ def around(true: Any, factor: Any = 1.0) -> Any:
     return (np.asarray(true) * factor)[..., None] * np.array([0.8, 1.0, 1.25])
 
 
-def row(species: str = "tomato", *, after: Any = 1.0, before: float = 1.0, loads: float = 1.0, held: float = 1.0) -> Any:
+def row(
+    species: str = "tomato", *, after: Any = 1.0, before: float = 1.0, loads: float = 1.0, held: float = 1.0
+) -> Any:
     """A plant that was predicted by these factors; its second flower was hidden in every tone."""
     true = np.arange(1.0, 1 + GRIPS * PITCHES * FLOWERS).reshape(GRIPS, PITCHES, FLOWERS) * 1e-3
     strain = true[:, :, 0]
