@@ -139,18 +139,18 @@ class Frame:
             gravity: [m/s2].
         """
         self.beams, self.lumps = beams, lumps
-        self._shapes = _shapes(beams)
-        self._element_stiffness = _elastic(beams, self._shapes)
+        shapes = _shapes(beams)
+        self._element_stiffness = _elastic(beams, shapes)
         self.elastic = _assembled(beams, self._element_stiffness)
         self.stiffness = self.elastic
         if gravity:
-            self.stiffness = self.elastic + _assembled(beams, _prestress(beams, lumps, self._shapes, gravity))
+            self.stiffness = self.elastic + _assembled(beams, _prestress(beams, lumps, shapes, gravity))
             self.stiffness += _at_nodes(beams, lumps.node, _lump_weight(lumps, gravity))
         spring = np.zeros(6 * len(beams.nodes))
         for node, stiffness in ties.items():
             spring[6 * node : 6 * node + 2] = stiffness
         self.stiffness = self.stiffness + diags_array(spring)
-        self.mass = _assembled(beams, _inertia(beams, self._shapes)) + _at_nodes(beams, lumps.node, _lump_mass(lumps))
+        self.mass = _assembled(beams, _inertia(beams, shapes)) + _at_nodes(beams, lumps.node, _lump_mass(lumps))
 
     def free(self, held: ArrayLike = ()) -> NDArray[np.int64]:
         """Return the degrees of freedom that are neither the foot's nor held."""
@@ -190,16 +190,6 @@ class Frame:
     def lossy(self) -> Any:
         """Return the imaginary stiffness (6N, 6N) of material whose loss factor is twice its damping ratio."""
         return _assembled(self.beams, 2 * self.beams.damping_ratio[:, None, None] * self._element_stiffness)
-
-    def moments(self, motion: NDArray[Any], element: int) -> NDArray[Any]:
-        """Return (G, 2, Q) the bending moment about the section's axes at an element's Gauss points [N m].
-
-        Args:
-            motion: (6N, Q) a small motion.
-            element: its number.
-        """
-        curvature = self._shapes.turn_slope[element] @ self._local(motion)[element]
-        return self.beams.bend[element][:, :, None] * curvature[:, 1:]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

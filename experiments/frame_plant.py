@@ -93,21 +93,6 @@ class FramedPlant:
         turned = np.einsum("fij,fjq->fiq", -cross_matrix(arm), moved[:, 1])
         return (moved[:, 0] + turned).transpose(2, 0, 1)
 
-    def stem_moments(self, motion: ComplexArray) -> tuple[Array, Array]:
-        """Return arc lengths (S,) [m] along the main stem, and there the bending moment (Q, S), root of sum of squares.
-
-        One sample for each Gauss point of the stem's elements.
-        """
-        stem = self.plant.stem_segments()
-        begin = np.concatenate([[0.0], np.cumsum(self.plant.length[stem])])
-        arcs, sizes = [], []
-        for e in np.flatnonzero(np.isin(self.mesh.segment, stem)):
-            s = int(np.searchsorted(stem, self.mesh.segment[e]))
-            a, b = self.mesh.share[e]
-            arcs.append(begin[s] + (a + (b - a) * AT) * self.plant.length[stem[s]])
-            sizes.append(np.linalg.norm(self.frame.moments(motion, int(e)), axis=1))
-        return np.concatenate(arcs), np.concatenate(sizes).T
-
     def _lumps(self) -> Lumps:
         k = np.flatnonzero(self.plant.lump_mass > 0)
         node = self._carriers[k]

@@ -15,6 +15,7 @@ from anther.sim.finer_plant import divided
 from anther.sim.pepper import grow_pepper
 from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.sim.tomato import grow_tomato
+from anther.sim.truth import Truth
 from anther.vibration.observables import semi_major
 
 SIDEWAYS, UP = np.eye(3)[1], np.eye(3)[2]
@@ -55,6 +56,53 @@ def test_poses_put_the_flower_where_it_was_measured() -> None:
     T = shaken.segment_poses(found.qpos[7])[k]
     assert (T @ np.r_[shaken.plant.flower_position[0], 1])[:3] == pytest.approx(found.flowers[7, 0], abs=1e-9)
     assert np.ptp(found.flowers[:, 0, 1]) > 1e-3
+
+
+def flower_paths(shaken: ShakenPlant, qpos: Any) -> Any:
+    """Return (T, F, 3) where the flowers are in these configurations."""
+    k = shaken.plant.flower_segment
+    T = np.array([shaken.segment_poses(q)[k] for q in qpos])
+    return np.einsum("tfij,fj->tfi", T[..., :3, :3], shaken.plant.flower_position) + T[..., :3, 3]
+
+
+@pytest.mark.parametrize("pads", [np.inf, 2e3])
+def test_the_linear_swing_is_where_a_small_steady_shake_is_at_the_same_time(pads: float) -> None:
+    amplitude, frequency = 2e-3, 1.5
+    truth = Truth(pad_stiffness=pads, pad_rotation=1e-3 * pads)
+    shaken = ShakenPlant(straight_plant(), MIDDLE, SIDEWAYS, truth=truth)
+    found = shaken.steady(amplitude, frequency)
+    swung = flower_paths(shaken, shaken.swing(amplitude, frequency, found.times))
+    assert swung == pytest.approx(found.flowers, abs=0.01 * found.amplitude.max())
+    turns = np.exp(2j * np.pi * frequency * found.times)[:, None, None]
+    linear = amplitude * (turns * shaken.linear([frequency], amplitude)[0]).imag
+    assert swung - shaken.plant.flower_position == pytest.approx(linear, abs=5e-3 * found.amplitude.max())
+
+
+FINELY = Params(plant=plant_mechanics.Params(piece=0.005, twist_every=1, stiffest=1e5))
+
+
+@pytest.mark.parametrize(("pads", "theory"), [((np.inf, np.inf), 12.0), ((1e9, 1e-6), 3.0), ((200.0, 1e9), 12.0)])
+def test_a_slow_pull_feels_the_stem_below_the_grip_and_the_pads_in_series(
+    pads: tuple[float, float], theory: float
+) -> None:
+    """12 EI / h^3 where the grip keeps the stem's direction, 3 EI / h^3 where it may turn; both carry little weight."""
+    youngs, radius = 4e9, 0.004
+    stem = chain(BASE + np.linspace(0, 0.3, 16)[:, None] * UP, radius, youngs=youngs)
+    truth = Truth(pad_stiffness=pads[0], pad_rotation=pads[1])
+    shaken = ShakenPlant(plant_of(stem, flower=14), BASE + 0.2 * UP, SIDEWAYS, FINELY, truth)
+    below = theory * youngs * np.pi / 4 * radius**4 / (shaken.point[2] - BASE[2]) ** 3
+    expected = 1 / (1 / below + 1 / pads[0])
+    assert shaken.force(0.01) == pytest.approx(np.array([0, expected, 0]), rel=0.02, abs=1e-3 * expected)
+
+
+def test_a_fast_shake_of_a_stiff_stem_also_pushes_its_mass() -> None:
+    """All that stands above the grip, and 13/35 of a beam between two ends that keep their direction."""
+    radius, length = 0.01, 0.4
+    stem = chain(BASE + np.linspace(0, length, 21)[:, None] * UP, radius, youngs=1e10)
+    shaken = ShakenPlant(plant_of(stem, flower=19), BASE + 0.2 * UP, SIDEWAYS, FINELY)
+    slow, fast = (shaken.force(f)[1].real for f in (0.1, 2.0))
+    mass, below = (slow - fast) / (2 * np.pi) ** 2 / (2.0**2 - 0.1**2), shaken.point[2] - BASE[2]
+    assert mass == pytest.approx(1000 * np.pi * radius**2 * (length - below + 13 / 35 * below), rel=0.02)
 
 
 def test_the_nearest_piece_of_the_stem_is_held_and_never_the_lowest() -> None:

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from straight_plant import BASE, straight_plant, with_blade
 
+from anther.arm.views import Views
+from anther.commands.simulated_cell import in_wind
 from anther.errors import InputError
 from anther.geometry import Array, inverse, look_at, small_transform, transform
 from anther.sim.capture import (
@@ -18,8 +25,10 @@ from anther.sim.capture import (
 )
 from anther.sim.depth_noise import DepthNoise
 from anther.sim.pepper import grow_pepper
-from anther.sim.plant import Organ
+from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455
+from anther.sim.sway import swaying
+from anther.sim.truth import Truth
 
 CAMERA = d455(256, 144)
 TARGET = (0.72, 0.0, -0.1)
@@ -138,3 +147,47 @@ def test_bad_joints_and_transforms_are_refused(scene: Scene) -> None:
 def test_identity_flange_is_a_plain_camera() -> None:
     T = transform(np.eye(3), [0, 0, 0])
     np.testing.assert_array_equal(perturbed_hand_eye(T, rng(), rotation=0.0, translation=0.0), T)
+
+
+@pytest.fixture(scope="module")
+def leafy() -> SimPlant:
+    """A stem whose one blade, all there is to see, feels the wind."""
+    plant = with_blade(straight_plant(), BASE + np.array([0.03, 0.13, 0.4]), [1.0, 0.1, 0.2], segment=23)
+    return replace(plant, drag_area=np.full(len(plant.start), 1e-4))
+
+
+def tour(count: int) -> Views:
+    """Views of which all that counts here is how long they take: 0.3 s each."""
+    motions = [SimpleNamespace(duration=0.1)] * count
+    return cast(Views, SimpleNamespace(joints=np.zeros((count, 7)), motions=motions, dwell=np.full(count, 0.2)))
+
+
+def test_without_wind_all_views_find_the_plant_where_it_grew(leafy: SimPlant) -> None:
+    still = Scene.of_plant(leafy)
+    assert in_wind(leafy, still, tour(3), Truth(wind=0.0)) is still
+
+
+def test_in_wind_each_view_finds_the_plant_where_it_has_swayed_to_by_then(leafy: SimPlant) -> None:
+    still, count = Scene.of_plant(leafy), 3
+    sight = in_wind(leafy, still, tour(count), Truth(wind=0.8))
+    assert callable(sight)
+    blown = [sight(view).vertices for view in range(count)]
+    own = len(leafy.vertices)
+    for vertices, T in zip(blown, swaying(leafy, 0.8, [0.0, 0.45, 0.9]), strict=True):
+        assert vertices[:own] == pytest.approx(leafy.posed_vertices(T))
+        assert np.array_equal(vertices[own:], still.vertices[own:])  # bench and pot stand still
+    for one, other in ((0, 1), (1, 2), (0, 2)):
+        assert np.linalg.norm((blown[one] - blown[other])[:own], axis=1).max() > 1e-3
+
+
+def test_each_view_sees_the_scene_that_it_finds(scene: Scene) -> None:
+    joints = np.array([[-0.3] * 7, [0.4] * 7])
+    aside = scene.moved(np.add(scene.vertices, [0, 0.05, 0]))
+    taken = [
+        capture_views(sight, joints, forward, T_FLANGE_CAM, T_FLANGE_CAM, rng=rng(), intrinsics=CAMERA, errors=NONE)
+        for sight in (scene, aside, lambda view: (scene, aside)[view])
+    ]
+    still, moved, mixed = (truth.depth for _, truth in taken)
+    assert not np.array_equal(still[1], moved[1])
+    np.testing.assert_array_equal(mixed, [still[0], moved[1]])
+    np.testing.assert_array_equal(taken[2][0].depth[1], taken[1][0].depth[1])
