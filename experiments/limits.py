@@ -5,7 +5,7 @@
 1. Strain. The same rods in Anther and in MuJoCo, linear, at 1, 2, 5, 10 and 30 Hz: the largest strain of stem, pedicels
    and the bases of petioles, peduncles and forks, and the strain at every single place (docs/limits.md). A plant that
    buckles when its pieces are cut this fine is left out and the next one taken.
-2. Strain of pedicels over the acceleration of the grip, with true rods: what `vibration.Params.resonant_strain` bounds.
+2. Strain of pedicels over the acceleration of the grip, with true rods.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def acceleration_metrics(strains: dict[str, Array]) -> dict[str, float]:
     """Return median and 98 % quantile by crop."""
     out: dict[str, float] = {}
     for crop, values in strains.items():
-        out[f"resonant_strain_{crop}_median"] = float(np.median(values))
-        out[f"resonant_strain_{crop}_p98"] = float(np.quantile(values, 0.98))
-        out[f"resonant_strain_{crop}_p98_worst_plant"] = float(np.quantile(values, 0.98, axis=(1, 2, 3)).max())
+        out[f"strain_per_ms2_{crop}_median"] = float(np.median(values))
+        out[f"strain_per_ms2_{crop}_p98"] = float(np.quantile(values, 0.98))
+        out[f"strain_per_ms2_{crop}_p98_worst_plant"] = float(np.quantile(values, 0.98, axis=(1, 2, 3)).max())
     return out
 
 

@@ -16,7 +16,7 @@ from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import PADS, SINE, Pads, ShakePlan, Waveform
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.params import FLOWER_SPREAD, LOAD_SPREAD
+from anther.vibration.params import FLOWER_SPREAD, LOAD_ERROR
 from anther.vibration.search import Version, flower_motion, gains
 
 HELD, WAY, PITCH, SIZE = 8, np.array([0.8, 0.6, 0.0]), 4.0, 2e-3
@@ -156,11 +156,11 @@ def test_expected_loads_are_the_plants_own_and_as_uncertain_as_each_kind_is(
 ) -> None:
     pitches = np.array([2.0, PITCH])
     told = loads_at(sure, point[None], WAY, pitches)
-    assert set(told) == set(LOAD_SPREAD)
+    assert set(told) == set(LOAD_ERROR)
     own = gains([Version(plant, FIRM)], pad_nodes(plant, grip_rows(plant, point[None])), WAY[None, None], pitches)
-    for kind, spread in LOAD_SPREAD.items():
+    for kind, (median, spread) in LOAD_ERROR.items():
         low, middle, high = np.moveaxis(told[kind], -1, 0)
-        assert middle == pytest.approx(np.maximum(getattr(own, kind)[0, :, :, 0].T, 1e-12), rel=1e-4)
+        assert middle == pytest.approx(median * np.maximum(getattr(own, kind)[0, :, :, 0].T, 1e-12), rel=1e-4)
         assert np.log(high / low) == pytest.approx(np.full((1, 2), 2 * NINETY * spread))
 
 

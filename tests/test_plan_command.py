@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +76,7 @@ def test_a_skeletons_flowers_are_named_or_supposed(file: Path, capsys: pytest.Ca
         (["--flower", "1"], "flower: got the root"),
         (["--flower", "999"], "node number: got 999"),
         (["--highest", "0.5"], "band of the arm"),
-        (["--params.leaf-load", "0.001"], "no shake of 0.3 mm or more is allowed"),
+        (["--params.plant.leaf-load", "0.001"], "no shake of 0.3 mm or more is allowed"),
         (["--material", "nowhere.json"], "nowhere.json"),
     ],
 )
@@ -102,3 +103,11 @@ def test_a_plant_that_buckles_is_refused(folder: Path, capsys: pytest.CaptureFix
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["plan", str(tmp_path)]) == 2
     assert "a run folder with 04_skeleton.npz" in capsys.readouterr().err
+
+
+def test_a_bolder_shake_is_a_larger_one(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sizes, params = [], replace(FAST, least_amplitude=1e-6)
+    for boldness in ("gentle", "default", "bold"):
+        run(Args(file, shake=boldness, lowest=6, highest=6, json=True, params=params))
+        sizes.append(json.loads(capsys.readouterr().out)["amplitude"])
+    assert sizes[0] < sizes[1] < sizes[2]

@@ -302,5 +302,5 @@ def test_without_scenarios_the_plant_as_believed_decides(
     best = {"fruit_set": float(flowers), "amplitude": 1.0}[objective]
     assert 0 < plan.score < best
     if objective == "fruit_set":
-        dose = freed_share(plan.predicted_acceleration[None], np.array([plan.duration]), 45.0, 0.6)
+        dose = freed_share(plan.predicted_acceleration[None], np.array([plan.duration]), QUICK.half_dose, 0.6)
         assert plan.score == pytest.approx(np.sum(0.475 + 0.525 * 0.75 * dose), rel=0.02)

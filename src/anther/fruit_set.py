@@ -34,15 +34,15 @@ class Prior:
             and 65.7 % (Al-Attal 2003); bagged habanero 25 % (facts: pollination 1c).
         gain: logit of g. (set - p0) / (1 - p0) was 0.73-1 with bumblebees and 0.32 with a vibrator on tomato, 0.72 for
             one visit on habanero (the same sources).
-        half_dose: ln of the acceleration that frees half of the pollen [m/s2]: the planner's 45, with 10 and 200 m/s2
-            two standard deviations away, as in `pollen_dose`.
+        half_dose: ln of the acceleration that frees half of the pollen [m/s2]: the planner's 20, with 5 and 80 m/s2 at
+            5 and 95 % (facts: pollination 6).
         likeness: logit of the intraclass correlation of flowers counted together: they share weather, vigour and load,
             so that ten of one plant tell less than ten of ten plants. An estimate of ours; no source found.
     """
 
     unshaken: tuple[float, float] = (-0.1, 0.8)
     gain: tuple[float, float] = (1.1, 1.3)
-    half_dose: tuple[float, float] = (float(np.log(45.0)), 0.75)
+    half_dose: tuple[float, float] = (float(np.log(20.0)), 0.84)
     likeness: tuple[float, float] = (float(logit(0.1)), 1.0)
 
 

@@ -29,6 +29,7 @@ from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem, find_stem
 from anther.vibration import (
+    PRESETS,
     WAVEFORMS,
     Actuator,
     ArmShaker,
@@ -113,6 +114,7 @@ ACTUATORS: dict[str, Actuator] = {"arm": ArmShaker(arm_limit), "gripper": Vibrat
 def _params(args: Args) -> Params:
     given = {"objective": args.objective, "lowest": args.lowest, "highest": args.highest}
     given |= {"frequencies": args.frequencies, "waveforms": WAVEFORMS if args.waveforms == "all" else None}
+    given |= {"plant": None if args.shake is None else PRESETS[args.shake]}
     return replace(args.params, **{name: value for name, value in given.items() if value is not None})
 
 
