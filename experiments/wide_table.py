@@ -29,6 +29,8 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     """
     whole = [row for row in rows if "lost" not in row and len(row["true"][0][0])]
     out = {"plants": float(len(whole)), "plants_lost": float(sum("lost" in row for row in rows))}
+    if not whole:
+        return out
     out["measured_share"] = _mean(np.mean(tone["measured"]) for row in whole for tone in row["held"])
     for name, measured in (("seen", True), ("hidden", False)):
         out[f"error_held_{name}"] = _median(

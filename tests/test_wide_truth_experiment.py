@@ -134,3 +134,10 @@ def test_the_flat_table_names_what_each_truth_did(tmp_path: Path, monkeypatch: p
 
 def test_every_group_that_is_tried_exists() -> None:
     assert set(wide_grasping.GROUPS) <= set(wide_truth.WIDE)
+
+
+def test_where_every_plant_is_lost_only_that_is_told() -> None:
+    assert wide_table.metrics([{"species": "tomato", "seed": 1, "lost": "it fell over"}]) == {
+        "plants": 0.0,
+        "plants_lost": 1.0,
+    }
