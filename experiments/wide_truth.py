@@ -25,6 +25,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import Value
 from pathlib import Path
 from typing import Any
 
@@ -120,11 +121,13 @@ def _markdown(table: Table) -> str:
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
-def _one_core() -> None:
-    """Keep a worker to one core: its own threads would only wait for each other."""
+def _one_core(turn: Any) -> None:
+    """Keep a worker to one core, each to another: its own threads would only wait for each other."""
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {cores[os.getpid() % len(cores)]})
+        with turn.get_lock():
+            os.sched_setaffinity(0, {cores[turn.value % len(cores)]})
+            turn.value += 1
 
 
 def main() -> None:
@@ -145,7 +148,7 @@ def main() -> None:
     args = parser.parse_args()
     if args.quick:
         args.plants, args.perturbed, args.trials, args.perturbed_trials = 4, 0, 4, 0
-    with ProcessPoolExecutor(args.jobs, initializer=_one_core) as pool:
+    with ProcessPoolExecutor(args.jobs, initializer=_one_core, initargs=(Value("i", 0),)) as pool:
         predicted = predictions(args, pool) if "prediction" in args.part else {}
         grasped, failed = grasps(args, pool) if "grasping" in args.part else ({}, [])
     text = report(predicted, grasped, failed)
