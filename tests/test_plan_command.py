@@ -105,9 +105,9 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, capsys: pytest.Captu
     assert "a run folder with 04_skeleton.npz" in capsys.readouterr().err
 
 
-def test_a_bolder_shake_is_a_larger_one(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    sizes, params = [], replace(FAST, least_amplitude=1e-6)
+def test_a_bolder_shake_is_worth_more(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    worth, params = [], replace(FAST, least_amplitude=1e-6)
     for boldness in ("gentle", "default", "bold"):
         run(Args(file, shake=boldness, lowest=6, highest=6, json=True, params=params))
-        sizes.append(json.loads(capsys.readouterr().out)["amplitude"])
-    assert sizes[0] < sizes[1] < sizes[2]
+        worth.append(json.loads(capsys.readouterr().out)["score"])
+    assert worth[0] < worth[1] < worth[2]
