@@ -141,10 +141,8 @@ class ShakenPlant:
         self._carriage = int(self.model.joint("carriage").dofadr[0])
         self._linear, self._drag = self._linearised()
 
-    def steady(self, amplitude: float, frequency: float, rate: float | None = None) -> Shaken:
+    def steady(self, amplitude: float, frequency: float) -> Shaken:
         """Shake by `amplitude` [m] at `frequency` [Hz] and return the steady motion.
-
-        It is recorded `rate` times a second; None: `Params.samples` times a period.
 
         Raises:
             StageFailure: "no_convergence": the simulation became unstable.
@@ -158,7 +156,7 @@ class ShakenPlant:
         self._start_pads(data, motion, omega, amplitude)
         settled = max(1 / frequency, p.settle)
         steps = round((settled + max(2, np.ceil(p.measure * frequency)) / frequency) / dt)
-        every = max(1, round(1 / ((rate or p.samples * frequency) * dt)))
+        every = max(1, int(1 / (p.samples * frequency * dt)))
         place = amplitude * np.sin(omega * dt * np.arange(-1, steps + 1))
         speed = np.diff(place) / dt  # differences, as the integrator takes them: then its steps follow the sine exactly
         push = CARRIAGE_MASS * np.diff(speed) / dt
@@ -206,8 +204,7 @@ class ShakenPlant:
             amplitude: of the grip [m], at which the air's drag is taken; 0 is a shake too small to feel it.
             loss_factor: of hysteretic damping instead of the plant's own: springs times 1 + i loss_factor.
         """
-        flowers = self._jacobians()
-        phasors = [self._phasor(float(f), amplitude, loss_factor) for f in np.atleast_1d(frequencies)]
+        flowers, phasors = self._jacobians(), self._phasors(frequencies, amplitude, loss_factor)
         return np.array([np.tensordot(flowers, phasor, 1) for phasor in phasors])
 
     def bending(
@@ -217,8 +214,7 @@ class ShakenPlant:
 
         Arguments as of `linear`.
         """
-        phasors = [self._phasor(float(f), amplitude, loss_factor) for f in np.atleast_1d(frequencies)]
-        return np.array([self.mechanics.bending(phasor) for phasor in phasors])
+        return np.array([self.mechanics.bending(p) for p in self._phasors(frequencies, amplitude, loss_factor)])
 
     def force(self, frequency: float) -> NDArray[np.complex128]:
         """Return (3,) the force of a small shake between pads and plant, across, per metre of grip motion [N/m]."""
@@ -229,7 +225,7 @@ class ShakenPlant:
 
     def _start_pads(self, data: Any, motion: NDArray[np.complex128], omega: float, amplitude: float) -> None:
         """Put soft pads where the steady motion of the hinges (D,) has them."""
-        if not np.isfinite(self._pads).any():
+        if not np.isfinite(self._pads).all():
             return
         held, first = self._linear[3] @ motion, int(self.model.joint("pads_0").dofadr[0])
         data.qpos[first : first + 5] = held.imag
@@ -276,6 +272,11 @@ class ShakenPlant:
         grip = np.concatenate([place[:2], turn])[:, d]
         drag = _drag(self.mechanics, mass, stiffness, grip)
         return (mass, np.diag(m.dof_damping[d]) + drag @ drag.T, stiffness, grip), drag
+
+    def _phasors(
+        self, frequencies: ArrayLike, amplitude: float, loss_factor: float | None
+    ) -> list[NDArray[np.complex128]]:
+        return [self._phasor(float(f), amplitude, loss_factor) for f in np.atleast_1d(frequencies)]
 
     def _phasor(
         self, frequency: float, amplitude: float = 0.0, loss_factor: float | None = None
