@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from anther.checks import check_array, check_range
 from anther.errors import StageFailure, bad_input
 from anther.geometry import Array, Box, Intrinsics
+from anther.swing import Swing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +74,13 @@ class ArmSample:
 Watch = Callable[[ArmSample], None]
 """Sees every reading of an arm that is moving; the arm stops when it raises."""
 
+LEAD = 0.3
+"""A machine that may go on without a stop asks for its next motion so long before the present one ends [s]."""
+More = Callable[[], "JointTrajectory | None"]
+"""What comes next, joined to the end of the motion under way with the same place and speed; None: nothing does."""
+MoreSwing = Callable[[], Swing | None]
+"""The same of a swing."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmRecord:
@@ -132,13 +140,17 @@ class Arm(Protocol):
         """Return the measured joint angles (7,) [rad]."""
         ...
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(
+        self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None
+    ) -> ArmRecord:
         """Follow a trajectory, cubic between its samples, that starts at the present joints; return when it has ended.
 
         Args:
             trajectory: the motion.
             watch: called with every reading on the way, at least 50 times a second. When it raises, or anything else
                 does (Ctrl-C), the arm stops where it is, holds, and the error goes on to the caller.
+            more: asked `LEAD` seconds before the end, while the arm moves on, for what follows without a stop; again
+                for each motion it gives, until it says None.
 
         Raises:
             DeviceError: the arm refused or stopped on the way; it holds where it is.
@@ -186,11 +198,37 @@ class Camera(Protocol):
         """Begin to record at `rate` frames per second."""
         ...
 
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the frames of the recording under way that were taken from `since` on [s], in order of time.
+
+        Raises:
+            DeviceError: there are none.
+        """
+        ...
+
     def stop(self) -> list[Frame]:
         """End the recording and return its frames in order of time; a device may keep only part of a long one.
 
         Raises:
             DeviceError: all of them were lost.
+        """
+        ...
+
+
+class Motor(Protocol):
+    """A motor in the gripper that moves the closed pads to and fro, while the arm stands still."""
+
+    def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
+        """Move the pads; return, at rest, what the arm's joints did meanwhile.
+
+        Args:
+            first: begins at rest; the last piece ends at rest.
+            watch: called with every reading of the standing arm on the way. When it raises, or anything else does
+                (Ctrl-C), the motor stops.
+            more: asked `LEAD` seconds before the end of a piece for the next (`Swing.then`); None: nothing follows.
+
+        Raises:
+            DeviceError: the motor refused or stopped on the way.
         """
         ...
 
@@ -203,6 +241,7 @@ class Robot:
         arm, gripper: what grasps and shakes.
         wrist_camera: rides on the flange; takes the views.
         side_camera: stands still at `T_world_side_camera`; watches the flowers during the shake. None if there is none.
+        motor: in the gripper; None if there is none.
     """
 
     arm: Arm
@@ -210,6 +249,7 @@ class Robot:
     wrist_camera: Camera
     side_camera: Camera | None = None
     T_world_side_camera: Array | None = None
+    motor: Motor | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
