@@ -140,9 +140,7 @@ class Arm(Protocol):
         """Return the measured joint angles (7,) [rad]."""
         ...
 
-    def follow(
-        self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None
-    ) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow a trajectory, cubic between its samples, that starts at the present joints; return when it has ended.
 
         Args:
