@@ -181,7 +181,7 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
         done = perform()
         times = done.trial.shake_times
         shaken = (float(times[0]), float(times[-1])) if len(times) else None
-        verdict = judge(cell.world, shaken, done.shake.frequency)
+        verdict = judge(cell.world, shaken, done.shake.frequency, done.trial.steady)
     except StageFailure as stopped:
         failure, shaken = stopped, None
     summary = as_counted(summarise(cell, done, verdict, failure))

@@ -7,12 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from anther import cloud, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
+from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.devices import Robot, SafetyLimits
 from anther.early_reach import Arrive, early_reach
 from anther.errors import FailureKind, StageFailure
+from anther.escalation import Escalation, foresee, watch_points
 from anther.execution import Trial
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
@@ -46,7 +47,10 @@ class Params:
     plant: plant.Params = field(default_factory=plant.Params)
     vibration: vibration.Params = field(default_factory=vibration.Params)
     execution: execution.Params = field(default_factory=execution.Params)
+    escalation: escalation.Params = field(default_factory=escalation.Params)
     response: response.Params = field(default_factory=response.Params)
+    escalate: bool = True
+    """Whether the shake is raised by what the side camera sees, or done as planned."""
 
 
 FindMasks = Callable[[Capture, Box | None, Advance], Masks]
@@ -189,7 +193,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits, params.execution) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
-            shake, trial = _shaken(cell, planner, rods, grasps, run, arrive, params=params)
+            shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params=params)
     answer = _watched(cell, trial, shake, seen, run, params=params)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material, params.vibration.pads)
@@ -204,6 +208,8 @@ def _watched(cell: Cell, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
         return None
+    begin, end = trial.steady
+    frames = [f for f in trial.frames if not trial.steps or begin <= f.time <= end] or trial.frames
     ids = seen.stem.node_ids
     beside = stem_near(
         seen.skeleton.nodes[ids], seen.stem.arc_length, seen.skeleton.radius[ids], shake.grasp.arc_length
@@ -212,7 +218,7 @@ def _watched(cell: Cell, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *
         "response",
         Response.load,
         lambda _: measure_response(
-            trial.frames,
+            frames,
             camera.intrinsics,
             pose,
             seen.flowers,
@@ -228,6 +234,7 @@ def _shaken(
     planner: MotionPlanner,
     rods: PlantModel,
     grasps: list[Grasp],
+    seen: Seen,
     run: Run,
     arrive: Arrive | None,
     *,
@@ -246,17 +253,46 @@ def _shaken(
                 raise
             grasps = grasps[len(offered) :]
             continue
+        watched = _watching(cell, rods, shake, seen, params)
         trial = run.stage(
             "execution",
             Trial.load,
-            lambda advance, shake=shake, arrive=arrive: execution.execute(
-                planner, shake, cell.robot, cell.limits, params.execution, progress=advance, arrive=arrive
+            lambda advance, shake=shake, arrive=arrive, watched=watched: execution.execute(
+                planner,
+                shake,
+                cell.robot,
+                cell.limits,
+                params.execution,
+                progress=advance,
+                arrive=arrive,
+                watched=watched,
             ),
         )
-        arrive = None
-        grasps = [g for i, g in enumerate(grasps) if i != shake.grasp_index]
+        arrive, planned = None, shake.grasp_index
+        if watched is not None:
+            shake = watched.executed(trial.steps)
+        grasps = [g for i, g in enumerate(grasps) if i != planned]
         if trial.failure not in TRY_THE_NEXT or not grasps:
             return shake, trial
+
+
+def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
+    """Return what raises the shake by what the side camera sees; None where it cannot."""
+    camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
+    if camera is None or pose is None or not params.escalate or not len(seen.flowers.positions):
+        return None
+    points = watch_points(rods, params.escalation.points)
+    tones, pads = shake.tones.frequencies, params.vibration.pads
+    return Escalation(
+        shake,
+        foresee(rods, shake.grasp.point, shake.direction, tones, points, pads=pads),
+        seen.flowers.positions,
+        rods.rods.nodes[points],
+        camera=(camera.intrinsics, pose),
+        middle=shake.grasp.carried(cell.limits.forward),
+        limits=params.vibration,
+        params=params.escalation,
+    )
 
 
 def _planned(planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, *, params: Params) -> ShakePlan:

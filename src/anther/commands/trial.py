@@ -147,7 +147,7 @@ def _judge(cell: SimulatedCell, done: Done) -> Verdict:
     from anther.sim.judge import judge
 
     times = done.trial.shake_times
-    return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency)
+    return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency, done.trial.steady)
 
 
 def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], done: Done | None) -> TrialRecord:

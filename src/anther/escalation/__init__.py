@@ -1,1 +1,285 @@
-"""Escalation."""
+"""Escalation: a shake that begins gently and is raised as far as the camera sees that the plant bears it.
+
+F flowers, K tones, P points that the camera may see, R readings of the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.checks import check_range
+from anther.devices import LEAD, ArmSample, Frame
+from anther.escalation.foresight import Foresight, foresee
+from anther.escalation.known import Known, Look, factors, gripper_motion, known, lateness, limits_of
+from anther.execution import Step
+from anther.geometry import Array, Intrinsics
+from anther.plant import PlantModel
+from anther.response.points import sight, swings
+from anther.swing import Swing
+from anther.vibration import Params as Limits
+from anther.vibration import ShakePlan
+from anther.vibration.params import FLOWER_SPREAD
+
+__all__ = ["Escalation", "Foresight", "Params", "foresee", "watch_points"]
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How a watched shake is raised.
+
+    Attributes:
+        target: median acceleration of the flowers at which it is enough [m/s2]: what frees half of their pollen (facts:
+            pollination 6, 5 to 80).
+        most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same).
+        probe: how long all tones are watched at once [s].
+        look: how long a step is watched at least [s], or two and a half periods.
+        raised: a step is at most so many times the one before.
+        hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
+        most_seconds: of the whole shake [s].
+        points: of the plant that are watched beside the flowers.
+    """
+
+    target: float = 20.0
+    most: float = 60.0
+    probe: float = 1.4
+    look: float = 0.5
+    raised: float = 1.5
+    hold: float = 2.0
+    most_seconds: float = 12.0
+    points: int = 60
+
+    def __post_init__(self) -> None:
+        check_range("target", self.target, 0.1, 1000, "m/s2")
+        check_range("most", self.most, self.target, 10_000, "m/s2")
+        check_range("probe", self.probe, 0.5, 10, "s")
+        check_range("look", self.look, 0.2, 10, "s")
+        check_range("raised", self.raised, 1.05, 4)
+        check_range("hold", self.hold, 0.5, 10, "s")
+        check_range("most_seconds", self.most_seconds, 4, 60, "s")
+        check_range("points", self.points, 0, 1000)
+
+
+RAMP = 0.3
+"""In which the amplitude changes [s], or one period of the slowest tone if that is longer."""
+PERIODS = 2.5
+"""A step is watched for so many of its periods at least."""
+WORDS = {
+    "stem_strain": "the bending of the stem",
+    "joint_strain": "the bending of pedicels",
+    "base_strain": "the bending of branch bases",
+    "leaf_load": "the load at leaf bases",
+    "grip_force": "slip",
+}
+"""The kinds of load, for people."""
+PROBED = 0.7
+"""Of the probe: the rms of its loads over that of the plan's shake; its peaks are about 1.3 times those."""
+BETTER = 1.3
+"""Another tone is turned to when it promises so many times the flowers' motion."""
+ENOUGH = 1.05
+"""A raise by less is not worth its time."""
+LOST = 0.5
+"""A shake is ended when fewer than this share of the flowers seen in the probe are still followed."""
+
+
+class Allowed(NamedTuple):
+    """How far a tone may be raised: amplitude [m], the flowers' median there [m/s2], and what ends it."""
+
+    amplitude: float
+    flowers: float
+    binds: str
+
+
+class Escalation:
+    """One watched shake at the grip and along the direction of a plan; it satisfies `execution.Watched`.
+
+    A gentle mixture of tones is watched first: what it does to flowers, stem and leaves corrects what the model says of
+    each tone at this grip (`foresight.narrowed`). The tone is taken at which the flowers can be moved most, and raised
+    in steps, each watched, until they feel `Params.target` or a limit is near. Where the camera sees nothing, the plan
+    is done as it is.
+
+    Args:
+        plan: where, and by the model how far at most.
+        foresight: of the plan's grip, direction and tones.
+        flowers: (F, 3) at rest, world [m].
+        points: (P, 3) the plant's other points, those of `foresee`.
+        camera: intrinsics and T_world_cam (4, 4) of the side camera.
+        middle: joints (R, 7) -> (R, 3) place of the grip by the arm's own readings, world [m].
+        limits: of plant and grip.
+        params: see `Params`.
+    """
+
+    def __init__(
+        self,
+        plan: ShakePlan,
+        foresight: Foresight,
+        flowers: Array,
+        points: Array,
+        *,
+        camera: tuple[Intrinsics, Array],
+        middle: Callable[[Array], Array],
+        limits: Limits,
+        params: Params = Params(),
+    ) -> None:
+        self.plan, self.params, self.steps = plan, params, ()
+        self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
+        self._limits, self._factors = limits_of(limits), factors(limits.risk)
+        self._may: dict[int, Allowed] = {}
+        self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
+
+    steps: tuple[Step, ...]
+    """What was done so far."""
+
+    @property
+    def reach(self) -> float:
+        """The pads never move further [m]."""
+        return float(self.plan.tones.reach.max())
+
+    @property
+    def highest(self) -> float:
+        """Frequency of the fastest tone [Hz]."""
+        return float(self._foresight.tones.max())
+
+    def begin(self, frame: Frame) -> Swing:
+        """Return the probe: all tones at once, with the mean square of `PROBED` times what the model allows of one."""
+        intrinsics, T_world_cam = self._camera
+        self._sight = sight(frame, intrinsics, T_world_cam, *self._places)
+        tones = self.plan.tones
+        size = PROBED * np.minimum(tones.amplitudes, tones.reach) / np.sqrt(len(tones.frequencies))
+        ramp = max(RAMP, 1 / tones.frequencies.min())
+        self._piece = Swing.first(tones.frequencies, size, ramp + self.params.probe + LEAD, ramp)
+        return self._piece
+
+    def since(self) -> float:
+        """Return from when on the piece under way is steady [s], counted from the shake's begin."""
+        piece = self._piece
+        steady = self.params.probe if not self.steps else self._watch(int(piece.amplitudes.argmax()))
+        return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
+
+    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        """Return what follows what was seen; the last piece ends at rest."""
+        started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.since()]
+        look = self._looked(frames, steady)
+        if not self.steps:
+            self._in_sight = look.followed
+            self._late = lateness(self._foresight, look, self._T) if look.followed else 0.0
+        told = [known(self._foresight, look, i, self._T, self._late, self._factors) for i in range(len(look.tones))]
+        self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
+        tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
+        self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)
+        ramp = max(RAMP, 1 / float(self._foresight.tones[tone]))
+        new = np.where(np.arange(len(self._foresight.tones)) == tone, amplitude, 0.0)
+        self._piece = self._piece.then(new, ramp + (seconds + LEAD if amplitude else 0.0), ramp)
+        return self._piece
+
+    def executed(self, steps: Sequence[Step]) -> ShakePlan:
+        """Return the plan as it was carried out: the last step, and what the plant as believed would do in it."""
+        if not steps:
+            return self.plan
+        last, tones = steps[-1], self._foresight.tones
+        tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
+        size = amplitude * self._foresight.sizes("flowers")[:, tone]
+        spread = np.quantile(np.log(np.maximum(size, 1e-12)), [0.05, 0.95], axis=0).T
+        logs = np.log(np.maximum(size[0], 1e-12))[:, None]
+        wide = np.exp(logs + [-1, 1] * np.hypot(spread - logs, 1.645 * FLOWER_SPREAD))
+        omega2 = (2 * np.pi * tones[tone]) ** 2
+        return replace(
+            self.plan,
+            frequency=float(tones[tone]),
+            amplitude=amplitude,
+            duration=last.end - last.begin,
+            predicted_amplitude=size[0],
+            predicted_amplitude_interval=wide,
+            predicted_acceleration=omega2 * size[0],
+            predicted_acceleration_interval=omega2 * wide,
+            reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
+        )
+
+    @property
+    def _T(self) -> Array:
+        return self._camera[1][:3, :3]
+
+    def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample]) -> Look:
+        piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
+        gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
+        return Look(active, piece.amplitudes[active], gripper, swings(self._sight, frames, piece.frequencies[active]))
+
+    def _allowed(self, tone: int, one: Known) -> Allowed:
+        """Return how far a tone may be raised."""
+        counted = one.flowers[one.seen] if one.seen.any() else one.flowers
+        median = float(np.median(counted)) if len(counted) else 0.0
+        caps = {kind: limit / max(one.loads[kind], 1e-12) for kind, limit in self._limits.items()}
+        caps["what the actuator can do"] = float(self.plan.tones.reach[tone])
+        caps["the target"] = self.params.target / max(median, 1e-12)
+        caps["the most a flower may feel"] = self.params.most / max(float(counted.max(initial=0)), 1e-12)
+        binds = min(caps, key=lambda name: caps[name])
+        return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
+
+    def _decided(self, look: Look, seen: int) -> tuple[int, float, float, str]:
+        """Return the next tone, its amplitude [m], for how long [s], and why."""
+        if not self.steps and not look.followed:
+            self._last = True
+            return 0, self.plan.amplitude, self.plan.duration, "Nothing is in sight: the plan alone is carried out."
+        tone, now = int(look.tones[0]), float(look.amplitudes[0])
+        if self._last:
+            return tone, 0.0, 0.0, "Held long enough."
+        if look.followed < LOST * self._in_sight:
+            return tone, 0.0, 0.0, f"Only {look.followed} of {self._in_sight} points are still followed: ended."
+        best = max(self._may, key=lambda k: (min(self._may[k].flowers, self.params.target), self._may[k].flowers))
+        here = tone if len(look.tones) == 1 else None
+        if best != here and (here is None or self._may[best].flowers > BETTER * self._may[here].flowers):
+            return self._turned_to(best, look)
+        return self._raised(tone, now, seen)
+
+    def _turned_to(self, tone: int, look: Look) -> tuple[int, float, float, str]:
+        most, done = self._may[tone], dict(zip(look.tones.tolist(), look.amplitudes.tolist(), strict=True))
+        self._most_seen = 0
+        begin = max(float(self.plan.tones.amplitudes[tone]), self.params.raised * done.get(tone, 0.0))
+        words = (
+            f"At {self._foresight.tones[tone]:.3g} Hz flowers may reach {most.flowers:.3g} m/s2 with "
+            f"{1e3 * most.amplitude:.2g} mm, more than at other tones; {most.binds} ends it there."
+        )
+        return tone, min(begin, most.amplitude), self._watch(tone), words
+
+    def _raised(self, tone: int, now: float, seen: int) -> tuple[int, float, float, str]:
+        may, self._most_seen = self._may[tone], max(self._most_seen, seen)
+        higher, why = min(may.amplitude, self.params.raised * now), may.binds
+        left = self.params.most_seconds - self._piece.begin - self._piece.seconds - self.params.hold - 2 * RAMP
+        if seen < LOST * self._most_seen:
+            higher, why = min(now, higher), "flowers were lost from sight"
+        elif left < self._watch(tone) + LEAD + max(RAMP, 1 / float(self._foresight.tones[tone])):
+            higher, why = min(now, higher), "time"
+        if higher > ENOUGH * now:
+            return tone, higher, self._watch(tone), f"Raised to {1e3 * higher:.2g} mm."
+        self._last = True
+        return tone, min(now, higher), self.params.hold, f"Held at {1e3 * min(now, higher):.2g} mm: {why}."
+
+    def _watch(self, tone: int) -> float:
+        return max(self.params.look, PERIODS / float(self._foresight.tones[tone]))
+
+    def _note(self, look: Look, told: Sequence[Known], when: tuple[float, float], words: str, seconds: float) -> None:
+        felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(look.amplitudes, told, strict=True)))
+        flowers = np.where(told[0].seen, felt, np.nan)
+        loads = {k: sum(a * one.loads[k] for a, one in zip(look.amplitudes, told, strict=True)) for k in self._limits}
+        binds = max(loads, key=lambda k: loads[k] / self._limits[k])
+        tones = tuple(self._foresight.tones[look.tones].tolist())
+        used, sizes = loads[binds] / self._limits[binds], tuple(look.amplitudes.tolist())
+        step = Step(*when, tones, sizes, tuple(flowers.tolist()), float(used), WORDS[binds], words, seconds)
+        self.steps = (*self.steps, step)
+
+
+def watch_points(plant: PlantModel, most: int) -> NDArray[np.int64]:
+    """Return up to `most` nodes of stem, branches and leaves that lie far from each other: farthest first."""
+    stalks = plant.is_pedicel | np.isin(np.arange(len(plant.is_pedicel)), plant.flower_nodes)
+    nodes = np.flatnonzero(~stalks)
+    places = plant.rods.nodes[nodes]
+    chosen, gap = [0], np.linalg.norm(places - places[0], axis=1)
+    while len(chosen) < min(most, len(nodes)):
+        chosen.append(int(gap.argmax()))
+        gap = np.minimum(gap, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return nodes[chosen]

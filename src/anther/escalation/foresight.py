@@ -22,11 +22,9 @@ MEMBERS = 32
 """Plants that are drawn; more change the narrowed loads by less than the camera's errors do."""
 BRANCH_SPREAD = 0.5
 """Of ln of a branch's stiffness, as in `identification.Params`."""
-MISFIT = 0.3
+MISFIT = 0.2
 """Of a point's modelled or seen motion, relative: no model's node is the piece of plant that a camera sees, and a
 stem's motion along itself cannot be seen. Measured on three simulated plants."""
-LIKENESS = 10.0
-"""So many points beside each other tell as much as one: they err alike. A guess."""
 
 LOADS = ("stem_strain", "joint_strain", "base_strain", "leaf_load", "grip_force")
 
@@ -136,7 +134,7 @@ def narrowed(
     off = (members - mean).reshape(len(members), -1) / np.sqrt(len(members) - 1)
     shown = (members[:, rows] @ T[:, :2]).reshape(len(members), -1)
     size = np.maximum(np.linalg.norm(motion, axis=1), np.linalg.norm(mean[rows] @ T[:, :2], axis=1))
-    noise = np.sqrt(np.repeat((std**2 + (MISFIT * size) ** 2) * max(len(rows) / LIKENESS, 1.0), 2))
+    noise = np.sqrt(np.repeat(std**2 + (MISFIT * size) ** 2, 2))
     spread = (shown - shown.mean(axis=0)) / np.sqrt(len(members) - 1) / noise
     miss = (motion.reshape(-1) - shown.mean(axis=0)) / noise
     gram = np.eye(len(members)) + spread.conj() @ spread.T

@@ -37,6 +37,7 @@ __all__ = ["EARLY", "PHASES", "Params", "Planner", "Progress", "Shake", "Step", 
 DEFAULTS = Params()
 Progress = Callable[[int, int], None]  # called with (phases done, phases in all)
 THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
+SAMPLES = 2.2  # frames a period of the fastest tone, at least: known frequencies need little more than two
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
@@ -91,10 +92,13 @@ class Watched(Protocol):
     Attributes:
         reach: the pads never move further [m].
         steps: what was done so far.
+        highest: frequency [Hz].
     """
 
     @property
     def reach(self) -> float: ...
+    @property
+    def highest(self) -> float: ...
     @property
     def steps(self) -> tuple[Step, ...]: ...
 
@@ -106,8 +110,8 @@ class Watched(Protocol):
         """Return from when on the frames of the piece under way are wanted [s], counted from the shake's begin."""
         ...
 
-    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing | None:
-        """Return the next piece, after the frames since `since` and all readings of the arm so far; None: it is over."""
+    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        """Return the next piece, after the frames since `since` and all readings of the arm; the last one ends at rest."""
         ...
 
 
@@ -262,6 +266,7 @@ def _watch(work: _Work, watched: Watched) -> None:
     camera, arm, plan = work.robot.side_camera, work.robot.arm, work.plan
     assert camera is not None
     first, rest = watched.begin(camera.read()), arm.joints()
+    done = [first]
 
     def joints(piece: Swing) -> JointTrajectory:
         for amplitude, frequency in zip(piece.amplitudes, piece.frequencies, strict=True):
@@ -270,13 +275,15 @@ def _watch(work: _Work, watched: Watched) -> None:
         return work.planner.swing(rest, plan.direction, piece, watched.reach)
 
     def more() -> JointTrajectory | None:
+        if done[-1].stops:
+            return None
         try:
             frames = camera.recorded(work.felt[0].time + watched.since())
         except DeviceError as error:
             work.fail(error)
             frames = []
-        piece = watched.go_on(frames, work.felt)
-        return None if piece is None else joints(piece)
+        done.append(watched.go_on(frames, work.felt))
+        return joints(done[-1])
 
     _shake(work, lambda: work.follow(joints(first), work.felt.append, more))
 
@@ -298,7 +305,7 @@ def _filmed(work: _Work) -> Iterator[None]:
         yield
         return
     try:
-        camera.start(choose_rate(work.plan.frequency, work.params.rates))
+        camera.start(_rate(work))
     except DeviceError as error:
         work.fail(error)
     try:
@@ -310,6 +317,14 @@ def _filmed(work: _Work) -> Iterator[None]:
                 raise DeviceError("the side camera returned no frame of the shake.")
         except DeviceError as error:
             work.fail(error)
+
+
+def _rate(work: _Work) -> float:
+    """Return the frame rate: of a shake that is watched, the slowest at which none of its tones is aliased."""
+    if work.watched is None:
+        return choose_rate(work.plan.frequency, work.params.rates)
+    ample = [rate for rate in work.params.rates if rate >= SAMPLES * work.watched.highest]
+    return min(ample, default=max(work.params.rates))
 
 
 def _back(work: _Work) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from anther.checks import check_array, check_range, check_transform
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_json, write_json
-from anther.geometry import Array, pose7, transform, transform_from_pose7
+from anther.geometry import Array, inverse, pose7, transform, transform_from_pose7
 from anther.grasp.candidates import Candidates, candidates_along
 from anther.grasp.clearance import (
     BRANCH,
@@ -107,6 +107,15 @@ class Grasp:
     def pregrasp(self, distance: float) -> Array:
         """Return T_world_flange `distance` [m] back along the approach."""
         return self.T_world_flange @ transform(np.eye(3), [0, 0, -distance])
+
+    def carried(self, forward: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        """Return what tells where the held point is: joints (T, J) [rad] -> (T, 3) [m], carried along by the flange.
+
+        Args:
+            forward: joints (T, J) -> T_world_flange (T, 4, 4).
+        """
+        middle = np.append((inverse(self.T_world_flange) @ np.append(self.point, 1))[:3], 1)
+        return lambda joints: (forward(joints) @ middle)[:, :3]
 
 
 class Reach(Protocol):

@@ -8,7 +8,7 @@ import numpy as np
 
 from anther.errors import InputError
 from anther.execution import Trial
-from anther.geometry import Array, inverse
+from anther.geometry import Array
 from anther.identification.observed import NOTHING_FELT, Felt
 from anther.oscillation import fit_swing
 from anther.vibration import ShakePlan
@@ -37,13 +37,12 @@ def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> F
     """
     if shake.waveform.kind != "sine":
         return NOTHING_FELT
-    moving = _steady(trial.shake_times)
+    moving = _steady(trial.shake_times, trial)
     times, joints = trial.shake_times[moving], trial.measured[moving]
     if len(times) < LEAST:
         return NOTHING_FELT
-    middle = np.append((inverse(shake.grasp.T_world_flange) @ np.append(shake.grasp.point, 1))[:3], 1)
     try:
-        swing = fit_swing(times, (forward(joints) @ middle)[:, :3], shake.frequency)
+        swing = fit_swing(times, shake.grasp.carried(forward)(joints), shake.frequency)
     except InputError:
         return NOTHING_FELT
     omega = 2 * np.pi * shake.frequency
@@ -53,17 +52,16 @@ def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> F
     return Felt(moved, began, *_force(trial, omega, began))
 
 
-def _steady(times: Array) -> slice:
-    if not len(times):
-        return slice(0)
-    first, last = (times[0] + share * (times[-1] - times[0]) for share in STEADY)
-    return slice(*np.searchsorted(times, [first, last]))
+def _steady(times: Array, trial: Trial) -> slice:
+    begin, end = trial.steady
+    shares = (0.0, 1.0) if trial.steps else STEADY
+    return slice(*np.searchsorted(times, [begin + share * (end - begin) for share in shares]))
 
 
 def _force(trial: Trial, omega: float, began: float) -> tuple[float, float, float]:
     """Return the force at the shake's frequency [N], its standard deviation, and by what it is ahead [rad]."""
     nothing = float("nan"), float("nan"), float("nan")
-    rows = trial.felt[_steady(trial.felt[:, 0])]
+    rows = trial.felt[_steady(trial.felt[:, 0], trial)]
     if len(rows) < LEAST or not np.isfinite(rows).all():
         return nothing
     times, square = rows[:, 0] - began, rows[:, 1] ** 2

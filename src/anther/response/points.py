@@ -70,7 +70,7 @@ class Swings(NamedTuple):
 def sight(
     frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array, params: Params = Params()
 ) -> Sight:
-    """Return where flowers (F, 3) and points (N, 3), world [m], are in a frame of the plant at rest; flowers first.
+    """Return where flowers (F, 3) and points (N, 3), world [m], are in a frame of the plant at rest, in this order.
 
     Flowers are looked for by their petals, all shifted alike first, as `measure_response` does.
     """
@@ -152,17 +152,21 @@ def _basis(times: Array, tones: Array) -> Array:
 
 def _fitted(basis: Array, path: Array) -> tuple[Array, float] | None:
     """Return the coefficients (2K + SLOW, 2) of a path (T, 2) and the deviation of any, [px]; None if it was lost."""
-    used = np.isfinite(path).all(axis=1)
-    least = max(LEAST_SHARE * len(path), basis.shape[1] + 2)
-    for _ in range(2):
-        if used.sum() < least:
-            return None
-        # normal equations: a decomposition would wake BLAS threads, which cost more than the work
-        gram = basis[used].T @ basis[used] + 1e-9 * np.eye(basis.shape[1])
-        coefficients = np.linalg.solve(gram, basis[used].T @ path[used])
-        miss = np.abs(path - basis @ coefficients)
-        usual = 1.4826 * np.median(miss[used], axis=0)
-        used &= (np.nan_to_num(miss, nan=np.inf) <= OUTLIER * np.maximum(usual, LEAST_ERROR)).all(axis=1)
-    free = max(int(used.sum()) - basis.shape[1], 1)
-    noise = np.maximum(np.sqrt(np.sum(miss[used] ** 2, axis=0) / free), LEAST_ERROR).max()
-    return coefficients, float(noise * np.sqrt(np.linalg.inv(gram).diagonal()[:-SLOW].max()))
+    used, least = np.isfinite(path).all(axis=1), max(LEAST_SHARE * len(path), basis.shape[1] + 2)
+    if used.sum() < least:
+        return None
+    miss = np.abs(path - basis @ _solved(basis[used], path[used])[0])
+    usual = 1.4826 * np.median(miss[used], axis=0)
+    used &= (np.nan_to_num(miss, nan=np.inf) <= OUTLIER * np.maximum(usual, LEAST_ERROR)).all(axis=1)
+    if used.sum() < least:
+        return None
+    coefficients, inverse_gram = _solved(basis[used], path[used])
+    square = np.sum((path[used] - basis[used] @ coefficients) ** 2, axis=0) / (used.sum() - basis.shape[1])
+    noise = max(float(np.sqrt(square.max())), LEAST_ERROR)
+    return coefficients, noise * float(np.sqrt(inverse_gram.diagonal()[:-SLOW].max()))
+
+
+def _solved(basis: Array, values: Array) -> tuple[Array, Array]:
+    """Return least-squares coefficients and the inverse of the normal matrix; a decomposition would wake BLAS threads."""
+    inverse_gram = np.linalg.inv(basis.T @ basis + 1e-9 * np.eye(basis.shape[1]))
+    return inverse_gram @ (basis.T @ values), inverse_gram

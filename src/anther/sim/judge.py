@@ -108,13 +108,20 @@ class Verdict:
         return self.held and self.unharmed and self.flowers_moved
 
 
-def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, params: Params | None = None) -> Verdict:
+def judge(
+    cell: Cell,
+    shake: tuple[float, float] | None,
+    frequency: float,
+    steady: tuple[float, float] | None = None,
+    params: Params | None = None,
+) -> Verdict:
     """Judge what happened since the cell was built.
 
     Args:
         cell: after the trial.
         shake: begin and end of the shake on the cell's clock [s], None if it never shook.
         frequency: of the shake [Hz].
+        steady: when it was what it was to become, of which the flowers' motion is told; None: all of it.
         params: what counts as what.
     """
     params, log = params or Params(), cell.log()
@@ -127,7 +134,8 @@ def judge(cell: Cell, shake: tuple[float, float] | None, frequency: float, param
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses, params)
     harm = Harm(_strain(cell, log, shaking) | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed))
-    motion = _flower_motion(cell, log.times[shaking], poses, frequency)
+    dosed = slice(*np.searchsorted(log.times[shaking], steady or (-np.inf, np.inf)))
+    motion = _flower_motion(cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency)
     effort = np.abs(log.torques / sawyer.EFFORT).max(axis=0)
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),

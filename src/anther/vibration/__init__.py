@@ -15,13 +15,24 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
-from anther.vibration.choice import Grips, Place, Search, best, checked_limits, closest, grips_of, limit_rows, search
+from anther.vibration.choice import (
+    Grips,
+    Place,
+    Search,
+    best,
+    checked_limits,
+    closest,
+    grips_of,
+    limit_rows,
+    search,
+    tones_at,
+)
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.pads import PADS, Pads
 from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params
 from anther.vibration.plant_limits import PRESETS, PlantLimits
 from anther.vibration.search import Gains, gains, scenarios
-from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan
+from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan, Tones
 from anther.vibration.verification import Shake, Shaken, verified
 from anther.vibration.waveforms import SINE, Waveform, mix
 
@@ -90,6 +101,7 @@ def plan_shake(
         runner_up=other,
         reason=_reason(done, other, float(grips.arc_length[at[2]]), float(found.score[at]), params),
         response_map=_map(grips, response, found, len(grasps), least),
+        tones=tones_at(found, response, at, least),
         pads=params.pads,
         notes=plant.notes + done.notes,
     )

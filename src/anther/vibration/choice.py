@@ -20,6 +20,7 @@ from anther.vibration.dose import freed_share, set_probability
 from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.params import LOAD_ERROR, Params
 from anther.vibration.search import Gains
+from anther.vibration.shake_plan import Tones
 from anther.vibration.verification import PEAKS
 from anther.vibration.waveforms import Mix, mix
 
@@ -180,6 +181,26 @@ def best(found: Search, rows: NDArray[Any], *, avoid: Place | None = None) -> Pl
         score[:, same, list(rows).index(avoid[2])] = -1
     w, q, g, d = np.unravel_index(int(np.argmax(score)), score.shape)
     return int(w), int(q), int(rows[g]), int(d)
+
+
+OF_THE_MACHINE = 3
+"""The first bounds of a search: the plant has no part in them."""
+TONES, APART = 6, 1.15
+"""So many frequencies are worth trying, each this factor from the others: responses lose their likeness within 40 %."""
+
+
+def tones_at(found: Search, response: Gains, at: Place, least: float) -> Tones:
+    """Return the frequencies at which a sine moves the flowers most by the model, at the place of a shake."""
+    _, q, g, d = at
+    size = found.amplitude[0, :, g, d]
+    moved = (2 * np.pi * found.frequencies) ** 2 * size * response.flower[:, :, g, d].mean(axis=(0, -1))
+    chosen = [q]
+    for k in np.argsort(-moved, kind="stable"):
+        far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
+        if far and size[k] >= least and len(chosen) < TONES:
+            chosen.append(int(k))
+    machine = [limit / value[0, :, g, d] for value, limit in list(found.bounds.values())[:OF_THE_MACHINE]]
+    return Tones(found.frequencies[chosen], size[chosen], np.min(machine, axis=0)[chosen])
 
 
 def limit_rows(found: Search, at: Place) -> list[tuple[str, float, float, float]]:

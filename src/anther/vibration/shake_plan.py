@@ -15,7 +15,7 @@ from anther.grasp import Grasp, grasp_of, grasp_row
 from anther.vibration.pads import PADS, Pads
 from anther.vibration.waveforms import Waveform
 
-SCHEMA = 4
+SCHEMA = 5
 
 LimitRow = tuple[str, float, float, float]
 """(name, value, limit, share of the limit that is used)."""
@@ -48,6 +48,26 @@ class ResponseMap:
         object.__setattr__(self, "arc_length", check_array("map arc length", self.arc_length, (g,)))
         for name in ("acceleration", "per_metre", "amplitude"):
             object.__setattr__(self, name, check_array(f"map {name}", getattr(self, name), (g, q)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tones:
+    """The frequencies most worth trying at the plan's grip and direction; the plan's own is the first. K tones.
+
+    Attributes:
+        frequencies: (K,) [Hz].
+        amplitudes: (K,) of the grip, that all limits allow by the model [m].
+        reach: (K,) that the actuator manages [m].
+    """
+
+    frequencies: Array
+    amplitudes: Array
+    reach: Array
+
+    def __post_init__(self) -> None:
+        k = len(self.frequencies)
+        for name in ("frequencies", "amplitudes", "reach"):
+            object.__setattr__(self, name, check_array(f"tones {name}", getattr(self, name), (k,)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +113,7 @@ class ShakePlan:
         runner_up: the next best, or None.
         reason: why this one, for people.
         response_map: for the picture.
+        tones: other frequencies worth trying, for a shake that is watched.
         pads: what was believed of them.
         notes: what the stage wants the user to know.
     """
@@ -113,6 +134,7 @@ class ShakePlan:
     runner_up: RunnerUp | None
     reason: str
     response_map: ResponseMap
+    tones: Tones
     pads: Pads = PADS
     notes: tuple[str, ...] = ()
 
@@ -136,6 +158,7 @@ class ShakePlan:
         row["pads"] = asdict(self.pads)
         row["runner_up"] = None if self.runner_up is None else asdict(self.runner_up)
         row["response_map"] = {name: getattr(self.response_map, name) for name in ResponseMap.__dataclass_fields__}
+        row["tones"] = {name: getattr(self.tones, name) for name in Tones.__dataclass_fields__}
         write_json(path, row)
 
     @classmethod
@@ -154,6 +177,7 @@ class ShakePlan:
                 waveform=Waveform(**row["waveform"]),
                 runner_up=None if row["runner_up"] is None else RunnerUp(**row["runner_up"]),
                 response_map=ResponseMap(**row["response_map"]),
+                tones=Tones(**row["tones"]),
                 pads=Pads(**row["pads"]),
                 **{name: row[name] for name in _SAVED},
             )
@@ -163,7 +187,7 @@ class ShakePlan:
             ) from error
 
 
-_NESTED = ("grasp", "waveform", "runner_up", "response_map", "pads")
+_NESTED = ("grasp", "waveform", "runner_up", "response_map", "tones", "pads")
 _SAVED = tuple(name for name in ShakePlan.__dataclass_fields__ if name not in _NESTED)
 _SHAPES: dict[str, tuple[int | None, ...]] = {
     "direction": (3,),
