@@ -370,13 +370,14 @@ def _assembled(beams: Beams, local: Array) -> Any:
         turn[:, block : block + 3, block : block + 3] = beams.frames
     world = np.einsum("eia,eij,ejb->eab", turn, local, turn, optimize=True)
     dofs = (6 * beams.ends[:, :, None] + np.arange(6)).reshape(-1, 12)
-    return _scattered(world, dofs, 6 * len(beams.nodes))
+    return scattered(world, dofs, 6 * len(beams.nodes))
 
 
 def _at_nodes(beams: Beams, node: NDArray[np.int64], blocks: Array) -> Any:
-    return _scattered(blocks, 6 * node[:, None] + np.arange(6), 6 * len(beams.nodes))
+    return scattered(blocks, 6 * node[:, None] + np.arange(6), 6 * len(beams.nodes))
 
 
-def _scattered(blocks: Array, dofs: NDArray[np.int64], size: int) -> Any:
+def scattered(blocks: Array, dofs: NDArray[np.int64], size: int) -> Any:
+    """Return (size, size) sparse, the sum of blocks (L, n, n) at the degrees of freedom (L, n)."""
     rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
     return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), (size, size))
