@@ -15,15 +15,15 @@ per metre of grip. The whole difference of the judge as it is used is split by c
     hinge_order: pieces whose hinges turn one after the other against at once (a part of `pieces`).
 
 Keys of the --json file: second_judge_error_max, _median, _share_within_3_percent (over plants and frequencies): the
-judge without rotor inertia against the frame, equal loss factors, with what pieces of 0.75 mm instead of 25 mm change in
-the frame's code; extrapolated_max, _median: likewise, what none change (first order, from 1.5 and 0.75 mm);
-error_as_used_max, _median: the judge as it is used against the frame,
-each with modal damping; flower_error_as_used_max, _median: single flowers; <cause>_max, _median for the causes but
-pieces; pieces_<length>_max, _median, shift_<length> (root mean square of the natural frequencies' shifts, modes below
-10 Hz whose shapes agree) by length in mm; judge_<length>_max, _median, judge_<length>_same_pieces_max: the first plant,
-finer pieces in MuJoCo against the frame and against the same pieces in the frame's code; hysteretic_change_max, _median
-(frame: material with a loss factor against modal damping); frame_mesh_change_max (elements of half the length); plants,
-flowers, plants_that_buckle (passed over).
+judge without rotor inertia against the frame, equal loss factors, with what pieces of 0.75 mm instead of 25 mm change
+in the frame's code; extrapolated_max, _median: likewise, what none change (first order, from 1.5 and 0.75 mm);
+error_as_used_max, _median: the judge as it is used against the frame, each with modal damping;
+flower_error_as_used_max, _median: single flowers; <cause>_max, _median for the causes but pieces; pieces_<length>_max,
+_median, shift_<length> (median size of the natural frequencies' relative shifts, modes below 10 Hz whose shapes agree)
+by length in mm; judge_<length>_max, _median, judge_<length>_same_pieces_max: the first plant, finer pieces in MuJoCo
+against the frame and against the same pieces in the frame's code; hysteretic_change_max, _median (frame: material with
+a loss factor against modal damping); frame_mesh_change_max (elements of half the length); plants, flowers,
+plants_that_buckle (passed over).
 """
 
 from __future__ import annotations
@@ -234,7 +234,7 @@ def metrics(rows: list[Comparison]) -> dict[str, float]:
     single = np.concatenate([np.abs(semi_major(row.used) / semi_major(row.framed) - 1).ravel() for row in rows])
     out["flower_error_as_used_max"], out["flower_error_as_used_median"] = float(single.max()), float(np.median(single))
     for piece in SHIFTED:
-        out[f"shift_{piece:g}"] = float(np.sqrt(np.mean(np.concatenate([row.shifts[piece] for row in rows]) ** 2)))
+        out[f"shift_{piece:g}"] = float(np.median(np.abs(np.concatenate([row.shifts[piece] for row in rows]))))
     out["frame_mesh_change_max"] = float(max(difference(row.halved, row.framed_lossy).max() for row in rows))
     return out | {"plants": len(rows), "flowers": sum(row.used.shape[1] for row in rows)}
 
