@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from frame_fe import STANDARD_GRAVITY, Array, carried, scattered
 from frame_plant import FramedPlant, beams_of, held_at, meshed
+from numpy.typing import NDArray
 
 from anther.sim import plant_mechanics
 from anther.sim.finer_plant import divided
@@ -59,7 +60,7 @@ class HingedPlant(FramedPlant):
         if ordered:
             self._order(hinges)
 
-    def _order(self, hinges: Array) -> None:
+    def _order(self, hinges: NDArray[np.int64]) -> None:
         """Let the hinges (B,) of a piece turn one after the other, about the axes that the ones before have turned.
 
         Their angles q make the rotation sum q_i e_i + sum_(i<j) q_i q_j e_i x e_j / 2 (Baker, Campbell and Hausdorff).

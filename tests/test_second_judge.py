@@ -181,19 +181,20 @@ def test_the_judge_is_its_own_pieces_in_the_frames_code() -> None:
     ordered, at_once = (
         lossy_motion(HingedPlant(plant, shaken.point, ALONG, params, ordered=ordered)) for ordered in (True, False)
     )
-    assert difference(judged, ordered).max() < 0.003
-    assert difference(judged, at_once).max() > 0.006
+    assert difference(judged, ordered)[FREQUENCIES < 10].max() < 0.001
+    assert difference(judged, ordered).max() < 0.01  # the hinges' own 0.02 mm count on a pedicel of 15 mm
+    assert difference(judged, at_once).max() > 0.03
 
 
 def test_ever_shorter_pieces_become_the_frame() -> None:
     plant = leaning_plant()
     whole = lossy_motion(FramedPlant(plant, BASE + 0.25 * UP, ALONG, size=0.005, twisting=plant_mechanics.TWISTING))
-    pieces = [
-        difference(lossy_motion(HingedPlant(plant, BASE + 0.25 * UP, ALONG, bare_params(mm))), whole).max()
-        for mm in (8.0, 2.0, 0.5)
-    ]
-    assert pieces[2] < 0.01
-    assert pieces[2] < pieces[1] / 2 < pieces[0] / 4
+    eight, four, two, one = (
+        lossy_motion(HingedPlant(plant, BASE + 0.25 * UP, ALONG, bare_params(mm))) for mm in (8.0, 4.0, 2.0, 1.0)
+    )
+    errors = [difference(cut, whole).max() for cut in (eight, four, two, one)]
+    assert np.divide(errors[1:], errors[:-1]) == pytest.approx(0.5, abs=0.1)  # of first order in their length
+    assert difference(2 * one - two, whole).max() < 0.02
 
 
 def test_a_tapered_rods_mass_is_where_its_volume_is() -> None:
@@ -204,10 +205,9 @@ def test_a_tapered_rods_mass_is_where_its_volume_is() -> None:
     area = (1 - 0.6 * s) ** 2 / ((1 - 0.6 * s) ** 2).sum()
     middle, length = area @ s, plant.length[0]
     assert centre[0] == pytest.approx(plant.start[0] + middle * length * UP)
-    across = mass[0] * length**2 * (area @ (s - middle) ** 2) + mass[0] / 4 * (
-        mass[0] / (plant.density[0] * np.pi * length)
-    )
-    assert inertia[0, 0] == pytest.approx(across, rel=1e-6)
+    round_axis = mass[0] ** 2 / (plant.density[0] * np.pi * length) / 2
+    across = mass[0] * length**2 * (area @ (s - middle) ** 2) + round_axis / 2
+    assert inertia[0] == pytest.approx([across, across, round_axis, 0, 0, 0], rel=1e-6)
 
 
 def test_the_judges_agree_on_a_tied_plant() -> None:
