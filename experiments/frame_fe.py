@@ -34,6 +34,10 @@ STANDARD_GRAVITY = 9.81
 _ROOTS, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 AT, WEIGHT = (_ROOTS + 1) / 2, _WEIGHTS / 2
 """Gauss points of an element and their weights, shares of its length."""
+BEYOND = np.array(
+    [[np.diff(np.polyval(np.polyint(np.polyfit(AT, one, 3)), [a, 1]))[0] for one in np.eye(4)] for a in AT]
+)
+"""(G, G) weights of the integral from each Gauss point to the element's end; exact for cubics."""
 
 
 DENSE = 400
@@ -327,15 +331,14 @@ def carried(beams: Beams, lumps: Lumps, gravity: float) -> tuple[Array, Array]:
     weight, moment = np.zeros(len(beams.nodes)), np.zeros_like(beams.nodes)  # beyond a node; moment = weight x place
     np.add.at(weight, lumps.node, lumps.mass * gravity)
     np.add.at(moment, lumps.node, (lumps.mass * gravity)[:, None] * (beams.nodes[lumps.node] + lumps.arm))
-    own = gravity * beams.length * (beams.mass @ WEIGHT)
-    middle = (beams.nodes[i] + beams.nodes[j]) / 2
+    line = gravity * beams.length[:, None] * beams.mass
+    place = beams.nodes[i][:, None] + AT[:, None] * (beams.nodes[j] - beams.nodes[i])[:, None]
+    own, own_moment = line @ WEIGHT, np.einsum("eg,g,egi->ei", line, WEIGHT, place)
     for e in range(len(i) - 1, -1, -1):
         weight[i[e]] += weight[j[e]] + own[e]
-        moment[i[e]] += moment[j[e]] + own[e] * middle[e]
-    place = beams.nodes[i][:, None] + AT[:, None] * (beams.nodes[j] - beams.nodes[i])[:, None]
-    rest = own[:, None] * (1 - AT)
-    total = weight[j][:, None] + rest
-    first = moment[j][:, None] + rest[..., None] * (place + beams.nodes[j][:, None]) / 2
+        moment[i[e]] += moment[j[e]] + own_moment[e]
+    total = weight[j][:, None] + line @ BEYOND.T
+    first = moment[j][:, None] + np.einsum("eg,hg,egi->ehi", line, BEYOND, place)
     down = np.array([0, 0, -1.0])
     return total[..., None] * down, np.cross(first - total[..., None] * place, down)
 
@@ -367,13 +370,14 @@ def _assembled(beams: Beams, local: Array) -> Any:
         turn[:, block : block + 3, block : block + 3] = beams.frames
     world = np.einsum("eia,eij,ejb->eab", turn, local, turn, optimize=True)
     dofs = (6 * beams.ends[:, :, None] + np.arange(6)).reshape(-1, 12)
-    return _scattered(world, dofs, 6 * len(beams.nodes))
+    return scattered(world, dofs, 6 * len(beams.nodes))
 
 
 def _at_nodes(beams: Beams, node: NDArray[np.int64], blocks: Array) -> Any:
-    return _scattered(blocks, 6 * node[:, None] + np.arange(6), 6 * len(beams.nodes))
+    return scattered(blocks, 6 * node[:, None] + np.arange(6), 6 * len(beams.nodes))
 
 
-def _scattered(blocks: Array, dofs: NDArray[np.int64], size: int) -> Any:
+def scattered(blocks: Array, dofs: NDArray[np.int64], size: int) -> Any:
+    """Return (size, size) sparse, the sum of blocks (L, n, n) at the degrees of freedom (L, n)."""
     rows, columns = np.broadcast_arrays(dofs[:, :, None], dofs[:, None, :])
     return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), (size, size))

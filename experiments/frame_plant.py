@@ -68,22 +68,26 @@ class FramedPlant:
             size: longest element [m].
             twisting: organs that twist.
         """
-        stem = plant.stem_segments()
-        shares = np.array([_share(plant, int(k), point) for k in stem])
-        gaps = np.linalg.norm(_on(plant, stem, np.clip(shares, 0, 1)) - point, axis=1)
-        held, share = int(stem[np.argmin(gaps)]), float(np.clip(shares, 0, 1)[np.argmin(gaps)])
+        held = held_at(plant, point)
         carried = np.array([_share(plant, k, plant.lump_centre[k]) for k in range(len(plant.start))])
         joint = plant.joint_compliance + np.where(plant.parent < 0, 1 / plant.foot, 0.0)
         wanted = [(k, s) for k, s in enumerate(carried) if plant.lump_mass[k] > 0]
         wanted += [(int(k), STUB / plant.length[k]) for k in np.flatnonzero(joint)]
-        self.plant, self.mesh = plant, meshed(plant, size, [*wanted, (held, share)])
-        self._carriers = np.array([self.mesh.node_beside(k, s) for k, s in enumerate(carried)])
+        mesh = meshed(plant, size, [*wanted, held])
         soft = np.isin(plant.organ, twisting)
-        beams = _beams(plant, self.mesh, np.where(soft, 1 / plant.bend_over_twist, RIGID), joint)
-        ties = {} if plant.tie is None else {self.mesh.node_beside(plant.tie[0], 1.0): plant.tie[1]}
+        beams = beams_of(plant, mesh, np.where(soft, 1 / plant.bend_over_twist, RIGID), joint)
+        carriers = np.array([mesh.node_beside(k, s) for k, s in enumerate(carried)])
+        self._assemble(plant, mesh, carriers, beams, mesh.node_beside(*held), direction)
+
+    def _assemble(
+        self, plant: SimPlant, mesh: Mesh, carriers: NDArray[np.int64], beams: Beams, held: int, direction: Array
+    ) -> None:
+        """Put the frame together; `carriers` (K,) are the nodes that bear what a segment carries, `held` is one too."""
+        self.plant, self.mesh, self._carriers = plant, mesh, carriers
+        ties = {} if plant.tie is None else {mesh.node_beside(plant.tie[0], 1.0): plant.tie[1]}
         self.frame = Frame(beams, self._lumps(), ties)
         direction = np.asarray(direction, dtype=np.float64) / np.linalg.norm(direction)
-        self.shake = Shake(self.mesh.node_beside(held, share), direction)
+        self.shake = Shake(held, direction)
 
     def flowers(self, motion: ComplexArray) -> ComplexArray:
         """Return (Q, F, 3) the flowers' displacements in motions (6N, Q) of the nodes."""
@@ -128,7 +132,7 @@ def _cuts(wanted: Sequence[float], least: float) -> Array:
     return np.concatenate([*parts, [1.0]])
 
 
-def _beams(plant: SimPlant, mesh: Mesh, twist_over_bend: Array, joint: Array) -> Beams:
+def beams_of(plant: SimPlant, mesh: Mesh, twist_over_bend: Array, joint: Array) -> Beams:
     """Return the elements.
 
     Args:
@@ -171,6 +175,14 @@ def _blade_inertia(plant: SimPlant, k: int) -> Array:
         return np.zeros((3, 3))
     spread = plant.lump_mass[k] * np.cov(places.T, bias=True)
     return np.trace(spread) * np.eye(3) - spread
+
+
+def held_at(plant: SimPlant, point: Array) -> tuple[int, float]:
+    """Return the segment of the main stem that is nearest to a point (3,) [m], and where along it, as a share."""
+    stem = plant.stem_segments()
+    shares = np.clip([_share(plant, int(k), point) for k in stem], 0, 1)
+    nearest = int(np.argmin(np.linalg.norm(_on(plant, stem, shares) - point, axis=1)))
+    return int(stem[nearest]), float(shares[nearest])
 
 
 def _on(plant: SimPlant, k: NDArray[np.int64], share: Array) -> Array:

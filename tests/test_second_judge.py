@@ -12,11 +12,13 @@ import pytest
 from straight_plant import BASE, straight_plant, with_blade
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+from frame_chain import HingedPlant
 from frame_fe import AT, NO_LUMPS, Beams, Frame, Lumps, Shake, hysteretic_response, modal_response
 from frame_plant import FramedPlant
-from second_judge import weighted
+from second_judge import FREQUENCIES, bare_params, difference, loss_factor, lossy_motion, weighted
 
 from anther.sim import plant_mechanics
+from anther.sim.inertia import mass_properties
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.vibration.observables import semi_major
@@ -163,6 +165,49 @@ def judged(plant: SimPlant, hertz: Any) -> tuple[Any, Any]:
 def test_the_judges_agree_on_a_small_plant() -> None:
     plant = with_blade(straight_plant(leaf=0.004), BASE + np.array([0.03, 0.13, 0.4]), [0.2, 0.1, 1.0], segment=23)
     assert weighted(*judged(plant, np.array([0.8, 2.0, 4.0, 9.0, 15.0, 30.0]))).max() < 0.03
+
+
+def leaning_plant() -> SimPlant:
+    """A branched plant of strong taper whose heavy leaf, to one side, twists and bends the stem."""
+    plant = with_blade(straight_plant(leaf=0.004), BASE + np.array([0.03, 0.13, 0.4]), [0.2, 0.1, 1.0], segment=23)
+    return replace(plant, radius_end=0.8 * plant.radius_end)
+
+
+def test_the_judge_is_its_own_pieces_in_the_frames_code() -> None:
+    """Equal pieces and loss factors: masses, gravity, order of hinges are alike. Without their order they are not."""
+    plant, params = leaning_plant(), plant_mechanics.Params(0.025, stiffest=3000, foliage=3000, twist_every=1)
+    shaken = ShakenPlant(plant, BASE + 0.25 * UP, ALONG, Params(plant=params))
+    judged = shaken.linear(FREQUENCIES, loss_factor=loss_factor(plant))
+    ordered, at_once = (
+        lossy_motion(HingedPlant(plant, shaken.point, ALONG, params, ordered=ordered)) for ordered in (True, False)
+    )
+    assert difference(judged, ordered)[FREQUENCIES < 10].max() < 0.001
+    assert difference(judged, ordered).max() < 0.01  # the hinges' own 0.02 mm count on a pedicel of 15 mm
+    assert difference(judged, at_once).max() > 0.03
+
+
+def test_ever_shorter_pieces_become_the_frame() -> None:
+    plant = leaning_plant()
+    whole = lossy_motion(FramedPlant(plant, BASE + 0.25 * UP, ALONG, size=0.005, twisting=plant_mechanics.TWISTING))
+    eight, four, two, one = (
+        lossy_motion(HingedPlant(plant, BASE + 0.25 * UP, ALONG, bare_params(mm))) for mm in (8.0, 4.0, 2.0, 1.0)
+    )
+    errors = [difference(cut, whole).max() for cut in (eight, four, two, one)]
+    assert np.divide(errors[1:], errors[:-1]) == pytest.approx(0.5, abs=0.1)  # of first order in their length
+    assert difference(2 * one - two, whole).max() < 0.02
+
+
+def test_a_tapered_rods_mass_is_where_its_volume_is() -> None:
+    plant = straight_plant()
+    plant = replace(plant, radius_end=0.4 * plant.radius_start)
+    mass, centre, inertia = mass_properties(plant, np.arange(len(plant.start)))
+    s = (np.arange(20000) + 0.5) / 20000
+    area = (1 - 0.6 * s) ** 2 / ((1 - 0.6 * s) ** 2).sum()
+    middle, length = area @ s, plant.length[0]
+    assert centre[0] == pytest.approx(plant.start[0] + middle * length * UP)
+    round_axis = mass[0] ** 2 / (plant.density[0] * np.pi * length) / 2
+    across = mass[0] * length**2 * (area @ (s - middle) ** 2) + round_axis / 2
+    assert inertia[0] == pytest.approx([across, across, round_axis, 0, 0, 0], rel=1e-6)
 
 
 def test_the_judges_agree_on_a_tied_plant() -> None:

@@ -19,7 +19,7 @@ from rod_cases.table import Convergence, Findings
 
 def draw_convergence(found: Sequence[Findings], path: Path) -> None:
     """Draw errors over the node distance, and over the time step."""
-    figure, (space, time) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
+    figure, (space, time) = plt.subplots(1, 2, figsize=(11, 6.4), layout="constrained")
     _draw_curves(space, [curve for findings in found for curve in findings.in_space])
     space.set(xlabel="node distance / free length", ylabel="relative error", title="in space, second order")
     _draw_curves(time, [curve for findings in found for curve in findings.in_time])
@@ -35,9 +35,8 @@ def _draw_curves(axes: Axes, curves: Sequence[Convergence]) -> None:
     first = min(curves, key=lambda curve: curve.errors[0])
     guide = 0.3 * first.errors[0] * (first.steps / first.steps[0]) ** 2
     axes.loglog(first.steps, guide, "k:", label="slope 2")
-    axes.set_ylim(min(curve.errors.min() for curve in curves) / 2 ** len(curves), None)
     axes.grid(True, which="both", alpha=0.2)
-    axes.legend(fontsize=7, loc="lower right")
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12))
 
 
 def draw_energy(found: Sequence[Findings], path: Path) -> None:

@@ -12,7 +12,7 @@ from anther.sim.plant import Organ, SimPlant
 
 
 def mass_properties(plant: SimPlant, piece: NDArray[Any]) -> tuple[Array, Array, Array]:
-    """Return mass (B,), centre (B, 3) and MuJoCo's full inertia (B, 6) of the bodies: cylinders plus what they carry.
+    """Return mass (B,), centre (B, 3) and MuJoCo's full inertia (B, 6) of the bodies: tapered rods and what they carry.
 
     Args:
         plant: the truth.
@@ -22,10 +22,11 @@ def mass_properties(plant: SimPlant, piece: NDArray[Any]) -> tuple[Array, Array,
     r2 = rod / (plant.density * np.pi * length)
     u = (plant.end - plant.start) / length[:, None]
     across = np.eye(3) - u[:, :, None] * u[:, None, :]
-    own = rod[:, None, None] * ((length**2 / 12 + r2 / 4)[:, None, None] * across)
+    centre, spread = _along(plant.radius_start, plant.radius_end)
+    own = rod[:, None, None] * ((length**2 * spread + r2 / 4)[:, None, None] * across)
     own += (rod * r2 / 2)[:, None, None] * (np.eye(3) - across)
     masses = np.concatenate([rod, plant.lump_mass])
-    centres = np.concatenate([(plant.start + plant.end) / 2, plant.lump_centre])
+    centres = np.concatenate([plant.start + (centre * length)[:, None] * u, plant.lump_centre])
     body = np.tile(piece, 2)
     mass: Array = np.bincount(body, masses).astype(np.float64)
     com = np.stack([np.bincount(body, masses * c) for c in centres.T], axis=1) / mass[:, None]
@@ -37,6 +38,16 @@ def mass_properties(plant: SimPlant, piece: NDArray[Any]) -> tuple[Array, Array,
     np.add.at(inertia, body, steiner)
     i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
     return mass, com, inertia[:, i, j]
+
+
+def _along(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return (K,) where the mass centre of frusta lies, and the variance of their mass along them; of length 1.
+
+    Their area grows from a^2 to b^2 as the square of a radius that is linear.
+    """
+    whole = a**2 + a * b + b**2
+    centre = (a**2 + 2 * a * b + 3 * b**2) / (4 * whole)
+    return centre, (a**2 + 3 * a * b + 6 * b**2) / (10 * whole) - centre**2
 
 
 def _spread(plant: SimPlant) -> Array:
