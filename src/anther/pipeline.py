@@ -181,6 +181,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
+    params = replace(params, vibration=replace(params.vibration, pressing=cell.limits.pressing))
     capture = run.stage("capture", Capture.load, cell.take_views)
     seen = perceive(capture, cell.workspace, run, params, find_masks)
     planner = cell.plan_around(seen.cloud)

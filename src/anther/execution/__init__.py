@@ -45,6 +45,7 @@ class Shake(Protocol):
         grasp: where to hold; it must have arm joints.
         direction, amplitude, frequency, duration: (3,) unit, world; of the flange [m]; of a sweep the first [Hz]; [s].
         waveform: shape in time.
+        press: how hard the pads are to press the stem [N].
     """
 
     @property
@@ -59,6 +60,8 @@ class Shake(Protocol):
     def duration(self) -> float: ...
     @property
     def waveform(self) -> Waveform: ...
+    @property
+    def press(self) -> float: ...
 
 
 class Planner(Protocol):
@@ -208,7 +211,7 @@ def _forward(work: _Work) -> None:
         work.in_plant = True
         work.follow(outward.backwards())
     with work.phase("close"):
-        work.grips.append(close(work.robot.gripper, grasp, params))
+        work.grips.append(close(work.robot.gripper, grasp, work.plan.press, params))
         work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
     with work.phase("shake"):
         _shake(work, shake)

@@ -15,7 +15,18 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
-from anther.vibration.choice import Grips, Place, Search, best, checked_limits, closest, grips_of, limit_rows, search
+from anther.vibration.choice import (
+    Grips,
+    Place,
+    Search,
+    best,
+    checked_limits,
+    closest,
+    grips_of,
+    limit_rows,
+    press,
+    search,
+)
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.pads import PADS, Pads
 from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params
@@ -81,6 +92,7 @@ def plan_shake(
         frequency=done.shake.frequency,
         duration=done.shake.duration,
         waveform=done.shake.waveform,
+        press=press(done.limits, params.least_press),
         predicted_amplitude=done.amplitude,
         predicted_amplitude_interval=done.amplitude[:, None] * done.spread,
         predicted_acceleration=done.acceleration,
