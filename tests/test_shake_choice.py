@@ -248,7 +248,7 @@ def test_the_pads_press_as_the_shake_needs_and_it_is_made_smaller_where_they_may
     assert free.press == pytest.approx({name: value for name, value, *_ in free.limits}[PRESS])
     assert plan_shake(plant, grasps, params=replace(params, least_press=8.0)).press == 8.0
     weak = Pressing(holding=max(free.press / 3, 0.1))
-    held = plan_shake(plant, grasps[:1], params=replace(params, pressing=weak, lowest=1.5, highest=1.5))
+    held = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5), pressing=weak)
     again = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5))
     assert held.press <= weak.holding < again.press
     assert held.amplitude < again.amplitude
@@ -259,7 +259,7 @@ def test_a_thin_stem_is_pressed_less_and_none_beyond_what_it_bears() -> None:
     for radius in ((4e-3, 2.5e-3), (3e-3, 2e-3)):
         skeleton, stem, flowers = branched(radius=radius)
         plant = build_plant(skeleton, stem, flowers, None, TOMATO)
-        plan = plan_shake(plant, grasps_on(skeleton, stem, [8]), params=replace(QUICK, pressing=hard))
+        plan = plan_shake(plant, grasps_on(skeleton, stem, [8]), params=QUICK, pressing=hard)
         presses.append(plan.press)
         assert hard.stress(plan.press, 2 * skeleton.radius[8]) < hard.stem_stress
     assert presses[1] < presses[0] < QUICK.least_press

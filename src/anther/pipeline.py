@@ -181,7 +181,6 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
-    params = replace(params, vibration=replace(params.vibration, pressing=cell.limits.pressing))
     capture = run.stage("capture", Capture.load, cell.take_views)
     seen = perceive(capture, cell.workspace, run, params, find_masks)
     planner = cell.plan_around(seen.cloud)
@@ -241,7 +240,7 @@ def _shaken(
     while True:
         offered = [g for g in grasps if g.score >= grasps[0].score - params.grasp.slack]
         try:
-            shake = _planned(planner, rods, offered, run, params=params)
+            shake = _planned(planner, rods, offered, run, cell.limits, params=params)
         except StageFailure as failure:
             if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
                 raise
@@ -260,7 +259,9 @@ def _shaken(
             return shake, trial
 
 
-def _planned(planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, *, params: Params) -> ShakePlan:
+def _planned(
+    planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, limits: SafetyLimits, *, params: Params
+) -> ShakePlan:
     """Choose a shake among the grasps."""
 
     def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
@@ -270,5 +271,5 @@ def _planned(planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run:
     return run.stage(
         "shake plan",
         ShakePlan.load,
-        lambda _: vibration.plan_shake(rods, grasps, vibration.ArmShaker(arm_limit), params.vibration),
+        lambda _: vibration.plan_shake(rods, grasps, vibration.ArmShaker(arm_limit), params.vibration, limits.pressing),
     )

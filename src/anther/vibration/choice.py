@@ -15,6 +15,7 @@ from scipy.stats import norm
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
+from anther.pressing import PRESSING, Pressing
 from anther.vibration.actuators import Actuator
 from anther.vibration.dose import freed_share, set_probability
 from anther.vibration.pads import grip_rows, pad_nodes
@@ -52,7 +53,7 @@ class Search(NamedTuple):
     believed: dict[str, Array]  # the same of the plant as believed: what its values are without the margin
 
 
-def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> Grips:
+def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressing: Pressing = PRESSING) -> Grips:
     """Return the grasps' places on the stem, and others for the map, with the directions across the stem."""
     held = grip_rows(plant, np.array([g.point for g in grasps]))
     usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
@@ -63,7 +64,7 @@ def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> Grip
     near = np.concatenate([np.arange(len(held)), nearest])
     directions = _directions(plant, plant.stem_nodes[rows], params.directions)
     diameter = 2 * np.asarray(plant.rods.edge_radius)[plant.stem_nodes[rows], None]
-    return Grips(nodes, arc, near, directions, params.pressing.most(diameter))
+    return Grips(nodes, arc, near, directions, pressing.most(diameter))
 
 
 def _directions(plant: PlantModel, nodes: NDArray[Any], count: int) -> Array:

@@ -7,7 +7,6 @@ from typing import Literal
 
 from anther.checks import check_range
 from anther.errors import bad_input
-from anther.pressing import PRESSING, Pressing
 from anther.vibration.pads import PADS, Pads
 from anther.vibration.plant_limits import DEFAULT, PlantLimits
 from anther.vibration.waveforms import SINE, Waveform
@@ -63,7 +62,6 @@ class Params:
         plant: what the plant may be loaded with, see `PRESETS`.
         least_press: with which the pads press at least, if the stem bears it [N]. On 24 sides of peppers 10-15 and
             30-35 gentle pads that met a petiole beside the stem held that instead: one at 2 N, none from 4 N on.
-        pressing: what gripper and stem bear. A shake that needs more is made smaller.
         pads: what is believed of how far they give.
         pad_friction: of a soft pad on a stem [-]; no source found, an estimate on the safe side.
         flower_acceleration: more than this is not useful [m/s2].
@@ -91,7 +89,6 @@ class Params:
     most_speed: float = 0.3
     plant: PlantLimits = DEFAULT
     least_press: float = 8.0
-    pressing: Pressing = PRESSING
     pad_friction: float = 0.5
     pads: Pads = PADS
     flower_acceleration: float = 200.0
