@@ -120,7 +120,7 @@ def test_the_pads_close_in_steps_and_press_no_more_than_the_plan_asks_for(width:
 def test_a_gripper_that_cannot_press_as_the_shake_needs_does_not_shake() -> None:
     trial = execute(PLANNER, Plan(press=9.0), fake_robot(FakeArm(), FakeGripper(0.008)), LIMITS)
     assert trial.failure == "limits_exceeded"
-    assert "press with 8.0 N; the shake needs 9.0 N" in trial.stop_reason
+    assert "press with 8.0 N; the plan asks for 9.0 N" in trial.stop_reason
     assert "shake" not in trial.phases
     assert trial.phases[-1] == "retreat"
 

@@ -28,7 +28,7 @@ def close(gripper: Gripper, grasp: Grasp, press: float, params: Params) -> Gripp
     if state.is_gripping and state.opening <= grasp.stem_diameter + params.thickest:
         if state.force >= ENOUGH * press:
             return state
-        given = f"the pads press with {state.force:.1f} N; the shake needs {press:.1f} N"
+        given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
         raise StageFailure("limits_exceeded", f"{given}, or the stem slips. Try the next grasp, or a gentler shake.")
     kind, what = ("branch_or_leaf_grasped", "something thick") if state.is_gripping else ("nothing_grasped", "nothing")
     found = f"the pads stand {1e3 * state.opening:.1f} mm apart with {state.force:.1f} N, not {1e3 * expected:.1f} mm"
