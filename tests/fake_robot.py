@@ -8,7 +8,18 @@ import numpy as np
 
 from anther.arm import sawyer
 from anther.arm.outline import outline
-from anther.devices import ArmRecord, ArmSample, Frame, GripperState, JointTrajectory, Robot, SafetyLimits, Watch
+from anther.devices import (
+    LEAD,
+    ArmRecord,
+    ArmSample,
+    Frame,
+    GripperState,
+    JointTrajectory,
+    More,
+    Robot,
+    SafetyLimits,
+    Watch,
+)
 from anther.geometry import Array, Box, Intrinsics, transform
 from anther.grasp import Grasp
 
@@ -37,15 +48,21 @@ class FakeArm:
     def joints(self) -> Array:
         return self.now.copy()
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         self.fault(self.done)
-        times = self.clock + 0.01 + trajectory.times
-        for time, q in zip(times, trajectory.positions, strict=True):
-            self.now, self.clock = q.copy(), float(time)
-            if watch:
-                watch(ArmSample(self.clock, q, q, self.force))
+        samples, piece = [], trajectory
+        while piece is not None:
+            asked, following, begin = False, None, self.clock + 0.01
+            for time, q in zip(piece.times, piece.positions, strict=True):
+                self.now, self.clock = q.copy(), float(begin + time)
+                samples.append(ArmSample(self.clock, q, q, self.force))
+                if watch:
+                    watch(samples[-1])
+                if more is not None and not asked and time >= piece.duration - LEAD:
+                    asked, following = True, more()
+            piece = following
         self.done += 1
-        return ArmRecord(times, trajectory.positions, trajectory.positions)
+        return ArmRecord.of(samples)
 
     def hold(self) -> None:
         self.held += 1
@@ -82,6 +99,9 @@ class FakeCamera:
 
     def start(self, rate: float) -> None:
         self.rates.append(rate)
+
+    def recorded(self, since: float) -> list[Frame]:
+        return [self._frame(since + i / self.rates[-1]) for i in range(int(self.rates[-1] / 2))]
 
     def stop(self) -> list[Frame]:
         return [self._frame(i / self.rates[-1]) for i in range(int(self.rates[-1]))] if self.rates else []

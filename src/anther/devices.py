@@ -275,7 +275,8 @@ class SafetyLimits:
         stale_after: joints that read the same for so long although the command moves on are not believed [s].
         shake_speed, shake_acceleration: largest amplitude x 2 pi frequency [m/s], and x (2 pi frequency)^2 [m/s^2], of
             a shake. At 12 m/s^2 a Sawyer is at its own limits (facts: sawyer 6: 11.6 mm at 5 Hz, 2.9 mm at 10 Hz).
-        shake_duration: [s]; plants are shaken at most 5 s a visit (facts: pollination 1d).
+        shake_duration: of all shaking of a visit [s]. Trellises are shaken for 60 s (facts: pollination 6); twelve are
+            enough to look and to raise a shake in steps.
         stroke: largest opening of the gripper [m] (facts: sawyer 3).
         grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).
         pressing: what a stem bears of the pads, see `Pressing`.
@@ -299,7 +300,7 @@ class SafetyLimits:
     stale_after: float = 0.1
     shake_speed: float = 0.5
     shake_acceleration: float = 12.0
-    shake_duration: float = 5.0
+    shake_duration: float = 12.0
     stroke: float = 0.0417
     grip_force: float = 20.0
     pressing: Pressing = PRESSING

@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from anther.checks import check_array
 from anther.devices import (
@@ -22,21 +21,17 @@ from anther.devices import (
     Gripper,
     GripperState,
     JointTrajectory,
+    More,
     Robot,
     SafetyLimits,
     Watch,
 )
 from anther.errors import InputError, StageFailure
 from anther.geometry import Array, Intrinsics
+from anther.motion_limits import AT_REST, JUMP, LONGEST, check_shake, check_trajectory, demand
 
-CHECK_STEP = 0.005
-"""A trajectory is checked at its own samples and, in between, this often [s]: 7.5 mm of the flange at its top speed."""
-AT_REST = 0.05
-"""A trajectory begins and ends no faster than this [rad/s]."""
-LONGEST = 120.0
-"""No trajectory lasts longer [s]."""
-SOON = 1e-4
-"""The flange's speed is the way it goes in this time [s]."""
+__all__ = ["GuardedArm", "GuardedCamera", "GuardedGripper", "check_shake", "check_trajectory", "guard", "stem_stress"]
+
 TRIES = 3
 """So often a lost frame is asked for."""
 STILL = 2e-3
@@ -91,8 +86,8 @@ class GuardedArm:
                 raise DeviceError(self._lost)
         return q
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
-        """Follow a trajectory within the limits.
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
+        """Follow a trajectory, and what follows it, within the limits.
 
         What was checked is a copy, and the copy is what is commanded.
 
@@ -106,9 +101,14 @@ class GuardedArm:
             if self._lost:
                 raise DeviceError(self._lost)
             checked = _copied(trajectory)
-            check_trajectory(checked, self.joints(), self._limits)
+            check_trajectory(checked, self.joints(), self._limits, goes_on=more is not None)
             self._expected = None
-            record = self._arm.follow(checked, watchdog)
+            if more is None:
+                record = self._arm.follow(checked, watchdog)
+            else:
+                chain = _Chain(checked, more, self._limits)
+                record = self._arm.follow(checked, watchdog, chain.next)
+                checked = chain.last
         except BaseException:
             self._lost = self._lost or watchdog.lost
             with suppress(Exception):  # what went wrong first is what is reported
@@ -120,6 +120,33 @@ class GuardedArm:
     def hold(self) -> None:
         """Stop and hold the present position."""
         self._arm.hold()
+
+
+class _Chain:
+    """Motions that follow each other without a stop; each is checked before the arm is told of it.
+
+    Attributes:
+        last: of them so far.
+    """
+
+    def __init__(self, first: JointTrajectory, more: More, limits: SafetyLimits) -> None:
+        self.last = first
+        self._more, self._limits, self._seconds = more, limits, first.duration
+
+    def next(self) -> JointTrajectory | None:
+        """Return the motion that comes next, or None where the last one ends at rest."""
+        following, ends = self._more(), self.last.velocities[-1]
+        if following is None:
+            demand("speed at the ends", float(np.abs(ends).max()), AT_REST, "rad/s", "Let the last motion end at rest.")
+            return None
+        checked = _copied(following)
+        self._seconds += checked.duration
+        demand("length of the motion", self._seconds, LONGEST, "s", "Plan shorter motions.")
+        jump = float(np.abs(checked.velocities[0] - ends).max())
+        demand("jump in speed between motions", jump, JUMP, "rad/s", "Join them with equal speed.")
+        check_trajectory(checked, self.last.positions[-1], self._limits, joined=True, goes_on=True)
+        self.last = checked
+        return checked
 
 
 class GuardedGripper:
@@ -150,8 +177,8 @@ class GuardedGripper:
         stress = stem_stress(state, limits)
         if (state.force > limits.grip_force or stress > limits.pressing.stem_stress) and opening < limits.stroke:
             self._gripper.move(limits.stroke)
-            _demand("grip force", state.force, limits.grip_force, "N; the pads were opened", "Close less far.")
-            _demand("stem stress", stress, limits.pressing.stem_stress, "Pa; the pads were opened", "Close less far.")
+            demand("grip force", state.force, limits.grip_force, "N; the pads were opened", "Close less far.")
+            demand("stem stress", stress, limits.pressing.stem_stress, "Pa; the pads were opened", "Close less far.")
         short = abs(state.opening - opening)
         if short > limits.grip_tolerance and (opening > before or not state.is_gripping):
             asked = f"sent to {1000 * opening:.1f} mm, the pads stand at {1000 * state.opening:.1f} mm"
@@ -211,10 +238,21 @@ class GuardedCamera:
         """Begin to record at `rate` frames per second."""
         self._camera.start(rate)
 
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the whole frames so far whose time goes forward.
+
+        Raises:
+            DeviceError: there are none.
+        """
+        return self._in_order(self._camera.recorded(since))
+
     def stop(self) -> list[Frame]:
         """End the recording and return its whole frames whose time goes forward."""
+        return self._in_order(self._camera.stop())
+
+    def _in_order(self, recorded: list[Frame]) -> list[Frame]:
         frames: list[Frame] = []
-        for frame in self._camera.stop():
+        for frame in recorded:
             if self._whole(frame) and (not frames or frame.time > frames[-1].time):
                 frames.append(frame)
         return frames
@@ -270,83 +308,6 @@ class _Watchdog:
         raise DeviceError(self.lost)
 
 
-def check_trajectory(trajectory: JointTrajectory, present: Array, limits: SafetyLimits) -> None:
-    """Check all that is known of a motion before it begins.
-
-    What is checked is the curve that the arm follows, cubic between the samples: at every sample and every
-    `CHECK_STEP`. Start at the present joints, rest at both ends, joint range less the margin, joint speed and
-    acceleration; of the flange workspace and speed; of all of arm and tool the keep-out boxes.
-
-    Args:
-        trajectory: about to be commanded.
-        present: (7,) measured joints [rad].
-        limits: what is allowed.
-
-    Raises:
-        StageFailure: limits_exceeded, with the value, what is allowed and what to do.
-    """
-    _demand("length of the motion", trajectory.duration, LONGEST, "s", "Plan shorter motions.")
-    gap = float(np.abs(trajectory.positions[0] - present).max())
-    _demand("start of the path", gap, limits.start_tolerance, "rad from the present joints", "Plan from there.")
-    ends = float(np.abs(trajectory.velocities[[0, -1]]).max())
-    _demand("speed at the ends", ends, AT_REST, "rad/s", "Begin and end at rest.")
-    times = np.union1d(trajectory.times, np.arange(0, trajectory.duration, CHECK_STEP))
-    q, rates = _check_joints(trajectory, times, limits)
-    position = limits.forward(q)[:, :3, 3]
-    outside = float(np.maximum(limits.workspace.lower - position, position - limits.workspace.upper).max())
-    _demand("flange", outside, 0.0, "m outside the workspace box", "Stay inside, or set the box larger.")
-    soon = limits.forward(q + SOON * rates)[:, :3, 3]
-    speed = float(np.linalg.norm(soon - position, axis=1).max()) / SOON
-    _demand("flange speed", speed, limits.flange_speed, "m/s", "Slow the path down.")
-    _check_keep_out(q, limits)
-
-
-def _check_joints(trajectory: JointTrajectory, times: Array, limits: SafetyLimits) -> tuple[Array, Array]:
-    """Check range, speed and acceleration; return joints and rates, both (T, 7), at (T,) times."""
-    curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
-    q, rates, m = curve(times), curve(times, 1), limits.joint_margin
-    beyond = np.maximum(limits.joint_lower + m - q, q - (limits.joint_upper - m)).max(axis=0)
-    worst = int(np.argmax(beyond))
-    _demand(f"joint {worst}", float(beyond[worst]), 0.0, "rad beyond its range less the margin", "Plan another branch.")
-    # between two samples the acceleration of a cubic is linear: its extremes are at the ends, seen from inside
-    ends = np.concatenate([curve(trajectory.times[:-1], 2), curve(np.nextafter(trajectory.times[1:], 0), 2)])
-    shares = {"speed": np.abs(rates) / limits.joint_speed, "acceleration": np.abs(ends) / limits.joint_acceleration}
-    for name, share in shares.items():
-        worst = int(np.argmax(share.max(axis=0)))
-        _demand(f"{name} of joint {worst}", float(share[:, worst].max()), 1.0, "of its limit", "Slow the path down.")
-    return q, rates
-
-
-def _check_keep_out(q: Array, limits: SafetyLimits) -> None:
-    for some in np.array_split(q, len(q) // 1000 + 1) if limits.keep_out else ():
-        balls = limits.outline(some)
-        for box in limits.keep_out:
-            gap = np.maximum(np.maximum(box.lower - balls[..., :3], balls[..., :3] - box.upper), 0)
-            if np.any(np.linalg.norm(gap, axis=-1) <= balls[..., 3]):
-                where = f"{box.lower} .. {box.upper} m"
-                raise StageFailure(
-                    "limits_exceeded", f"arm or tool would enter the keep-out box {where}. Plan around it."
-                )
-
-
-def check_shake(amplitude: float, frequency: float, duration: float, limits: SafetyLimits) -> None:
-    """Check a shake's amplitude [m], frequency [Hz] and duration [s].
-
-    Raises:
-        StageFailure: limits_exceeded.
-    """
-    numbers = {"amplitude": amplitude, "frequency": frequency, "duration": duration}
-    for name, value in numbers.items():
-        if not (np.isfinite(value) and value > 0):
-            raise StageFailure("limits_exceeded", f"shake {name}: got {value}; allowed: a number > 0. Plan again.")
-    omega = 2 * np.pi * frequency
-    _demand("shake amplitude x 2 pi frequency", amplitude * omega, limits.shake_speed, "m/s", "Shake less or slower.")
-    acceleration = amplitude * omega**2
-    limit = limits.shake_acceleration
-    _demand("shake amplitude x (2 pi frequency)^2", acceleration, limit, "m/s^2", "Shake less or slower.")
-    _demand("shake duration", duration, limits.shake_duration, "s", "Shake shorter.")
-
-
 def _copied(trajectory: JointTrajectory) -> JointTrajectory:
     """Return a copy nobody else can change, its times and numbers checked again."""
     try:
@@ -360,8 +321,3 @@ def _readable(state: GripperState) -> GripperState:
     if not (np.isfinite(state.opening) and np.isfinite(state.force)):
         raise DeviceError(f"the gripper reads {state.opening} m and {state.force} N. Check its connection.")
     return state
-
-
-def _demand(what: str, value: float, limit: float, unit: str, do: str) -> None:
-    if not value <= limit + 1e-9:
-        raise StageFailure("limits_exceeded", f"{what}: got {value:.4g} {unit}; allowed: <= {limit:.4g}. {do}")

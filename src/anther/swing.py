@@ -1,4 +1,4 @@
-"""A swing: how the pads are moved to and fro along one line, in pieces that follow each other without a stop. K tones."""
+"""A swing: how the pads are moved to and fro along one line, in pieces that join without a stop. K tones."""
 
 from __future__ import annotations
 

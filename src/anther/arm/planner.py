@@ -20,6 +20,7 @@ from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.geometry import Array, Box, transform
+from anther.swing import Swing
 from anther.vibration.waveforms import SINE, Waveform
 
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
@@ -193,6 +194,20 @@ class Planner:
         swing = motion.positions[max(farthest - period, 0) : farthest + period]
         if not self._may_swing(q, swing):
             raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
+        return dynamics.check_effort(motion)
+
+    def swing(self, q: ArrayLike, direction: ArrayLike, piece: Swing, reach: float) -> JointTrajectory:
+        """Return one piece of a shake of the flange about joints (7,); see `shaking.swing_trajectory`.
+
+        Raises:
+            InputError: a number out of range.
+            StageFailure: "limits_exceeded", "unreachable" or "collision".
+        """
+        q = check_array("joints", q, (7,))
+        motion = shaking.swing_trajectory(q, direction, piece, reach)
+        farthest = motion.positions[np.linalg.norm(motion.positions - q, axis=1).argmax()]
+        if not self._may_swing(q, np.array([q, farthest])):
+            raise StageFailure("collision", f"a shake of {1e3 * reach:.1f} mm hits something. Shake less.")
         return dynamics.check_effort(motion)
 
     def _wrist_in_plant(self, T_world_flange: Array, length: float) -> bool:

@@ -11,6 +11,7 @@ from anther.checks import check_array, check_range
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
+from anther.swing import Swing
 from anther.vibration.waveforms import SINE, Waveform
 
 _PAIRS = np.triu_indices(7, 1)
@@ -93,6 +94,34 @@ def shake_trajectory(
     velocities = path(d, 1) * d_rate[:, None]
     trajectory = JointTrajectory(times, path(d), velocities)
     _check_limits(trajectory, np.asarray(q), direction, amplitude, highest)
+    return trajectory
+
+
+def swing_trajectory(
+    q: ArrayLike, direction: ArrayLike, piece: Swing, reach: float, rate: float = 500.0
+) -> JointTrajectory:
+    """Return the joint motion of one piece of a shake whose pieces all keep within `reach` [m]: they join.
+
+    Args:
+        q: (7,) joints at rest [rad].
+        direction: (3,) of the shake, world.
+        piece: what the flange does along it.
+        reach: [m].
+        rate: samples per second; raised to 40 per period if that is more.
+
+    Raises:
+        InputError: a number out of range.
+        StageFailure: "limits_exceeded" or "unreachable".
+    """
+    highest = float(piece.frequencies.max())
+    check_range("reach of a swing", reach, 1e-6, 0.2, "m")
+    check_range("shake frequency", highest, 0.1, 50, "Hz")
+    check_range("displacement of a swing", piece.reach, 0, 1.0001 * reach, "m")
+    times = np.linspace(0, piece.seconds, int(np.ceil(piece.seconds * max(rate, 40 * highest))) + 1)
+    d, d_rate = piece.motion(times)
+    path = _joints_along(np.asarray(q, dtype=np.float64), unit(direction), reach, highest)
+    trajectory = JointTrajectory(times, path(d), path(d, 1) * d_rate[:, None])
+    _check_limits(trajectory, np.asarray(q), direction, piece.reach, highest)
     return trajectory
 
 

@@ -50,6 +50,18 @@ class ReplayCamera:
         del rate
         self._recording = self._next
 
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the views of the recording so far.
+
+        Raises:
+            DeviceError: there are none.
+        """
+        first = self._next if self._recording is None else self._recording
+        frames = [f for f in map(self._frame, range(first, self._capture.views)) if f.time >= since]
+        if not frames:
+            raise DeviceError(f"replay: no view since {since:g} s.")
+        return frames
+
     def stop(self) -> list[Frame]:
         """Return every view from the start of the recording to the capture's end."""
         first = self._next if self._recording is None else self._recording

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ from anther.devices import (
     Frame,
     GripperState,
     JointTrajectory,
+    More,
     Robot,
     SafetyLimits,
     Watch,
@@ -23,14 +24,15 @@ from anther.devices import (
 from anther.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.execution.closing import close, wait_after
 from anther.execution.params import Params
-from anther.execution.trial import EARLY, PHASES, Trial
+from anther.execution.trial import EARLY, PHASES, Step, Trial
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
+from anther.swing import Swing
 from anther.vibration.waveforms import Waveform
 
-__all__ = ["EARLY", "PHASES", "Params", "Planner", "Progress", "Shake", "Trial", "execute"]
+__all__ = ["EARLY", "PHASES", "Params", "Planner", "Progress", "Shake", "Step", "Trial", "Watched", "execute"]
 
 DEFAULTS = Params()
 Progress = Callable[[int, int], None]  # called with (phases done, phases in all)
@@ -81,6 +83,36 @@ class Planner(Protocol):
         """Return a flange shake about joints (7,): unit direction (3,), [m], [Hz], [s], shape."""
         ...
 
+    def swing(self, q: Array, direction: Array, piece: Swing, reach: float) -> JointTrajectory:
+        """Return one piece of a flange shake about joints (7,) whose pieces all keep within `reach` [m]."""
+        ...
+
+
+class Watched(Protocol):
+    """A shake that is decided while it lasts, by what the side camera sees.
+
+    Attributes:
+        reach: the pads never move further [m].
+        steps: what was done so far.
+    """
+
+    @property
+    def reach(self) -> float: ...
+    @property
+    def steps(self) -> tuple[Step, ...]: ...
+
+    def begin(self, frame: Frame) -> Swing:
+        """Return the first piece; `frame` shows the held plant at rest."""
+        ...
+
+    def since(self) -> float:
+        """Return from when on the frames of the piece under way are wanted [s], counted from the shake's begin."""
+        ...
+
+    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing | None:
+        """Return the next piece, after the frames since `since` and all readings of the arm so far; None: it is over."""
+        ...
+
 
 def execute(
     planner: Planner,
@@ -91,6 +123,7 @@ def execute(
     *,
     progress: Progress | None = None,
     arrive: Callable[[], ArmRecord] | None = None,
+    watched: Watched | None = None,
 ) -> Trial:
     """Open, reach, approach, close, shake, let go and retreat.
 
@@ -107,8 +140,11 @@ def execute(
         params: of the approach and the grip.
         progress: called before each phase.
         arrive: waits for a motion of the arm that was begun before (`early_reach`), as the phase "early reach".
+        watched: decides the shake's pieces on the way, at the grasp and along the direction of `shake`; None, or without
+            a side camera: as planned.
     """
-    work = _Work(planner, shake, guard(robot, limits), params, progress)
+    watched = None if robot.side_camera is None else watched
+    work = _Work(planner, shake, guard(robot, limits), limits, params, progress, watched)
     try:
         if arrive is not None:
             with work.phase(EARLY):
@@ -129,8 +165,10 @@ class _Work:
     planner: Planner
     plan: Shake
     robot: Robot
+    limits: SafetyLimits
     params: Params
     progress: Progress | None
+    watched: Watched | None = None
     marks: list[tuple[str, float, float]] = field(default_factory=list)
     grips: list[GripperState] = field(default_factory=list)
     shaken: ArmRecord = field(default_factory=lambda: ArmRecord.of([]))
@@ -164,9 +202,9 @@ class _Work:
         kind = error.kind if isinstance(error, StageFailure) else _KINDS.get(type(error), "device_fault")
         self.stop_reason, self.failure = reason, kind
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, and note when."""
-        record = self.robot.arm.follow(trajectory, watch)
+        record = self.robot.arm.follow(trajectory, watch, more)
         self.note(record)
         return record
 
@@ -192,6 +230,7 @@ class _Work:
             self.failure,
             self.frames,
             np.array([(s.time, s.force) for s in self.felt], dtype=float).reshape(-1, 2),
+            self.watched.steps if self.watched else (),
         )
 
 
@@ -214,14 +253,41 @@ def _forward(work: _Work) -> None:
         work.grips.append(close(work.robot.gripper, grasp, work.plan.press, params))
         work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
     with work.phase("shake"):
-        _shake(work, shake)
+        if work.watched is None:
+            _shake(work, lambda: work.follow(shake, work.felt.append))
+        else:
+            _watch(work, work.watched)
         work.grips.append(work.robot.gripper.state())
 
 
-def _shake(work: _Work, trajectory: JointTrajectory) -> None:
+def _watch(work: _Work, watched: Watched) -> None:
+    """Shake in pieces, each decided by what was seen of the one before, without a stop between them."""
+    camera, arm, plan = work.robot.side_camera, work.robot.arm, work.plan
+    assert camera is not None
+    first, rest = watched.begin(camera.read()), arm.joints()
+
+    def joints(piece: Swing) -> JointTrajectory:
+        for amplitude, frequency in zip(piece.amplitudes, piece.frequencies, strict=True):
+            if amplitude > 0:
+                check_shake(amplitude, frequency, piece.begin + piece.seconds, work.limits)
+        return work.planner.swing(rest, plan.direction, piece, watched.reach)
+
+    def more() -> JointTrajectory | None:
+        try:
+            frames = camera.recorded(work.felt[0].time + watched.since())
+        except DeviceError as error:
+            work.fail(error)
+            frames = []
+        piece = watched.go_on(frames, work.felt)
+        return None if piece is None else joints(piece)
+
+    _shake(work, lambda: work.follow(joints(first), work.felt.append, more))
+
+
+def _shake(work: _Work, move: Callable[[], ArmRecord]) -> None:
     with _filmed(work):
         try:
-            work.shaken = work.follow(trajectory, work.felt.append)
+            work.shaken = move()
         except BaseException:
             work.shaken = ArmRecord.of(work.felt)
             raise

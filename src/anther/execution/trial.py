@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,40 @@ from anther.geometry import Array
 
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
 EARLY = "early reach"  # before these: the arm went to the grasp before it was told which shake (`early_reach`)
-SCHEMA = 2
+SCHEMA = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One piece of a shake that is watched while it lasts. F flowers, K tones.
+
+    Attributes:
+        begin, end: when the pads were steady in it [s], on the robot's clock.
+        frequencies: (K,) of its tones [Hz].
+        amplitudes: (K,) of the gripper, commanded [m].
+        flowers: (F,) peak acceleration that the camera measured [m/s2]; NaN where it did not. Of several tones, the root
+            of the sum of squares.
+        used: largest share of a limit that its loads reached.
+        binds: that limit's name.
+        decided: what comes next and why, for people.
+        seconds: that measuring and deciding took [s].
+    """
+
+    begin: float
+    end: float
+    frequencies: tuple[float, ...]
+    amplitudes: tuple[float, ...]
+    flowers: tuple[float, ...]
+    used: float
+    binds: str
+    decided: str
+    seconds: float
+
+    @property
+    def median(self) -> float:
+        """Of the flowers that were measured [m/s2]; NaN if none was."""
+        seen = [a for a in self.flowers if np.isfinite(a)]
+        return float(np.median(seen)) if seen else float("nan")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +70,7 @@ class Trial:
         stop_reason: "finished", or why it stopped.
         failure: the failure's kind; None when it finished.
         frames: the side camera's frames; not saved.
+        steps: of a shake that was watched.
     """
 
     phases: tuple[str, ...]
@@ -50,6 +84,7 @@ class Trial:
     failure: FailureKind | None = None
     frames: tuple[Frame, ...] = field(default=(), repr=False)
     felt: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    steps: tuple[Step, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.shake_times)
@@ -70,9 +105,17 @@ class Trial:
         """Whether every phase ended as planned."""
         return self.stop_reason == "finished"
 
+    @property
+    def steady(self) -> tuple[float, float]:
+        """When the shake was what it was to become [s]: its last step, or all of it; an empty time if there is none."""
+        if self.steps:
+            return self.steps[-1].begin, self.steps[-1].end
+        return (float(self.shake_times[0]), float(self.shake_times[-1])) if len(self.shake_times) else (0.0, 0.0)
+
     def save(self, path: Path | str) -> None:
         """Write the trial, without the frames' pixels, to an .npz."""
-        words = json.dumps({name: getattr(self, name) for name in ("phases", "stop_reason", "failure")})
+        said = {name: getattr(self, name) for name in ("phases", "stop_reason", "failure")}
+        words = json.dumps(said | {"steps": [asdict(step) for step in self.steps]})
         names = ("phase_times", "shake_times", "commanded", "measured", "gripper", "frame_times", "felt")
         write_npz(path, "trial", SCHEMA, words=words, **{name: getattr(self, name) for name in names})
 
@@ -85,4 +128,7 @@ class Trial:
         """
         arrays: dict[str, Any] = read_npz(path, "trial", SCHEMA)
         words = json.loads(str(arrays.pop("words")))
-        return cls(phases=tuple(words.pop("phases")), **words, **arrays)
+        steps = tuple(
+            Step(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}) for row in words.pop("steps")
+        )
+        return cls(phases=tuple(words.pop("phases")), steps=steps, **words, **arrays)

@@ -127,6 +127,12 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
     return _Begin(first, pixels, radius, patches(1.0), patches(params.wide), images)
 
 
+def placed(frame: Frame, intrinsics: Intrinsics, rest: Array, params: Params) -> tuple[Array, NDArray[np.bool_]]:
+    """Return where flowers at `rest` (F, 3), camera frame, are in a frame (F, 2) [px], and whether each is in sight."""
+    begin = _begin([frame], intrinsics, rest, params)
+    return begin.pixels, np.array([patch.cover >= params.least_cover for patch in begin.own])
+
+
 def _settled(petals: Image, pixel: Array, radius: float) -> Array:
     centre = centre_of_petals(petals, pixel, radius)
     return pixel if centre is None else centre

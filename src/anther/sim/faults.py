@@ -19,6 +19,7 @@ from anther.devices import (
     Gripper,
     GripperState,
     JointTrajectory,
+    More,
     Robot,
     Watch,
 )
@@ -84,13 +85,13 @@ class FaultyArm:
         """Return the measured joints (7,) [rad]; stale ones are those of the moment they froze."""
         return self._arm.joints() if self._frozen is None else self._frozen
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, unless the fault says otherwise."""
         fault, count = self._fault, self._count
         self._count += 1
         if not fault.strikes(count):
             self._frozen = None
-            return self._arm.follow(trajectory, watch)
+            return self._arm.follow(trajectory, watch, more)
         if fault.kind == "command rejected":
             raise DeviceError("the arm rejected the command: it is not enabled.")
         if count > fault.at and fault.kind == "arm stops":
@@ -104,7 +105,7 @@ class FaultyArm:
             if watch:
                 watch(sample)
 
-        return self._arm.follow(trajectory, disturbed)
+        return self._arm.follow(trajectory, disturbed, more)
 
     def hold(self) -> None:
         """Stop and hold the present position."""
@@ -165,6 +166,12 @@ class FaultyCamera:
     def start(self, rate: float) -> None:
         """Begin to record."""
         self._camera.start(rate)
+
+    def recorded(self, since: float) -> list[Frame]:
+        """Return what was recorded so far, or lose it."""
+        if self._fault.strikes(self._recordings):
+            raise DeviceError("the frames were lost on the cable.")
+        return self._camera.recorded(since)
 
     def stop(self) -> list[Frame]:
         """Return the recording, or the first share of it."""

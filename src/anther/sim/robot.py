@@ -11,7 +11,18 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.arm import sawyer
-from anther.devices import ArmRecord, ArmSample, Frame, GripperState, JointTrajectory, Robot, Watch
+from anther.devices import (
+    LEAD,
+    ArmRecord,
+    ArmSample,
+    DeviceError,
+    Frame,
+    GripperState,
+    JointTrajectory,
+    More,
+    Robot,
+    Watch,
+)
 from anther.errors import bad_input
 from anther.geometry import Array, Intrinsics, look_at
 from anther.sim.capture import CameraErrors, noisy_rgb
@@ -35,31 +46,52 @@ class SimArm:
         """Return the measured joint angles (7,) [rad]."""
         return self.cell.joints
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s."""
-        dt = self.cell.params.timestep
-        curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
-        t = np.minimum(dt * np.arange(1.0, round((trajectory.duration + 0.1) / dt) + 1), trajectory.duration)
-        q, v = curve(t), curve(t, 1)
-        v[t >= trajectory.duration] = 0
-        a = np.diff(v, axis=0, append=v[-1:]) / dt
-        openings = np.full(len(t), self.cell.grip_command)
-        start, measured = self.cell.time, np.empty_like(q)
+        dt, start, told, ends = self.cell.params.timestep, self.cell.time, more is None, trajectory.duration
+        q, v = _references(trajectory, 0.0, dt, last=told)
+        measured = np.empty((0, 7))
         try:
-            for first in range(0, len(t), round(CYCLE / dt)):
-                rows = slice(first, first + round(CYCLE / dt))
-                measured[rows] = self.cell.run(q[rows], v[rows], openings[rows], a[rows])
+            while len(measured) < len(q):
+                if not told and dt * len(measured) >= ends - LEAD:
+                    assert more is not None
+                    following = more()
+                    told = following is None
+                    trajectory = JointTrajectory.standstill(q[-1], dt) if following is None else following
+                    goes_on = _references(trajectory, ends, dt, last=told)
+                    q, v = np.concatenate([q, goes_on[0]]), np.concatenate([v, goes_on[1]])
+                    ends += trajectory.duration
+                rows = slice(len(measured), len(measured) + round(CYCLE / dt))
+                ahead = np.concatenate([v[1:], v[-1:]])[rows]
+                a = (ahead - v[rows]) / dt
+                openings = np.full(len(q[rows]), self.cell.grip_command)
+                measured = np.concatenate([measured, self.cell.run(q[rows], v[rows], openings, a)])
                 if watch:
-                    watch(ArmSample(self.cell.time, q[rows][-1], measured[rows][-1], contact_force(self.cell)))
+                    watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], contact_force(self.cell)))
         except BaseException:
             self.hold()
             raise
-        return ArmRecord(start + dt * np.arange(1.0, len(t) + 1), q, measured)
+        return ArmRecord(start + dt * np.arange(1.0, len(q) + 1), q, measured)
 
     def hold(self) -> None:
         """Stop and hold the present position for 0.1 s."""
         q = np.tile(self.cell.joints, (round(0.1 / self.cell.params.timestep), 1))
         self.cell.run(q, np.zeros_like(q), np.full(len(q), self.cell.grip_command))
+
+
+def _references(trajectory: JointTrajectory, begin: float, dt: float, *, last: bool) -> tuple[Array, Array]:
+    """Return joints and rates (N, 7) of a trajectory that begins at `begin` [s], at the multiples of dt after that.
+
+    The last one is held for another 0.1 s.
+    """
+    curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
+    ends = begin + trajectory.duration
+    steps = np.arange(round(begin / dt) + 1.0, round((ends + 0.1 * last) / dt) + 1)
+    t = np.clip(dt * steps - begin, 0, trajectory.duration)
+    q, v = curve(t), curve(t, 1)
+    if last:
+        v[t >= trajectory.duration] = 0
+    return q, v
 
 
 def contact_force(cell: Cell) -> float:
@@ -141,6 +173,7 @@ class SimCamera:
         self._late, self._exposure = late, exposure
         self._rng = np.random.default_rng(seed)
         self._recording: tuple[float, float] | None = None
+        self._shown: dict[int, Frame] = {}
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -153,20 +186,44 @@ class SimCamera:
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
-        self._recording = (self.cell.time, rate)
+        self._recording, self._shown = (self.cell.time, rate), {}
+
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the frames of the recording under way that were taken from `since` on [s].
+
+        Raises:
+            DeviceError: there are none.
+        """
+        if self._recording is None:
+            raise DeviceError("the camera records nothing: start it first.")
+        start, rate = self._recording
+        rows = [i for i in range(int((self.cell.time - start) * rate) + 1) if start + i / rate >= since]
+        new = [i for i in rows if i not in self._shown]
+        self._shown |= dict(zip(new, self._frames_at(start + np.array(new) / rate), strict=True))
+        frames = [self._shown[i] for i in rows]
+        if not frames:
+            raise DeviceError(f"the camera has taken no frame since {since:.2f} s.")
+        return frames
 
     def stop(self) -> list[Frame]:
-        """End the recording and return its frames, each of the log sample nearest to when it was exposed.
-
-        A frame that is late was exposed before its time says: the first ones before the recording began.
-        """
+        """End the recording and return its frames: those that were asked for on the way, else those of its middle."""
         if self._recording is None:
             return []
         (start, rate), self._recording = self._recording, None
-        log = self.cell.log()
+        if self._shown:
+            return [self._shown[i] for i in sorted(self._shown)]
         wanted = np.arange(start, self.cell.time, 1 / rate)
         surplus = max(len(wanted) - self._most, 0)
-        wanted = wanted[surplus // 2 : len(wanted) - (surplus + 1) // 2]
+        return self._frames_at(wanted[surplus // 2 : len(wanted) - (surplus + 1) // 2])
+
+    def _frames_at(self, wanted: Array) -> list[Frame]:
+        """Return the frames of times (N,), each of the log sample nearest to when it was exposed.
+
+        A frame that is late was exposed before its time says: the first ones before the recording began.
+        """
+        if not len(wanted):
+            return []
+        log = self.cell.log()
         exposed = wanted - self._late
         after = np.clip(np.searchsorted(log.times, exposed), 1, len(log.times) - 1)
         samples = after - (exposed - log.times[after - 1] < log.times[after] - exposed)

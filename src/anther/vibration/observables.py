@@ -44,8 +44,8 @@ class Observables(NamedTuple):
     leaf_load: NDArray[Any]
 
 
-def observables(plant: PlantModel) -> Observables:
-    """Return what is observed of a plant.
+def observables(plant: PlantModel, like: PlantModel | None = None) -> Observables:
+    """Return what is observed of a plant; `like` is the same plant of another material, to have the same rows.
 
     The bending strain of an edge is |M across the edge| r / (E I), at the surface of either of its ends: the moments
     are those of the rods' own joints, from curvature and twist, so that a rigid motion strains nothing and a kink is no
@@ -56,7 +56,7 @@ def observables(plant: PlantModel) -> Observables:
     n = len(plant.rods.nodes)
     flowers, load = _displacements(_flowers(plant), n), _displacements(_loads(plant), n)
     found = joints(plant.rods, plant.clamp.planted)
-    bending, edges, counts = _bending(plant, found.moments)
+    bending, edges, counts = _bending(plant, found.moments, like or plant)
     operator = vstack([flowers, bending @ found.strains, load], format="csr")
     ends = np.cumsum([0, flowers.shape[0] // 3, *counts, load.shape[0] // 3])
     rows = [np.arange(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
@@ -108,7 +108,7 @@ def _flowers(plant: PlantModel) -> Blocks:
     return count, np.arange(count), plant.flower_nodes, np.tile(np.eye(3), (count, 1, 1))
 
 
-def _bending(plant: PlantModel, moments: Array) -> tuple[Any, NDArray[Any], list[int]]:
+def _bending(plant: PlantModel, moments: Array, like: PlantModel) -> tuple[Any, NDArray[Any], list[int]]:
     """Return the operator of the bending strains, the edge of each, and how many are of stem, pedicels and bases.
 
     An edge is strained at its start by the moment of its own joint, and at its end by the sum of those of the edges
@@ -118,10 +118,10 @@ def _bending(plant: PlantModel, moments: Array) -> tuple[Any, NDArray[Any], list
     j = np.arange(1, len(rods.parent))
     p = rods.parent[j]
     edge = np.arange(len(rods.nodes))
-    surface, along = _surface(rods)
+    (surface, along), strength = _surface(rods), np.linalg.norm(_surface(like.rods)[0], axis=(1, 2))
     jointed, on_stem = np.isin(edge, j), np.isin(edge, plant.stem_nodes)
     stem = on_stem & on_stem[rods.parent] & (edge > 0)
-    weaker = np.linalg.norm(surface[j], axis=(1, 2)) >= np.linalg.norm(surface[p], axis=(1, 2)) * (1 - 1e-9)
+    weaker = strength[j] >= strength[p] * (1 - 1e-9)
     follows = weaker & (np.sum(along[j] * along[p], axis=1) > STRAIGHT)
     goes_on = np.isin(edge, p) & ~((np.bincount(p, minlength=len(edge)) == 1) & np.isin(edge, p[follows]))
     parts, edges = [], []

@@ -133,7 +133,7 @@ def _gains_of(
 ) -> tuple[Array, ...]:
     """Return the gains of one scenario."""
     plant, seen = version.plant, observables(version.plant)
-    response = _response(version, grips, seen.operator, frequencies)
+    response = vectors(version, grips, seen.operator, frequencies)
     flowers = response.vectors[:, :, seen.flowers]
     response.vectors[:, :, seen.flowers] = _answered(plant, grips, flowers, response.pads)
     size = _sizes(response.vectors, directions)
@@ -189,7 +189,7 @@ def answer(
     nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
     at = (4 * nodes[:, None] + np.arange(3)).ravel()
     seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 4 * len(plant.rods.nodes)))
-    response = _response(version, grips, seen, frequencies)
+    response = vectors(version, grips, seen, frequencies)
     flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
     return Answer(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
 
@@ -201,8 +201,11 @@ def flower_motion(
     return answer(version, grips, direction, frequencies).flowers
 
 
-def _response(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
-    """Return the response of one scenario; its damping ratio is the same at every frequency (hysteretic)."""
+def vectors(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
+    """Return what an operator (`observables`) sees of one scenario, without the material's gain.
+
+    The damping ratio is the same at every frequency (hysteretic).
+    """
     plant, loss = version.plant, 2 * version.plant.material.damping_ratio
     springs = version.pads.springs
     return observed_response(plant.rods, plant.clamp, grips, operator, frequencies, loss_factor=loss, springs=springs)

@@ -1,0 +1,145 @@
+"""What a shake at one grip should do by the model, and what is left of that once the camera has seen a small one.
+
+M members, K tones, S vectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array, vstack
+
+from anther.geometry import Array
+from anther.plant import PlantModel
+from anther.vibration.observables import ComplexArray, observables, semi_major
+from anther.vibration.pads import PADS, Pads, grip_rows, pad_nodes
+from anther.vibration.search import Version, scenarios, vectors
+
+MEMBERS = 32
+"""Plants that are drawn; more change the narrowed loads by less than the camera's errors do."""
+BRANCH_SPREAD = 0.5
+"""Of ln of a branch's stiffness, as in `identification.Params`."""
+MISFIT = 0.3
+"""Of a point's modelled or seen motion, relative: no model's node is the piece of plant that a camera sees, and a
+stem's motion along itself cannot be seen. Measured on three simulated plants."""
+LIKENESS = 10.0
+"""So many points beside each other tell as much as one: they err alike. A guess."""
+
+LOADS = ("stem_strain", "joint_strain", "base_strain", "leaf_load", "grip_force")
+
+
+class Foresight(NamedTuple):
+    """What one metre of gripper motion along one line does, as phasors.
+
+    Attributes:
+        tones: (K,) [Hz].
+        vectors: (M, K, S, 3); the first member is the plant as believed.
+        where: kind -> rows of S: "flowers" [m/m], "points" [m/m], and `LOADS` [1/m, leaves 1/s2, force N/m], whose
+            length is the load.
+    """
+
+    tones: Array
+    vectors: ComplexArray
+    where: Mapping[str, slice]
+
+    def sizes(self, kind: str) -> Array:
+        """Return (M, K, R) the largest length of each vector of a kind in a period."""
+        return semi_major(self.vectors[:, :, self.where[kind]])
+
+
+def foresee(
+    plant: PlantModel,
+    point: Array,
+    direction: Array,
+    tones: Array,
+    seen: NDArray[np.int64],
+    *,
+    pads: Pads = PADS,
+    seed: int = 0,
+) -> Foresight:
+    """Return what shakes of one grip should do, for plants and pads drawn from what is believed.
+
+    Args:
+        plant: as believed.
+        point: (3,) where it is held [m].
+        direction: (3,) of the shake.
+        tones: (K,) [Hz].
+        seen: (P,) rod nodes that a camera may see.
+        pads: as believed.
+        seed: of the draws.
+    """
+    grip = pad_nodes(plant, grip_rows(plant, point[None]), pads.width)
+    members = scenarios(plant, MEMBERS, seed, pads=pads, branch_spread=BRANCH_SPREAD)
+    found = [_foreseen(member, plant, grip, direction, tones, seen) for member in members]
+    kinds = ("flowers", "points", *LOADS)
+    ends = np.cumsum([0, *(part.shape[1] for part in found[0])])
+    where = {kind: slice(int(a), int(b)) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
+    return Foresight(tones, np.array([np.concatenate(parts, axis=1) for parts in found]), where)
+
+
+def _foreseen(
+    member: Version,
+    plant: PlantModel,
+    grip: Sequence[NDArray[np.int64]],
+    direction: Array,
+    tones: Array,
+    seen: NDArray[np.int64],
+) -> list[ComplexArray]:
+    look = observables(member.plant, plant)
+    nodes = (4 * seen[:, None] + np.arange(3)).ravel()
+    size = (len(nodes), look.operator.shape[1])
+    points = csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), nodes)), size)
+    answer = vectors(member, grip, vstack([look.operator, points], format="csr"), tones)
+    found, force = (answer.vectors @ direction)[:, 0], (answer.force @ direction)[:, 0]
+    omega2 = (2 * np.pi * tones[:, None, None]) ** 2
+    strains = [found[:, rows] for rows in (look.stem_strain, look.joint_strain, look.base_strain)]
+    leaves = omega2 * found[:, look.leaf_load]
+    return [found[:, look.flowers], found[:, found.shape[1] - len(seen) :], *strains, leaves, force[:, None]]
+
+
+class Narrowed(NamedTuple):
+    """What is believed of one tone after a camera saw it.
+
+    Attributes:
+        vectors: (S, 3) what one metre of the gripper's motion does.
+        misfit: -2 ln likelihood of what was seen, up to a constant.
+    """
+
+    vectors: ComplexArray
+    misfit: float
+
+
+def narrowed(
+    foresight: Foresight, tone: int, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
+) -> Narrowed:
+    """Return what one metre does at one tone, once points were seen to move in the camera's picture.
+
+    The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
+    hidden flowers follow as the members have them follow, so that at a tone and grip that were measured no resonance
+    has to be known.
+
+    Args:
+        foresight: of the members.
+        tone: number of the tone.
+        rows: (P,) rows of S that were seen.
+        motion: (P, 2) per metre of the gripper's motion along the camera's x and y.
+        std: (P,) standard deviation of either part.
+        T: (3, 3) rotation from the camera to the world.
+    """
+    members = foresight.vectors[:, tone]
+    mean = members.mean(axis=0)
+    if not len(rows):
+        return Narrowed(mean, 0.0)
+    off = (members - mean).reshape(len(members), -1) / np.sqrt(len(members) - 1)
+    shown = (members[:, rows] @ T[:, :2]).reshape(len(members), -1)
+    size = np.maximum(np.linalg.norm(motion, axis=1), np.linalg.norm(mean[rows] @ T[:, :2], axis=1))
+    noise = np.sqrt(np.repeat((std**2 + (MISFIT * size) ** 2) * max(len(rows) / LIKENESS, 1.0), 2))
+    spread = (shown - shown.mean(axis=0)) / np.sqrt(len(members) - 1) / noise
+    miss = (motion.reshape(-1) - shown.mean(axis=0)) / noise
+    gram = np.eye(len(members)) + spread.conj() @ spread.T
+    weights = np.linalg.solve(gram, spread.conj() @ miss)
+    misfit = float(np.vdot(miss, miss - weights @ spread).real) + float(np.linalg.slogdet(gram)[1])
+    return Narrowed(mean + (weights @ off).reshape(mean.shape), misfit)

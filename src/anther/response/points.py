@@ -1,0 +1,168 @@
+"""Points of the plant followed from one frame at rest: quick enough to watch a shake while it lasts.
+
+P points, T frames, K tones. Pixels are (column, row).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.devices import Frame
+from anther.geometry import Array, Intrinsics, inverse, transform_points
+from anther.response.following import placed
+from anther.response.params import Params
+
+WINDOW = 15
+"""Side of the square that is compared [px]: two flowers wide at 0.55 m from a D455."""
+LEVELS = 2
+"""Halvings of the picture, so that a point is found up to about 25 px from where it was looked for."""
+THERE_AND_BACK = 1.0
+"""A point followed there and back must come home to this [px] (Kalal et al. 2010, forward-backward error)."""
+NEAR = 0.02
+"""A point is in sight where the depth measured there is its own to this [m]."""
+BRIGHT = 100.0
+"""Median grey of the pictures that are compared: exposure and gain of a camera change from frame to frame."""
+SLOW = 4
+"""Legendre polynomials beside the tones: wind, and swings that die out."""
+LEAST_SHARE = 0.6
+"""Of the frames in which a point must be followed."""
+OUTLIER = 4.0
+"""Places so many robust deviations off the fit are left out."""
+LEAST_ERROR = 0.03
+"""No place is surer than this [px]: a guess, and about what films without motion show."""
+
+
+class Sight(NamedTuple):
+    """What a camera that stands still has in sight.
+
+    Attributes:
+        picture: (H, W) of the plant at rest.
+        pixels: (P, 2) where the points are in it.
+        per_pixel: (P,) what a pixel measures there [m].
+        shown: (P,) whether the point is in sight.
+        T_world_cam: (4, 4).
+    """
+
+    picture: NDArray[np.uint8]
+    pixels: Array
+    per_pixel: Array
+    shown: NDArray[np.bool_]
+    T_world_cam: Array
+
+
+class Swings(NamedTuple):
+    """How points swung, by tone: x(t) = Im(phasor exp(2 pi i f t)), t on the cameras' clock.
+
+    Attributes:
+        phasors: (P, K, 2) along the camera's x and y [m]; NaN where the point was not followed.
+        std: (P,) standard deviation of either part of any of them [m].
+    """
+
+    phasors: NDArray[np.complex128]
+    std: Array
+
+
+def sight(
+    frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array, params: Params = Params()
+) -> Sight:
+    """Return where flowers (F, 3) and points (N, 3), world [m], are in a frame of the plant at rest; flowers first.
+
+    Flowers are looked for by their petals, all shifted alike first, as `measure_response` does.
+    """
+    T = inverse(T_world_cam)
+    rest = transform_points(T, np.concatenate([flowers.reshape(-1, 3), points.reshape(-1, 3)]))
+    pixels = intrinsics.project(np.where(rest[:, 2:] > NEAR, rest, 1.0))
+    inside = (pixels >= 0).all(axis=1) & (pixels < [intrinsics.width, intrinsics.height]).all(axis=1)
+    shown = inside & (rest[:, 2] > NEAR) & _own_depth(frame.depth, pixels, rest[:, 2], inside)
+    count = len(flowers)
+    if count and rest[:count, 2].min() > params.depth_gate:
+        pixels[:count], covered = placed(frame, intrinsics, rest[:count], params)
+        shown[:count] = inside[:count] & covered
+    return Sight(_picture(frame), pixels, rest[:, 2] / intrinsics.fx, shown, np.asarray(T_world_cam))
+
+
+def swings(at: Sight, frames: Sequence[Frame], tones: Array) -> Swings:
+    """Return how the points in sight swung in frames of a shake whose tones (K,) [Hz] are known.
+
+    Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
+    and back; then tones and slow terms are fitted to its path by least squares.
+    """
+    phasors = np.full((len(at.pixels), len(tones), 2), np.nan, np.complex128)
+    std, times = np.full(len(at.pixels), np.nan), np.array([f.time for f in frames])
+    if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
+        return Swings(phasors, std)
+    basis = _basis(times, tones)
+    for point, path in zip(np.flatnonzero(at.shown), np.swapaxes(_paths(at, frames), 0, 1), strict=True):
+        found = _fitted(basis, path)
+        if found is not None:
+            sine, cosine = found[0][: len(tones)], found[0][len(tones) : 2 * len(tones)]
+            phasors[point], std[point] = sine + 1j * cosine, found[1]
+    return Swings(phasors * at.per_pixel[:, None, None], std * at.per_pixel)
+
+
+def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    own = np.zeros(len(pixels), dtype=bool)
+    for k in np.flatnonzero(inside):
+        u, v = np.rint(pixels[k]).astype(int)
+        around = depth[max(v - 2, 0) : v + 3, max(u - 2, 0) : u + 3]
+        read = around[around > 0]
+        own[k] = len(read) > 0 and np.abs(read - expected[k]).min() < NEAR
+    return own
+
+
+def _picture(frame: Frame) -> NDArray[np.uint8]:
+    grey = cv2.GaussianBlur(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 0.8)
+    return np.clip(grey * (BRIGHT / max(float(np.median(grey)), 1.0)), 0, 255).astype(np.uint8)
+
+
+def _paths(at: Sight, frames: Sequence[Frame]) -> Array:
+    """Return (T, S, 2) where the S points in sight are in the frames [px]; NaN where lost."""
+    home = at.pixels[at.shown].astype(np.float32)[:, None]
+    out = np.full((len(frames), len(home), 2), np.nan)
+    place, step = home.copy(), np.zeros_like(home)
+    options: dict[str, Any] = {
+        "winSize": (WINDOW, WINDOW),
+        "maxLevel": LEVELS,
+        "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
+        "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
+    }
+    for i, frame in enumerate(frames):
+        picture = _picture(frame)
+        there, ok, _ = cv2.calcOpticalFlowPyrLK(at.picture, picture, home, place + step, **options)
+        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(picture, at.picture, there, home.copy(), **options)
+        good = (ok == 1) & (ok_back == 1) & (np.linalg.norm(back - home, axis=2) < THERE_AND_BACK)
+        out[i] = np.where(good, there[:, 0], np.nan)
+        step = np.where(good[..., None], there - place, 0) if i else step
+        place = np.where(good[..., None], there, place)
+    return out
+
+
+def _basis(times: Array, tones: Array) -> Array:
+    """Return (T, 2K + SLOW) sines, cosines and slow terms."""
+    phase = 2 * np.pi * times[:, None] * tones
+    along = 2 * (times - times[0]) / max(float(np.ptp(times)), 1e-9) - 1
+    slow = np.polynomial.legendre.legvander(along, SLOW - 1)
+    return np.column_stack([np.sin(phase), np.cos(phase), slow]).astype(np.float64)
+
+
+def _fitted(basis: Array, path: Array) -> tuple[Array, float] | None:
+    """Return the coefficients (2K + SLOW, 2) of a path (T, 2) and the deviation of any, [px]; None if it was lost."""
+    used = np.isfinite(path).all(axis=1)
+    least = max(LEAST_SHARE * len(path), basis.shape[1] + 2)
+    for _ in range(2):
+        if used.sum() < least:
+            return None
+        # normal equations: a decomposition would wake BLAS threads, which cost more than the work
+        gram = basis[used].T @ basis[used] + 1e-9 * np.eye(basis.shape[1])
+        coefficients = np.linalg.solve(gram, basis[used].T @ path[used])
+        miss = np.abs(path - basis @ coefficients)
+        usual = 1.4826 * np.median(miss[used], axis=0)
+        used &= (np.nan_to_num(miss, nan=np.inf) <= OUTLIER * np.maximum(usual, LEAST_ERROR)).all(axis=1)
+    free = max(int(used.sum()) - basis.shape[1], 1)
+    noise = np.maximum(np.sqrt(np.sum(miss[used] ** 2, axis=0) / free), LEAST_ERROR).max()
+    return coefficients, float(noise * np.sqrt(np.linalg.inv(gram).diagonal()[:-SLOW].max()))
