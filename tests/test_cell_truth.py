@@ -16,6 +16,7 @@ from anther.sim.cell import Cell, mujoco
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm
 from anther.sim.truth import JOINT_STIFFNESS, NOMINAL, Truth, draw
+from anther.vibration.pads import friction_force
 
 GRASP = sawyer.T_FLANGE_GRASP
 Q = solve(horizontal_grasp(np.add(BASE, [0, 0, 0.22]), np.zeros(7)).T_world_flange)
@@ -77,6 +78,21 @@ def test_a_held_rod_turns_about_the_closing_axis_as_the_pads_rotation_says() -> 
     assert abs(turn) > 0.05
     assert turn == pytest.approx(moment[1] / PADS.pad_rotation, rel=0.1)
     assert np.arctan2(rod[0, 2], rod[0, 0]) == pytest.approx(turn, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("turn", "far", "slides"),
+    [(0.0, 0.0012, False), (0.08, 0.0, False), (0.05, 0.001, False), (0.5, 0.0, True), (0.15, 0.006, True)],
+)
+def test_a_held_rod_slides_where_the_planner_says(turn: float, far: float, slides: bool) -> None:
+    """Pushed across and turned about the closing axis: it stays below what pads of 10 N bear, and slides above."""
+    force, moment, pads, rod = push(replace(PADS, pad_friction=0.5), turn, np.array([0.0, 0.0, far]))
+    pull, pivot = np.hypot(force[0], force[2]), abs(moment[1])
+    asked = friction_force(pull, pivot, np.array(0.0), radius=0.004, width=0.016)
+    T = inverse(pads) @ rod
+    away = np.linalg.norm(T[:3, 3]) + 0.008 * abs(np.arctan2(T[0, 2], T[0, 0]))
+    assert (asked > 0.95 * 2 * 0.5 * 10.0) == slides
+    assert (away > 0.001) == slides
 
 
 def test_a_worn_pad_has_less_friction_and_only_one_is_worn() -> None:

@@ -16,6 +16,7 @@ from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, Watch
 from anther.errors import InputError, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
+from anther.execution.closing import ENOUGH
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import alias, choose_rate
@@ -35,6 +36,7 @@ class Plan:
     frequency: float = 5.0
     duration: float = 0.6
     waveform: Waveform = SINE
+    press: float = 8.0
 
 
 def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
@@ -106,12 +108,21 @@ class SoftStem(FakeGripper):
 
 
 @pytest.mark.parametrize("width", [0.0036, 0.0078, 0.011])
-def test_the_pads_close_in_steps_and_press_no_more_than_they_need(width: float) -> None:
+@pytest.mark.parametrize("press", [3.0, 8.0, 10.0])
+def test_the_pads_close_in_steps_and_press_no_more_than_the_plan_asks_for(width: float, press: float) -> None:
     gripper, params = SoftStem(width), Params()
-    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
+    trial = execute(PLANNER, Plan(press=press), fake_robot(FakeArm(), gripper), LIMITS)
     assert trial.finished
     assert trial.gripper[0, 0] == pytest.approx(width)
-    assert params.hold <= trial.gripper[0, 1] < params.hold + 6e3 * params.step
+    assert ENOUGH * press <= trial.gripper[0, 1] < press + 6e3 * params.step
+
+
+def test_a_gripper_that_cannot_press_as_the_shake_needs_does_not_shake() -> None:
+    trial = execute(PLANNER, Plan(press=9.0), fake_robot(FakeArm(), FakeGripper(0.008)), LIMITS)
+    assert trial.failure == "limits_exceeded"
+    assert "press with 8.0 N; the plan asks for 9.0 N" in trial.stop_reason
+    assert "shake" not in trial.phases
+    assert trial.phases[-1] == "retreat"
 
 
 @pytest.mark.parametrize("when", range(5))

@@ -36,6 +36,7 @@ class Plan:
     duration: float = 1.0
     direction: Array = field(default_factory=lambda: np.array([0, 1.0, 0]))
     waveform: Waveform = SINE
+    press: float = 8.0
 
 
 def near_plant(joints: Array, plant: SimPlant | None = None, **kind: float) -> Cell:
@@ -134,7 +135,7 @@ def test_a_petiole_between_the_pads_is_a_branch_grasped() -> None:
     grasp = replace(grasp, T_world_flange=T, approach=T[:3, 2])
     grasp = replace(grasp, joints=solve(T, GRASP.joints))
     assert grasp.joints is not None
-    trial, verdict = trial_of(near_plant(grasp.joints, leaf=0.001), Plan(grasp=grasp, duration=0.5))
+    trial, verdict = trial_of(near_plant(grasp.joints, leaf=0.001), Plan(grasp=grasp, duration=0.5, press=5.0))
     assert trial.finished, trial.stop_reason
     assert verdict.failure == "branch_or_leaf_grasped"
     assert verdict.organ_grasped == "petiole"

@@ -34,6 +34,7 @@ class Plan:
     frequency: float = 5.0
     duration: float = 0.6
     waveform: Waveform = SINE
+    press: float = 8.0
 
 
 class NoFiles:

@@ -20,6 +20,7 @@ from anther.devices import ArmSample, DeviceError, Frame, GripperState, JointTra
 from anther.errors import StageFailure
 from anther.execution import execute
 from anther.geometry import Array, Box
+from anther.pressing import Pressing
 from anther.safety import (
     AT_REST,
     GuardedArm,
@@ -320,11 +321,11 @@ def test_a_gripper_that_would_crush_opens() -> None:
 def test_a_hard_pad_on_a_thin_stem_opens_before_it_cuts() -> None:
     """The same grip: harmless with soft pads, refused with hard ones, whose pressure is in the message."""
     gripper = FakeGripper(0.005)
-    soft = replace(LIMITS, pad_modulus=1e6)
+    soft = replace(LIMITS, pressing=Pressing(pad_modulus=1e6))
     state = GuardedGripper(gripper, soft).move(0.004)
     assert stem_stress(state, soft) == pytest.approx(291e3, rel=0.01)  # by hand: 8 N, 16 mm, 2.5 mm, 1.33 MPa
     with pytest.raises(StageFailure, match="stem stress: got") as failure:
-        GuardedGripper(gripper, replace(LIMITS, pad_modulus=2e7)).move(0.004)
+        GuardedGripper(gripper, replace(LIMITS, pressing=Pressing(pad_modulus=2e7))).move(0.004)
     assert failure.value.kind == "limits_exceeded"
     assert gripper.opening == LIMITS.stroke
     assert stem_stress(gripper.state(), soft) == 0

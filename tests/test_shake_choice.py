@@ -22,11 +22,14 @@ from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
 from anther.grasp import Grasp
 from anther.plant import TOMATO, PlantModel, build_plant
+from anther.pressing import PRESSING, Pressing
 from anther.vibration import (
+    PADS,
     PRESETS,
     SINE,
     WAVEFORMS,
     ArmShaker,
+    Pads,
     Params,
     PlantLimits,
     ShakePlan,
@@ -34,11 +37,11 @@ from anther.vibration import (
     Waveform,
     plan_shake,
 )
-from anther.vibration.choice import plant_limits
+from anther.vibration.choice import PRESS, plant_limits
 from anther.vibration.dose import freed_share
 from anther.vibration.limits import pollen_dose, sawyer_limit
 from anther.vibration.observables import semi_major
-from anther.vibration.pads import grip_rows, pad_nodes
+from anther.vibration.pads import friction_force, grip_rows, pad_nodes
 from anther.vibration.params import FLOWER_SPREAD
 from anther.vibration.search import Version, gains, scenarios
 from anther.vibration.verification import Shake, shaken, verified
@@ -232,8 +235,57 @@ def test_a_vibrating_gripper_is_asked_the_same_questions(plant: PlantModel, gras
 def test_a_slippery_grip_is_shaken_less(plant: PlantModel, grasps: list[Grasp]) -> None:
     plan = plan_shake(plant, grasps, params=replace(QUICK, pad_friction=2e-4, least_amplitude=1e-6))
     used = {name: share for name, *_, share in plan.limits}
-    assert used["force in the grip, against slip [N]"] == pytest.approx(1.0)
+    assert used[PRESS] == pytest.approx(1.0)
     assert "against slip" in plan.reason
+    assert plan.press == pytest.approx(PRESSING.holding)
+
+
+def test_the_pads_press_as_the_shake_needs_and_it_is_made_smaller_where_they_may_not(
+    plant: PlantModel, grasps: list[Grasp]
+) -> None:
+    params = replace(QUICK, least_press=1e-6, least_amplitude=1e-6)
+    free = plan_shake(plant, grasps, params=params)
+    assert free.press == pytest.approx({name: value for name, value, *_ in free.limits}[PRESS])
+    assert plan_shake(plant, grasps, params=replace(params, least_press=8.0)).press == 8.0
+    weak = Pressing(holding=max(free.press / 3, 0.1))
+    held = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5), pressing=weak)
+    again = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5))
+    assert held.press <= weak.holding < again.press
+    assert held.amplitude < again.amplitude
+
+
+def test_a_thin_stem_is_pressed_less_and_none_beyond_what_it_bears() -> None:
+    hard, presses = Pressing(pad_modulus=5e7), []
+    for radius in ((4e-3, 2.5e-3), (3e-3, 2e-3)):
+        skeleton, stem, flowers = branched(radius=radius)
+        plant = build_plant(skeleton, stem, flowers, None, TOMATO)
+        plan = plan_shake(plant, grasps_on(skeleton, stem, [8]), params=QUICK, pressing=hard)
+        presses.append(plan.press)
+        assert hard.stress(plan.press, 2 * skeleton.radius[8]) < hard.stem_stress
+    assert presses[1] < presses[0] < QUICK.least_press
+
+
+def test_narrow_pads_must_press_harder_against_what_turns_the_stem(plant: PlantModel) -> None:
+    held, way = pad_nodes(plant, np.array([14])), np.array([[[1.0, 0, 0]]])
+    wide, narrow = (
+        gains([Version(plant, replace(PADS, width=width))], held, way, np.array([2.0, 6.0])) for width in (0.016, 0.008)
+    )
+    assert np.all(narrow.grip_force > 1.2 * wide.grip_force)
+
+
+def test_a_grip_bears_the_stiffness_of_a_bare_stem_and_the_moment_of_its_bending() -> None:
+    """Slowly, a cantilever that is moved without turning pulls with 12 EI/L^3 and turns with 6 EI/L^2 per metre."""
+    skeleton = straight_stem(count=161, radius=(3e-3, 3e-3))
+    stem = stem_along(skeleton, 160)
+    plant = build_plant(skeleton, stem, Flowers(skeleton.nodes[-1:], np.array([160])), None, TOMATO)
+    firm = Pads(stiffness=1e11, turning=1e8, stiffness_spread=0, turning_spread=0)
+    held = [np.array([80, 81])]
+    answer = gains([Version(plant, firm)], held, np.array([[[1.0, 0, 0]]]), np.array([0.05]))
+    rods = plant.rods
+    stiff = float(np.asarray(rods.youngs)[80]) * np.pi * 3e-3**4 / 4
+    free = float(rods.nodes[80, 2] - rods.nodes[1, 2])
+    expected = friction_force(12 * stiff / free**3, 6 * stiff / free**2, 0.0, radius=3e-3, width=firm.width)  # type: ignore[arg-type]
+    assert float(answer.grip_force.squeeze()) == pytest.approx(float(expected), rel=0.1)
 
 
 def strain_of_pedicels(version: Version, plan: ShakePlan) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from anther.checks import check_array, check_range
 from anther.errors import StageFailure, bad_input
 from anther.geometry import Array, Box, Intrinsics
+from anther.pressing import PRESSING, Pressing
 from anther.swing import Swing
 
 
@@ -278,11 +279,7 @@ class SafetyLimits:
             enough to look and to raise a shake in steps.
         stroke: largest opening of the gripper [m] (facts: sawyer 3).
         grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).
-        stem_stress: largest pressure of a pad on a stem [Pa]. No crushing strength of a tomato or pepper stem is
-            published; this is the upper end of a pepper fruit's, an eighth of a broccoli stem's bending strength
-            (facts: pollination 2: 0.3-0.8 MPa, 6.9 MPa).
-        pad_width: of a pad along the stem [m]: basic soft tips (facts: sawyer 3).
-        pad_modulus: Young's modulus of a pad's silicone [Pa]; about 30 Shore A, our estimate.
+        pressing: what a stem bears of the pads, see `Pressing`.
         grip_tolerance: pads that stop further than this from where they were sent, with nothing between them, are
             jammed [m].
     """
@@ -306,9 +303,7 @@ class SafetyLimits:
     shake_duration: float = 12.0
     stroke: float = 0.0417
     grip_force: float = 20.0
-    stem_stress: float = 0.8e6
-    pad_width: float = 0.016
-    pad_modulus: float = 1e6
+    pressing: Pressing = PRESSING
     grip_tolerance: float = 0.003
 
     def __post_init__(self) -> None:
@@ -338,9 +333,6 @@ _RANGES = {
     "shake_duration": (0.01, 60.0, "s"),
     "stroke": (1e-3, 0.2, "m"),
     "grip_force": (0.1, 100.0, "N"),
-    "stem_stress": (1e3, 1e7, "Pa"),
-    "pad_width": (1e-3, 0.1, "m"),
-    "pad_modulus": (1e4, 1e11, "Pa"),
     "grip_tolerance": (1e-4, 0.02, "m"),
 }
 """What a limit itself may be set to. Nobody switches a limit off: these are wide, but not infinite."""

@@ -247,7 +247,7 @@ def _shaken(
     while True:
         offered = [g for g in grasps if g.score >= grasps[0].score - params.grasp.slack]
         try:
-            shake = _planned(planner, rods, offered, run, params=params)
+            shake = _planned(planner, rods, offered, run, cell.limits, params=params)
         except StageFailure as failure:
             if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
                 raise
@@ -295,7 +295,9 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
     )
 
 
-def _planned(planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, *, params: Params) -> ShakePlan:
+def _planned(
+    planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, limits: SafetyLimits, *, params: Params
+) -> ShakePlan:
     """Choose a shake among the grasps."""
 
     def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
@@ -305,5 +307,5 @@ def _planned(planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run:
     return run.stage(
         "shake plan",
         ShakePlan.load,
-        lambda _: vibration.plan_shake(rods, grasps, vibration.ArmShaker(arm_limit), params.vibration),
+        lambda _: vibration.plan_shake(rods, grasps, vibration.ArmShaker(arm_limit), params.vibration, limits.pressing),
     )

@@ -175,10 +175,10 @@ class GuardedGripper:
         before = self.state().opening
         state = _readable(self._gripper.move(opening))
         stress = stem_stress(state, limits)
-        if (state.force > limits.grip_force or stress > limits.stem_stress) and opening < limits.stroke:
+        if (state.force > limits.grip_force or stress > limits.pressing.stem_stress) and opening < limits.stroke:
             self._gripper.move(limits.stroke)
             demand("grip force", state.force, limits.grip_force, "N; the pads were opened", "Close less far.")
-            demand("stem stress", stress, limits.stem_stress, "Pa; the pads were opened", "Close less far.")
+            demand("stem stress", stress, limits.pressing.stem_stress, "Pa; the pads were opened", "Close less far.")
         short = abs(state.opening - opening)
         if short > limits.grip_tolerance and (opening > before or not state.is_gripping):
             asked = f"sent to {1000 * opening:.1f} mm, the pads stand at {1000 * state.opening:.1f} mm"
@@ -195,15 +195,10 @@ class GuardedGripper:
 
 
 def stem_stress(state: GripperState, limits: SafetyLimits) -> float:
-    """Return the greatest pressure of a pad on what is held, taken as a stiff round stem [Pa]; 0 if nothing is.
-
-    Hertz, a cylinder pressed across a flat: p = sqrt(F E* / (pi w r)) with E* = E / (1 - nu^2) of the pad alone, which
-    is far softer than a stem (30-300 MPa), nu = 0.5 (Johnson, Contact Mechanics, 1985, section 4.2).
-    """
+    """Return the greatest pressure of a pad on what is held, taken as a stiff round stem [Pa]; 0 if nothing is."""
     if not state.is_gripping or state.opening <= 0:
         return 0.0
-    modulus = limits.pad_modulus / (1 - 0.5**2)
-    return float(np.sqrt(max(state.force, 0.0) * modulus / (np.pi * limits.pad_width * state.opening / 2)))
+    return float(limits.pressing.stress(max(state.force, 0.0), state.opening))
 
 
 class GuardedCamera:

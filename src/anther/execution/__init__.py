@@ -48,6 +48,7 @@ class Shake(Protocol):
         grasp: where to hold; it must have arm joints.
         direction, amplitude, frequency, duration: (3,) unit, world; of the flange [m]; of a sweep the first [Hz]; [s].
         waveform: shape in time.
+        press: how hard the pads are to press the stem [N].
     """
 
     @property
@@ -62,6 +63,8 @@ class Shake(Protocol):
     def duration(self) -> float: ...
     @property
     def waveform(self) -> Waveform: ...
+    @property
+    def press(self) -> float: ...
 
 
 class Planner(Protocol):
@@ -251,7 +254,7 @@ def _forward(work: _Work) -> None:
         work.in_plant = True
         work.follow(outward.backwards())
     with work.phase("close"):
-        work.grips.append(close(work.robot.gripper, grasp, params))
+        work.grips.append(close(work.robot.gripper, grasp, work.plan.press, params))
         work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
     with work.phase("shake"):
         if work.watched is None:

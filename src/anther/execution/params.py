@@ -16,7 +16,7 @@ class Params:
         approach_speed: on that line [m/s].
         loose: closing begins at the measured stem diameter and this [m]. The gripper's force cannot be set (facts:
             sawyer 3), so the position is the gentleness.
-        step, hold, thinnest: it closes on in such steps [m] until it presses with this [N] or is so far closed [m].
+        step, thinnest: it closes on in such steps [m] until it presses as the plan asks, or is so far closed [m].
         settle: wait between closing and shaking, in which touched leaves calm down [s],
         calm: and where the closing pads meet a petiole beside the stem, which swings for longer [s],
         beside: as they do where it is expected to reach so far beyond the stem (`Grasp.squeezed`) [m], or nobody knows.
@@ -29,7 +29,6 @@ class Params:
     approach_speed: float = 0.12
     loose: float = 0.0005
     step: float = 0.0005
-    hold: float = 8.0
     thinnest: float = 0.002
     settle: float = 0.6
     calm: float = 2.0

@@ -14,6 +14,7 @@ from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
+from anther.pressing import PRESSING, Pressing
 from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
 from anther.vibration.choice import (
     Grips,
@@ -24,6 +25,7 @@ from anther.vibration.choice import (
     closest,
     grips_of,
     limit_rows,
+    press,
     search,
     tones_at,
 )
@@ -49,7 +51,11 @@ CHECKED, NEAR = 4, 0.1
 
 
 def plan_shake(
-    plant: PlantModel, grasps: Sequence[Grasp], actuator: Actuator = SAWYER, params: Params = DEFAULTS
+    plant: PlantModel,
+    grasps: Sequence[Grasp],
+    actuator: Actuator = SAWYER,
+    params: Params = DEFAULTS,
+    pressing: Pressing = PRESSING,
 ) -> ShakePlan:
     """Choose grasp, direction, frequency, waveform and amplitude, and predict what every flower will do.
 
@@ -65,6 +71,7 @@ def plan_shake(
         grasps: ranked grasps.
         actuator: what shakes the grip.
         params: limits and search.
+        pressing: what gripper and stem bear; a shake that needs more is made smaller.
 
     Raises:
         InputError: the frequencies asked for are outside the actuator's band.
@@ -75,7 +82,7 @@ def plan_shake(
         raise StageFailure("no_flowers_found", "no flower was found, so there is nothing to shake for.")
     if not grasps:
         raise StageFailure("no_grasp_found", "no grasp to choose from: the shake needs at least one.")
-    grips, frequencies = grips_of(plant, grasps, params), _frequencies(actuator, params)
+    grips, frequencies = grips_of(plant, grasps, params, pressing), _frequencies(actuator, params)
     versions = scenarios(plant, params.draws, params.seed, pads=params.pads)
     response = gains(versions, grips.nodes, grips.directions, frequencies)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
@@ -92,6 +99,7 @@ def plan_shake(
         frequency=done.shake.frequency,
         duration=done.shake.duration,
         waveform=done.shake.waveform,
+        press=press(done.limits, params.least_press),
         predicted_amplitude=done.amplitude,
         predicted_amplitude_interval=done.amplitude[:, None] * done.spread,
         predicted_acceleration=done.acceleration,
@@ -230,8 +238,9 @@ def _reason(done: _Checked, other: RunnerUp | None, arc_length: float, score: fl
         goal = f"the most flowers that should set: {score:.2f} of {flowers}, {without:.2f} without a shake"
     form = "" if shake.waveform == SINE else f" as a {shake.waveform}"
     text = (
-        f"Held {100 * arc_length:.0f} cm up the stem and shaken {1e3 * shake.amplitude:.2g} mm at"
-        f" {shake.frequency:.3g} Hz{form}, the flowers should move {1e3 * np.median(done.amplitude):.2g} mm (median)"
+        f"Held {100 * arc_length:.0f} cm up the stem with {press(done.limits, params.least_press):.2g} N and shaken"
+        f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz{form}, the flowers should move"
+        f" {1e3 * np.median(done.amplitude):.2g} mm (median)"
         f" with {np.median(done.acceleration):.3g} m/s2. Of all grasps, directions, frequencies and waveforms compared"
         f" this gives {goal}, averaged over {params.draws} further drawings of the plant's stiffness and damping."
         f" {closest(done.limits[:-1])}"

@@ -15,6 +15,7 @@ from scipy.stats import norm
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
+from anther.pressing import PRESSING, Pressing
 from anther.vibration.actuators import Actuator
 from anther.vibration.dose import freed_share, set_probability
 from anther.vibration.pads import grip_rows, pad_nodes
@@ -28,6 +29,10 @@ Place = tuple[int, int, int, int]
 """(w, q, g, d): one shake of the search."""
 
 
+PRESS = "force of the pads, against slip [N]"
+"""The limit that says how hard they must press."""
+
+
 class Grips(NamedTuple):
     """Where the stem may be held: the grasps' nodes first, then others for the map."""
 
@@ -35,6 +40,7 @@ class Grips(NamedTuple):
     arc_length: Array  # (G,) [m]
     grasp: NDArray[Any]  # (G,) index of the grasp itself or, for the map, of the nearest one
     directions: Array  # (G, D, 3)
+    press: Array  # (G, 1) the most that pads may press the stem with there [N]
 
 
 class Search(NamedTuple):
@@ -44,11 +50,11 @@ class Search(NamedTuple):
     duration: Array  # (Q,) [s]
     amplitude: Array  # largest allowed [m]; 0 where the waveform would leave the frequencies
     score: Array  # of the objective; -1 where less than the least amplitude is allowed
-    bounds: dict[str, tuple[Array, float]]  # name -> (value per metre of amplitude (W, Q, G, D), its limit)
+    bounds: dict[str, tuple[Array, Array]]  # name -> (value per metre of amplitude (W, Q, G, D), its limit (G or 1, 1))
     believed: dict[str, Array]  # the same of the plant as believed: what its values are without the margin
 
 
-def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> Grips:
+def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressing: Pressing = PRESSING) -> Grips:
     """Return the grasps' places on the stem, and others for the map, with the directions across the stem."""
     held = grip_rows(plant, np.array([g.point for g in grasps]))
     usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
@@ -57,7 +63,9 @@ def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params) -> Grip
     nodes, arc = pad_nodes(plant, rows, params.pads.width), plant.arc_length[rows]
     nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
     near = np.concatenate([np.arange(len(held)), nearest])
-    return Grips(nodes, arc, near, _directions(plant, plant.stem_nodes[rows], params.directions))
+    directions = _directions(plant, plant.stem_nodes[rows], params.directions)
+    diameter = 2 * np.asarray(plant.rods.edge_radius)[plant.stem_nodes[rows], None]
+    return Grips(nodes, arc, near, directions, pressing.most(diameter))
 
 
 def _directions(plant: PlantModel, nodes: NDArray[Any], count: int) -> Array:
@@ -75,7 +83,7 @@ class Bound(NamedTuple):
     """Something that grows with the amplitude, and how large it may be."""
 
     values: Array  # (M or 1, Q, G, D) per metre of amplitude
-    limit: float
+    limit: float | Array  # (G, 1) where it is not the same for every grip
     error: tuple[float, float] | None = None  # see `LOAD_ERROR`; None: it is known
 
 
@@ -113,13 +121,12 @@ def search(
     omega = 2 * np.pi * frequencies[:, None, None]
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
-    slip = 2 * params.pad_friction * params.grip_force
     acceleration = response.flower * omega[..., None] ** 2
     per_metre = {
         f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], params.arm_share),
         "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
         "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, params.most_speed),
-        "force in the grip, against slip [N]": Bound(response.grip_force, slip, LOAD_ERROR["grip_force"]),
+        PRESS: Bound(response.grip_force / (2 * params.pad_friction), grips.press, LOAD_ERROR["grip_force"]),
         "flower acceleration [m/s2]": Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
     }
     for (name, limit), kind in zip(plant_limits(params).items(), LOAD_ERROR, strict=False):
@@ -128,7 +135,7 @@ def search(
     duration = np.clip(5 / frequencies, params.duration, params.most_duration)
     shape = (len(params.waveforms), *most.shape)
     amplitude, score = np.zeros(shape), np.full(shape, -1.0)
-    bounds = {name: (np.zeros(shape), bound.limit) for name, bound in per_metre.items()}
+    bounds = {name: (np.zeros(shape), np.atleast_2d(bound.limit)) for name, bound in per_metre.items()}
     believed = {name: np.zeros(shape) for name in per_metre}
     for w, waveform in enumerate(params.waveforms):
         for q in range(len(frequencies)):
@@ -206,8 +213,17 @@ def tones_at(found: Search, response: Gains, at: Place, least: float) -> Tones:
 def limit_rows(found: Search, at: Place) -> list[tuple[str, float, float, float]]:
     """Return (name, value, limit, share used) of every limit at one shake."""
     size = float(found.amplitude[at])
-    values = {name: (size * float(value[at]), limit) for name, (value, limit) in found.bounds.items()}
+    values = {
+        name: (size * float(value[at]), float(np.broadcast_to(limit, value.shape)[at]))
+        for name, (value, limit) in found.bounds.items()
+    }
     return [(name, value, limit, value / limit) for name, (value, limit) in values.items()]
+
+
+def press(limits: Sequence[tuple[str, float, float, float]], least: float) -> float:
+    """Return how hard the pads are to press [N]: as the shake needs, at least `least`, at most what is allowed."""
+    needed, most = next((value, limit) for name, value, limit, _ in limits if name == PRESS)
+    return min(max(needed, least), most)
 
 
 def closest(rows: Sequence[tuple[str, float, float, float]]) -> str:

@@ -68,6 +68,28 @@ PADS = Pads()
 """Before anything was measured."""
 
 
+def friction_force(force: Array, pivot: Array, twist: Array, *, radius: Array | float, width: float) -> Array:
+    """Return (...) the force e that bears a force f, a pivoting moment T and a twist M of a stem between two pads [N].
+
+    Pads that each press with P slide at e = 2 mu P. Each touches the stem on a line of length w, with uniform pressure.
+    When the stem slides across that line and turns about a point c w / 2 from its middle, friction pulls one way beyond
+    that point and the other way before it: the force of both pads is 2 mu P c, the moment 2 mu P w (1 - c^2) / 4. So
+    4 T / (w e) + (f / e)^2 = 1; a stem that only pivots has the lever w / 4, and forces along the line need less. A
+    twist about the stem's own axis pulls at its surface in opposite directions at the two pads, so it adds to the force
+    at one of them: f + M / r. Along the closing axis pads also bear by pressing unevenly, which takes a P of
+    f / 2 + 3 T / w, less than this asks for with mu up to 0.5: so the gripper's axes are not asked for.
+
+    Args:
+        force: (...) between pads and stem [N].
+        pivot: (...) moment that turns the stem's direction [N m].
+        twist: (...) moment about the stem's axis [N m].
+        radius: (...) of the stem [m].
+        width: w, of the pads along the stem [m].
+    """
+    slides, turns = force + twist / radius, 4 * pivot / width
+    return (turns + np.sqrt(turns**2 + 4 * slides**2)) / 2
+
+
 def grip_rows(plant: PlantModel, points: Array) -> NDArray[Any]:
     """Return for each of (n, 3) points the position within `plant.stem_nodes` of the nearest node that can be moved.
 

@@ -20,7 +20,7 @@ from anther.elastic_rod.vectors import compiled
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
 from anther.vibration.observables import ComplexArray, branch_of, observables
-from anther.vibration.pads import PADS, Pads
+from anther.vibration.pads import PADS, Pads, friction_force
 
 
 class Gains(NamedTuple):
@@ -32,7 +32,8 @@ class Gains(NamedTuple):
         stem_strain, joint_strain, base_strain: (M, Q, G, D) largest bending strain of main stem, of pedicels and of
             branch bases [1/m].
         leaf_load: (M, Q, G, D) largest equivalent acceleration at a branch base [1/s2].
-        grip_force: (M, Q, G, D) largest force between pads and stem [N/m].
+        grip_force: (M, Q, G, D) largest force that friction between pads and stem must bear, what turns and twists the
+            stem between them counted in, see `friction_force` [N/m].
     """
 
     flower: Array
@@ -139,8 +140,19 @@ def _gains_of(
     omega2 = (2 * np.pi * frequencies[:, None, None]) ** 2
     kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
     stem, joint, base, load = (size[..., rows].max(axis=-1, initial=0.0) for rows in kinds)
-    pull = _sizes(response.force[:, :, None], directions)[..., 0]
-    return size[..., seen.flowers], stem, joint, base, omega2 * load, pull
+    borne = _borne(version, grips, response, directions)
+    return size[..., seen.flowers], stem, joint, base, omega2 * load, borne
+
+
+def _borne(version: Version, grips: Sequence[NDArray[Any]], response: Observed, directions: Array) -> Array:
+    """Return (Q, G, D) what friction must bear, per metre of grip motion [N/m]."""
+    rods, held = version.plant.rods, np.array([grip[0] for grip in grips])
+    stem = rods.nodes[held] - rods.nodes[rods.parent[held]]
+    stem /= np.linalg.norm(stem, axis=1, keepdims=True)
+    twist = stem[:, :, None] * stem[:, None] @ response.moment
+    wrench = _sizes(np.stack([response.force, response.moment - twist, twist], axis=2), directions)
+    radius = np.asarray(rods.edge_radius)[held, None]
+    return friction_force(*np.moveaxis(wrench, -1, 0), radius=radius, width=version.pads.width)
 
 
 class Answer(NamedTuple):

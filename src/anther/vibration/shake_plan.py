@@ -100,6 +100,7 @@ class ShakePlan:
         frequency: of a sweep the first [Hz].
         duration: of the whole motion [s].
         waveform: its shape in time; the displacement is `waveform.motion(t, amplitude, frequency, duration)`.
+        press: how hard the pads are to press the stem [N].
         predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path; of a sweep or burst the
             largest distance from rest [m].
         predicted_amplitude_interval: (F, 2) nine flowers in ten stay between, by the spreads of the material, of
@@ -125,6 +126,7 @@ class ShakePlan:
     frequency: float
     duration: float
     waveform: Waveform
+    press: float
     predicted_amplitude: Array
     predicted_amplitude_interval: Array
     predicted_acceleration: Array
@@ -146,6 +148,7 @@ class ShakePlan:
         check_range("shake amplitude", self.amplitude, 0, 1, "m")
         check_range("shake frequency", self.frequency, 1e-3, 1e4, "Hz")
         check_range("shake duration", self.duration, 1e-3, 3600, "s")
+        check_range("pressing force", self.press, 0, 1000, "N")
         object.__setattr__(self, "limits", tuple((str(n), float(v), float(m), float(s)) for n, v, m, s in self.limits))
         object.__setattr__(self, "notes", tuple(self.notes))
 
