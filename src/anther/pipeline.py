@@ -259,7 +259,7 @@ def _shaken(
             Trial.load,
             lambda advance, shake=shake, arrive=arrive, watched=watched: execution.execute(
                 planner,
-                shake,
+                shake if watched is None else watched.plan,
                 cell.robot,
                 cell.limits,
                 params.execution,
@@ -283,8 +283,9 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
         return None
     points = watch_points(rods, params.escalation.points)
     tones, pads = shake.tones.frequencies, params.vibration.pads
+    pressing = float(cell.limits.pressing.most(shake.grasp.stem_diameter))
     return Escalation(
-        shake,
+        replace(shake, press=max(shake.press, pressing)),
         foresee(rods, shake.grasp.point, shake.direction, tones, points, pads=pads),
         seen.flowers.positions,
         rods.rods.nodes[points],

@@ -128,7 +128,7 @@ class Escalation:
     ) -> None:
         self.plan, self.params, self.steps = plan, params, ()
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
-        self._limits, self._factors = limits_of(limits), factors(limits.risk)
+        self._limits, self._factors = limits_of(limits, plan.press), factors(limits.risk)
         self._may: dict[int, Allowed] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
 
@@ -151,6 +151,7 @@ class Escalation:
         self._sight = sight(frame, intrinsics, T_world_cam, *self._places)
         tones = self.plan.tones
         size = PROBED * np.minimum(tones.amplitudes, tones.reach) / np.sqrt(len(tones.frequencies))
+        size *= min(1.0, self.reach / size.sum())
         ramp = max(RAMP, 1 / tones.frequencies.min())
         self._piece = Swing.first(tones.frequencies, size, ramp + self.params.probe + LEAD, ramp)
         return self._piece

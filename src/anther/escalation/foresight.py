@@ -15,8 +15,8 @@ from scipy.sparse import csr_array, vstack
 from anther.geometry import Array
 from anther.plant import PlantModel
 from anther.vibration.observables import ComplexArray, observables, semi_major
-from anther.vibration.pads import PADS, Pads, grip_rows, pad_nodes
-from anther.vibration.search import Version, scenarios, vectors
+from anther.vibration.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
+from anther.vibration.search import Version, held_radius, scenarios, vectors, wrench
 
 MEMBERS = 32
 """Plants that are drawn; more change the narrowed loads by less than the camera's errors do."""
@@ -35,17 +35,28 @@ class Foresight(NamedTuple):
     Attributes:
         tones: (K,) [Hz].
         vectors: (M, K, S, 3); the first member is the plant as believed.
-        where: kind -> rows of S: "flowers" [m/m], "points" [m/m], and `LOADS` [1/m, leaves 1/s2, force N/m], whose
-            length is the load.
+        where: kind -> rows of S: "flowers" [m/m], "points" [m/m], and `LOADS` [1/m, leaves 1/s2], whose length is the
+            load; of the grip its force, pivoting moment and twist [N/m, N].
+        radius: of the stem between the pads [m].
+        pad_width: along the stem [m].
     """
 
     tones: Array
     vectors: ComplexArray
     where: Mapping[str, slice]
+    radius: float
+    pad_width: float
 
     def sizes(self, kind: str) -> Array:
         """Return (M, K, R) the largest length of each vector of a kind in a period."""
         return semi_major(self.vectors[:, :, self.where[kind]])
+
+    def load(self, kind: str, vectors: ComplexArray) -> float:
+        """Return the largest load of a kind, of vectors (S, 3) of one tone."""
+        sizes = semi_major(vectors[self.where[kind]])
+        if kind == "grip_force":
+            return float(friction_force(*sizes, radius=self.radius, width=self.pad_width))
+        return float(sizes.max(initial=0.0))
 
 
 def foresee(
@@ -75,7 +86,8 @@ def foresee(
     kinds = ("flowers", "points", *LOADS)
     ends = np.cumsum([0, *(part.shape[1] for part in found[0])])
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
-    return Foresight(tones, np.array([np.concatenate(parts, axis=1) for parts in found]), where)
+    radius = float(held_radius(plant, grip)[0])
+    return Foresight(tones, np.array([np.concatenate(parts, axis=1) for parts in found]), where, radius, pads.width)
 
 
 def _foreseen(
@@ -91,11 +103,11 @@ def _foreseen(
     size = (len(nodes), look.operator.shape[1])
     points = csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), nodes)), size)
     answer = vectors(member, grip, vstack([look.operator, points], format="csr"), tones)
-    found, force = (answer.vectors @ direction)[:, 0], (answer.force @ direction)[:, 0]
+    found, held = (answer.vectors @ direction)[:, 0], (wrench(member, grip, answer) @ direction)[:, 0]
     omega2 = (2 * np.pi * tones[:, None, None]) ** 2
     strains = [found[:, rows] for rows in (look.stem_strain, look.joint_strain, look.base_strain)]
     leaves = omega2 * found[:, look.leaf_load]
-    return [found[:, look.flowers], found[:, found.shape[1] - len(seen) :], *strains, leaves, force[:, None]]
+    return [found[:, look.flowers], found[:, found.shape[1] - len(seen) :], *strains, leaves, held]
 
 
 class Narrowed(NamedTuple):

@@ -21,7 +21,7 @@ SEEN_ERROR = {
     "joint_strain": (1.3, 0.9),
     "base_strain": (0.9, 0.58),
     "leaf_load": (1.3, 0.5),
-    "grip_force": (1.0, 0.3),
+    "grip_force": (0.5, 0.55),
 }
 """True over narrowed largest load of each kind: median, and standard deviation of ln, as `vibration.params.LOAD_ERROR`
 but after the camera has seen a tone. Measured by us on six simulated plants whose truth no stage believes, six tones
@@ -112,7 +112,7 @@ def known(foresight: Foresight, look: Look, i: int, T: Array, late: float, facto
     own, std = motion[: len(flowers)], look.swings.std[: len(flowers)] / abs(look.gripper[i])
     seen = np.linalg.norm(own, axis=1) >= SIGNIFICANCE * std  # not where one of them is NaN
     flowers[seen] = own[seen] @ T[:, :2].T + (flowers[seen] @ T[:, 2])[:, None] * T[:, 2]
-    loads = {k: factors[k] * share * float(semi_major(found.vectors[where[k]]).max(initial=0.0)) for k in LOADS}
+    loads = {kind: factors[kind] * share * foresight.load(kind, found.vectors) for kind in LOADS}
     return Known(share * omega2 * semi_major(flowers), seen, loads)
 
 
@@ -121,9 +121,9 @@ def factors(risk: float) -> dict[str, float]:
     return {kind: median * float(np.exp(norm.isf(risk) * spread)) for kind, (median, spread) in SEEN_ERROR.items()}
 
 
-def limits_of(limits: Limits) -> dict[str, float]:
-    """Return by kind what the plant and the grip may bear."""
-    plant, slip = limits.plant, 2 * limits.pad_friction * limits.grip_force
+def limits_of(limits: Limits, press: float) -> dict[str, float]:
+    """Return by kind what the plant may bear, and what pads hold that press with `press` [N]."""
+    plant, slip = limits.plant, 2 * limits.pad_friction * press
     values = (plant.stem_strain, plant.pedicel_strain, plant.base_strain, plant.leaf_load, slip)
     return dict(zip(LOADS, values, strict=True))
 

@@ -146,13 +146,22 @@ def _gains_of(
 
 def _borne(version: Version, grips: Sequence[NDArray[Any]], response: Observed, directions: Array) -> Array:
     """Return (Q, G, D) what friction must bear, per metre of grip motion [N/m]."""
+    sizes, radius = _sizes(wrench(version, grips, response), directions), held_radius(version.plant, grips)[:, None]
+    return friction_force(*np.moveaxis(sizes, -1, 0), radius=radius, width=version.pads.width)
+
+
+def wrench(version: Version, grips: Sequence[NDArray[Any]], response: Observed) -> ComplexArray:
+    """Return (Q, G, 3, 3, 3) force, pivoting moment and twist of the grip for each axis, as `friction_force` takes."""
     rods, held = version.plant.rods, np.array([grip[0] for grip in grips])
     stem = rods.nodes[held] - rods.nodes[rods.parent[held]]
     stem /= np.linalg.norm(stem, axis=1, keepdims=True)
     twist = stem[:, :, None] * stem[:, None] @ response.moment
-    wrench = _sizes(np.stack([response.force, response.moment - twist, twist], axis=2), directions)
-    radius = np.asarray(rods.edge_radius)[held, None]
-    return friction_force(*np.moveaxis(wrench, -1, 0), radius=radius, width=version.pads.width)
+    return np.stack([response.force, response.moment - twist, twist], axis=2)
+
+
+def held_radius(plant: PlantModel, grips: Sequence[NDArray[Any]]) -> Array:
+    """Return (G,) the stem's radius between the pads [m]."""
+    return np.asarray(plant.rods.edge_radius)[[grip[0] for grip in grips]]
 
 
 class Answer(NamedTuple):
