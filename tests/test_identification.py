@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +26,9 @@ from anther.identification import (
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import Params as ShakeParams
 from anther.vibration import ShakePlan, Waveform, plan_shake
-from anther.vibration.observables import semi_major
+from anther.vibration.observables import branch_of, semi_major
 from anther.vibration.pads import PADS, Pads, grip_rows, pad_nodes
-from anther.vibration.search import Version, flower_motion, gains
+from anther.vibration.search import Version, deviates, drawn_version, flower_motion, gains
 
 
 @pytest.mark.parametrize(("tip_mass", "youngs"), [(0, 21.6), (5e-3, 71), (10e-3, 120), (20e-3, 218)])
@@ -181,7 +182,8 @@ def known(plant: PlantModel) -> PlantModel:
     return plant.with_material(replace(plant.material, **spreads))
 
 
-STIFF_BRANCHES = Params(branch_spread=0.05, model_error=0.1)
+STIFF_BRANCHES = Params(members=512, branch_spread=0.05, model_error=0.1)
+"""With so many members that the draws do not decide."""
 
 
 def test_what_all_flowers_do_alike_is_the_models_gain(known: PlantModel, plan: ShakePlan) -> None:
@@ -239,6 +241,52 @@ def test_two_shakes_teach_more_than_either(plant: PlantModel, plan: ShakePlan) -
     both, *single = (refine(plant, some, params).material for some in (seen, seen[:1], seen[1:]))
     assert both.youngs_spread < min(one.youngs_spread for one in single)
     assert abs(np.log(both.youngs / truth.material.youngs)) < 2 * both.youngs_spread + 0.05
+
+
+def test_a_branch_that_is_softer_than_the_others_is_learned_and_no_other_one(
+    known: PlantModel, plan: ShakePlan
+) -> None:
+    branch = branch_of(known)
+    own = int(branch[known.flower_nodes].max())
+    z = np.zeros(deviates(known, 1).shape[1])
+    z[8 + own] = -1.4
+    truth = drawn_version(known, PADS, z, 0.5)
+    assert truth is not None
+    seen = list[Observed]()
+    for frequency in (3.0, 6.0, 9.0):
+        (shake, _), (_, motion) = swing(known, plan, frequency), swing(truth.plant, plan, frequency)
+        seen.append(Observed(shake, semi_major(motion), 0.02 * semi_major(motion)))
+    after = refine(known, seen, Params(model_error=0.05, likeness=0.0))
+    first = refine(known, [], Params())
+
+    def softer(versions: Sequence[Version], of: int) -> float:
+        node = int(known.branch_bases[of])
+        stem = int(known.rods.parent[node])
+        ratios = [np.log(v.plant.rods.youngs[node] / v.plant.rods.youngs[stem]) for v in versions]
+        return float(np.mean(ratios))
+
+    others = np.setdiff1d(np.arange(len(known.branch_bases)), branch[known.flower_nodes])
+    moved = softer(after.members, own) - softer(first.members, own)
+    assert -1.2 < moved < -0.35
+    assert all(abs(softer(after.members, b) - softer(first.members, b)) < 0.5 * abs(moved) for b in others)
+
+
+def test_a_late_camera_is_not_taken_for_a_softer_plant(plant: PlantModel, plan: ShakePlan) -> None:
+    late, seen = 0.03, list[Observed]()
+    along = np.tile(plan.direction, (len(plant.flower_nodes), 1))
+    for frequency in (3.0, 8.0):
+        shake, motion = swing(plant, plan, frequency)
+        phase = np.angle(motion @ plan.direction) - 2 * np.pi * frequency * late
+        error = 0.05 * shake.predicted_amplitude
+        seen.append(
+            Observed(shake, shake.predicted_amplitude, error, phase=phase, phase_std=0 * phase + 0.05, axis=along)
+        )
+    params = Params(branch_spread=0.05, model_error=0.1, phase_error=0.1)
+    found = [refine(plant, seen, replace(params, clock_error=error)).predicted_amplitude for error in (0.02, 0.0)]
+    told = np.array([one.shake.predicted_amplitude for one in seen])
+    knowing, trusting = (float(np.abs(np.log(amplitude / told)).mean()) for amplitude in found)
+    assert knowing < 0.1
+    assert knowing < 0.7 * trusting
 
 
 def test_the_members_of_a_belief_predict_other_shakes(plant: PlantModel, plan: ShakePlan) -> None:

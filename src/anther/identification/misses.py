@@ -57,25 +57,40 @@ class Told(NamedTuple):
     force: ComplexArray
 
 
-def told(believed: Version, members: Sequence[Version], one: Observed) -> Told:
-    """Return what the members say; the plan's flowers are reproduced for the plant and the pads it was made with.
+def told(believed: Version, members: Sequence[Version], observed: Sequence[Observed]) -> list[Told]:
+    """Return what the members say of every shake; the plan's flowers are reproduced for what it was made with.
+
+    Shakes in one hold are answered together, which costs little more than one of them.
 
     Args:
-        believed: the plant of the plan; the pads may be believed otherwise since.
+        believed: the plant of the plans; the pads may be believed otherwise since.
         members: M of them.
-        one: the shake.
+        observed: the shakes.
     """
-    shake, (plant, pads) = one.shake, believed
-    grip = pad_nodes(plant, grip_rows(plant, shake.grasp.point[None]), pads.width)
-    beside = plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)]
-    frequency = np.array([shake.frequency])
-    answers = [answer(member, grip, shake.direction, frequency, beside) for member in members]
-    flowers, stem, force = (np.array([a[k][0, 0] for a in answers], np.complex128) for k in range(len(Answer._fields)))
-    planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequency)[0, 0]
-    linear = np.maximum(semi_major(planned), 1e-12)
-    moved = one.felt.moved if np.isfinite(one.felt.moved) else shake.amplitude
-    corrected = flowers * (shake.predicted_amplitude * moved / shake.amplitude / linear)[:, None]
-    return Told(corrected, moved * stem, moved * force)
+    holds = dict[tuple[float, ...], list[int]]()
+    for k, one in enumerate(observed):
+        holds.setdefault((*one.shake.grasp.point, *one.shake.direction), []).append(k)
+    out = dict[int, Told]()
+    for which in holds.values():
+        out |= zip(which, _of_one_hold(believed, members, [observed[k] for k in which]), strict=True)
+    return [out[k] for k in range(len(observed))]
+
+
+def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequence[Observed]) -> list[Told]:
+    (plant, pads), place = believed, observed[0].shake
+    grip = pad_nodes(plant, grip_rows(plant, place.grasp.point[None]), pads.width)
+    beside = [plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)] for one in observed]
+    frequencies, starts = np.array([one.shake.frequency for one in observed]), np.cumsum([len(b) for b in beside])
+    answers = [answer(member, grip, place.direction, frequencies, np.concatenate(beside)) for member in members]
+    flowers, stem, force = (np.array([a[k][:, 0] for a in answers]) for k in range(len(Answer._fields)))
+    parts = np.split(stem, starts[:-1], axis=2)
+    out = list[Told]()
+    for k, one in enumerate(observed):
+        shake, moved = one.shake, one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
+        planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequencies[k : k + 1])[0, 0]
+        gain = shake.predicted_amplitude / shake.amplitude / np.maximum(semi_major(planned), 1e-12)
+        out.append(Told(moved * gain[:, None] * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
+    return out
 
 
 def _nearest(nodes: Array, points: Array) -> NDArray[Any]:

@@ -150,12 +150,11 @@ def refine(
     first, z = _standing(believed, np.concatenate([drawn, rng.normal(size=(len(drawn), 1))], axis=1), params)
     members, errors = first, Errors(params.model_error, params.phase_error, params.grip_error)
     for _ in range(params.steps if useful else 0):
-        said = [told(believed, members, one) for one in useful]
-        wrong = misses(plant, said, useful, params.clock_error * z[:, -1], errors)
+        wrong = misses(plant, told(believed, members, useful), useful, params.clock_error * z[:, -1], errors)
         members, z = _standing(believed, z + _update(z, wrong, params, rng), params)
     before, after = ([m.plant.material for m in ms] for ms in (first, members))
     held_before, held_after = ([m.pads for m in ms] for ms in (first, members))
-    amplitude = [np.exp(log_amplitude(told(believed, members, one).flowers).mean(axis=0)) for one in observed]
+    amplitude = [np.exp(log_amplitude(said.flowers).mean(axis=0)) for said in told(believed, members, observed)]
     return Refinement(
         plant.material.changed(**_moved(plant.material, before, after, LEARNED)) if useful else plant.material,
         replace(pads, **_moved(pads, held_before, held_after, PADS_LEARNED)) if useful else pads,
