@@ -55,8 +55,8 @@ HELD = 1
 DIRECTION = np.array([1.0, 0.0, 0.0])
 SLOW, FAST = (0.7, 1.0, 1.3, 1.6, 1.9), (4.0, 7.0)
 """Frequencies that are predicted [Hz]: the paper's, and those at which an arm moves flowers."""
-TONES = (1.4, 4.0, 8.0)
-"""Of the probe, one after the other in one hold [Hz]."""
+TONES = (0.8, 1.1, 1.4, 1.8, 4.0)
+"""Of the probe, one after the other in one hold [Hz]: a plant is felt where it is to be shaken."""
 RAISED = 1.5
 """By how much a shake at a tone of the probe is then raised."""
 FORCE_ERROR = (0.15, 0.3)
@@ -65,8 +65,8 @@ RATES = (15.0, 30.0)
 """Frames a second, up to 2.5 Hz and beyond: enough for the tones, and quick to render."""
 FIRM = 500.0
 """Pads that hold a plant in the wind are no firmer [N/m]: it presses with 0.1 N, and steps of 2 ms stay stable."""
-FILM = 0.8
-"""How long each tone is filmed at least [s], and two periods."""
+FILM = (2.0, 0.8)
+"""How long each tone is filmed at least [s], up to 2.5 Hz and beyond, and two periods."""
 KINDS = ("stem_strain", "joint_strain", "base_strain")
 
 
@@ -122,9 +122,10 @@ def predicted(case: Case) -> dict[str, Any]:
     points = stem_points(plant, HEIGHTS)
     grips = [ShakenPlant(plant, point, DIRECTION, truth=truth) for point in points]
     points = np.array([grip.point for grip in grips])
-    swayed = _swayed(grips[HELD], truth)
-    probes = [_probe(model, grips[HELD], seen, f, truth, sway) for f, sway in zip(TONES, swayed, strict=True)]
-    before, after = refine(model, []), refine(model, probes)
+    swayed, before = _swayed(grips[HELD], truth), refine(model, [])
+    sizes = tone_amplitudes(before, points[HELD])
+    probes = [_probe(model, grips[HELD], seen, *tone, truth) for tone in zip(TONES, sizes, swayed, strict=True)]
+    after = refine(model, probes)
     frequencies = np.array(SLOW + FAST)
     true = np.array([semi_major(grip.linear(frequencies)) for grip in grips])
     loads = {k: np.array([_loads(grip, frequencies)[k] for grip in grips]) for k in KINDS}
@@ -134,7 +135,7 @@ def predicted(case: Case) -> dict[str, Any]:
         row[name] = flowers_at(belief, points, DIRECTION, frequencies)[:, :, i]
     said = loads_at(after, points, DIRECTION, frequencies)
     row["loads after"] = {k: said[k] for k in KINDS}
-    row["held"] = [_raised(after, probes, grips[HELD], f, i, j) for f in TONES]
+    row["held"] = [_raised(after, probes, grips[HELD], *tone, i, j) for tone in zip(TONES, sizes, strict=True)]
     row["pads"] = {
         "found": [after.pads.stiffness, after.pads.turning],
         "true": [truth.pad_stiffness, truth.pad_rotation],
@@ -144,14 +145,19 @@ def predicted(case: Case) -> dict[str, Any]:
     return row
 
 
-def tone_amplitude(frequency: float) -> float:
-    """Return how far the gripper moves in a tone of the probe [m]: 4 mm, or 2 m/s2 if that is less."""
-    return min(4e-3, 2.0 / (2 * np.pi * frequency) ** 2)
+def tone_amplitudes(belief: Refinement, point: Array) -> Array:
+    """Return (Q,) how far the gripper moves in each tone of the probe [m].
+
+    So far that the middle flower should move 8 mm, which a camera can follow; not beyond 4 mm nor 2 m/s2.
+    """
+    gains = np.median(belief.amplitude_at(point[None], DIRECTION, np.array(TONES))[0], axis=1)
+    return np.minimum(np.minimum(4e-3, 8e-3 / gains), 2.0 / (2 * np.pi * np.array(TONES)) ** 2)
 
 
-def _probe(model: PlantModel, grip: ShakenPlant, seen: Seen, frequency: float, truth: Truth, swayed: Array) -> Observed:
+def _probe(
+    model: PlantModel, grip: ShakenPlant, seen: Seen, frequency: float, amplitude: float, swayed: Array, truth: Truth
+) -> Observed:
     """Shake at one tone, in the wind; return what camera and arm measured of it."""
-    amplitude = tone_amplitude(frequency)
     intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
     frames = _filmed(grip, amplitude, frequency, pose, truth, swayed)
     ids = seen.stem.node_ids
@@ -169,8 +175,8 @@ def _probe(model: PlantModel, grip: ShakenPlant, seen: Seen, frequency: float, t
 
 def _times(frequency: float) -> Array:
     """Return (T,) when the frames of a tone are taken [s]."""
-    rate = RATES[int(frequency > 2.5)]
-    return np.arange(int(rate * max(2 / frequency, FILM))) / rate
+    rate, least = RATES[int(frequency > 2.5)], FILM[int(frequency > 2.5)]
+    return np.arange(int(rate * max(2 / frequency, least))) / rate
 
 
 def _swayed(grip: ShakenPlant, truth: Truth) -> list[Array]:
@@ -228,10 +234,16 @@ def _loads(grip: ShakenPlant, frequencies: Array) -> dict[str, Array]:
 
 
 def _raised(
-    belief: Refinement, probes: list[Observed], grip: ShakenPlant, f: float, i: NDArray[Any], j: NDArray[Any]
+    belief: Refinement,
+    probes: list[Observed],
+    grip: ShakenPlant,
+    f: float,
+    size: float,
+    i: NDArray[Any],
+    j: NDArray[Any],
 ) -> dict[str, Array]:
     """Return what a shake at a tone of the probe, raised, does and is expected to do."""
-    amplitude = RAISED * tone_amplitude(f)
+    amplitude = RAISED * size
     told = expect(belief, probes, grip.point, DIRECTION, f, amplitude)
     true = amplitude * semi_major(grip.linear([f], amplitude)[0])
     return {"true": true[j], "said": told.amplitude[i], "interval": told.interval[i], "measured": told.measured[i]}

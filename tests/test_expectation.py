@@ -34,7 +34,7 @@ def plant() -> PlantModel:
 @pytest.fixture(scope="module")
 def learned(plant: PlantModel) -> Refinement:
     """A belief before any shake: what is measured then counts by itself, not by what it taught."""
-    return refine(plant, [], Params(members=16, least_members=8))
+    return refine(plant, [], Params(members=16))
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def sure(plant: PlantModel) -> Refinement:
     """A belief without doubt, so that only the stated spreads are left."""
     certain = dict.fromkeys(("youngs_spread", "damping_spread", "twist_spread", "radius_spread", "response_spread"), 0)
     known = replace(plant, material=replace(plant.material, **certain), pedicel_spread=0.0)
-    return refine(known, [], Params(members=8, least_members=1, branch_spread=0), pads=FIRM)
+    return refine(known, [], Params(members=8, branch_spread=0), pads=FIRM)
 
 
 @pytest.fixture(scope="module")

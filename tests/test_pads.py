@@ -23,7 +23,7 @@ from anther.vibration.search import Version, flower_motion
 
 WAY, HELD, OTHER, SIZE = np.array([0.8, 0.6, 0.0]), 10, 16, 2e-3
 FIRM = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0.0, turning_spread=0.0)
-QUICK = Params(members=96, least_members=6, branch_spread=0.05, model_error=0.1, phase_error=0.15, grip_error=0.1)
+QUICK = Params(members=96, branch_spread=0.05, model_error=0.1, phase_error=0.15, grip_error=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -57,7 +57,7 @@ def expect(
     """Return what a shake should do to the flowers.
 
     A flower that was measured while the plant was held at the same place and shaken along the same direction at the
-    same frequency answers in proportion. Of the others the members of the ensemble speak, each with its weight.
+    same frequency answers in proportion. Of the others the members of the ensemble speak.
 
     Args:
         learned: from `refine`.
@@ -95,9 +95,9 @@ def flowers_at(learned: Refinement, points: Array, direction: Array, frequencies
         direction: (3,) unit vector of the shake.
         frequencies: (Q,) [Hz].
     """
-    members, weights, grips = learned.counting(points)
-    logs = np.array([_log(semi_major(flower_motion(m, grips, direction, frequencies))) for m in members])
-    return np.moveaxis(_quantiles(logs, weights, FLOWER_SPREAD), 1, 0)
+    grips = learned.grips(points)
+    logs = np.array([_log(semi_major(flower_motion(m, grips, direction, frequencies))) for m in learned.members])
+    return np.moveaxis(_quantiles(logs, FLOWER_SPREAD), 1, 0)
 
 
 def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> dict[str, Array]:
@@ -105,11 +105,11 @@ def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: 
 
     Kinds are those of `vibration.params.LOAD_ERROR`; arguments as of `flowers_at`.
     """
-    members, weights, grips = learned.counting(points)
+    grips = learned.grips(points)
     ways = np.broadcast_to(direction, (len(grips), 1, 3))
-    answer = gains(members, grips, np.ascontiguousarray(ways), frequencies)
+    answer = gains(learned.members, grips, np.ascontiguousarray(ways), frequencies)
     return {
-        kind: median * np.moveaxis(_quantiles(_log(getattr(answer, kind)[..., 0]), weights, spread), 1, 0)
+        kind: median * np.moveaxis(_quantiles(_log(getattr(answer, kind)[..., 0]), spread), 1, 0)
         for kind, (median, spread) in LOAD_ERROR.items()
     }
 
@@ -125,8 +125,7 @@ def _log(values: Array) -> Array:
     return np.log(np.maximum(values, 1e-12))
 
 
-def _quantiles(logs: Array, weights: Array, spread: float) -> Array:
+def _quantiles(logs: Array, spread: float) -> Array:
     """Return (..., 3) quantiles of values with these logarithms (M, ...), of which each errs by `spread` besides."""
-    mean = np.tensordot(weights, logs, axes=1)
-    variance = np.tensordot(weights, (logs - mean) ** 2, axes=1) + spread**2
-    return np.exp(mean[..., None] + NINETY * np.sqrt(variance)[..., None] * np.array([-1.0, 0.0, 1.0]))
+    mean, deviation = logs.mean(axis=0), np.sqrt(logs.var(axis=0) + spread**2)
+    return np.exp(mean[..., None] + NINETY * deviation[..., None] * np.array([-1.0, 0.0, 1.0]))

@@ -68,18 +68,26 @@ def scenarios(
         pads: that hold it.
         branch_spread: standard deviation of ln of what the stiffness of each branch is drawn off besides, one by one.
     """
+    versions = (drawn_version(plant, pads, z, branch_spread) for z in deviates(plant, count, seed))
+    return [Version(plant, pads), *(version for version in versions if version is not None)]
+
+
+def deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
+    """Return (count, 8 + B) standard normal deviates for `drawn_version`, B branches."""
     generator = np.random.default_rng(seed)
-    draws = qmc.MultivariateNormalQMC(np.zeros(8), engine=qmc.Halton(8, rng=generator), rng=generator)
-    versions, branch = [Version(plant, pads)], branch_of(plant)
-    for z in draws.random(count) if count else ():
-        own = (
-            plant
-            if branch_spread == 0
-            else _with_branches(plant, branch, branch_spread * generator.normal(size=len(plant.branch_bases)))
-        )
-        version = _standing(own, drawn_material(plant.material, z, plant.least_youngs), plant.pedicel_spread * z[3])
-        versions += [] if version is None else [Version(version, pads.drawn(z[6:]))]
-    return versions
+    engine = qmc.MultivariateNormalQMC(np.zeros(8), engine=qmc.Halton(8, rng=generator), rng=generator)
+    shared = engine.random(count) if count else np.zeros((0, 8))
+    return np.concatenate([shared, generator.normal(size=(count, len(plant.branch_bases)))], axis=1)
+
+
+def drawn_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float) -> Version | None:
+    """Return plant and pads at deviates z (8 + B,), see `deviates`; None if the plant cannot stand.
+
+    They are of `drawn_material` (6,), the pads (2,), and ln of each branch's stiffness (B,).
+    """
+    own = plant if branch_spread == 0 else _with_branches(plant, branch_of(plant), branch_spread * z[8:])
+    version = _standing(own, drawn_material(plant.material, z[:6], plant.least_youngs), plant.pedicel_spread * z[3])
+    return None if version is None else Version(version, pads.drawn(z[6:8]))
 
 
 def _with_branches(plant: PlantModel, branch: NDArray[Any], logs: Array) -> PlantModel:
