@@ -90,7 +90,7 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array) -> Swings:
     """Return how the points in sight swung in frames of a shake whose tones (K,) [Hz] are known.
 
     Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
-    and back; then tones and slow terms are fitted to its path by least squares.
+    and back: where it is going, else at home, else where it was. Then tones and slow terms are fitted to its path by least squares.
     """
     phasors = np.full((len(at.pixels), len(tones), 2), np.nan, np.complex128)
     std, times = np.full(len(at.pixels), np.nan), np.array([f.time for f in frames])
@@ -124,7 +124,7 @@ def _paths(at: Sight, frames: Sequence[Frame]) -> Array:
     """Return (T, S, 2) where the S points in sight are in the frames [px]; NaN where lost."""
     home = at.pixels[at.shown].astype(np.float32)[:, None]
     out = np.full((len(frames), len(home), 2), np.nan)
-    place, step = home.copy(), np.zeros_like(home)
+    place, before = home.copy(), home.copy()
     options: dict[str, Any] = {
         "winSize": (WINDOW, WINDOW),
         "maxLevel": LEVELS,
@@ -132,13 +132,18 @@ def _paths(at: Sight, frames: Sequence[Frame]) -> Array:
         "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
     }
     for i, frame in enumerate(frames):
-        picture = _picture(frame)
-        there, ok, _ = cv2.calcOpticalFlowPyrLK(at.picture, picture, home, place + step, **options)
-        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(picture, at.picture, there, home.copy(), **options)
-        good = (ok == 1) & (ok_back == 1) & (np.linalg.norm(back - home, axis=2) < THERE_AND_BACK)
-        out[i] = np.where(good, there[:, 0], np.nan)
-        step = np.where(good[..., None], there - place, 0) if i else step
-        place = np.where(good[..., None], there, place)
+        picture, lost = _picture(frame), np.ones(len(home), dtype=bool)
+        found = place.copy()
+        for guess in (2 * place - before, home, place):
+            there, ok, _ = cv2.calcOpticalFlowPyrLK(at.picture, picture, home[lost], guess[lost].copy(), **options)
+            back, ok_back, _ = cv2.calcOpticalFlowPyrLK(picture, at.picture, there, home[lost].copy(), **options)
+            good = (ok & ok_back)[:, 0] * (np.linalg.norm(back - home[lost], axis=2)[:, 0] < THERE_AND_BACK) > 0
+            here = np.flatnonzero(lost)[good]
+            found[here], lost[here] = there[good], False
+            if not lost.any():
+                break
+        out[i] = np.where(lost[:, None], np.nan, found[:, 0])
+        before, place = np.where(lost[:, None, None], found, place), found
     return out
 
 

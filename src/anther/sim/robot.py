@@ -32,7 +32,7 @@ from anther.sim.render import Image, Scene, d455
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
-SEEN_BLUR = 0.3  # px that the plant moves in an exposure, from which on frames are blurred
+SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred
 CYCLE = 0.01  # s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)
 
 
