@@ -267,10 +267,9 @@ class Escalation:
         felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(look.amplitudes, told, strict=True)))
         flowers = np.where(told[0].seen, felt, np.nan)
         loads = {k: sum(a * one.loads[k] for a, one in zip(look.amplitudes, told, strict=True)) for k in self._limits}
-        binds = max(loads, key=lambda k: loads[k] / self._limits[k])
+        shares = {WORDS[k]: float(loads[k] / limit) for k, limit in self._limits.items()}
         tones = tuple(self._foresight.tones[look.tones].tolist())
-        used, sizes = loads[binds] / self._limits[binds], tuple(look.amplitudes.tolist())
-        step = Step(*when, tones, sizes, tuple(flowers.tolist()), float(used), WORDS[binds], words, seconds)
+        step = Step(*when, tones, tuple(look.amplitudes.tolist()), tuple(flowers.tolist()), shares, words, seconds)
         self.steps = (*self.steps, step)
 
 

@@ -30,8 +30,7 @@ class Step:
         amplitudes: (K,) of the gripper, commanded [m].
         flowers: (F,) peak acceleration that the camera measured [m/s2]; NaN where it did not. Of several tones, the root
             of the sum of squares.
-        used: largest share of a limit that its loads reached.
-        binds: that limit's name.
+        loads: name of each limit of plant and grip -> share of it that was reached, as far as known and with its margin.
         decided: what comes next and why, for people.
         seconds: that measuring and deciding took [s].
     """
@@ -41,10 +40,19 @@ class Step:
     frequencies: tuple[float, ...]
     amplitudes: tuple[float, ...]
     flowers: tuple[float, ...]
-    used: float
-    binds: str
+    loads: dict[str, float]
     decided: str
     seconds: float
+
+    @property
+    def used(self) -> float:
+        """Largest share of a limit that was reached."""
+        return max(self.loads.values(), default=0.0)
+
+    @property
+    def binds(self) -> str:
+        """The limit of which most was reached."""
+        return max(self.loads, key=lambda name: self.loads[name], default="")
 
     @property
     def median(self) -> float:
