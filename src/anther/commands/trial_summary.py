@@ -237,10 +237,11 @@ def _rows(results: RunResults) -> list[tuple[str, str]]:
         rows.append(("grasped", f"{held}, {height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"))
         along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
         amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
+        seconds = s.get("shaking_seconds", s["shake_duration_s"])
         rows.append(
             (
                 "shake",
-                f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {s['shake_duration_s']:.1f} s",
+                f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {seconds:.1f} s in all",
             )
         )
         if s.get("shake_steps") is not None:

@@ -210,7 +210,8 @@ def tones_at(found: Search, response: Gains, at: Place, least: float) -> Tones:
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
         if far and size[k] >= least and len(chosen) < TONES:
             chosen.append(int(k))
-    machine = [(limit / value[0])[:, g, d] for value, limit in list(found.bounds.values())[:OF_THE_MACHINE]]
+    bounds = list(found.bounds.values())[:OF_THE_MACHINE]
+    machine = [(limit / np.maximum(value[0], 1e-12))[:, g, d] for value, limit in bounds]
     return Tones(found.frequencies[chosen], size[chosen], np.min(machine, axis=0)[chosen])
 
 
