@@ -140,9 +140,7 @@ class Arm(Protocol):
         """Return the measured joint angles (7,) [rad]."""
         ...
 
-    def follow(
-        self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None
-    ) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow a trajectory, cubic between its samples, that starts at the present joints; return when it has ended.
 
         Args:
@@ -232,6 +230,17 @@ class Motor(Protocol):
         """
         ...
 
+    def stop(self) -> None:
+        """Bring the pads to rest in the middle of their stroke, at once."""
+        ...
+
+    def amplitude(self) -> float:
+        """Return half of what the pads moved on the hand, peak to peak, in the last 0.1 s [m], by the motor's sensor.
+
+        The arm gives way a little under the motor, and the stem between the pads: they move less.
+        """
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Robot:
@@ -277,6 +286,9 @@ class SafetyLimits:
         shake_speed, shake_acceleration: largest amplitude x 2 pi frequency [m/s], and x (2 pi frequency)^2 [m/s^2], of
             a shake. At 12 m/s^2 a Sawyer is at its own limits (facts: sawyer 6: 11.6 mm at 5 Hz, 2.9 mm at 10 Hz).
         shake_duration: [s]; plants are shaken at most 5 s a visit (facts: pollination 1d).
+        motor_stroke: farthest that a motor may move the pads to either side [m] (`vibration.VibratingGripper`).
+        motor_acceleration: with which it may move them [m/s^2]: moves a flower with 50 m/s^2 at gain 1 (facts:
+            pollination 1b); flowers were lost when shaken at 30 Hz, at a load that is not told (1d). A guess.
         stroke: largest opening of the gripper [m] (facts: sawyer 3).
         grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).
         stem_stress: largest pressure of a pad on a stem [Pa]. No crushing strength of a tomato or pepper stem is
@@ -305,6 +317,8 @@ class SafetyLimits:
     shake_speed: float = 0.5
     shake_acceleration: float = 12.0
     shake_duration: float = 5.0
+    motor_stroke: float = 1.5e-3
+    motor_acceleration: float = 50.0
     stroke: float = 0.0417
     grip_force: float = 20.0
     stem_stress: float = 0.8e6
@@ -337,6 +351,8 @@ _RANGES = {
     "shake_speed": (1e-4, 3.0, "m/s"),
     "shake_acceleration": (1e-3, 500.0, "m/s^2"),
     "shake_duration": (0.01, 60.0, "s"),
+    "motor_stroke": (1e-5, 0.02, "m"),
+    "motor_acceleration": (1e-3, 500.0, "m/s^2"),
     "stroke": (1e-3, 0.2, "m"),
     "grip_force": (0.1, 100.0, "N"),
     "stem_stress": (1e3, 1e7, "Pa"),
