@@ -35,6 +35,10 @@ class Actuator(Protocol):
         """Return the largest amplitudes (Q,) [m] at a grasp along a unit direction (3,) at (Q,) frequencies [Hz]."""
         ...
 
+    def axis(self, grasp: Grasp) -> Array | None:
+        """Return the only line (3,) along which it moves the grip, world; None: along any."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class ArmShaker:
@@ -60,6 +64,9 @@ class ArmShaker:
     def amplitude(self, grasp: Grasp, direction: Array, frequencies: Array) -> Array:
         """Return the largest amplitudes (Q,) [m]."""
         return self.limit(grasp, direction, frequencies)
+
+    def axis(self, grasp: Grasp) -> None:
+        """Return None: an arm shakes along any line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,3 +106,7 @@ class VibratingGripper:
         f = np.asarray(frequencies, dtype=float)
         inside = (f >= self.lowest * (1 - 1e-9)) & (f <= self.highest * (1 + 1e-9))
         return np.where(inside, np.minimum(self.stroke, self.acceleration / (2 * np.pi * f) ** 2), 0.0)
+
+    def axis(self, grasp: Grasp) -> Array:
+        """Return the flange's y: the pads close along it, so that they push the stem and need no friction."""
+        return grasp.T_world_flange[:3, 1]

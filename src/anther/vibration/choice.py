@@ -5,7 +5,7 @@ F flowers, G grips, D directions, Q frequencies, M scenarios, W waveforms.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,7 +54,13 @@ class Search(NamedTuple):
     believed: dict[str, Array]  # the same of the plant as believed: what its values are without the margin
 
 
-def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressing: Pressing = PRESSING) -> Grips:
+def grips_of(
+    plant: PlantModel,
+    grasps: Sequence[Grasp],
+    params: Params,
+    pressing: Pressing = PRESSING,
+    axis: Callable[[Grasp], Array | None] = lambda _: None,
+) -> Grips:
     """Return the grasps' places on the stem, and others for the map, with the directions across the stem."""
     held = grip_rows(plant, np.array([g.point for g in grasps]))
     usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
