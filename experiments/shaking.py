@@ -94,7 +94,7 @@ def shaken(case: Case, file: Path) -> dict[str, Any]:
         90.0 * (case.seed % 4),
         PRESETS["fast"],
         truth=truth_of(case.truth, case.seed),
-        motor=case.way == "motor",
+        actuator="gripper" if case.way == "motor" else "arm",
     )
     run, material = Brief(file.parent), PEPPER if case.species == "pepper" else TOMATO
     params = replace(Params(), escalate=case.way != "plan", actuator="gripper" if case.way == "motor" else "arm")

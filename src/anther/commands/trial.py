@@ -53,6 +53,8 @@ class Args:
     """Begin with what the history teaches of this plant or its crop, or as if nothing had ever been measured."""
     shake: Literal["gentle", "default", "bold"] | None = None
     """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says."""
+    actuator: Literal["arm", "gripper"] | None = None
+    """What shakes the plant: the arm, or a motor in the gripper (docs/gripper_motor.md); by default what --params says."""
     params: Params = field(default_factory=Params)
     """Parameters of the stages."""
 
@@ -93,6 +95,8 @@ def run(args: Args) -> int:
     if args.shake is not None:
         bolder = replace(args.params.vibration, plant=PRESETS[args.shake])
         args = replace(args, params=replace(args.params, vibration=bolder))
+    if args.actuator is not None:
+        args = replace(args, params=replace(args.params, actuator=args.actuator))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     belief, began = _belief(args), datetime.now(UTC)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
@@ -127,7 +131,15 @@ def _build(args: Args) -> SimulatedCell:
     views = PRESETS[args.preset]
     views = views if args.views is None else replace(views, count=args.views)
     truth = draw(args.seed) if args.truth == "wide" else NOMINAL
-    return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance, truth=truth)
+    return build(
+        args.plant,
+        args.seed,
+        args.viewpoint,
+        views,
+        distance=args.distance,
+        truth=truth,
+        actuator=args.params.actuator,
+    )
 
 
 def _belief(args: Args) -> Belief:

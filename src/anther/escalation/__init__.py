@@ -34,21 +34,21 @@ class Params:
     """How a watched shake is raised.
 
     Attributes:
-        target: median acceleration of the flowers at which it is enough [m/s2]: what frees half of their pollen (facts:
-            pollination 6, 5 to 80).
+        target: median acceleration of the flowers at which it is enough [m/s2]: half of their pollen is free at about
+            20, between 5 and 80 (facts: pollination 6).
         most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same).
-        probe: how long all tones are watched at once [s].
-        look: how long a step is watched at least [s], or two and a half periods.
+        probe: how long all tones are watched at once, at most [s].
+        look: how long a step is watched at least [s], or three periods.
         raised: a step is at most so many times the one before.
         hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
         most_seconds: of the whole shake [s].
         points: of the plant that are watched beside the flowers.
     """
 
-    target: float = 20.0
+    target: float = 30.0
     most: float = 60.0
     probe: float = 1.4
-    look: float = 0.5
+    look: float = 0.4
     raised: float = 1.5
     hold: float = 2.0
     most_seconds: float = 12.0
@@ -67,8 +67,10 @@ class Params:
 
 RAMP = 0.3
 """In which the amplitude changes [s], or one period of the slowest tone if that is longer."""
-PERIODS = 2.5
+PERIODS = 3.0
 """A step is watched for so many of its periods at least."""
+PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
+"""The probe is watched for so many periods of its slowest tone, at least so long [s]."""
 WORDS = {
     "stem_strain": "the bending of the stem",
     "joint_strain": "the bending of pedicels",
@@ -109,7 +111,8 @@ class Escalation:
         flowers: (F, 3) at rest, world [m].
         points: (P, 3) the plant's other points, those of `foresee`.
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
-        middle: joints (R, 7) -> (R, 3) place of the grip by the arm's own readings, world [m].
+        middle: joints (R, 7) -> (R, 3) place of the grip by the arm's own readings, world [m]; None: a motor moves the
+            pads, and as it was told.
         limits: of plant and grip.
         params: see `Params`.
     """
@@ -122,7 +125,7 @@ class Escalation:
         points: Array,
         *,
         camera: tuple[Intrinsics, Array],
-        middle: Callable[[Array], Array],
+        middle: Callable[[Array], Array] | None,
         limits: Limits,
         params: Params = Params(),
     ) -> None:
@@ -153,19 +156,19 @@ class Escalation:
         size = PROBED * np.minimum(tones.amplitudes, tones.reach) / np.sqrt(len(tones.frequencies))
         size *= min(1.0, self.reach / size.sum())
         ramp = max(RAMP, 1 / tones.frequencies.min())
-        self._piece = Swing.first(tones.frequencies, size, ramp + self.params.probe + LEAD, ramp)
+        self._piece = Swing.first(tones.frequencies, size, ramp + self._probe + LEAD, ramp)
         return self._piece
 
     def since(self) -> float:
         """Return from when on the piece under way is steady [s], counted from the shake's begin."""
         piece = self._piece
-        steady = self.params.probe if not self.steps else self._watch(int(piece.amplitudes.argmax()))
+        steady = self._probe if not self.steps else self._watch(int(piece.amplitudes.argmax()))
         return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
 
     def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return what follows what was seen; the last piece ends at rest."""
         started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.since()]
-        look = self._looked(frames, steady)
+        look = self._looked(frames, steady, samples[0].time)
         if not self.steps:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look, self._T) if look.followed else 0.0
@@ -202,12 +205,20 @@ class Escalation:
         )
 
     @property
+    def _probe(self) -> float:
+        slowest = float(self._foresight.tones.min())
+        return min(self.params.probe, max(PROBE_PERIODS / slowest, SHORTEST_PROBE))
+
+    @property
     def _T(self) -> Array:
         return self._camera[1][:3, :3]
 
-    def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample]) -> Look:
+    def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
-        gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
+        if self._middle is None:
+            gripper = piece.amplitudes[active] * np.exp(-2j * np.pi * piece.frequencies[active] * begin)
+        else:
+            gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
         return Look(active, piece.amplitudes[active], gripper, swings(self._sight, frames, piece.frequencies[active]))
 
     def _allowed(self, tone: int, one: Known) -> Allowed:

@@ -79,7 +79,7 @@ class VibratingGripper:
     Attributes:
         stroke: largest amplitude, half of peak to peak [m].
         acceleration: what its motor gives [m/s2].
-        lowest, highest: [Hz].
+        lowest, highest: [Hz]; faster tones are more than a camera of 90 frames a second can follow.
         least_amplitude: [m]; a shaker moved tomato stems by 0.1 mm (Shimizu), and the motor's stroke is set, not
             steered.
     """
@@ -87,7 +87,7 @@ class VibratingGripper:
     stroke: float = 1.5e-3
     acceleration: float = 50.0
     lowest: float = 10.0
-    highest: float = 50.0
+    highest: float = 40.0
     least_amplitude: float = 0.02e-3
 
     def __post_init__(self) -> None:

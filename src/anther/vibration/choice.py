@@ -69,7 +69,10 @@ def grips_of(
     nodes, arc = pad_nodes(plant, rows, params.pads.width), plant.arc_length[rows]
     nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
     near = np.concatenate([np.arange(len(held)), nearest])
+    axes = [axis(grasp) for grasp in grasps]
     directions = _directions(plant, plant.stem_nodes[rows], params.directions)
+    if all(line is not None for line in axes):
+        directions = np.array(axes, dtype=float)[near, None]
     diameter = 2 * np.asarray(plant.rods.edge_radius)[plant.stem_nodes[rows], None]
     return Grips(nodes, arc, near, directions, pressing.most(diameter))
 
