@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fake_robot import LIMITS, FakeArm
-from test_safety import ELBOW_BOX, HERE, path, turned
+from test_safety import HERE, around, path, turned
 
 from anther.arm import sawyer
 from anther.devices import JointTrajectory, More, SafetyLimits
@@ -81,8 +81,10 @@ BAD: dict[str, tuple[str, Change]] = {
 
 
 def _spoilt(motion: JointTrajectory) -> JointTrajectory:
-    broken = JointTrajectory(motion.times, motion.positions.copy(), motion.velocities)
-    broken.positions[5, 3] = np.nan
+    """Return a motion of which one number is changed behind its back."""
+    places = motion.positions.copy()
+    broken = JointTrajectory(motion.times, places, motion.velocities)
+    places[5, 3] = np.nan
     return broken
 
 
@@ -110,13 +112,17 @@ LATER: dict[str, tuple[str, JointTrajectory, SafetyLimits]] = {
         replace(LIMITS, joint_speed=np.full(7, 0.9), joint_acceleration=np.full(7, 1e3)),
     ),
     "acceleration": ("acceleration of joint 0", WHOLE, replace(LIMITS, joint_acceleration=np.full(7, 0.085))),
-    "flange speed": ("flange speed", path(turned(0, 0.8), seconds=3, samples=301), replace(LIMITS, flange_speed=0.25)),
+    "flange speed": ("flange speed", path(turned(0, 0.8), seconds=3, samples=301), replace(LIMITS, flange_speed=0.2)),
     "workspace": (
         "workspace",
         path(turned(0, 0.5), samples=301),
-        replace(LIMITS, workspace=Box(HERE - 0.3, HERE + 0.3)),
+        replace(LIMITS, workspace=Box(HERE - 0.1, HERE + 0.1)),
     ),
-    "keep-out": ("keep-out box", path(turned(0, 0.5), samples=301), replace(LIMITS, keep_out=(ELBOW_BOX,))),
+    "keep-out": (
+        "keep-out box",
+        path(turned(0, 0.5), samples=301),
+        replace(LIMITS, keep_out=(around(-0.1, 0.15, -0.1, 0.3, 0.3, 0.3),)),
+    ),
 }
 
 

@@ -112,7 +112,7 @@ ALONG = np.array([0.0, 0.6, 0.8])
 
 def test_the_flange_moves_as_the_swing_says_and_motions_join() -> None:
     done = pieces([0.001, 0.001, 0.0005], [0.0, 0.004, 0.0], 0.0)
-    paths = [swing_trajectory(REST, ALONG, piece, 0.005) for piece in done]
+    paths = [swing_trajectory(REST, ALONG, piece, 0.006) for piece in done]
     for piece, path in zip(done, paths, strict=True):
         T = sawyer.forward(path.positions)
         away = T[:, :3, 3] - sawyer.forward(REST)[:3, 3]
