@@ -114,7 +114,7 @@ class Watched(Protocol):
         ...
 
     def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-        """Return the next piece, after the frames since `since` and all readings of the arm; the last one ends at rest."""
+        """Return the next piece, after frames since `since` and all readings of the arm; the last one ends at rest."""
         ...
 
 
@@ -144,8 +144,8 @@ def execute(
         params: of the approach and the grip.
         progress: called before each phase.
         arrive: waits for a motion of the arm that was begun before (`early_reach`), as the phase "early reach".
-        watched: decides the shake's pieces on the way, at the grasp and along the direction of `shake`; None, or without
-            a side camera: as planned.
+        watched: decides the shake's pieces on the way, at the grasp and along the direction of `shake`; None, or
+            without a side camera: as planned.
     """
     watched = None if robot.side_camera is None else watched
     work = _Work(planner, shake, guard(robot, limits), limits, params, progress, watched)

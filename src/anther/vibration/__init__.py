@@ -40,7 +40,7 @@ from anther.vibration.waveforms import SINE, Waveform, mix
 
 __all__ = [
     "PADS", "PRESETS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Pads", "Params", "PlantLimits", "ResponseMap",
-    "RunnerUp", "ShakePlan", "VibratingGripper", "Waveform", "plan_shake", "sawyer_limit",
+    "RunnerUp", "ShakePlan", "Tones", "VibratingGripper", "Waveform", "plan_shake", "sawyer_limit",
 ]  # fmt: skip
 
 
