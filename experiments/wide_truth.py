@@ -106,15 +106,15 @@ def report(predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, 
         table = Table("everything drawn", "value")
         for name, value in predicted["wide"].items():
             table.add_row(name, f"{value:.3g}")
-        parts += [f"Probed at {wide_table.tones()}.", _markdown(table)]
-        parts.append(_markdown(wide_table.ranking(predicted, PREDICTED)))
+        parts += [f"Probed at {wide_table.tones()}.", markdown(table)]
+        parts.append(markdown(wide_table.ranking(predicted, PREDICTED)))
     if grasped:
-        parts.append(_markdown(wide_table.ranking(grasped, GRASPED)))
+        parts.append(markdown(wide_table.ranking(grasped, GRASPED)))
         parts.append("\n".join(f"- {line}" for line in failed) or "No trial failed.")
     return "\n\n".join(parts)
 
 
-def _markdown(table: Table) -> str:
+def markdown(table: Table) -> str:
     heads = [str(column.header) for column in table.columns]
     cells = zip(*(list(column.cells) for column in table.columns), strict=True)
     lines = [heads, ["---"] * len(heads), *cells]

@@ -8,8 +8,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
+from anther.arm.shaking import swing_trajectory
 from anther.devices import JointTrajectory
 from anther.geometry import Array
+from anther.swing import Swing
 
 RATE = 50  # samples per second
 
@@ -45,6 +47,9 @@ class SmallPlanner:
         ramp = np.clip(np.minimum(t, duration - t) / edge, 0, 1)
         wave = amplitude * (3 * ramp**2 - 2 * ramp**3) * np.sin(2 * np.pi * frequency * t)
         return _timed(t, follow(q, T[:3, :3], T[:3, 3] + wave[:, None] * np.asarray(direction)))
+
+    def swing(self, q: Any, direction: Any, piece: Swing, reach: float) -> JointTrajectory:
+        return swing_trajectory(q, direction, piece, reach)
 
 
 def follow(q: Any, rotation: Array, path: Array) -> Array:

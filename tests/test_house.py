@@ -13,8 +13,8 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 BASE = {"errors", "checks", "files", "geometry", "__init__"}
 ORDER = [
     "capture", "calibration", "masks", "cloud", "skeleton", "stem", "next_view", "flowers", "grasp", "elastic_rod",
-    "plant", "vibration", "devices", "safety", "oscillation", "execution", "early_reach", "flower_tracking", "response",
-    "identification", "pipeline",
+    "plant", "pressing", "vibration", "swing", "devices", "motion_limits", "safety", "oscillation", "execution",
+    "early_reach", "flower_tracking", "response", "escalation", "identification", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)
 OUTSIDE = {"sim", "drivers", "commands", "cli", "arm"}

@@ -12,11 +12,11 @@ from anther.errors import InputError
 from anther.sim.mechanics import buckling_factor
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.plant_mechanics import Params, natural_frequencies
+from anther.sim.plant_mechanics import Params
 from anther.sim.shaken_plant import ShakenPlant
 from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
-from anther.sim.true_plant import SLOWEST, as_true, branches
+from anther.sim.true_plant import SLOWEST, as_true, branches, natural_frequencies
 from anther.sim.truth import NOMINAL, WIDE, Truth, draw
 from anther.vibration.observables import semi_major
 

@@ -231,6 +231,17 @@ class Motor(Protocol):
         """
         ...
 
+    def stop(self) -> None:
+        """Bring the pads to rest in the middle of their stroke, at once."""
+        ...
+
+    def amplitude(self) -> float:
+        """Return half of what the pads moved on the hand, peak to peak, in the last 0.1 s [m], by the motor's sensor.
+
+        The arm gives way a little under the motor, and the stem between the pads: they move less.
+        """
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class Robot:
@@ -277,6 +288,9 @@ class SafetyLimits:
             a shake. At 12 m/s^2 a Sawyer is at its own limits (facts: sawyer 6: 11.6 mm at 5 Hz, 2.9 mm at 10 Hz).
         shake_duration: of all shaking of a visit [s]. Trellises are shaken for 60 s (facts: pollination 6); twelve are
             enough to look and to raise a shake in steps.
+        motor_stroke: farthest that a motor may move the pads to either side [m] (`vibration.VibratingGripper`).
+        motor_acceleration: with which it may move them [m/s^2]: moves a flower with 50 m/s^2 at gain 1 (facts:
+            pollination 1b); flowers were lost when shaken at 30 Hz, at a load that is not told (1d). A guess.
         stroke: largest opening of the gripper [m] (facts: sawyer 3).
         grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).
         pressing: what a stem bears of the pads, see `Pressing`.
@@ -301,6 +315,8 @@ class SafetyLimits:
     shake_speed: float = 0.5
     shake_acceleration: float = 12.0
     shake_duration: float = 12.0
+    motor_stroke: float = 1.5e-3
+    motor_acceleration: float = 50.0
     stroke: float = 0.0417
     grip_force: float = 20.0
     pressing: Pressing = PRESSING
@@ -331,6 +347,8 @@ _RANGES = {
     "shake_speed": (1e-4, 3.0, "m/s"),
     "shake_acceleration": (1e-3, 500.0, "m/s^2"),
     "shake_duration": (0.01, 60.0, "s"),
+    "motor_stroke": (1e-5, 0.02, "m"),
+    "motor_acceleration": (1e-3, 500.0, "m/s^2"),
     "stroke": (1e-3, 0.2, "m"),
     "grip_force": (0.1, 100.0, "N"),
     "grip_tolerance": (1e-4, 0.02, "m"),

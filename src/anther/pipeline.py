@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Literal, Protocol
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
 from anther.capture import Capture
@@ -49,6 +49,8 @@ class Params:
     execution: execution.Params = field(default_factory=execution.Params)
     escalation: escalation.Params = field(default_factory=escalation.Params)
     response: response.Params = field(default_factory=response.Params)
+    actuator: Literal["arm", "gripper"] = "arm"
+    """What shakes the closed pads: the arm, or a motor in the gripper, which is always watched."""
     escalate: bool = True
     """Whether the shake is raised by what the side camera sees, or done as planned."""
 
@@ -254,13 +256,17 @@ def _shaken(
             grasps = grasps[len(offered) :]
             continue
         watched = _watching(cell, rods, shake, seen, params)
+        if watched is None and params.actuator == "gripper":
+            raise StageFailure(
+                "limits_exceeded", "a motor shakes only what a side camera watches, and flowers it knows."
+            )
         trial = run.stage(
             "execution",
             Trial.load,
             lambda advance, shake=shake, arrive=arrive, watched=watched: execution.execute(
                 planner,
                 shake if watched is None else watched.plan,
-                cell.robot,
+                cell.robot if params.actuator == "gripper" else replace(cell.robot, motor=None),
                 cell.limits,
                 params.execution,
                 progress=advance,
@@ -279,7 +285,8 @@ def _shaken(
 def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
     """Return what raises the shake by what the side camera sees; None where it cannot."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
-    if camera is None or pose is None or not params.escalate or not len(seen.flowers.positions):
+    wanted = params.escalate or params.actuator == "gripper"
+    if camera is None or pose is None or not wanted or not len(seen.flowers.positions):
         return None
     points = watch_points(rods, params.escalation.points)
     tones, pads = shake.tones.frequencies, params.vibration.pads
@@ -290,7 +297,7 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
         seen.flowers.positions,
         rods.rods.nodes[points],
         camera=(camera.intrinsics, pose),
-        middle=shake.grasp.carried(cell.limits.forward),
+        middle=shake.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
         limits=params.vibration,
         params=params.escalation,
     )
@@ -305,8 +312,9 @@ def _planned(
         assert at.joints is not None
         return planner.shake_limit(at.joints, direction, frequencies)
 
+    actuator = vibration.ArmShaker(arm_limit) if params.actuator == "arm" else vibration.VibratingGripper()
     return run.stage(
         "shake plan",
         ShakePlan.load,
-        lambda _: vibration.plan_shake(rods, grasps, vibration.ArmShaker(arm_limit), params.vibration, limits.pressing),
+        lambda _: vibration.plan_shake(rods, grasps, actuator, params.vibration, limits.pressing),
     )

@@ -14,7 +14,6 @@ from anther.checks import check_array
 from anther.devices import (
     Arm,
     ArmRecord,
-    ArmSample,
     Camera,
     DeviceError,
     Frame,
@@ -29,13 +28,13 @@ from anther.devices import (
 from anther.errors import InputError, StageFailure
 from anther.geometry import Array, Intrinsics
 from anther.motion_limits import AT_REST, JUMP, LONGEST, check_shake, check_trajectory, demand
+from anther.motor_guard import GuardedMotor
+from anther.watchdog import Watchdog
 
 __all__ = ["GuardedArm", "GuardedCamera", "GuardedGripper", "check_shake", "check_trajectory", "guard", "stem_stress"]
 
 TRIES = 3
 """So often a lost frame is asked for."""
-STILL = 2e-3
-"""A command that has travelled further than this [rad] must show in the readings."""
 
 
 def guard(robot: Robot, limits: SafetyLimits) -> Robot:
@@ -49,6 +48,7 @@ def guard(robot: Robot, limits: SafetyLimits) -> Robot:
         gripper=GuardedGripper(robot.gripper, limits),
         wrist_camera=GuardedCamera(robot.wrist_camera),
         side_camera=side,
+        motor=None if robot.motor is None else GuardedMotor(robot.motor, limits),
     )
 
 
@@ -96,7 +96,7 @@ class GuardedArm:
                 stopped. Either way it holds.
             DeviceError: the arm refused, stopped, or does not tell where it is; it holds.
         """
-        watchdog = _Watchdog(self._limits, watch)
+        watchdog = Watchdog(self._limits, watch)
         try:
             if self._lost:
                 raise DeviceError(self._lost)
@@ -260,52 +260,6 @@ class GuardedCamera:
     def _whole(self, frame: Frame) -> bool:
         size = (self.intrinsics.height, self.intrinsics.width)
         return bool(np.isfinite(frame.time)) and frame.depth.shape == size and frame.rgb.shape == (*size, 3)
-
-
-class _Watchdog:
-    """Holds every reading of a moving arm against the limits, then shows it to whoever else watches.
-
-    Attributes:
-        lost: why the arm's readings are not to be believed; empty while they are.
-    """
-
-    def __init__(self, limits: SafetyLimits, watch: Watch | None) -> None:
-        self.lost = ""
-        self._limits, self._watch = limits, watch
-        self._last: ArmSample | None = None
-        self._fresh, self._travelled = 0.0, 0.0
-
-    def __call__(self, sample: ArmSample) -> None:
-        self._check_fresh(sample)
-        limits = self._limits
-        gap = float(np.abs(sample.measured - sample.commanded).max())
-        if not gap <= limits.tracking:
-            raise DeviceError(f"the arm does not follow: {gap:.3g} rad behind; allowed: <= {limits.tracking:g}.")
-        if sample.force > limits.contact_force:
-            felt = f"contact force: got {sample.force:.3g} N; allowed: <= {limits.contact_force:g}"
-            raise StageFailure("collision", f"{felt}. The arm presses on something: look what it is.")
-        if self._watch:
-            self._watch(sample)
-
-    def _check_fresh(self, sample: ArmSample) -> None:
-        """Raise where the clock stands, or the joints read the same to the last bit while the command travels."""
-        last, self._last = self._last, sample
-        if last is None:
-            self._fresh = sample.time
-            return
-        if not sample.time > last.time:
-            self._distrust(f"the clock of the readings stands at {sample.time:.3f} s")
-        if np.array_equal(sample.measured, last.measured):
-            self._travelled += float(np.abs(sample.commanded - last.commanded).max())
-            age = sample.time - self._fresh
-            if age > self._limits.stale_after and self._travelled > STILL:
-                self._distrust(f"the joints read the same for {age:.2f} s of motion")
-        else:
-            self._fresh, self._travelled = sample.time, 0.0
-
-    def _distrust(self, why: str) -> None:
-        self.lost = f"joint readings are stale: {why}. The arm holds; check its connection and start anew."
-        raise DeviceError(self.lost)
 
 
 def _copied(trajectory: JointTrajectory) -> JointTrajectory:

@@ -189,26 +189,19 @@ class Planner:
         motion = shaking.shake_trajectory(
             q, direction, amplitude=amplitude, frequency=frequency, duration=duration, waveform=waveform
         )
-        period = int(np.ceil(len(motion.times) / duration / frequency))
-        farthest = int(np.linalg.norm(motion.positions - q, axis=1).argmax())
-        swing = motion.positions[max(farthest - period, 0) : farthest + period]
-        if not self._may_swing(q, swing):
-            raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
-        return dynamics.check_effort(motion)
+        return self._borne(q, motion, amplitude)
 
     def swing(self, q: ArrayLike, direction: ArrayLike, piece: Swing, reach: float) -> JointTrajectory:
-        """Return one piece of a shake of the flange about joints (7,); see `shaking.swing_trajectory`.
-
-        Raises:
-            InputError: a number out of range.
-            StageFailure: "limits_exceeded", "unreachable" or "collision".
-        """
+        """Return a piece of a shake of the flange about joints (7,), see `shaking.swing_trajectory`; raise as `shake`."""
         q = check_array("joints", q, (7,))
-        motion = shaking.swing_trajectory(q, direction, piece, reach)
-        farthest = motion.positions[np.linalg.norm(motion.positions - q, axis=1).argmax()]
-        if not self._may_swing(q, np.array([q, farthest])):
-            raise StageFailure("collision", f"a shake of {1e3 * reach:.1f} mm hits something. Shake less.")
-        return dynamics.check_effort(motion)
+        return self._borne(q, shaking.swing_trajectory(q, direction, piece, reach), piece.reach)
+
+    def _borne(self, q: Array, shake: JointTrajectory, amplitude: float) -> JointTrajectory:
+        """Return a shake about joints (7,) whose two ends are free and whose torques the joints have."""
+        along = (away := shake.positions - q) @ away[np.linalg.norm(away, axis=1).argmax()]
+        if not self._may_swing(q, shake.positions[[along.argmin(), along.argmax()]]):
+            raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
+        return dynamics.check_effort(shake)
 
     def _wrist_in_plant(self, T_world_flange: Array, length: float) -> bool:
         """Return whether plant is where right_l5 is at the end of a straight way of `length` [m], whatever the joints.

@@ -20,6 +20,7 @@ from anther.devices import JointTrajectory, SafetyLimits
 from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.safety import guard
+from anther.sim import arm_model, carriage
 from anther.sim import cell as world
 from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
@@ -169,10 +170,12 @@ def build(
     *,
     distance: float = USUAL_DISTANCE,
     truth: Truth = NOMINAL,
+    actuator: Literal["arm", "gripper"] = "arm",
 ) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`, but for what `truth` says.
 
-    The views are rendered, not driven to: the arm stands where it waits after the last of them.
+    With the actuator "gripper" there is a motor in the gripper (`sim.carriage`), and `Robot.motor` to command it. The
+    views are rendered, not driven to: the arm stands where it waits after the last of them.
 
     Raises:
         StageFailure: "unreachable" when the arm reaches fewer than three views of the plant, or no way to `WAITING`.
@@ -182,7 +185,8 @@ def build(
     plant = grow(species, seed, viewpoint, distance, truth)
     noise = np.random.default_rng([seed, int(viewpoint), 2])
     scene = Scene.of_plant(plant)
-    mujoco = world.Cell(plant, WAITING, truth=truth)
+    motor = carriage.Params() if actuator == "gripper" else None
+    mujoco = world.Cell(plant, WAITING, world.Params(arm=arm_model.Params(motor=motor)), truth)
     robot = robot_of(
         mujoco,
         errors=camera_errors(truth),

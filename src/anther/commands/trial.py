@@ -57,6 +57,8 @@ class Args:
     the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept, slip is not prevented, nothing is raised."""
     watch: bool = True
     """Raise the shake in steps by what the side camera sees, or carry out the plan alone."""
+    actuator: Literal["arm", "gripper"] | None = None
+    """What shakes the plant: the arm, or a motor in the gripper (docs/gripper_motor.md), which is always watched."""
     params: Params = field(default_factory=Params)
     """Parameters of the stages."""
 
@@ -127,7 +129,7 @@ def _params(args: Args) -> Params:
     """Return the stages' parameters: those asked for, with what the shake's preset and --no-watch change."""
     vibration = args.params.vibration if args.shake is None else with_preset(args.shake, args.params.vibration)
     watch = args.watch and args.params.escalate and vibration.keeps_limits
-    return replace(args.params, vibration=vibration, escalate=watch)
+    return replace(args.params, vibration=vibration, escalate=watch, actuator=args.actuator or args.params.actuator)
 
 
 def _build(args: Args) -> SimulatedCell:
@@ -137,7 +139,15 @@ def _build(args: Args) -> SimulatedCell:
     views = PRESETS[args.preset]
     views = views if args.views is None else replace(views, count=args.views)
     truth = draw(args.seed) if args.truth == "wide" else NOMINAL
-    return build(args.plant, args.seed, args.viewpoint, views, distance=args.distance, truth=truth)
+    return build(
+        args.plant,
+        args.seed,
+        args.viewpoint,
+        views,
+        distance=args.distance,
+        truth=truth,
+        actuator=args.params.actuator,
+    )
 
 
 def _belief(args: Args) -> Belief:

@@ -189,6 +189,7 @@ def _true(verdict: Verdict | None) -> dict[str, Any]:
     return {
         "harm_probability": verdict.harm.probability,
         "harmed": ", ".join(verdict.harm.passed),
+        "true_flower_acceleration_peak_ms2": verdict.flower_acceleration_peak,
         "true_flower_acceleration_median_ms2": _median(felt),
         "true_flower_acceleration_least_ms2": float(felt.min()) if len(felt) else None,
         "share_above_5_ms2": float(np.mean(felt > MOVED)) if len(felt) else None,

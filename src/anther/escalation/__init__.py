@@ -34,21 +34,21 @@ class Params:
     """How a watched shake is raised.
 
     Attributes:
-        target: median acceleration of the flowers at which it is enough [m/s2]: what frees half of their pollen (facts:
-            pollination 6, 5 to 80).
+        target: median acceleration of the flowers at which it is enough [m/s2]: half of their pollen is free at about
+            20, between 5 and 80 (facts: pollination 6).
         most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same).
-        probe: how long all tones are watched at once [s].
-        look: how long a step is watched at least [s], or two and a half periods.
+        probe: how long all tones are watched at once, at most [s].
+        look: how long a step is watched at least [s], or three periods.
         raised: a step is at most so many times the one before.
         hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
         most_seconds: of the whole shake [s].
         points: of the plant that are watched beside the flowers.
     """
 
-    target: float = 20.0
+    target: float = 30.0
     most: float = 60.0
     probe: float = 1.4
-    look: float = 0.5
+    look: float = 0.4
     raised: float = 1.5
     hold: float = 2.0
     most_seconds: float = 12.0
@@ -67,8 +67,10 @@ class Params:
 
 RAMP = 0.3
 """In which the amplitude changes [s], or one period of the slowest tone if that is longer."""
-PERIODS = 2.5
+PERIODS = 3.0
 """A step is watched for so many of its periods at least."""
+PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
+"""The probe is watched for so many periods of its slowest tone, at least so long [s]."""
 WORDS = {
     "stem_strain": "the bending of the stem",
     "joint_strain": "the bending of pedicels",
@@ -79,6 +81,9 @@ WORDS = {
 """The kinds of load, for people."""
 PROBED = 0.7
 """Of the probe: the rms of its loads over that of the plan's shake; its peaks are about 1.3 times those."""
+OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
+LASTING = (OUT_OF_SIGHT, NO_TIME)
+"""What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
 BETTER = 1.3
 """Another tone is turned to when it promises so many times the flowers' motion."""
 ENOUGH = 1.05
@@ -109,7 +114,8 @@ class Escalation:
         flowers: (F, 3) at rest, world [m].
         points: (P, 3) the plant's other points, those of `foresee`.
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
-        middle: joints (R, 7) -> (R, 3) place of the grip by the arm's own readings, world [m].
+        middle: joints (R, 7) -> (R, 3) place of the grip by the arm's own readings, world [m]; None: a motor moves the
+            pads, and as it was told.
         limits: of plant and grip.
         params: see `Params`.
     """
@@ -122,7 +128,7 @@ class Escalation:
         points: Array,
         *,
         camera: tuple[Intrinsics, Array],
-        middle: Callable[[Array], Array],
+        middle: Callable[[Array], Array] | None,
         limits: Limits,
         params: Params = Params(),
     ) -> None:
@@ -131,6 +137,7 @@ class Escalation:
         self._limits, self._factors = limits_of(limits, plan.press), factors(limits.risk)
         self._may: dict[int, Allowed] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
+        self._doubted = False
 
     steps: tuple[Step, ...]
     """What was done so far."""
@@ -153,19 +160,19 @@ class Escalation:
         size = PROBED * np.minimum(tones.amplitudes, tones.reach) / np.sqrt(len(tones.frequencies))
         size *= min(1.0, self.reach / size.sum())
         ramp = max(RAMP, 1 / tones.frequencies.min())
-        self._piece = Swing.first(tones.frequencies, size, ramp + self.params.probe + LEAD, ramp)
+        self._piece = Swing.first(tones.frequencies, size, ramp + self._probe + LEAD, ramp)
         return self._piece
 
     def since(self) -> float:
         """Return from when on the piece under way is steady [s], counted from the shake's begin."""
         piece = self._piece
-        steady = self.params.probe if not self.steps else self._watch(int(piece.amplitudes.argmax()))
+        steady = self._probe if not self.steps else self._watch(int(piece.amplitudes.argmax()))
         return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
 
     def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return what follows what was seen; the last piece ends at rest."""
         started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.since()]
-        look = self._looked(frames, steady)
+        look = self._looked(frames, steady, samples[0].time)
         if not self.steps:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look, self._T) if look.followed else 0.0
@@ -173,7 +180,7 @@ class Escalation:
         self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
         tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
         self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)
-        ramp = max(RAMP, 1 / float(self._foresight.tones[tone]))
+        ramp = self._ramp(tone)
         new = np.where(np.arange(len(self._foresight.tones)) == tone, amplitude, 0.0)
         self._piece = self._piece.then(new, ramp + (seconds + LEAD if amplitude else 0.0), ramp)
         return self._piece
@@ -202,12 +209,20 @@ class Escalation:
         )
 
     @property
+    def _probe(self) -> float:
+        slowest = float(self._foresight.tones.min())
+        return min(self.params.probe, max(PROBE_PERIODS / slowest, SHORTEST_PROBE))
+
+    @property
     def _T(self) -> Array:
         return self._camera[1][:3, :3]
 
-    def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample]) -> Look:
+    def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
-        gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
+        if self._middle is None:
+            gripper = piece.amplitudes[active] * np.exp(-2j * np.pi * piece.frequencies[active] * begin)
+        else:
+            gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
         return Look(active, piece.amplitudes[active], gripper, swings(self._sight, frames, piece.frequencies[active]))
 
     def _allowed(self, tone: int, one: Known) -> Allowed:
@@ -233,13 +248,14 @@ class Escalation:
             return tone, 0.0, 0.0, f"Only {look.followed} of {self._in_sight} points are still followed: ended."
         best = max(self._may, key=lambda k: (min(self._may[k].flowers, self.params.target), self._may[k].flowers))
         here = tone if len(look.tones) == 1 else None
-        if best != here and (here is None or self._may[best].flowers > BETTER * self._may[here].flowers):
+        better = here is None or self._may[best].flowers > BETTER * self._may[here].flowers
+        if best != here and better and self._fits(best):
             return self._turned_to(best, look)
         return self._raised(tone, now, seen)
 
     def _turned_to(self, tone: int, look: Look) -> tuple[int, float, float, str]:
         most, done = self._may[tone], dict(zip(look.tones.tolist(), look.amplitudes.tolist(), strict=True))
-        self._most_seen = 0
+        self._most_seen, self._doubted = 0, False
         begin = max(float(self.plan.tones.amplitudes[tone]), self.params.raised * done.get(tone, 0.0))
         words = (
             f"At {self._foresight.tones[tone]:.3g} Hz flowers may reach {most.flowers:.3g} m/s2 with "
@@ -250,15 +266,26 @@ class Escalation:
     def _raised(self, tone: int, now: float, seen: int) -> tuple[int, float, float, str]:
         may, self._most_seen = self._may[tone], max(self._most_seen, seen)
         higher, why = min(may.amplitude, self.params.raised * now), may.binds
-        left = self.params.most_seconds - self._piece.begin - self._piece.seconds - self.params.hold - 2 * RAMP
         if seen < LOST * self._most_seen:
-            higher, why = min(now, higher), "flowers were lost from sight"
-        elif left < self._watch(tone) + LEAD + max(RAMP, 1 / float(self._foresight.tones[tone])):
-            higher, why = min(now, higher), "time"
+            higher, why = min(now, higher), OUT_OF_SIGHT
+        elif not self._fits(tone):
+            higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
+            self._doubted = False
             return tone, higher, self._watch(tone), f"Raised to {1e3 * higher:.2g} mm."
+        if not self._doubted and why not in LASTING:
+            self._doubted = True
+            return tone, higher, self._watch(tone), f"Watched again at {1e3 * higher:.2g} mm: {why}."
         self._last = True
         return tone, min(now, higher), self.params.hold, f"Held at {1e3 * min(now, higher):.2g} mm: {why}."
+
+    def _fits(self, tone: int) -> bool:
+        """Return whether there is time for one more step, the hold after it, and coming to rest."""
+        ramp, ends = self._ramp(tone), self._piece.begin + self._piece.seconds
+        return ends + 3 * ramp + self._watch(tone) + self.params.hold + 2 * LEAD <= self.params.most_seconds
+
+    def _ramp(self, tone: int) -> float:
+        return max(RAMP, 1 / float(self._foresight.tones[tone]))
 
     def _watch(self, tone: int) -> float:
         return max(self.params.look, PERIODS / float(self._foresight.tones[tone]))

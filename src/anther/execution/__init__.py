@@ -114,7 +114,7 @@ class Watched(Protocol):
         ...
 
     def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-        """Return the next piece, after the frames since `since` and all readings of the arm; the last one ends at rest."""
+        """Return the next piece, after frames since `since` and all readings of the arm; the last one ends at rest."""
         ...
 
 
@@ -144,8 +144,8 @@ def execute(
         params: of the approach and the grip.
         progress: called before each phase.
         arrive: waits for a motion of the arm that was begun before (`early_reach`), as the phase "early reach".
-        watched: decides the shake's pieces on the way, at the grasp and along the direction of `shake`; None, or without
-            a side camera: as planned.
+        watched: decides the shake's pieces on the way, at the grasp and along the direction of `shake`; None, or
+            without a side camera: as planned.
     """
     watched = None if robot.side_camera is None else watched
     work = _Work(planner, shake, guard(robot, limits), limits, params, progress, watched)
@@ -208,7 +208,10 @@ class _Work:
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, and note when."""
-        record = self.robot.arm.follow(trajectory, watch, more)
+        return self.noted(self.robot.arm.follow(trajectory, watch, more))
+
+    def noted(self, record: ArmRecord) -> ArmRecord:
+        """Note when the arm did what it did, and return that."""
         self.note(record)
         return record
 
@@ -266,7 +269,7 @@ def _forward(work: _Work) -> None:
 
 def _watch(work: _Work, watched: Watched) -> None:
     """Shake in pieces, each decided by what was seen of the one before, without a stop between them."""
-    camera, arm, plan = work.robot.side_camera, work.robot.arm, work.plan
+    camera, arm, plan, motor = work.robot.side_camera, work.robot.arm, work.plan, work.robot.motor
     assert camera is not None
     first, rest = watched.begin(camera.read()), arm.joints()
     done = [first]
@@ -277,7 +280,7 @@ def _watch(work: _Work, watched: Watched) -> None:
                 check_shake(amplitude, frequency, piece.begin + piece.seconds, work.limits)
         return work.planner.swing(rest, plan.direction, piece, watched.reach)
 
-    def more() -> JointTrajectory | None:
+    def more() -> Swing | None:
         if done[-1].stops:
             return None
         try:
@@ -286,9 +289,16 @@ def _watch(work: _Work, watched: Watched) -> None:
             work.fail(error)
             frames = []
         done.append(watched.go_on(frames, work.felt))
-        return joints(done[-1])
+        return done[-1]
 
-    _shake(work, lambda: work.follow(joints(first), work.felt.append, more))
+    def onward() -> JointTrajectory | None:
+        piece = more()
+        return None if piece is None else joints(piece)
+
+    if motor is None:
+        _shake(work, lambda: work.follow(joints(first), work.felt.append, onward))
+    else:
+        _shake(work, lambda: work.noted(motor.swing(first, work.felt.append, more)))
 
 
 def _shake(work: _Work, move: Callable[[], ArmRecord]) -> None:
@@ -350,6 +360,8 @@ def _retire(work: _Work) -> None:
             return False
         return True
 
+    if work.robot.motor is not None:
+        done(work.robot.motor.stop)
     held = done(work.robot.arm.hold)
     opened = done(lambda: work.robot.gripper.move(work.opening))
     if held and opened and work.in_plant:

@@ -28,9 +28,9 @@ class Step:
         begin, end: when the pads were steady in it [s], on the robot's clock.
         frequencies: (K,) of its tones [Hz].
         amplitudes: (K,) of the gripper, commanded [m].
-        flowers: (F,) peak acceleration that the camera measured [m/s2]; NaN where it did not. Of several tones, the root
-            of the sum of squares.
-        loads: name of each limit of plant and grip -> share of it that was reached, as far as known and with its margin.
+        flowers: (F,) peak acceleration that the camera measured [m/s2]; NaN where it did not. Of several tones, the
+            root of the sum of squares.
+        loads: name of each limit of plant and grip -> share of it that was reached, as far as known, with its margin.
         decided: what comes next and why, for people.
         seconds: that measuring and deciding took [s].
     """
@@ -136,7 +136,7 @@ class Trial:
         """
         arrays: dict[str, Any] = read_npz(path, "trial", SCHEMA)
         words = json.loads(str(arrays.pop("words")))
-        steps = tuple(
-            Step(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}) for row in words.pop("steps")
-        )
+        rows: list[dict[str, Any]] = words.pop("steps")
+        made: list[dict[str, Any]] = [{k: tuple(v) if isinstance(v, list) else v for k, v in r.items()} for r in rows]
+        steps = tuple(Step(**row) for row in made)
         return cls(phases=tuple(words.pop("phases")), steps=steps, **words, **arrays)

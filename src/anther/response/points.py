@@ -17,6 +17,7 @@ from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.response.following import placed
 from anther.response.params import Params
 
+DEFAULTS = Params()
 WINDOW = 15
 """Side of the square that is compared [px]: two flowers wide at 0.55 m from a D455."""
 LEVELS = 2
@@ -68,7 +69,7 @@ class Swings(NamedTuple):
 
 
 def sight(
-    frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array, params: Params = Params()
+    frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array, params: Params = DEFAULTS
 ) -> Sight:
     """Return where flowers (F, 3) and points (N, 3), world [m], are in a frame of the plant at rest, in this order.
 
@@ -77,7 +78,7 @@ def sight(
     T = inverse(T_world_cam)
     rest = transform_points(T, np.concatenate([flowers.reshape(-1, 3), points.reshape(-1, 3)]))
     pixels = intrinsics.project(np.where(rest[:, 2:] > NEAR, rest, 1.0))
-    inside = (pixels >= 0).all(axis=1) & (pixels < [intrinsics.width, intrinsics.height]).all(axis=1)
+    inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = inside & (rest[:, 2] > NEAR) & _own_depth(frame.depth, pixels, rest[:, 2], inside)
     count = len(flowers)
     if count and rest[:count, 2].min() > params.depth_gate:
@@ -90,7 +91,8 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array) -> Swings:
     """Return how the points in sight swung in frames of a shake whose tones (K,) [Hz] are known.
 
     Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
-    and back: where it is going, else at home, else where it was. Then tones and slow terms are fitted to its path by least squares.
+    and back: where it is going, else at home, else where it was. Then tones and slow terms are fitted to its path by
+    least squares.
     """
     phasors = np.full((len(at.pixels), len(tones), 2), np.nan, np.complex128)
     std, times = np.full(len(at.pixels), np.nan), np.array([f.time for f in frames])
@@ -137,7 +139,8 @@ def _paths(at: Sight, frames: Sequence[Frame]) -> Array:
         for guess in (2 * place - before, home, place):
             there, ok, _ = cv2.calcOpticalFlowPyrLK(at.picture, picture, home[lost], guess[lost].copy(), **options)
             back, ok_back, _ = cv2.calcOpticalFlowPyrLK(picture, at.picture, there, home[lost].copy(), **options)
-            good = (ok & ok_back)[:, 0] * (np.linalg.norm(back - home[lost], axis=2)[:, 0] < THERE_AND_BACK) > 0
+            missed = np.linalg.norm(back - home[lost], axis=2)[:, 0]
+            good = (np.asarray(ok) > 0)[:, 0] & (np.asarray(ok_back) > 0)[:, 0] & (missed < THERE_AND_BACK)
             here = np.flatnonzero(lost)[good]
             found[here], lost[here] = there[good], False
             if not lost.any():
@@ -172,6 +175,6 @@ def _fitted(basis: Array, path: Array) -> tuple[Array, float] | None:
 
 
 def _solved(basis: Array, values: Array) -> tuple[Array, Array]:
-    """Return least-squares coefficients and the inverse of the normal matrix; a decomposition would wake BLAS threads."""
-    inverse_gram = np.linalg.inv(basis.T @ basis + 1e-9 * np.eye(basis.shape[1]))
+    """Return least-squares coefficients and the normal matrix's inverse; a decomposition would wake BLAS threads."""
+    inverse_gram = np.linalg.inv(basis.T @ basis + 1e-9 * np.eye(basis.shape[1])).astype(np.float64)
     return inverse_gram @ (basis.T @ values), inverse_gram

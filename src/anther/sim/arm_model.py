@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
 from anther.geometry import Array
+from anther.sim import carriage
 from anther.sim.truth import JOINT_STIFFNESS, NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
@@ -34,11 +35,13 @@ class Params:
         grip_force: what the gripper holds with at most, both fingers alike [N]: about 30 % of 35 N (facts: sawyer 3).
         grip_stiffness: of the gripper's position servo [N/m].
         pad_softness: time constant of pad contact [s].
+        motor: the one in the gripper that shakes the fingers; None: there is none.
     """
 
     grip_force: float = 10.0
     grip_stiffness: float = 40e3
     pad_softness: float = 0.004
+    motor: carriage.Params | None = None
 
 
 def flex_name(joint: str) -> str:
@@ -49,10 +52,12 @@ def flex_name(joint: str) -> str:
 def add_arm(spec: Any, params: Params, truth: Truth = NOMINAL, *, contype: int, conaffinity: int) -> None:
     """Add base, links `right_l0`.., flange, gripper, wrist camera and their actuators to a world.
 
-    Actuators, in order: 7 positions, 7 velocities, 7 torques (feed-forward), 1 half opening of the gripper.
+    Actuators, in order: 7 positions, 7 velocities, 7 torques (feed-forward), 1 half opening of the gripper; with a
+    motor its place, speed and force.
     Joints: `right_j0`.., `left_finger`, `right_finger` (each the half opening [m]). Where the truth has them, also
     `right_j0_flex`.. [rad], and of each pad on its finger, in the flange's frame, `left_pad_x`, `left_pad_z` [m] and
-    `left_pad_turn` about y [rad].
+    `left_pad_turn` about y [rad]. With a motor also
+    `motor` [m], along the flange's y.
     """
     bits = {"contype": contype, "conaffinity": conaffinity}
     base = spec.worldbody.add_body(name="base")
@@ -75,6 +80,8 @@ def add_arm(spec: Any, params: Params, truth: Truth = NOMINAL, *, contype: int, 
     # one motor drives both fingers through the coupling, so it carries twice a finger's force
     grip.set_to_position(kp=2 * params.grip_stiffness, kv=2 * 0.005 * params.grip_stiffness)
     grip.forcelimited, grip.forcerange = 1, [-2 * params.grip_force, 2 * params.grip_force]
+    if params.motor is not None:
+        carriage.add_coil(spec, params.motor, FINGER_MASS)
 
 
 def tune_servos(model: Any, truth: Truth) -> None:
@@ -131,8 +138,9 @@ def _add_gripper(spec: Any, wrist: Any, params: Params, truth: Truth, bits: dict
     _solids(flange, (sawyer.GRIPPER_BODY, *sawyer.CAMERA_SOLIDS), bits)
     pad_z = sawyer.TIP_Z - sawyer.PAD[2] / 2
     half_z = (sawyer.TIP_Z - sawyer.FINGER_Z) / 2
+    holder = flange if params.motor is None else carriage.add_carriage(flange, params.motor)
     for side, sign, wear in (("left", 1, truth.pad_wear), ("right", -1, 0.0)):
-        finger = flange.add_body(name=f"{side}_finger", gravcomp=1)
+        finger = holder.add_body(name=f"{side}_finger", gravcomp=1)
         _inertial(finger, FINGER_MASS, (0, 0.01 * sign, pad_z), (2e-5, 2e-5, 4e-6, 0, 0, 0))
         joint = finger.add_joint(name=f"{side}_finger", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, sign, 0])
         joint.range, joint.limited, joint.armature = [0, sawyer.STROKE / 2], 1, FINGER_ARMATURE
@@ -143,8 +151,8 @@ def _add_gripper(spec: Any, wrist: Any, params: Params, truth: Truth, bits: dict
             (sawyer.PAD[0] / 2, sawyer.FINGER_THICKNESS / 2, half_z),
         )
         _solids(finger, (stick,), bits)
-        holder, centre = _pad_holder(finger, side, np.array([0, sign * sawyer.PAD[1] / 2, pad_z]), truth)
-        pad = _box(holder, f"{side}_pad", centre, np.array(sawyer.PAD) / 2, bits)
+        backing, centre = _pad_holder(finger, side, np.array([0, sign * sawyer.PAD[1] / 2, pad_z]), truth)
+        pad = _box(backing, f"{side}_pad", centre, np.array(sawyer.PAD) / 2, bits)
         pad.condim, pad.priority, pad.friction = 4, 1, [truth.pad_friction * (1 - wear), 0.003, 0.0001]
         pad.solref, pad.solimp = [params.pad_softness, 1.0], [0.95, 0.99, 0.001, 0.5, 2]
     coupling = spec.add_equality(

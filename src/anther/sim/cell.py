@@ -6,7 +6,10 @@ T log samples, C contacts, K plant segments.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any
 
 import mujoco as mujoco_module
@@ -112,6 +115,7 @@ class Cell:
         self._arm_dofs = np.array([self.model.joint(name).dofadr[0] for name in sawyer.JOINTS])
         self._fingers = [self.model.joint(f"{side}_finger").qposadr[0] for side in ("left", "right")]
         self._flex = _addresses(self.model, [arm_model.flex_name(name) for name in sawyer.JOINTS])
+        self._motor = _addresses(self.model, ["motor"])
         self._give = [_addresses(self.model, [f"left_pad_{way}", f"right_pad_{way}"]) for way in arm_model.PAD_WAYS]
         errors = np.random.default_rng([plant.seed, 8]).normal(size=7)
         self._expected = 1 + truth.feedforward_error * errors
@@ -123,7 +127,7 @@ class Cell:
         self._codes = _contact_codes(self.model)
         self._samples: list[tuple[Any, ...]] = []
         self._contacts: list[tuple[Any, ...]] = []
-        self._scratch = mujoco.MjData(self.model)
+        self._scratch, self._parts = mujoco.MjData(self.model), 1
         mujoco.mj_forward(self.model, self.data)
         self._note()
 
@@ -131,6 +135,24 @@ class Cell:
     def time(self) -> float:
         """Simulated time since the cell was built [s]."""
         return float(self.data.time)
+
+    @property
+    def timestep(self) -> float:
+        """Of the integrator at present [s]."""
+        return float(self.model.opt.timestep)
+
+    @contextmanager
+    def finer(self, parts: int) -> Iterator[None]:
+        """Step `parts` times as finely meanwhile, with the plant damped as that allows; the log stays as dense."""
+        m, plant = self.model, self.mechanics
+        before = m.opt.timestep, m.dof_damping.copy(), plant.mass_damping
+        m.opt.timestep, self._parts = before[0] / parts, parts
+        plant.damp(m.opt.timestep)
+        try:
+            yield
+        finally:
+            m.opt.timestep, m.dof_damping[:], plant.mass_damping = before
+            self._parts = 1
 
     @property
     def joints(self) -> Array:
@@ -153,30 +175,58 @@ class Cell:
         return self.data.ctrl[:7].copy()
 
     @property
+    def motor_command(self) -> tuple[float, float]:
+        """Last commanded place [m] and speed [m/s] of the gripper's motor, which the truth's gain does not change."""
+        place, speed = self.data.ctrl[22:24] / self.truth.motor_gain
+        return float(place), float(speed)
+
+    @property
     def grip_force(self) -> float:
         """Force of either finger on what is between them [N]."""
         return float(abs(self.data.actuator_force[21]) / 2)
 
-    def run(self, joints: Array, velocities: Array, openings: Array, accelerations: Array | None = None) -> Array:
+    def carriage_at(self, qpos: Array | None = None) -> Array:
+        """Return where the motor has the fingers now, or at logged `qpos` (..., nq), along the flange's y [m].
+
+        (), or (...); 0 without a motor.
+        """
+        at: Array = self.data.qpos if qpos is None else qpos
+        return at[..., self._motor].sum(axis=-1)
+
+    def carriage_path(self, seconds: float) -> Array:
+        """Return (T,) where the carriage was in the last `seconds` of the log [m]."""
+        last = takewhile(lambda sample: sample[0] > self.time - seconds, reversed(self._samples))
+        return np.array([float(self.carriage_at(sample[1])) for sample in last])[::-1]
+
+    def run(
+        self,
+        joints: Array,
+        velocities: Array,
+        openings: Array,
+        accelerations: Array | None = None,
+        motor: Array | None = None,
+    ) -> Array:
         """Advance one timestep per row of joint references; return the measured joints.
 
         Args:
             joints, velocities: (N, 7) references [rad], [rad/s].
             openings: (N,) commanded distance between the pads [m].
             accelerations: (N, 7) references [rad/s^2]; None takes the differences of the velocities.
+            motor: (N, 3) references of the gripper's motor: place [m], speed [m/s], acceleration [m/s^2]; None: still.
 
         Returns:
             (N, 7) measured joints after each step [rad].
         """
         if accelerations is None:
-            accelerations = np.diff(velocities, axis=0, append=velocities[-1:]) / self.params.timestep
+            accelerations = np.diff(velocities, axis=0, append=velocities[-1:]) / self.timestep
         measured = np.empty_like(joints)
-        for i, row in enumerate(zip(joints, velocities, accelerations, openings, strict=True)):
+        motor = np.zeros((len(joints), 3)) if motor is None else motor
+        for i, row in enumerate(zip(joints, velocities, accelerations, openings, motor, strict=True)):
             self._step(*row)
             measured[i] = self.data.qpos[self._arm]
         return measured
 
-    def _step(self, q: Array, v: Array, a: Array, opening: float) -> None:
+    def _step(self, q: Array, v: Array, a: Array, opening: float, motor: Array) -> None:
         m, d = self.model, self.data
         plant, inertia = self.mechanics.dofs, np.empty(m.nv)
         motion = np.zeros(m.nv)  # arm and plant share no joint: one product serves both
@@ -184,13 +234,22 @@ class Cell:
         mujoco.mj_mulM(m, d, inertia, motion)
         d.ctrl[:7], d.ctrl[7:14], d.ctrl[21] = q, v, opening / 2
         d.ctrl[14:21] = self._expected * inertia[self._arm_dofs]
+        if len(self._motor):
+            d.ctrl[22:] = self._coil(motor)
         d.qfrc_applied[plant] = -self.mechanics.mass_damping * inertia[plant]
         self._air.push(d, m.opt.timestep)
         mujoco.mj_step(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")
-        if round(d.time / m.opt.timestep) % self.params.log_every == 0:
+        if round(d.time / m.opt.timestep) % (self._parts * self.params.log_every) == 0:
             self._note()
+
+    def _coil(self, motor: Array) -> Array:
+        """Return the voice coil's controls (3,): place, speed, and the force that mass and flexures ask for."""
+        assert self.params.arm.motor is not None
+        place, speed, acceleration = self.truth.motor_gain * motor
+        load = self.params.arm.motor.load(arm_model.FINGER_MASS, place, speed, acceleration)
+        return np.array([place, speed, load])
 
     def _note(self) -> None:
         d, sample = self.data, len(self._samples)
@@ -238,13 +297,14 @@ class Cell:
     def pads_pose(self, qpos: Array | None = None) -> Array:
         """Return T_world_pads (4, 4) now, or at a logged `qpos` (nq,): the flange's frame, carried along by the pads.
 
-        It moves on the flange by the mean of what both give way.
+        It moves on the flange as the motor has the fingers, and by the mean of what both pads give way.
         """
         at: Array = self.data.qpos if qpos is None else qpos
+        y = float(self.carriage_at(at))
         x, z, turn = (float(at[ways].mean()) if len(ways) else 0.0 for ways in self._give)
         centre = sawyer.T_FLANGE_GRASP[:3, 3]
         R = Rotation.from_rotvec([0, turn, 0]).as_matrix()
-        return self.flange_pose(at) @ transform(R, centre - R @ centre + np.array([x, 0, z]))
+        return self.flange_pose(at) @ transform(R, centre - R @ centre + np.array([x, y, z]))
 
     def _at(self, qpos: Array | None) -> Any:
         if qpos is None:

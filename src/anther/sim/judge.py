@@ -203,6 +203,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, par
     times, row = np.unique(sample, return_inverse=True)
     flange = inverse(cell.flange_pose(log.qpos[times]))[row]
     across = np.einsum("ci,ci->c", flange[:, 1, :3], log.contact_point[pressed]) + flange[:, 1, 3]
+    across -= cell.carriage_at(log.qpos[times])[row]
     between = np.abs(across) < log.opening[sample] / 2 + 0.001
     organ = np.where(blade, int(Organ.LEAF), cell.plant.organ[other])
     impulse = np.bincount(organ[other == segment], log.contact_force[pressed][other == segment])

@@ -18,7 +18,7 @@ from scipy.linalg import eigh
 from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.sim.inertia import mass_properties
-from anther.sim.plant import GRAVITY, Organ, SimPlant
+from anther.sim.plant import Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
@@ -261,8 +261,7 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
     across = np.cross(along, plant.oval[k] if plant.oval[k].any() else np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     oval = float(np.exp(np.linalg.norm(plant.oval[k]) / 2))
-    # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
-    beta = max(plant.damping_ratio[k] / (np.pi * params.flutter), 0.7 * dt)
+    beta = float(_beta(plant.damping_ratio[k], params.flutter, dt))
     fastest = params.foliage if plant.organ[k] in (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF) else params.stiffest
     for axis, stiffness in ((across, bending * oval), (np.cross(along, across), bending / oval), (along, twist)):
         if stiffness == 0:
@@ -274,16 +273,9 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
         joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
 
 
-def natural_frequencies(plant: SimPlant, params: Params) -> Array:
-    """Return (D,) the natural frequencies of a plant in its pot [Hz], lowest first.
-
-    Raises:
-        StageFailure: "no_convergence": it cannot carry its own weight.
-    """
-    spec = mujoco.MjSpec()
-    spec.compiler.degree, spec.option.gravity = False, [0, 0, -GRAVITY]
-    pieces = add_plant(spec, plant, params, contype=0, conaffinity=0)
-    return PlantMechanics(spec.compile(), plant, pieces, params).frequencies
+def _beta(ratio: Any, flutter: float, dt: float) -> Any:
+    # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
+    return np.maximum(ratio / (np.pi * flutter), 0.7 * dt)
 
 
 class PlantMechanics:
@@ -305,7 +297,9 @@ class PlantMechanics:
         self._bends = np.concatenate([np.arange(n) < 2 for n in model.body_jntnum[self.bodies]])
         data = mujoco.MjData(model)
         self._hang(data)
-        self.frequencies, self.mass_damping = self._modes(data)
+        self.frequencies, self._first = self._modes(data)
+        self.mass_damping = self._air_damping(*self._first)
+        self._flutter = params.flutter
         self._rest_origin = plant.start[pieces.first]
 
     def _hang(self, data: Any) -> None:
@@ -314,8 +308,16 @@ class PlantMechanics:
         mujoco.mj_forward(m, data)
         m.qpos_spring[m.jnt_qposadr[self.joints]] = data.qfrc_bias[self.dofs] / m.jnt_stiffness[self.joints]
 
-    def _modes(self, data: Any) -> tuple[Array, float]:
-        """Return all natural frequencies [Hz], and the Rayleigh coefficient that the first mode in bending asks for."""
+    def damp(self, timestep: float) -> None:
+        """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
+        ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()]
+        self.model.dof_damping[self.dofs] = (
+            _beta(ratio, self._flutter, timestep) * self.model.jnt_stiffness[self.joints]
+        )
+        self.mass_damping = self._air_damping(*self._first)
+
+    def _modes(self, data: Any) -> tuple[Array, tuple[float, Array]]:
+        """Return all natural frequencies [Hz], and the first mode in bending: [rad/s] and shape."""
         m, d = self.model, self.dofs
         mass = np.zeros((m.nv, m.nv))
         mujoco.mj_fullM(m, data, mass)
@@ -326,7 +328,7 @@ class PlantMechanics:
                 "no_convergence", "the simulated plant cannot carry its own weight (it buckles): its stem is too soft."
             )
         first, shape = eigh(stiffness[bends], mass[bends], subset_by_index=[0, 0])
-        return np.sqrt(values) / (2 * np.pi), self._air_damping(float(np.sqrt(first[0])), shape[:, 0])
+        return np.sqrt(values) / (2 * np.pi), (float(np.sqrt(first[0])), shape[:, 0])
 
     def stiffness(self, data: Any, step: float = 1e-5) -> Array:
         """Return (D, D) the springs and the change of the gravity torques with the hinge angles, at `data`'s place.

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
-import mujoco as mujoco_module
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
@@ -28,12 +26,11 @@ from anther.geometry import Array, Intrinsics, look_at
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.cell import Cell, CellLog
 from anther.sim.depth_noise import noisy_depth
+from anther.sim.feeling import CYCLE, contact_force
+from anther.sim.motor import SimMotor
 from anther.sim.render import Image, Scene, d455
 
-mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
-
 SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred
-CYCLE = 0.01  # s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)
 
 
 class SimArm:
@@ -92,21 +89,6 @@ def _references(trajectory: JointTrajectory, begin: float, dt: float, *, last: b
     if last:
         v[t >= trajectory.duration] = 0
     return q, v
-
-
-def contact_force(cell: Cell) -> float:
-    """Return the size of the force that plant, pot and bench exert on arm and gripper now [N].
-
-    It is the sum over all contacts as vectors: what the two pads do to a stem between them cancels, as it would in a
-    sensor at the wrist.
-    """
-    total, force = np.zeros(3), np.zeros(6)
-    for i in range(cell.data.ncon):
-        contact = cell.data.contact[i]
-        mujoco.mj_contactForce(cell.model, cell.data, i, force)
-        scenery_first = cell.model.geom(contact.geom[0]).name.startswith(("segment_", "blade_", "pot", "bench"))
-        total += (1 if scenery_first else -1) * contact.frame.reshape(3, 3).T @ force[:3]
-    return float(np.linalg.norm(total))
 
 
 class SimGripper:
@@ -288,7 +270,7 @@ def robot_of(
     seed: int = 0,
     scene: Scene | None = None,
 ) -> Robot:
-    """Return the devices of a cell: arm, gripper, wrist camera (1280 x 720) and side camera, as the cell's truth says.
+    """Return the devices of a cell: arm, gripper, both cameras (wrist 1280 x 720), and the motor if there is one.
 
     The side camera is the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, and quick to render.
 
@@ -312,4 +294,5 @@ def robot_of(
         late=cell.truth.clock_offset,
         exposure=cell.truth.exposure_time,
     )
-    return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side)
+    motor = None if cell.params.arm.motor is None else SimMotor(cell)
+    return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side, motor)

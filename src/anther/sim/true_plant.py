@@ -16,8 +16,8 @@ from anther.geometry import Array
 from anther.sim import plant_mechanics
 from anther.sim.leaf import AREAL_DENSITY
 from anther.sim.mechanics import buckling_factor, supported_youngs
-from anther.sim.plant import Organ, SimPlant
-from anther.sim.plant_mechanics import natural_frequencies
+from anther.sim.plant import GRAVITY, Organ, SimPlant
+from anther.sim.plant_mechanics import PlantMechanics, add_plant, mujoco
 from anther.sim.truth import NOMINAL, Truth
 
 FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)
@@ -165,3 +165,15 @@ def _stands(plant: SimPlant) -> bool:
         return bool(natural_frequencies(plant, FINELY_CUT)[0] >= SLOWEST)
     except StageFailure:
         return False
+
+
+def natural_frequencies(plant: SimPlant, params: plant_mechanics.Params) -> Array:
+    """Return (D,) the natural frequencies of a plant in its pot [Hz], lowest first.
+
+    Raises:
+        StageFailure: "no_convergence": it cannot carry its own weight.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.option.gravity = False, [0, 0, -GRAVITY]
+    pieces = add_plant(spec, plant, params, contype=0, conaffinity=0)
+    return PlantMechanics(spec.compile(), plant, pieces, params).frequencies

@@ -85,6 +85,7 @@ class Truth:
         servo_bandwidth: of the arm's joint servos [Hz].
         feedforward_error: standard deviation of each joint's relative error in the torque that the arm expects [-].
         joint_stiffness: factor on `JOINT_STIFFNESS` [-]; inf: rigid joints.
+        motor_gain: what the gripper's motor moves over what it was asked to [-].
         pose_error, hand_eye_error: factors on the errors of the arm's poses and of the hand-eye calibration [-].
         clock_offset: by which the side camera's clock is late on the arm's [s].
         exposure_time: in which an image is blurred by motion [s].
@@ -114,6 +115,7 @@ class Truth:
     servo_bandwidth: float = 10.0
     feedforward_error: float = 0.0
     joint_stiffness: float = np.inf
+    motor_gain: float = 1.0
     pose_error: float = 1.0
     hand_eye_error: float = 1.0
     clock_offset: float = 0.0
@@ -168,11 +170,13 @@ WIDE: dict[str, dict[str, Spread]] = {
         "pad_friction": Spread(0.4, 1.1, log=False),
         "pad_wear": Spread(0.0, 0.3, log=False),
     },
-    # Published simulation gains give 4 Hz (facts: sawyer 2); loads unknown to the arm's model. Guess.
+    # Published simulation gains give 4 Hz (facts: sawyer 2); loads unknown to the arm's model. A voice coil that is set
+    # in volts, or calibrated by hand. Guess.
     "arm": {
         "servo_bandwidth": Spread(5.0, 12.0),
         "feedforward_error": Spread(0.05, 0.25, log=False),
         "joint_stiffness": Spread(6.0, 60.0),
+        "motor_gain": Spread(0.87, 1.15),
     },
     # Registration believes the nominal size of these errors.
     "camera poses": {"pose_error": Spread(0.5, 3.0), "hand_eye_error": Spread(0.5, 3.0)},

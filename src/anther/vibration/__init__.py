@@ -35,7 +35,7 @@ from anther.vibration.pads import PADS, Pads
 from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params, Preset, with_preset
 from anther.vibration.plant_limits import PRESETS, PlantLimits
 from anther.vibration.search import Gains, gains, scenarios
-from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan, Tones
+from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan
 from anther.vibration.verification import Shake, Shaken, verified
 from anther.vibration.waveforms import SINE, Waveform, mix
 
@@ -84,7 +84,7 @@ def plan_shake(
         raise StageFailure("no_flowers_found", "no flower was found, so there is nothing to shake for.")
     if not grasps:
         raise StageFailure("no_grasp_found", "no grasp to choose from: the shake needs at least one.")
-    grips, frequencies = grips_of(plant, grasps, params, pressing), _frequencies(actuator, params)
+    grips, frequencies = grips_of(plant, grasps, params, pressing, actuator.axis), _frequencies(actuator, params)
     versions = scenarios(plant, params.draws, params.seed, pads=params.pads)
     response = gains(versions, grips.nodes, grips.directions, frequencies)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude

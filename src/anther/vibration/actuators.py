@@ -35,6 +35,10 @@ class Actuator(Protocol):
         """Return the largest amplitudes (Q,) [m] at a grasp along a unit direction (3,) at (Q,) frequencies [Hz]."""
         ...
 
+    def axis(self, grasp: Grasp) -> Array | None:
+        """Return the only line (3,) along which it moves the grip, world; None: along any."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class ArmShaker:
@@ -61,6 +65,9 @@ class ArmShaker:
         """Return the largest amplitudes (Q,) [m]."""
         return self.limit(grasp, direction, frequencies)
 
+    def axis(self, grasp: Grasp) -> None:
+        """Return None: an arm shakes along any line."""
+
 
 @dataclass(frozen=True, slots=True)
 class VibratingGripper:
@@ -72,7 +79,7 @@ class VibratingGripper:
     Attributes:
         stroke: largest amplitude, half of peak to peak [m].
         acceleration: what its motor gives [m/s2].
-        lowest, highest: [Hz].
+        lowest, highest: [Hz]; faster tones are more than a camera of 90 frames a second can follow.
         least_amplitude: [m]; a shaker moved tomato stems by 0.1 mm (Shimizu), and the motor's stroke is set, not
             steered.
     """
@@ -80,7 +87,7 @@ class VibratingGripper:
     stroke: float = 1.5e-3
     acceleration: float = 50.0
     lowest: float = 10.0
-    highest: float = 50.0
+    highest: float = 40.0
     least_amplitude: float = 0.02e-3
 
     def __post_init__(self) -> None:
@@ -99,3 +106,7 @@ class VibratingGripper:
         f = np.asarray(frequencies, dtype=float)
         inside = (f >= self.lowest * (1 - 1e-9)) & (f <= self.highest * (1 + 1e-9))
         return np.where(inside, np.minimum(self.stroke, self.acceleration / (2 * np.pi * f) ** 2), 0.0)
+
+    def axis(self, grasp: Grasp) -> Array:
+        """Return the flange's y: the pads close along it, so that they push the stem and need no friction."""
+        return grasp.T_world_flange[:3, 1]

@@ -5,7 +5,7 @@ F flowers, G grips, D directions, Q frequencies, M scenarios, W waveforms.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,7 +55,13 @@ class Search(NamedTuple):
     believed: dict[str, Array]  # the same of the plant as believed: what its values are without the margin
 
 
-def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressing: Pressing = PRESSING) -> Grips:
+def grips_of(
+    plant: PlantModel,
+    grasps: Sequence[Grasp],
+    params: Params,
+    pressing: Pressing = PRESSING,
+    axis: Callable[[Grasp], Array | None] = lambda _: None,
+) -> Grips:
     """Return the grasps' places on the stem, and others for the map, with the directions across the stem."""
     held = grip_rows(plant, np.array([g.point for g in grasps]))
     usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
@@ -64,7 +70,10 @@ def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressin
     nodes, arc = pad_nodes(plant, rows, params.pads.width), plant.arc_length[rows]
     nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
     near = np.concatenate([np.arange(len(held)), nearest])
+    axes = [axis(grasp) for grasp in grasps]
     directions = _directions(plant, plant.stem_nodes[rows], params.directions)
+    if all(line is not None for line in axes):
+        directions = np.array(axes, dtype=float)[near, None]
     diameter = 2 * np.asarray(plant.rods.edge_radius)[plant.stem_nodes[rows], None]
     return Grips(nodes, arc, near, directions, pressing.most(diameter))
 

@@ -1,0 +1,163 @@
+r"""What a shake does for the person with the plant: five ways to shake the same unseen plants, judged by MuJoCo.
+
+    python tools/record.py experiments/shaking.py --jobs 2 --page docs/shaking.md
+
+Every plant's truth is drawn wide (`anther.sim.truth.WIDE`): pads, damping, limits that no stage knows. Each way begins
+anew from the same views of the same plant:
+
+paper      the paper's shake, 12 mm at 1.9 Hz for 5 s, at its grasp (longest edge of the stem), whatever the limits
+plan       Anther's plan alone: what the model allows
+escalated  the plan raised by what the side camera sees
+motor      the same with a motor in the gripper
+
+Every trial ends in one JSON in --out and is not run again. Keys of --json: those of `shaking_table.metrics`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import shaking_table
+from grasping_page import insert
+from grasping_trial import Memory, performed, truth_of
+from rich.console import Console
+from rich.progress import track
+from vibration_plant import matched
+
+from anther.arm.planner import Planner
+from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
+from anther.errors import StageFailure
+from anther.execution import execute
+from anther.files import read_json, write_json
+from anther.grasp.paper import paper_grasp
+from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
+from anther.plant import PEPPER, TOMATO, Material
+from anther.runs import Advance
+from anther.vibration import ArmShaker, ShakePlan, plan_shake
+
+SPECIES: tuple[Species, ...] = ("tomato", "pepper")
+FIRST, DEVELOPMENT = 9500, 7700
+"""Plants from the first seed on are in no other table; on those from the second on constants may be set."""
+PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
+"""Of the paper's largest and fastest shakes (docs/paper.md)."""
+LEAST_SHAKE = 1e-6  # m: the paper's grasp is not refused because the plant bears no useful shake there
+WAYS = ("paper", "plan", "escalated", "motor")
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One plant, one way to shake it, under one truth: "wide" or "nominal"."""
+
+    species: Species
+    seed: int
+    way: str
+    truth: str = "wide"
+
+    def file(self, out: Path) -> Path:
+        """Where its row is kept."""
+        return out / self.truth / self.way / f"{self.species}-{self.seed}.json"
+
+
+class Brief(Memory):
+    """A run in memory that measures no response after the shake: nothing is learned from it here."""
+
+    def stage(self, name: str, load: Any, compute: Callable[[Advance], Any], save: Any = None) -> Any:
+        """Compute a stage, but the response."""
+        return None if name == "response" else super().stage(name, load, compute, save)
+
+
+def one(case: Case, out: Path) -> dict[str, Any]:
+    """Return the row of a case, from --out when it was run before; a crash is reported, not kept."""
+    file = case.file(out)
+    if not file.exists():
+        try:
+            row = shaken(case, file)
+        except Exception as error:  # one trial's bug must not end a run of hours
+            crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
+            return {**asdict(case), **crash}
+        write_json(file, row)
+    return read_json(file)
+
+
+def shaken(case: Case, file: Path) -> dict[str, Any]:
+    """Run one trial and return what became of it."""
+    cell = build(
+        case.species,
+        case.seed,
+        90.0 * (case.seed % 4),
+        PRESETS["fast"],
+        truth=truth_of(case.truth, case.seed),
+        actuator="gripper" if case.way == "motor" else "arm",
+    )
+    run, material = Brief(file.parent), PEPPER if case.species == "pepper" else TOMATO
+    params = replace(Params(), escalate=case.way != "plan", actuator="gripper" if case.way == "motor" else "arm")
+    ways: dict[str, Callable[[], Done]] = {"paper": lambda: by_the_paper(cell, run, material)}
+    row, done = performed(cell, ways.get(case.way, lambda: pollinate(cell.robot_side, material, run, params)))
+    row = {**asdict(case), **row}
+    if done is not None:
+        row["steps"] = [asdict(step) for step in done.trial.steps]
+        row["shaking_s"] = float(np.ptp(done.trial.shake_times)) if len(done.trial.shake_times) else 0.0
+        row["flowers"] = seen_and_true(cell, run, done, case)
+    return row
+
+
+def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
+    """Take the plant by the paper's rule (P12-P14) and shake it as the paper's most vigorous runs, seen as by Anther."""
+    params, side = Params(), cell.robot_side
+    seen: Seen = perceive(run.stage("capture", None, side.take_views), side.workspace, run, params)
+    planner = cast(Planner, side.plan_around(seen.cloud))
+    grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
+    rods = model_plant(seen, material, params)
+    limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
+    plan = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.vibration, least_amplitude=LEAST_SHAKE))
+    shake: ShakePlan = replace(plan, press=float(side.limits.pressing.most(grasp.stem_diameter)), **PAPER_SHAKE)
+    robot = replace(side.robot, side_camera=None, T_world_side_camera=None)
+    return Done(shake, execute(planner, shake, robot, side.limits, params.execution), None, rods.material)
+
+
+def seen_and_true(cell: SimulatedCell, run: Memory, done: Done, case: Case) -> dict[str, Any]:
+    """Return what the last step measured of each flower that is there, and what that flower truly felt [m/s2]."""
+    flowers = run.results["flowers"].positions if "flowers" in run.results else np.zeros((0, 3))
+    i, j = matched(flowers, cell.plant.flower_position)
+    measured = np.array(done.trial.steps[-1].flowers)[i] if done.trial.steps else np.full(len(i), np.nan)
+    return {"there": len(cell.plant.flower_position), "seen": len(flowers), "of": j, "measured": measured}
+
+
+def main() -> None:
+    """Run what is missing and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="two plants")
+    parser.add_argument("--plants", type=int, default=40, help="half tomatoes, half peppers")
+    parser.add_argument("--ways", nargs="*", choices=WAYS, default=WAYS)
+    parser.add_argument("--truth", choices=("wide", "nominal"), default="wide")
+    parser.add_argument("--development", action="store_true", help="the plants on which constants may be set")
+    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
+    parser.add_argument("--before", type=Path, help="rows of an earlier Anther on the same plants, for the table")
+    parser.add_argument("--jobs", type=int, default=max((os.cpu_count() or 1) // 2, 1), help="trials at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/shaking"), help="where what is done is kept")
+    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
+    args = parser.parse_args()
+    first = (DEVELOPMENT if args.development else FIRST) + args.seed
+    plants = [(SPECIES[k % 2], first + k // 2) for k in range(2 if args.quick else args.plants)]
+    cases = [Case(species, seed, way, args.truth) for species, seed in plants for way in args.ways]
+    with ProcessPoolExecutor(args.jobs, max_tasks_per_child=20) as pool:
+        done = pool.map(one, cases, [args.out] * len(cases))
+        rows = list(track(done, "shakes", total=len(cases), console=Console()))
+    text = shaking_table.report(rows)
+    print(text)
+    if args.page:
+        insert(args.page, text)
+    if args.json:
+        write_json(args.json, shaking_table.metrics(rows))
+
+
+if __name__ == "__main__":
+    main()
