@@ -14,6 +14,7 @@ import pytest
 
 from anther.commands.trial import Args, _params
 from anther.commands.trial_summary import _watched
+from anther.errors import InputError
 from anther.execution import Step, Trial
 from anther.files import write_json
 from anther.pictures.steps import draw_steps
@@ -113,6 +114,13 @@ def test_the_flags_change_what_is_watched_and_kept() -> None:
     assert not paper.vibration.keeps_limits
     assert bold.escalate
     assert bold.vibration.plant.pedicel_strain > Params().vibration.plant.pedicel_strain
+
+
+@pytest.mark.parametrize("words", [{"watch": False}, {"shake": "paper"}])
+def test_a_motor_is_always_watched(words: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="A motor is always watched"):
+        _params(Args(actuator="gripper", **words))
+    assert _params(Args(actuator="gripper")).escalate
 
 
 def test_the_report_draws_each_step_and_what_was_decided(tmp_path: Path) -> None:
