@@ -156,7 +156,7 @@ def search(
                 continue
             for name, bound in per_metre.items():
                 worst = pieces.of(np.swapaxes(bound.values, 0, 1)).max(axis=0)  # (M or 1, G, D)
-                bounds[name][0][w, q], believed[name][w, q] = _margined(worst, bound.error, params.risk), worst[0]
+                bounds[name][0][w, q], believed[name][w, q] = margined(worst, bound.error, params.risk), worst[0]
             kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
             room = [limit / np.maximum(value[w, q], 1e-12) for value, limit in kept]
             amplitude[w, q] = np.min(room, axis=0)
@@ -165,7 +165,7 @@ def search(
     return Search(frequencies, duration, amplitude, score, bounds, believed)
 
 
-def _margined(values: Array, error: tuple[float, float] | None, risk: float) -> Array:
+def margined(values: Array, error: tuple[float, float] | None, risk: float) -> Array:
     """Return (G, D) what a lognormal load of which scenarios have values (M, G, D) passes with probability `risk`."""
     if error is None:
         return values.mean(axis=0)
