@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from anther.devices import ArmRecord, Frame, JointTrajectory, Watch
+from anther.devices import ArmRecord, Frame, JointTrajectory, More, Watch
 from anther.geometry import Array, Intrinsics
 from anther.sim.cell import Cell, mujoco
 from anther.sim.robot import SimArm
@@ -30,6 +30,10 @@ class ClockCamera:
         """Begin."""
         self.begun = (self.cell.time, rate)
 
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the blank frames since then."""
+        return [frame for frame in self.stop() if frame.time >= since]
+
     def stop(self) -> list[Frame]:
         """Return blank frames at the rate asked for."""
         start, rate = self.begun
@@ -44,7 +48,7 @@ class Kept(SimArm):
         mode = "r+" if path.exists() else "w+"
         self.state = np.memmap(path, np.float64, mode, shape=(len(_state(cell)),))
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, and keep the state before anyone else may end the process."""
 
         def keep(sample: Any) -> None:
@@ -52,7 +56,7 @@ class Kept(SimArm):
             if watch:
                 watch(sample)
 
-        return super().follow(trajectory, keep)
+        return super().follow(trajectory, keep, more)
 
 
 def _state(cell: Cell) -> Array:
