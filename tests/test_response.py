@@ -76,6 +76,28 @@ def test_amplitude_and_frequency_are_measured(amplitude: float, frequency: float
     assert response.acceleration_peak == pytest.approx(response.amplitude * (2 * np.pi * response.frequency) ** 2)
 
 
+@pytest.mark.parametrize(("frequency", "rate"), [(27.0, 60.0), (27.0, 90.0), (30.0, 90.0)])
+def test_a_fast_swing_seen_through_an_open_shutter_is_made_up_for(frequency: float, rate: float) -> None:
+    """Fewer than four frames a period, and 11 ms of each of them blurred: the frequency is known, the exposure too."""
+    rng, exposure, gain = np.random.default_rng(0), 0.011, np.array([1.0, 0.5, 1.5])[:, None]
+    frames = []
+    for i in range(60):
+        open_ = i / rate + exposure * (np.arange(8) - 3.5) / 8
+        places = [REST + gain * 0.0015 * np.sin(2 * np.pi * frequency * t + 0.4) * DIRECTION for t in open_]
+        seen = [draw(place, i / rate, rng, (245, 215, 40)) for place in places]
+        rgb = np.mean([frame.rgb for frame in seen], axis=0)
+        depth = np.mean([frame.depth for frame in seen], axis=0).astype(np.float32)
+        frames.append(Frame(i / rate, rgb.astype(np.uint8), depth))
+    found, plain = (measure_response(frames, CAMERA, T_WORLD_CAM, flowers(), frequency, exposure=e) for e in (0.011, 0))
+    truth = 0.0015 * gain[:, 0]
+    assert found.visible.all()
+    assert found.amplitude == pytest.approx(truth, rel=0.15)
+    assert found.acceleration_peak == pytest.approx(found.amplitude * (2 * np.pi * found.frequency) ** 2)
+    assert np.median(plain.amplitude / truth) < 0.9
+    with pytest.raises(InputError, match="exposure"):
+        measure_response(frames, CAMERA, T_WORLD_CAM, flowers(), frequency, exposure=0.02)
+
+
 def test_white_petals_are_followed_too() -> None:
     frames = record(0.003, 5.0, colour=(245, 245, 240))
     response = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(), 5.0)

@@ -13,9 +13,11 @@ import numpy as np
 
 from anther.files import write_text
 from anther.pictures import report as figures
+from anther.pictures.steps import draw_steps
 from anther.plant import LEARNED, Material
 from anther.response import Response
-from anther.results import RunResults
+from anther.results import RunResults, watched_words
+from anther.vibration import like_breeze
 
 STYLE = """
 :root { --ink:#1d2a22; --soft:#5d6b62; --line:#dfe6e1; --leaf:#2f7d4f; --bad:#b3402e;
@@ -63,6 +65,7 @@ def write_report(path: Path, results: RunResults) -> None:
         _section("The plant in 3-D", _plant(results)),
         _section("The grasp", _grasp(results)),
         _section("The shake", _shake(results)),
+        _section("The shake, step by step", _steps(results)),
         _section("How the flowers moved", _motion(results)),
         _section("What was learned", _learned(results)),
         _section("What to know", _notes(results)),
@@ -93,8 +96,8 @@ def _image(draw: Callable[[], Any], alt: str) -> str:
 
 
 def _table(header: list[str], rows: list[list[str]], text_columns: int = 1) -> str:
-    """Rows of text; the first `text_columns` and a last column "Why" are aligned left, the others right."""
-    align = ["" if i < text_columns or name == "Why" else " class=n" for i, name in enumerate(header)]
+    """Rows of text; the first `text_columns` and a last column "Why" or "Then" are aligned left, the others right."""
+    align = ["" if i < text_columns or name in ("Why", "Then") else " class=n" for i, name in enumerate(header)]
     head = "".join(f"<th{a}>{escape(h)}</th>" for a, h in zip(align, header, strict=True))
     body = "".join(
         "<tr>" + "".join(f"<td{a}>{escape(c)}</td>" for a, c in zip(align, row, strict=True)) + "</tr>" for row in rows
@@ -177,19 +180,49 @@ def _shake(results: RunResults) -> str:
     if shake is None:
         return ""
     limits = [
-        [name, f"{value:.3g}", f"{limit:.3g}", f"{100 * share:.0f} %"] for name, value, limit, share in shake.limits
+        [name, f"{value:.3g}", f"{limit:.3g}", like_breeze(name, limit, results.crop), f"{100 * share:.0f} %"]
+        for name, value, limit, share in shake.limits
     ]
     picture = _image(lambda: figures.response_map(shake), "flower response over grip height and frequency")
     return f"<p>{escape(shake.reason)}</p>{picture}<h2 style='margin-top:16px'>How close each limit is</h2>" + _table(
-        ["Limit", "Planned", "Allowed", "Used"], limits
+        ["Limit", "Planned", "Allowed", "Allowed is as in a breeze of", "Used"], limits
     )
 
 
-def _motion(results: RunResults) -> str:
-    if results.shake is None or results.response is None:
+def _steps(results: RunResults) -> str:
+    """Return how a watched shake was raised, or why the plan alone was carried out."""
+    summary = results.summary or {}
+    if "shake_steps" not in summary:
         return ""
-    picture = _image(lambda: figures.motion(results.shake, results.response), "predicted and measured flower motion")
-    shake, response = results.shake, results.response
+    text = f"<p>Watched: {escape(watched_words(summary))}</p>"
+    if results.trial is None or not results.trial.steps:
+        return text
+    steps, start = results.trial.steps, float(results.trial.shake_times[0])
+    target = results.params.get("params", {}).get("escalation", {}).get("target")
+    picture = _image(lambda: draw_steps(steps, start, target), "commanded, measured and allowed, step by step")
+    rows = [
+        [
+            f"{step.begin - start:.1f} to {step.end - start:.1f} s",
+            ", ".join(
+                f"{1e3 * a:.2f} mm at {f:.3g} Hz" for a, f in zip(step.amplitudes, step.frequencies, strict=True)
+            ),
+            _number(step.median),
+            f"{np.isfinite(step.flowers).sum()} of {len(step.flowers)}",
+            f"{step.used:.0%} {step.binds}",
+            f"{step.seconds:.2f} s",
+            step.decided,
+        ]
+        for step in steps
+    ]
+    header = ["When", "Commanded", "Flowers (median)", "Measured", "Closest limit", "Deciding took", "Then"]
+    return text + picture + _table(header, rows, text_columns=2)
+
+
+def _motion(results: RunResults) -> str:
+    shake, response = results.shaken, results.response
+    if shake is None or response is None:
+        return ""
+    picture = _image(lambda: figures.motion(shake, response), "predicted and measured flower motion")
     rows = [
         [
             f"Flower {i + 1}",

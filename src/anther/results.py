@@ -11,6 +11,7 @@ import numpy as np
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.errors import bad_input
+from anther.execution import Trial
 from anther.files import existing, read_json
 from anther.flowers import Flowers
 from anther.grasp import Grasp, load_grasps
@@ -21,7 +22,10 @@ from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt
 from anther.store.records import TrialRecord
-from anther.vibration import ShakePlan
+from anther.vibration import Crop, ShakePlan
+
+EXECUTED = "09_executed_shake.json"
+"""The shake as it was carried out."""
 
 
 class Answer(NamedTuple):
@@ -49,6 +53,9 @@ class RunResults:
         params: what the run was asked for (00_params.json).
         summary: the verdict (trial.json), or None for an offline reconstruction.
         seconds: stage -> time it took [s].
+        shake: as it was planned.
+        executed: as it was carried out; other than planned where it was watched.
+        trial: the execution's record.
         visit: what the history keeps of the trial (visit.json).
     """
 
@@ -64,6 +71,8 @@ class RunResults:
     flowers: Flowers | None = None
     grasps: tuple[Grasp, ...] = ()
     shake: ShakePlan | None = None
+    executed: ShakePlan | None = None
+    trial: Trial | None = None
     response: Response | None = None
     visit: TrialRecord | None = None
 
@@ -78,6 +87,17 @@ class RunResults:
     def subtitle(self) -> str:
         """When and with what."""
         return f"{self.params.get('started', '')} · Anther {self.params.get('anther', '')} · {self.folder.name}"
+
+    @property
+    def shaken(self) -> ShakePlan | None:
+        """The shake as it was carried out, or as planned."""
+        return self.executed or self.shake
+
+    @property
+    def crop(self) -> Crop | None:
+        """What was shaken, if it is known."""
+        name = self.params.get("plant")
+        return name if name in ("tomato", "pepper") else None
 
     @property
     def headline(self) -> str:
@@ -110,8 +130,8 @@ class RunResults:
             facts.append(("organ grasped", str(summary["organ_grasped"]).replace("_", " ")))
         if summary.get("grasp_arc_length_m") is not None:
             facts.append(("grasp height along the stem", f"{100 * summary['grasp_arc_length_m']:.0f} cm"))
-        if self.shake is not None:
-            facts.append(("shake", f"{1000 * self.shake.amplitude:.2g} mm at {self.shake.frequency:.1f} Hz"))
+        if self.shaken is not None:
+            facts.append(("shake", f"{1000 * self.shaken.amplitude:.2g} mm at {self.shaken.frequency:.1f} Hz"))
         for key, name in (("predicted", "predicted flower amplitude"), ("measured", "measured flower amplitude")):
             value = summary.get(f"{key}_flower_amplitude_median_m")
             if value is not None:
@@ -154,6 +174,18 @@ def _moved(s: dict[str, Any]) -> tuple[str, str]:
     return said, f"simulated: median {felt:.1f} m/s², least {least:.1f}; {shares}; {freed}"
 
 
+def watched_words(s: dict[str, Any]) -> str:
+    """Return in a line how the shake was raised, or why the plan alone was carried out."""
+    if s["plan_alone_because"] is not None:
+        return f"no, the plan alone was carried out: {s['plan_alone_because']}"
+    felt = s["step_flower_acceleration_median_ms2"]
+    seen = "no flower was measured" if felt is None else f"flowers measured {felt:.1f} m/s² (median)"
+    return (
+        f"{s['shake_steps']} steps in {s['shaking_seconds']:.1f} s; at the end {seen}, {s['step_share_of_limit']:.0%} "
+        f"of the closest limit ({s['step_closest_limit']}). {s['shake_ended_by']}"
+    )
+
+
 def read_run(folder: Path | str) -> RunResults:
     """Read every result in a run folder.
 
@@ -167,22 +199,23 @@ def read_run(folder: Path | str) -> RunResults:
         )
     kinds: dict[str, Any] = {
         "capture": Capture, "masks": Masks, "cloud": Cloud, "skeleton": Skeleton, "stem": Stem, "flowers": Flowers,
-        "shake plan": ShakePlan, "response": Response,
+        "shake plan": ShakePlan, "response": Response, "execution": Trial,
     }  # fmt: skip
     found = {
-        stage.split()[0]: kind.load(folder / FILES[stage])
+        {"execution": "trial"}.get(stage, stage.split()[0]): kind.load(folder / FILES[stage])
         for stage, kind in kinds.items()
         if (folder / FILES[stage]).exists()
     }
     grasps = folder / FILES["grasp"]
     timing = folder / "timing.json"
-    summary, visit = folder / "trial.json", folder / "visit.json"
+    summary, visit, executed = folder / "trial.json", folder / "visit.json", folder / EXECUTED
     return RunResults(
         folder=folder,
         params=read_json(folder / "00_params.json"),
         summary=read_json(summary) if summary.exists() else None,
         seconds=read_json(timing) if timing.exists() else {},
         grasps=tuple(load_grasps(grasps)) if grasps.exists() else (),
+        executed=ShakePlan.load(executed) if executed.exists() else None,
         visit=TrialRecord.of(read_json(visit)) if visit.exists() else None,
         **found,
     )

@@ -15,9 +15,10 @@ from rich.table import Table
 from anther.arm.planner import shake_limit
 from anther.checks import check_range
 from anther.cloud import Cloud
+from anther.commands.run_folder import PARAMS
 from anther.commands.skeletonize import best_grasps
 from anther.errors import bad_input
-from anther.files import replacing
+from anther.files import read_json, replacing
 from anther.flowers import Flowers, supposed_flowers
 from anther.formats.skeletons import read_skeleton
 from anther.geometry import Array
@@ -29,15 +30,18 @@ from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem, find_stem
 from anther.vibration import (
-    PRESETS,
     WAVEFORMS,
     Actuator,
     ArmShaker,
+    Crop,
     Params,
+    Preset,
     ShakePlan,
     VibratingGripper,
+    like_breeze,
     plan_shake,
     sawyer_limit,
+    with_preset,
 )
 
 PEDICEL = 0.015
@@ -55,8 +59,9 @@ class Args:
     ends of the branches."""
     radius: float | None = None
     """Of a skeleton file without radii: of every node [m]."""
-    crop: Literal["tomato", "pepper"] = "tomato"
-    """Whose prior the material is, where neither the run nor --material tells it."""
+    crop: Crop = "tomato"
+    """Whose prior the material is, where neither the run nor --material tells it, and whose breeze the limits are
+    likened to."""
     material: Path | None = None
     """What `anther identify` measured (material.json)."""
     objective: Literal["fruit_set", "amplitude"] | None = None
@@ -65,8 +70,9 @@ class Args:
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-50 Hz)."""
     waveforms: Literal["sine", "all"] = "sine"
     """Only sines, or also sweeps and bursts. Response and learning can follow a sine only."""
-    shake: Literal["gentle", "default", "bold"] | None = None
-    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says."""
+    shake: Preset | None = None
+    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says. 'paper' is
+    the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept and slip is not prevented."""
     lowest: float | None = None
     """Lowest frequency [Hz]; by default the actuator's."""
     highest: float | None = None
@@ -96,9 +102,9 @@ def run(args: Args) -> None:
         with replacing(args.out / "shake_plan.png") as temporary:
             draw_plan(plan).savefig(temporary, dpi=110)
     if args.json:
-        print(json.dumps(summary(plan), indent=2))
+        print(json.dumps(summary(plan, _crop(args)), indent=2))
     else:
-        _print(args, plan)
+        _print(args, plan, _crop(args))
 
 
 def arm_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
@@ -114,8 +120,14 @@ ACTUATORS: dict[str, Actuator] = {"arm": ArmShaker(arm_limit), "gripper": Vibrat
 def _params(args: Args) -> Params:
     given = {"objective": args.objective, "lowest": args.lowest, "highest": args.highest}
     given |= {"frequencies": args.frequencies, "waveforms": WAVEFORMS if args.waveforms == "all" else None}
-    given |= {"plant": None if args.shake is None else PRESETS[args.shake]}
-    return replace(args.params, **{name: value for name, value in given.items() if value is not None})
+    params = args.params if args.shake is None else with_preset(args.shake, args.params)
+    return replace(params, **{name: value for name, value in given.items() if value is not None})
+
+
+def _crop(args: Args) -> Crop:
+    """Return whose breeze the limits are likened to: the run's plant, or what --crop says."""
+    params = args.source / PARAMS
+    return read_json(params).get("plant", args.crop) if params.is_file() else args.crop
 
 
 def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
@@ -171,7 +183,7 @@ def _grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud | None) -> list[Grasp]:
     return best_grasps(stem, skeleton, cloud or Cloud(skeleton.nodes))[0]
 
 
-def summary(plan: ShakePlan) -> dict[str, Any]:
+def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
     """Return the plan as numbers with names [SI units]."""
     grasp, other = plan.grasp, plan.runner_up
     flowers = zip(plan.predicted_amplitude, plan.predicted_amplitude_interval, plan.predicted_acceleration, strict=True)
@@ -186,20 +198,29 @@ def summary(plan: ShakePlan) -> dict[str, Any]:
         "waveform": str(plan.waveform),
         "score": plan.score,
         "flowers": [{"amplitude": a, "interval": i.tolist(), "acceleration": s} for a, i, s in flowers],
-        "limits": [dict(zip(("name", "value", "limit", "share"), row, strict=True)) for row in plan.limits],
+        "limits": [
+            {
+                "name": name,
+                "value": value,
+                "limit": limit,
+                "as_in_a_breeze_of": like_breeze(name, limit, crop),
+                "share": s,
+            }
+            for name, value, limit, s in plan.limits
+        ],
         "runner_up": None if other is None else {n: getattr(other, n) for n in ("frequency", "amplitude", "score")},
         "reason": plan.reason,
         "notes": list(plan.notes),
     }
 
 
-def _print(args: Args, plan: ShakePlan) -> None:
+def _print(args: Args, plan: ShakePlan, crop: Crop) -> None:
     console = Console(width=100)
     console.print(plan.reason, highlight=False, markup=False)
-    limits = Table("limit", "planned", "allowed", "used", title="How close each limit is")
+    limits = Table("limit", "planned", "allowed", "as in a breeze of", "used", title="How close each limit is")
     for name, value, limit, share in plan.limits:
-        style = "bold" if share > 0.9 else None
-        limits.add_row(name.replace("[", "\\["), f"{value:.3g}", f"{limit:.3g}", f"{share:.0%}", style=style)
+        style, wind = "bold" if share > 0.9 else None, like_breeze(name, limit, crop)
+        limits.add_row(name.replace("[", "\\["), f"{value:.3g}", f"{limit:.3g}", wind, f"{share:.0%}", style=style)
     console.print(limits)
     flowers = Table("flower", "mm", "9 of 10 scenarios", "m/s2", title="What each flower should do")
     rows = zip(plan.predicted_amplitude, plan.predicted_amplitude_interval, plan.predicted_acceleration, strict=True)

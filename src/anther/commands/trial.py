@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from anther.commands.mask_source import MaskSource
 from anther.pipeline import Params
+from anther.vibration import Preset, with_preset
 
 if TYPE_CHECKING:
     from anther.commands.simulated_cell import SimulatedCell
@@ -51,10 +52,13 @@ class Args:
     It is for judging: no stage is told."""
     material: Literal["learned", "facts"] = "learned"
     """Begin with what the history teaches of this plant or its crop, or as if nothing had ever been measured."""
-    shake: Literal["gentle", "default", "bold"] | None = None
-    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says."""
+    shake: Preset | None = None
+    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says. 'paper' is
+    the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept, slip is not prevented, nothing is raised."""
+    watch: bool = True
+    """Raise the shake in steps by what the side camera sees, or carry out the plan alone."""
     actuator: Literal["arm", "gripper"] | None = None
-    """What shakes the plant: the arm, or a motor in the gripper (docs/gripper_motor.md); by default what --params says."""
+    """What shakes the plant: the arm, or a motor in the gripper (docs/gripper_motor.md), which is always watched."""
     params: Params = field(default_factory=Params)
     """Parameters of the stages."""
 
@@ -74,9 +78,9 @@ def run(args: Args) -> int:
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
     from anther.pipeline import pollinate
+    from anther.results import EXECUTED
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
     from anther.store import shown
-    from anther.vibration import PRESETS
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
@@ -92,11 +96,7 @@ def run(args: Args) -> int:
             allowed="a stage up to 'execution'",
             do="The simulated world and its video are not kept: restart from execution.",
         )
-    if args.shake is not None:
-        bolder = replace(args.params.vibration, plant=PRESETS[args.shake])
-        args = replace(args, params=replace(args.params, vibration=bolder))
-    if args.actuator is not None:
-        args = replace(args, params=replace(args.params, actuator=args.actuator))
+    args = replace(args, params=_params(args))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     belief, began = _belief(args), datetime.now(UTC)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
@@ -105,10 +105,11 @@ def run(args: Args) -> int:
         try:
             cell = run.timed("cell", lambda _: _build(args))
             done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks)
+            done.shake.save(run.folder / EXECUTED)
             verdict = run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
-        summary = summarise(cell, done, verdict, failure)
+        summary = summarise(cell, done, verdict, failure, args.params)
         summary |= {"seconds": dict(run.seconds), "parameters": parameters(args)}
         summary |= {"material_source": belief.source, "material_reason": belief.reason}
         write_json(run.folder / "trial.json", summary)
@@ -122,6 +123,13 @@ def run(args: Args) -> int:
     if failure is not None or lost is not None:
         return 2
     return 0 if summary["success"] else 1
+
+
+def _params(args: Args) -> Params:
+    """Return the stages' parameters: those asked for, with what the shake's preset and --no-watch change."""
+    vibration = args.params.vibration if args.shake is None else with_preset(args.shake, args.params.vibration)
+    watch = args.watch and args.params.escalate and vibration.keeps_limits
+    return replace(args.params, vibration=vibration, escalate=watch, actuator=args.actuator or args.params.actuator)
 
 
 def _build(args: Args) -> SimulatedCell:

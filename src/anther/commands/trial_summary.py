@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,27 +10,34 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.devices import GripperState
+from anther.execution import Step
 from anther.geometry import Array
+from anther.results import watched_words
 from anther.safety import stem_stress
 
 if TYPE_CHECKING:
     from anther.commands.simulated_cell import SimulatedCell
     from anther.errors import StageFailure
-    from anther.pipeline import Done
+    from anther.pipeline import Done, Params
     from anther.results import RunResults
     from anther.sim.judge import Verdict
 
 
 def summarise(
-    cell: SimulatedCell | None, done: Done | None, verdict: Verdict | None, failure: StageFailure | None
+    cell: SimulatedCell | None,
+    done: Done | None,
+    verdict: Verdict | None,
+    failure: StageFailure | None,
+    params: Params,
 ) -> dict[str, Any]:
-    """Return trial.json: flat, units in the names, null for what was not reached or cannot be measured.
+    """Return trial.json: flat but for the steps, units in the names, null for what was not reached or measured.
 
     The verdict has three parts, all by the simulator's truth: held, unharmed, flowers_moved; success is all three.
     """
     return {
         **_verdict(done, verdict, failure),
         **_planned(done),
+        **_watched(cell, done, params),
         **_measured(done),
         **_held(cell, done),
         **_true(verdict),
@@ -90,6 +98,61 @@ def _planned(done: Done | None) -> dict[str, Any]:
         "learned_damping_ratio": done.material.damping_ratio,
         "learned_pad_stiffness_n_m": None if done.pads is None else done.pads.stiffness,
         "learned_pad_turning_nm_rad": None if done.pads is None else done.pads.turning,
+    }
+
+
+NOTHING_SEEN = "Nothing is in sight"
+"""How a watched shake begins to say that the plan alone is carried out."""
+
+
+def _watched(cell: SimulatedCell | None, done: Done | None, params: Params) -> dict[str, Any]:
+    """How the shake was raised, step by step, and what ended it; or why the plan alone was carried out."""
+    if cell is None or done is None or not len(done.trial.shake_times):
+        return {}
+    times, steps = done.trial.shake_times, done.trial.steps
+    told: dict[str, Any] = {
+        "shaking_seconds": float(times[-1] - times[0]),
+        "shake_steps": len(steps),
+        "plan_alone_because": _alone(cell, steps, params),
+        "steps": [_step(step, float(times[0])) for step in steps],
+    }
+    if not steps:
+        return told
+    return told | {
+        "step_flower_acceleration_median_ms2": steps[-1].median,
+        "step_share_of_limit": steps[-1].used,
+        "step_closest_limit": steps[-1].binds,
+        "shake_ended_by": " ".join(step.decided for step in steps[-2:]),
+    }
+
+
+def _alone(cell: SimulatedCell, steps: Sequence[Step], params: Params) -> str | None:
+    """Return why the plan alone was carried out; None if the shake was raised."""
+    if not params.vibration.keeps_limits:
+        return "the paper's shake is done as it is"
+    if not params.escalate:
+        return "it was not to be watched, as asked"
+    if cell.robot_side.robot.side_camera is None:
+        return "there is no side camera"
+    if not steps:
+        return "no flower was found that could be watched"
+    return "nothing was in the side camera's sight" if steps[0].decided.startswith(NOTHING_SEEN) else None
+
+
+def _step(step: Step, start: float) -> dict[str, Any]:
+    """Return a step with units in its names; times since the shake's begin."""
+    felt = [a for a in step.flowers if np.isfinite(a)]
+    return {
+        "begin_s": step.begin - start,
+        "end_s": step.end - start,
+        "frequencies_hz": step.frequencies,
+        "amplitudes_m": step.amplitudes,
+        "flower_acceleration_ms2": step.flowers,
+        "flower_acceleration_median_ms2": step.median,
+        "flower_acceleration_most_ms2": max(felt, default=None),
+        "share_of_limits": step.loads,
+        "decided": step.decided,
+        "deciding_seconds": step.seconds,
     }
 
 
@@ -177,10 +240,12 @@ def _rows(results: RunResults) -> list[tuple[str, str]]:
         amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
         rows.append(
             (
-                "planned shake",
+                "shake",
                 f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {s['shake_duration_s']:.1f} s",
             )
         )
+        if s.get("shake_steps") is not None:
+            rows.append(("watched", watched_words(s)))
         rows.append(("flowers, predicted", _motion(s, "predicted")))
         rows.append(("flowers, measured", _motion(s, "measured")))
         true = s.get("true_flower_amplitude_median_m")

@@ -81,6 +81,9 @@ WORDS = {
 """The kinds of load, for people."""
 PROBED = 0.7
 """Of the probe: the rms of its loads over that of the plan's shake; its peaks are about 1.3 times those."""
+OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
+LASTING = (OUT_OF_SIGHT, NO_TIME)
+"""What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
 BETTER = 1.3
 """Another tone is turned to when it promises so many times the flowers' motion."""
 ENOUGH = 1.05
@@ -134,6 +137,7 @@ class Escalation:
         self._limits, self._factors = limits_of(limits, plan.press), factors(limits.risk)
         self._may: dict[int, Allowed] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
+        self._doubted = False
 
     steps: tuple[Step, ...]
     """What was done so far."""
@@ -176,7 +180,7 @@ class Escalation:
         self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
         tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
         self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)
-        ramp = max(RAMP, 1 / float(self._foresight.tones[tone]))
+        ramp = self._ramp(tone)
         new = np.where(np.arange(len(self._foresight.tones)) == tone, amplitude, 0.0)
         self._piece = self._piece.then(new, ramp + (seconds + LEAD if amplitude else 0.0), ramp)
         return self._piece
@@ -244,13 +248,14 @@ class Escalation:
             return tone, 0.0, 0.0, f"Only {look.followed} of {self._in_sight} points are still followed: ended."
         best = max(self._may, key=lambda k: (min(self._may[k].flowers, self.params.target), self._may[k].flowers))
         here = tone if len(look.tones) == 1 else None
-        if best != here and (here is None or self._may[best].flowers > BETTER * self._may[here].flowers):
+        better = here is None or self._may[best].flowers > BETTER * self._may[here].flowers
+        if best != here and better and self._fits(best):
             return self._turned_to(best, look)
         return self._raised(tone, now, seen)
 
     def _turned_to(self, tone: int, look: Look) -> tuple[int, float, float, str]:
         most, done = self._may[tone], dict(zip(look.tones.tolist(), look.amplitudes.tolist(), strict=True))
-        self._most_seen = 0
+        self._most_seen, self._doubted = 0, False
         begin = max(float(self.plan.tones.amplitudes[tone]), self.params.raised * done.get(tone, 0.0))
         words = (
             f"At {self._foresight.tones[tone]:.3g} Hz flowers may reach {most.flowers:.3g} m/s2 with "
@@ -261,15 +266,26 @@ class Escalation:
     def _raised(self, tone: int, now: float, seen: int) -> tuple[int, float, float, str]:
         may, self._most_seen = self._may[tone], max(self._most_seen, seen)
         higher, why = min(may.amplitude, self.params.raised * now), may.binds
-        left = self.params.most_seconds - self._piece.begin - self._piece.seconds - self.params.hold - 2 * RAMP
         if seen < LOST * self._most_seen:
-            higher, why = min(now, higher), "flowers were lost from sight"
-        elif left < self._watch(tone) + LEAD + max(RAMP, 1 / float(self._foresight.tones[tone])):
-            higher, why = min(now, higher), "time"
+            higher, why = min(now, higher), OUT_OF_SIGHT
+        elif not self._fits(tone):
+            higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
+            self._doubted = False
             return tone, higher, self._watch(tone), f"Raised to {1e3 * higher:.2g} mm."
+        if not self._doubted and why not in LASTING:
+            self._doubted = True
+            return tone, higher, self._watch(tone), f"Watched again at {1e3 * higher:.2g} mm: {why}."
         self._last = True
         return tone, min(now, higher), self.params.hold, f"Held at {1e3 * min(now, higher):.2g} mm: {why}."
+
+    def _fits(self, tone: int) -> bool:
+        """Return whether there is time for one more step, the hold after it, and coming to rest."""
+        ramp, ends = self._ramp(tone), self._piece.begin + self._piece.seconds
+        return ends + 3 * ramp + self._watch(tone) + self.params.hold + 2 * LEAD <= self.params.most_seconds
+
+    def _ramp(self, tone: int) -> float:
+        return max(RAMP, 1 / float(self._foresight.tones[tone]))
 
     def _watch(self, tone: int) -> float:
         return max(self.params.look, PERIODS / float(self._foresight.tones[tone]))

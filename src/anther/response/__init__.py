@@ -26,6 +26,8 @@ __all__ = ["Params", "Response", "StemMotion", "StemNear", "measure_response", "
 
 SCHEMA = 4
 DEFAULTS = Params()
+BLURRED = 0.5
+"""A shutter open for a larger share of the period shows less than 0.64 of the swing: too little to make up for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +103,7 @@ def measure_response(
     flowers: Flowers,
     frequency_hint: float,
     *,
+    exposure: float = 0.0,
     stem: StemNear | None = None,
     params: Params = DEFAULTS,
 ) -> Response:
@@ -118,14 +121,18 @@ def measure_response(
         T_world_cam: (4, 4) its pose.
         flowers: at rest, as perception found them.
         frequency_hint: the shake's frequency [Hz].
+        exposure: of each frame, if it is known [s]. What swings while the shutter is open shows sinc(f exposure) of its
+            amplitude (0.84 at 27 Hz and 12 ms), which is made up for.
         stem: where to look for the main stem beside the pads; None: nowhere.
         params: of finding and following.
 
     Raises:
-        InputError: fewer than 8 frames, or frames of another size.
+        InputError: fewer than 8 frames, frames of another size, or an exposure of more than `BLURRED` of a period.
     """
     _check(frames, intrinsics)
     check_range("frequency_hint", frequency_hint, 1e-3, 1e3, "Hz")
+    check_range("exposure", exposure, 0, BLURRED / frequency_hint, "s")
+    sharp = float(np.sinc(frequency_hint * exposure))
     T = check_transform("T_world_cam", T_world_cam)
     times = np.array([f.time for f in frames])
     rest = transform_points(inverse(T), flowers.positions)
@@ -138,7 +145,8 @@ def measure_response(
         if isinstance(measured, str):
             remarks.append((measured, who))
             continue
-        motions[one.flower] = measured._replace(direction=T[:3, :3] @ measured.direction)
+        larger = {name: getattr(measured, name) / sharp for name in _SIZES}
+        motions[one.flower] = measured._replace(direction=T[:3, :3] @ measured.direction, **larger)
         if np.isfinite(measured.at_most):
             remarks.append((f"{_FAINT} (about {1000 * measured.at_most:.1f} mm)", who))
         elif not one.deep:
@@ -178,6 +186,7 @@ class _Motion(NamedTuple):
     at_most: float
 
 
+_SIZES = ("amplitude", "amplitude_std", "acceleration_peak", "at_most")
 _NUMBERS = tuple(name for name in _Motion._fields if name != "direction")
 _UNSEEN = _Motion(np.full(3, np.nan), *[float("nan")] * len(_NUMBERS))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
@@ -10,7 +12,7 @@ from anther.errors import bad_input
 from anther.geometry import Array
 from anther.sim import arm_model
 from anther.sim.cell import Cell
-from anther.sim.feeling import CYCLE, contact_force
+from anther.sim.feeling import CYCLE, contact_vector
 from anther.swing import Swing
 
 PARTS = 4
@@ -25,6 +27,8 @@ BEHIND = 0.5e-3
 class SimMotor:
     """The voice coil in the gripper. `swing` advances the cell; arm and gripper keep their commands meanwhile.
 
+    The force of its readings is the mean of ten, over 0.1 s: what the motor does to and fro is no pressing on anything.
+
     Args:
         cell: built with a motor (`sim.carriage.Params`).
     """
@@ -33,6 +37,7 @@ class SimMotor:
         if cell.params.arm.motor is None:
             raise bad_input("motor", given="a cell without", allowed="arm params with a motor", do="Build it with one.")
         self.cell, self._machine = cell, cell.params.arm.motor
+        self._felt: deque[Array] = deque(maxlen=10)
 
     def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
         """Move the pads as `anther.devices.Motor` says; return when they have settled for 0.1 s.
@@ -118,5 +123,7 @@ class SimMotor:
         if watch:
             if behind > BEHIND:
                 raise DeviceError(f"the motor does not follow: {1e3 * behind:.2g} mm behind. Is the stem too stiff?")
-            watch(ArmSample(cell.time, q[-1], measured[-1], contact_force(cell)))
+            self._felt.append(contact_vector(cell))
+            force = float(np.linalg.norm(np.mean(self._felt, axis=0)))
+            watch(ArmSample(cell.time, q[-1], measured[-1], force))
         return measured

@@ -16,6 +16,7 @@ from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
 from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
+from anther.vibration.breeze import Crop, like_breeze
 from anther.vibration.choice import (
     Grips,
     Place,
@@ -31,7 +32,7 @@ from anther.vibration.choice import (
 )
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.pads import PADS, Pads
-from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params
+from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params, Preset, with_preset
 from anther.vibration.plant_limits import PRESETS, PlantLimits
 from anther.vibration.search import Gains, gains, scenarios
 from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan
@@ -39,8 +40,9 @@ from anther.vibration.verification import Shake, Shaken, verified
 from anther.vibration.waveforms import SINE, Waveform, mix
 
 __all__ = [
-    "PADS", "PRESETS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Pads", "Params", "PlantLimits", "ResponseMap",
-    "RunnerUp", "ShakePlan", "Tones", "VibratingGripper", "Waveform", "plan_shake", "sawyer_limit",
+    "PADS", "PRESETS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Crop", "Pads", "Params", "PlantLimits", "Preset",
+    "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper", "Waveform", "like_breeze", "plan_shake", "sawyer_limit",
+    "with_preset",
 ]  # fmt: skip
 
 
@@ -243,7 +245,7 @@ def _reason(done: _Checked, other: RunnerUp | None, arc_length: float, score: fl
         f" {1e3 * np.median(done.amplitude):.2g} mm (median)"
         f" with {np.median(done.acceleration):.3g} m/s2. Of all grasps, directions, frequencies and waveforms compared"
         f" this gives {goal}, averaged over {params.draws} further drawings of the plant's stiffness and damping."
-        f" {closest(done.limits[:-1])}"
+        f" {closest(done.limits[:-1], kept=params.keeps_limits)}"
     )
     if other is None:
         return text

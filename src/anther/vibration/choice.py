@@ -17,6 +17,7 @@ from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
 from anther.vibration.actuators import Actuator
+from anther.vibration.breeze import FLOWERS
 from anther.vibration.dose import freed_share, set_probability
 from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.params import LOAD_ERROR, Params
@@ -105,6 +106,8 @@ def plant_limits(params: Params) -> dict[str, float]:
 
 def checked_limits(found: Search, at: Place, params: Params) -> dict[str, float]:
     """Return what `PEAKS` may reach for the plant as believed, so that the margin of the search is kept."""
+    if not params.keeps_limits:
+        return dict.fromkeys(PEAKS, np.inf)
     believed = {name: float(found.believed[name][at]) for name in PEAKS}
     return {
         name: limit * believed[name] / float(found.bounds[name][0][at]) if believed[name] > 0 else limit
@@ -122,7 +125,7 @@ def search(
     least: float,
     params: Params,
 ) -> Search:
-    """Return every shake at the largest amplitude that all limits allow, and its worth.
+    """Return every shake at the largest amplitude that all limits allow, and its worth; see `Params.keeps_limits`.
 
     The plant's loads are lognormal, where and as wide as scenarios and `LOAD_ERROR` say. A limit must hold but for a
     share `Params.risk` of that.
@@ -136,7 +139,7 @@ def search(
         "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
         "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, params.most_speed),
         PRESS: Bound(response.grip_force / (2 * params.pad_friction), grips.press, LOAD_ERROR["grip_force"]),
-        "flower acceleration [m/s2]": Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
+        FLOWERS: Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
     }
     for (name, limit), kind in zip(plant_limits(params).items(), LOAD_ERROR, strict=False):
         per_metre[name] = Bound(getattr(response, kind), limit, LOAD_ERROR[kind])
@@ -154,7 +157,8 @@ def search(
             for name, bound in per_metre.items():
                 worst = pieces.of(np.swapaxes(bound.values, 0, 1)).max(axis=0)  # (M or 1, G, D)
                 bounds[name][0][w, q], believed[name][w, q] = _margined(worst, bound.error, params.risk), worst[0]
-            room = [limit / np.maximum(value[w, q], 1e-12) for value, limit in bounds.values()]
+            kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
+            room = [limit / np.maximum(value[w, q], 1e-12) for value, limit in kept]
             amplitude[w, q] = np.min(room, axis=0)
             worth = _worth(pieces, response.flower, acceleration, amplitude[w, q], params)
             score[w, q] = np.where(amplitude[w, q] < least, -1.0, worth)
@@ -235,7 +239,10 @@ def press(limits: Sequence[tuple[str, float, float, float]], least: float) -> fl
     return min(max(needed, least), most)
 
 
-def closest(rows: Sequence[tuple[str, float, float, float]]) -> str:
-    """Say which limit is the closest."""
-    name, value, limit, _ = max(rows, key=lambda row: row[3])
+def closest(rows: Sequence[tuple[str, float, float, float]], *, kept: bool = True) -> str:
+    """Say which limit is the closest, or, of limits that are not kept, which is passed the furthest."""
+    name, value, limit, share = max(rows, key=lambda row: row[3])
+    if not kept:
+        how = f"passed most is {name}" if share > 1 else f"nevertheless none is passed; the closest is {name}"
+        return f"No limit of the plant is kept and slip is not prevented; {how}: {value:.3g} of {limit:.3g}."
     return f"The limit that binds is {name}: {value:.3g} of {limit:.3g}."

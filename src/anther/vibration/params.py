@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from anther.checks import check_range
 from anther.errors import bad_input
 from anther.vibration.pads import PADS, Pads
-from anther.vibration.plant_limits import DEFAULT, PlantLimits
+from anther.vibration.plant_limits import DEFAULT, PRESETS, PlantLimits
 from anther.vibration.waveforms import SINE, Waveform
 
 FLOWER_SPREAD = 0.65
@@ -60,6 +60,8 @@ class Params:
         most_amplitude: of the grip [m].
         most_speed: of the grip [m/s].
         plant: what the plant may be loaded with, see `PRESETS`.
+        keeps_limits: whether `plant` is kept and slip prevented; if not, only the machine bounds a shake, and the table
+            of limits tells how far they are passed.
         least_press: with which the pads press at least, if the stem bears it [N]. On 24 sides of peppers 10-15 and
             30-35 gentle pads that met a petiole beside the stem held that instead: one at 2 N, none from 4 N on.
         pads: what is believed of how far they give.
@@ -88,6 +90,7 @@ class Params:
     most_amplitude: float = 0.03
     most_speed: float = 0.3
     plant: PlantLimits = DEFAULT
+    keeps_limits: bool = True
     least_press: float = 8.0
     pad_friction: float = 0.5
     pads: Pads = PADS
@@ -123,6 +126,17 @@ class Params:
             check_range(name, getattr(self, name), 1e-9, 1e6)
         check_range("most_duration", self.most_duration, 0.1, 60, "s")
         check_range("duration", self.duration, 0.1, self.most_duration, "s")
+
+
+Preset = Literal["gentle", "default", "bold", "paper"]
+PAPER = {"lowest": 1.9, "highest": 1.9, "most_amplitude": 0.012, "keeps_limits": False}
+"""The strongest of the paper's own shakes: 12 mm at 1.9 Hz, the end of its 4-12 mm and 0.7-1.9 Hz. It keeps no limit of
+the plant."""
+
+
+def with_preset(name: Preset, params: Params = Params()) -> Params:
+    """Return the parameters of a preset: those of `PRESETS` say what the plant may bear, "paper" keeps no limit."""
+    return replace(params, **PAPER) if name == "paper" else replace(params, plant=PRESETS[name])
 
 
 WAVEFORMS = (SINE, Waveform("sweep", ratio=1.25), Waveform("sweep", ratio=1.6), Waveform("burst", cycles=8))
