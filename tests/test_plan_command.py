@@ -105,6 +105,27 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, capsys: pytest.Captu
     assert "a run folder with 04_skeleton.npz" in capsys.readouterr().err
 
 
+def test_the_papers_shake_keeps_no_limit_and_says_so(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(Args(file, shake="paper", json=True, params=FAST))
+    plan = json.loads(capsys.readouterr().out)
+    assert (plan["frequency"], plan["amplitude"]) == pytest.approx((1.9, 0.012))
+    assert "No limit of the plant is kept" in plan["reason"]
+    assert cli.main(["plan", str(file), *WORDS, "--shake", "paper", "--actuator", "gripper"]) == 2
+    assert "band of the vibrating gripper" in capsys.readouterr().err
+
+
+def test_limits_are_likened_to_the_breeze_of_the_runs_crop(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for plant in ("tomato", "pepper"):
+        (folder / "00_params.json").write_text(json.dumps({"plant": plant}))
+        run(Args(folder, frequencies=4, json=True, params=FAST))
+        limits = json.loads(capsys.readouterr().out)["limits"]
+        said.append({row["name"]: row["as_in_a_breeze_of"] for row in limits}["pedicel bending strain [-]"])
+    assert said == ["3.5 m/s", "4.5 m/s"]
+    run(Args(folder, frequencies=4, params=FAST))
+    assert "4.5 m/s" in capsys.readouterr().out
+
+
 def test_a_bolder_shake_is_worth_more(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     worth, params = [], replace(FAST, least_amplitude=1e-6)
     for boldness in ("gentle", "default", "bold"):

@@ -36,6 +36,7 @@ from anther.vibration import (
     VibratingGripper,
     Waveform,
     plan_shake,
+    with_preset,
 )
 from anther.vibration.choice import PRESS, plant_limits
 from anther.vibration.dose import freed_share
@@ -306,6 +307,19 @@ def test_a_smaller_risk_and_tighter_limits_make_a_gentler_shake(plant: PlantMode
     by_preset = [used(replace(QUICK, plant=PRESETS[name])) for name in ("gentle", "default", "bold")]
     assert np.all(np.diff(by_risk) > 0)
     assert np.all(np.diff(by_preset) > 0)
+
+
+def test_the_papers_shake_is_twelve_millimetres_whatever_the_limits(plant: PlantModel, grasps: list[Grasp]) -> None:
+    tight = replace(QUICK, plant=PlantLimits(stem_strain=1e-5, pedicel_strain=1e-5, leaf_load=1e-3), pad_friction=1e-3)
+    plan = plan_shake(plant, grasps, params=with_preset("paper", tight))
+    assert (plan.amplitude, plan.frequency, plan.press) == pytest.approx((0.012, 1.9, PRESSING.holding))
+    assert "No limit of the plant is kept and slip is not prevented" in plan.reason
+    shares = {name: share for name, _, _, share in plan.limits}
+    for name in (PRESS, *list(plant_limits(tight))[:2]):
+        assert shares[name] > 1, "what is passed is told"
+    weak = ArmShaker(lambda g, d, f: np.full(len(f), 5e-3))
+    held_back = plan_shake(plant, grasps, weak, with_preset("paper", QUICK))
+    assert held_back.amplitude == pytest.approx(QUICK.arm_share * 5e-3), "the machine's own limits stay"
 
 
 def test_few_plants_that_are_not_what_is_believed_pass_a_limit(plant: PlantModel, grasps: list[Grasp]) -> None:

@@ -214,7 +214,7 @@ def _steps(results: RunResults) -> str:
         ]
         for step in steps
     ]
-    header = ["When", "Commanded", "Flowers (median)", "Measured", "Closest limit", "Deciding took", "Then"]
+    header = ["When", "Commanded", "Flowers (median)", "Flowers measured", "Closest limit", "Deciding took", "Then"]
     return text + picture + _table(header, rows, text_columns=2)
 
 

@@ -73,22 +73,27 @@ class Layout:
     T_world_side_camera: Array
 
 
-def layout(distance: float) -> Layout:
-    """Return the layout for a pot that stands `distance` [m] in front of the arm."""
+def layout(distance: float, *, beyond: bool = False) -> Layout:
+    """Return the layout for a pot that stands `distance` [m] in front of the arm.
+
+    The side camera looks across the arm's approach, or with `beyond` against it: a motor in the gripper shakes across.
+    """
     axis = np.array([distance, 0.0, 0.0])
 
     def box(lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Box:
         return Box(axis + lower, axis + upper)
 
     bench = box((-0.30, -0.55, -0.60), (0.50, 0.55, -0.48))
-    side_camera = box((-0.06, -0.60, 0.13), (0.10, -0.50, 0.21))
+    side_camera, eye = box((-0.06, -0.60, 0.13), (0.10, -0.50, 0.21)), np.array([0.02, -0.52, 0.17])
+    if beyond:
+        side_camera, eye = box((0.50, -0.10, 0.13), (0.60, 0.06, 0.21)), np.array([0.52, -0.02, 0.17])
     return Layout(
         workspace=box((-0.40, -0.40, -0.48), (0.40, 0.40, 0.52)),
         region=box((-0.25, -0.25, -0.30), (0.25, 0.25, 0.45)),
         solids=(bench, side_camera),
         pot=box((-0.06, -0.06, -0.48), (0.06, 0.06, -0.32)),
         arm_space=Box(np.array([-0.6, -1.1, -0.47]), np.array([1.2, 1.1, 1.4])),
-        T_world_side_camera=look_at(axis + np.array([0.02, -0.52, 0.17]), axis + np.array([0.0, 0.0, 0.15])),
+        T_world_side_camera=look_at(axis + eye, axis + np.array([0.0, 0.0, 0.15])),
     )
 
 
@@ -180,7 +185,7 @@ def build(
     Raises:
         StageFailure: "unreachable" when the arm reaches fewer than three views of the plant, or no way to `WAITING`.
     """
-    place = layout(distance)
+    place = layout(distance, beyond=actuator == "gripper")
     planned, last = views_at(distance, views), to_waiting(distance, views)
     plant = grow(species, seed, viewpoint, distance, truth)
     noise = np.random.default_rng([seed, int(viewpoint), 2])

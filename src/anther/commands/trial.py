@@ -127,9 +127,15 @@ def run(args: Args) -> int:
 
 def _params(args: Args) -> Params:
     """Return the stages' parameters: those asked for, with what the shake's preset and --no-watch change."""
+    from anther.errors import bad_input
+
     vibration = args.params.vibration if args.shake is None else with_preset(args.shake, args.params.vibration)
-    watch = args.watch and args.params.escalate and vibration.keeps_limits
-    return replace(args.params, vibration=vibration, escalate=watch, actuator=args.actuator or args.params.actuator)
+    watch, actuator = args.watch and args.params.escalate, args.actuator or args.params.actuator
+    if actuator == "gripper" and not (watch and vibration.keeps_limits):
+        raise bad_input(
+            "actuator", given="gripper with --no-watch or --shake paper", allowed="arm", do="A motor is always watched."
+        )
+    return replace(args.params, vibration=vibration, escalate=watch and vibration.keeps_limits, actuator=actuator)
 
 
 def _build(args: Args) -> SimulatedCell:

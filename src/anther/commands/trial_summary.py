@@ -128,15 +128,15 @@ def _watched(cell: SimulatedCell | None, done: Done | None, params: Params) -> d
 
 def _alone(cell: SimulatedCell, steps: Sequence[Step], params: Params) -> str | None:
     """Return why the plan alone was carried out; None if the shake was raised."""
+    if steps:
+        return "nothing was in the side camera's sight" if steps[0].decided.startswith(NOTHING_SEEN) else None
     if not params.vibration.keeps_limits:
         return "the paper's shake is done as it is"
     if not params.escalate:
         return "it was not to be watched, as asked"
     if cell.robot_side.robot.side_camera is None:
         return "there is no side camera"
-    if not steps:
-        return "no flower was found that could be watched"
-    return "nothing was in the side camera's sight" if steps[0].decided.startswith(NOTHING_SEEN) else None
+    return "no flower was found that could be watched"
 
 
 def _step(step: Step, start: float) -> dict[str, Any]:
@@ -238,10 +238,11 @@ def _rows(results: RunResults) -> list[tuple[str, str]]:
         rows.append(("grasped", f"{held}, {height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"))
         along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
         amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
+        seconds = s.get("shaking_seconds", s["shake_duration_s"])
         rows.append(
             (
                 "shake",
-                f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {s['shake_duration_s']:.1f} s",
+                f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {seconds:.1f} s in all",
             )
         )
         if s.get("shake_steps") is not None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anther.checks import check_range
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee
-from anther.escalation.known import Known, Look, factors, gripper_motion, known, lateness, limits_of
+from anther.escalation.known import Known, Look, gripper_motion, known, lateness, limits_of
 from anther.execution import Step
 from anther.geometry import Array, Intrinsics
 from anther.plant import PlantModel
@@ -134,7 +134,7 @@ class Escalation:
     ) -> None:
         self.plan, self.params, self.steps = plan, params, ()
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
-        self._limits, self._factors = limits_of(limits, plan.press), factors(limits.risk)
+        self._limits, self._risk = limits_of(limits, plan.press), limits.risk
         self._may: dict[int, Allowed] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
         self._doubted = False
@@ -176,7 +176,7 @@ class Escalation:
         if not self.steps:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look, self._T) if look.followed else 0.0
-        told = [known(self._foresight, look, i, self._T, self._late, self._factors) for i in range(len(look.tones))]
+        told = [known(self._foresight, look, i, self._T, self._late, self._risk) for i in range(len(look.tones))]
         self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
         tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
         self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)

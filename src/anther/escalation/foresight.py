@@ -51,12 +51,12 @@ class Foresight(NamedTuple):
         """Return (M, K, R) the largest length of each vector of a kind in a period."""
         return semi_major(self.vectors[:, :, self.where[kind]])
 
-    def load(self, kind: str, vectors: ComplexArray) -> float:
-        """Return the largest load of a kind, of vectors (S, 3) of one tone."""
-        sizes = semi_major(vectors[self.where[kind]])
+    def load(self, kind: str, vectors: ComplexArray) -> Array:
+        """Return (M,) the largest load of a kind, of vectors (M, S, 3) of one tone."""
+        sizes = semi_major(vectors[:, self.where[kind]])
         if kind == "grip_force":
-            return float(friction_force(*sizes, radius=self.radius, width=self.pad_width))
-        return float(sizes.max(initial=0.0))
+            return friction_force(*sizes.T, radius=self.radius, width=self.pad_width)
+        return sizes.max(axis=1, initial=0.0)
 
 
 def foresee(
@@ -114,7 +114,7 @@ class Narrowed(NamedTuple):
     """What is believed of one tone after a camera saw it.
 
     Attributes:
-        vectors: (S, 3) what one metre of the gripper's motion does.
+        vectors: (M, S, 3) what one metre of the gripper's motion does, of the members as corrected.
         misfit: -2 ln likelihood of what was seen, up to a constant.
     """
 
@@ -129,7 +129,8 @@ def narrowed(
 
     The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
     hidden flowers follow as the members have them follow, so that at a tone and grip that were measured no resonance
-    has to be known.
+    has to be known. What is seen is drawn anew for each member with its errors, so that they stay as different as what
+    is not known has them.
 
     Args:
         foresight: of the members.
@@ -140,16 +141,18 @@ def narrowed(
         T: (3, 3) rotation from the camera to the world.
     """
     members = foresight.vectors[:, tone]
-    mean = members.mean(axis=0)
+    mean, count = members.mean(axis=0), len(members)
     if not len(rows):
-        return Narrowed(mean, 0.0)
-    off = (members - mean).reshape(len(members), -1) / np.sqrt(len(members) - 1)
-    shown = (members[:, rows] @ T[:, :2]).reshape(len(members), -1)
+        return Narrowed(members, 0.0)
+    off = (members - mean).reshape(count, -1) / np.sqrt(count - 1)
+    shown = (members[:, rows] @ T[:, :2]).reshape(count, -1)
     size = np.maximum(np.linalg.norm(motion, axis=1), np.linalg.norm(mean[rows] @ T[:, :2], axis=1))
     noise = np.sqrt(np.repeat(std**2 + (MISFIT * size) ** 2, 2))
-    spread = (shown - shown.mean(axis=0)) / np.sqrt(len(members) - 1) / noise
+    spread = (shown - shown.mean(axis=0)) / np.sqrt(count - 1) / noise
+    drawn = np.random.default_rng(0).normal(size=(2, *shown.shape))
+    misses = (motion.reshape(-1) - shown) / noise + drawn[0] + 1j * drawn[1]
     miss = (motion.reshape(-1) - shown.mean(axis=0)) / noise
-    gram = np.eye(len(members)) + spread.conj() @ spread.T
-    weights = np.linalg.solve(gram, spread.conj() @ miss)
-    misfit = float(np.vdot(miss, miss - weights @ spread).real) + float(np.linalg.slogdet(gram)[1])
-    return Narrowed(mean + (weights @ off).reshape(mean.shape), misfit)
+    gram = np.eye(count) + spread.conj() @ spread.T
+    weights = np.linalg.solve(gram, spread.conj() @ misses.T).T
+    misfit = float(np.vdot(miss, miss - np.linalg.solve(gram, spread.conj() @ miss) @ spread).real)
+    return Narrowed(members + (weights @ off).reshape(members.shape), misfit + float(np.linalg.slogdet(gram)[1]))

@@ -14,7 +14,7 @@ from anther.pictures.report import GREEN, INK, MAGENTA, ORANGE
 
 
 def draw_steps(steps: Sequence[Step], start: float, target: float | None = None) -> Figure:
-    """Return a figure of three panels over time: amplitude of each tone, flowers, share of the closest limit.
+    """Return a figure of three panels over time: amplitude of each tone, flowers, share of each limit that was closest.
 
     Args:
         steps: of one shake, one or more.
@@ -30,15 +30,9 @@ def draw_steps(steps: Sequence[Step], start: float, target: float | None = None)
     if target is not None:
         flowers.axhline(target, color=GREEN, ls="--", lw=1.2, label="target")
     flowers.set(ylabel="flowers\n[m/s²]", ylim=(0, None))
-    shares = [100 * step.used for step in steps]
-    limits.bar(middle, shares, [step.end - step.begin for step in steps], color=GREEN, alpha=0.55)
-    for x, share, step in zip(middle, shares, steps, strict=True):
-        limits.text(x, share + 3, step.binds.removeprefix("the "), ha="center", fontsize=7, rotation=20)
-    limits.axhline(100, color=INK, lw=1)
-    limits.set(ylabel="of the closest\nlimit [%]", xlabel="time since the shake began [s]")
-    limits.set_ylim(0, 1.35 * max(100, *shares))
-    limits.set_xlim(0, None)
-    for axes in (tones, flowers):
+    _draw_limits(limits, steps, start)
+    limits.set(xlabel="time since the shake began [s]", xlim=(0, None))
+    for axes in (tones, flowers, limits):
         axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
     return figure
 
@@ -47,16 +41,26 @@ def _draw_tones(axes: Any, steps: Sequence[Step], start: float) -> None:
     """Draw each tone's amplitude: thick where the pads were steady, thin where it changed."""
     frequencies = sorted({f for step in steps for f in step.frequencies})
     colours = mpl.colormaps["viridis"](np.linspace(0, 0.85, len(frequencies)))
+    times = [0.0, *(t - start for step in steps for t in (step.begin, step.end))]
     for frequency, colour in zip(frequencies, colours, strict=True):
-        times, sizes = [0.0], [0.0]
-        for step in steps:
-            size = 1e3 * dict(zip(step.frequencies, step.amplitudes, strict=True)).get(frequency, 0.0)
-            span = [step.begin - start, step.end - start]
-            times, sizes = [*times, *span], [*sizes, size, size]
-            if size:
-                axes.plot(span, [size, size], color=colour, lw=4, solid_capstyle="butt")
-        axes.plot(times, sizes, color=colour, lw=1, label=f"{frequency:.3g} Hz")
+        each = [1e3 * dict(zip(step.frequencies, step.amplitudes, strict=True)).get(frequency, 0.0) for step in steps]
+        sizes = np.array([0.0, *np.repeat(each, 2)])
+        moves = np.convolve(sizes > 0, np.ones(3), "same") > 0  # no line along the axis while it rests
+        axes.plot(times, np.where(moves, sizes, np.nan), color=colour, lw=1, label=f"{frequency:.3g} Hz")
+        for k in np.flatnonzero(each):
+            axes.plot(times[2 * k + 1 : 2 * k + 3], [each[k]] * 2, color=colour, lw=4, solid_capstyle="butt")
     axes.set(ylabel="commanded\n[mm]", ylim=(0, None))
+
+
+def _draw_limits(axes: Any, steps: Sequence[Step], start: float) -> None:
+    """Draw for each step how much of the closest limit was used; the colour says which it is."""
+    names = list(dict.fromkeys(step.binds for step in steps))
+    for name, colour in zip(names, mpl.colormaps["Set2"].colors * len(names), strict=False):  # type: ignore[attr-defined]
+        near = [step for step in steps if step.binds == name]
+        begins, spans = [step.begin - start for step in near], [step.end - step.begin for step in near]
+        axes.bar(begins, [100 * step.used for step in near], spans, align="edge", color=colour, label=name or "none")
+    axes.axhline(100, color=INK, lw=1)
+    axes.set(ylabel="of the closest\nlimit [%]", ylim=(0, None))
 
 
 def _most(step: Step) -> float:

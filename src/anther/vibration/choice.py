@@ -156,7 +156,7 @@ def search(
                 continue
             for name, bound in per_metre.items():
                 worst = pieces.of(np.swapaxes(bound.values, 0, 1)).max(axis=0)  # (M or 1, G, D)
-                bounds[name][0][w, q], believed[name][w, q] = _margined(worst, bound.error, params.risk), worst[0]
+                bounds[name][0][w, q], believed[name][w, q] = margined(worst, bound.error, params.risk), worst[0]
             kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
             room = [limit / np.maximum(value[w, q], 1e-12) for value, limit in kept]
             amplitude[w, q] = np.min(room, axis=0)
@@ -165,7 +165,7 @@ def search(
     return Search(frequencies, duration, amplitude, score, bounds, believed)
 
 
-def _margined(values: Array, error: tuple[float, float] | None, risk: float) -> Array:
+def margined(values: Array, error: tuple[float, float] | None, risk: float) -> Array:
     """Return (G, D) what a lognormal load of which scenarios have values (M, G, D) passes with probability `risk`."""
     if error is None:
         return values.mean(axis=0)
@@ -219,7 +219,8 @@ def tones_at(found: Search, response: Gains, at: Place, least: float) -> Tones:
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
         if far and size[k] >= least and len(chosen) < TONES:
             chosen.append(int(k))
-    machine = [(limit / value[0])[:, g, d] for value, limit in list(found.bounds.values())[:OF_THE_MACHINE]]
+    bounds = list(found.bounds.values())[:OF_THE_MACHINE]
+    machine = [(limit / np.maximum(value[0], 1e-12))[:, g, d] for value, limit in bounds]
     return Tones(found.frequencies[chosen], size[chosen], np.min(machine, axis=0)[chosen])
 
 
