@@ -48,7 +48,8 @@ class Fault:
         kind: what goes wrong.
         at: in which command of the device it is for, counted from 0 (recordings and reads for a camera).
         share: how far that motion has come, or how much of a recording is kept, 0 to 1.
-        piece: of motions that go on without a stop, in which; of a recording that is looked at meanwhile, in which look.
+        piece: of motions that go on without a stop, in which; of a recording that is looked at meanwhile, in which
+            look.
         lasting: whether it stays; otherwise the next command works again.
     """
 
