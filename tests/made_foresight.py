@@ -149,7 +149,7 @@ class World:
 
     def loads(self, tone: int) -> dict[str, float]:
         """Return each kind's load in truth, per metre."""
-        return {kind: self.foresight.load(kind, self.truth[tone]) for kind in LOADS}
+        return {kind: float(self.foresight.load(kind, self.truth[tone][None])[0]) for kind in LOADS}
 
     def flowers(self, tone: int) -> Array:
         """Return (F,) accelerations in truth, per metre [1/s2]."""

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from made_foresight import FLOWERS, POINTS, TONES, World, made_foresight, made_plan
+from scipy.stats import norm
 
 from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
-from anther.escalation.known import factors, limits_of
+from anther.escalation.known import SEEN_ERROR, limits_of
 from anther.vibration import Params as Limits
 from anther.vibration import PlantLimits
 
@@ -41,7 +42,8 @@ def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
 
 def most(world: World, tone: int) -> tuple[float, float]:
     """Return how far a tone may be raised, by the truth: amplitude [m] and the flowers' median there [m/s2]."""
-    margin, flowers, loads = factors(world.limits.risk), world.flowers(tone), world.loads(tone)
+    flowers, loads = world.flowers(tone), world.loads(tone)
+    margin = {k: median * np.exp(norm.isf(world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()}
     caps = [limit / (margin[k] * loads[k]) for k, limit in limits_of(world.limits, world.plan.press).items()]
     caps += [world.plan.tones.reach[tone], world.params.target / np.median(flowers), world.params.most / flowers.max()]
     return min(caps), min(caps) * float(np.median(flowers))
@@ -57,6 +59,7 @@ def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken
     gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
     foresight = made_foresight(2, gains=gains)
     world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    world.params = Params(raised=3.0, most_seconds=30)
     # leaves bear the same at every tone, so what the flowers do there decides
     allowed = [most(world, tone) for tone in range(3)]
     expected = int(np.argmax([flowers for _, flowers in allowed]))
