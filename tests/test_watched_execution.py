@@ -174,7 +174,7 @@ def test_a_camera_that_records_nothing_stops_nothing(at: str) -> None:
 @pytest.mark.parametrize("lasting", [False, True])
 def test_a_fault_of_the_arm_in_any_piece_ends_safely(kind: str, failure: str, piece: int, lasting: bool) -> None:
     arm, gripper, watched = FakeArm(), FakeGripper(), Scripted()
-    robot = with_faults(fake_robot(arm, gripper), Fault(kind, 3, 0.5, piece, lasting))  # type: ignore[arg-type]
+    robot = with_faults(fake_robot(arm, gripper), Fault(kind, 3, 0.5, lasting, piece))  # type: ignore[arg-type]
     trial = execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
     assert trial.failure == failure
     assert arm.held >= 1
@@ -193,7 +193,7 @@ def test_a_fault_of_the_arm_in_any_piece_ends_safely(kind: str, failure: str, pi
 @pytest.mark.parametrize("piece", range(3), ids=NAMES)
 def test_frames_lost_in_any_piece_stop_nothing(piece: int) -> None:
     arm, gripper, watched = FakeArm(), FakeGripper(), Scripted()
-    robot = with_faults(fake_robot(arm, gripper), Fault("frames lost", 0, 1.0, piece))
+    robot = with_faults(fake_robot(arm, gripper), Fault("frames lost", 0, 1.0, piece=piece))
     trial = execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
     assert [not frames for frames, _ in watched.looks] == [i == piece for i in range(3)]
     assert (trial.failure, arm.held) == ("device_fault", 0)

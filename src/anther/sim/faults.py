@@ -48,16 +48,16 @@ class Fault:
         kind: what goes wrong.
         at: in which command of the device it is for, counted from 0 (recordings and reads for a camera).
         share: how far that motion has come, or how much of a recording is kept, 0 to 1.
+        lasting: whether it stays; otherwise the next command works again.
         piece: of motions that go on without a stop, in which; of a recording that is looked at meanwhile, in which
             look.
-        lasting: whether it stays; otherwise the next command works again.
     """
 
     kind: Kind
     at: int = 0
     share: float = 0.5
-    piece: int = 0
     lasting: bool = False
+    piece: int = 0
 
     def strikes(self, count: int) -> bool:
         """Return whether command number `count` is struck."""
