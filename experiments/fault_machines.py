@@ -1,17 +1,22 @@
-"""Machines of the fault experiment: a camera without a picture, and an arm whose world outlives its process."""
+"""Machines of the fault experiment: a camera without a picture, an arm whose world outlives its process, and a shake in
+pieces that is raised whatever is seen."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from anther.devices import ArmRecord, Frame, JointTrajectory, Watch
+from anther.devices import ArmRecord, ArmSample, Frame, JointTrajectory, More, Watch
+from anther.execution import Step
 from anther.geometry import Array, Intrinsics
 from anther.sim.cell import Cell, mujoco
 from anther.sim.robot import SimArm
+from anther.swing import Swing
+from anther.vibration import ShakePlan
 
 
 class ClockCamera:
@@ -30,6 +35,10 @@ class ClockCamera:
         """Begin."""
         self.begun = (self.cell.time, rate)
 
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the blank frames since then."""
+        return [frame for frame in self.stop() if frame.time >= since]
+
     def stop(self) -> list[Frame]:
         """Return blank frames at the rate asked for."""
         start, rate = self.begun
@@ -44,7 +53,7 @@ class Kept(SimArm):
         mode = "r+" if path.exists() else "w+"
         self.state = np.memmap(path, np.float64, mode, shape=(len(_state(cell)),))
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, and keep the state before anyone else may end the process."""
 
         def keep(sample: Any) -> None:
@@ -52,7 +61,40 @@ class Kept(SimArm):
             if watch:
                 watch(sample)
 
-        return super().follow(trajectory, keep)
+        return super().follow(trajectory, keep, more)
+
+
+class Pieces:
+    """A shake in pieces that are the same whatever is seen; it satisfies `execution.Watched`.
+
+    All tones of the plan are probed, its own is shaken half as far as planned, then as planned, then comes to rest.
+    """
+
+    def __init__(self, plan: ShakePlan) -> None:
+        own = np.arange(len(plan.tones.frequencies)) == 0
+        probe = plan.amplitude / len(own)
+        self.reach, self.highest = 1.01 * plan.amplitude, float(plan.tones.frequencies.max())
+        self.steps: tuple[Step, ...] = ()
+        self._tones, self._ramp = plan.tones.frequencies, 1 / float(plan.tones.frequencies.min())
+        self._sizes = [probe + 0.0 * own, 0.5 * plan.amplitude * own, plan.amplitude * own, 0.0 * own]
+
+    def begin(self, _: Frame) -> Swing:
+        """Return the probe."""
+        self._piece = Swing.first(self._tones, self._sizes[0], 1.0 + self._ramp, self._ramp)
+        return self._piece
+
+    def since(self) -> float:
+        """Return when the piece under way is steady [s]."""
+        return self._piece.begin + self._piece.ramp
+
+    def go_on(self, _: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        """Return the next piece."""
+        when = samples[0].time + self.since(), samples[-1].time
+        tones, sizes = tuple(self._tones.tolist()), tuple(self._piece.amplitudes.tolist())
+        self.steps = (*self.steps, Step(*when, tones, sizes, (), {}, "Goes on.", 0.0))
+        new = self._sizes[len(self.steps)]
+        self._piece = self._piece.then(new, self._ramp + (1.0 if new.any() else 0.0), self._ramp)
+        return self._piece
 
 
 def _state(cell: Cell) -> Array:

@@ -3,7 +3,8 @@
     python tools/record.py experiments/faults.py --seed 1 --jobs 2
 
 The plan is made once (tomato 10, from views to shake plan, in OUT/base) and read back for every fault. A fault then
-hits the early reach or the execution in a MuJoCo cell, or, one in twenty, the camera while the views are taken; one in
+hits the early reach or the execution in a MuJoCo cell, where the shake is one of three pieces that are streamed to the
+arm as a watched one is (`fault_machines.Pieces`), or, one in twenty, the camera while the views are taken; one in
 fifty kills the process with SIGKILL. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the
 time, the others the whole plant.
 
@@ -27,7 +28,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from fault_machines import ClockCamera, Kept, left_behind
+from fault_machines import ClockCamera, Kept, Pieces, left_behind
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -57,6 +58,7 @@ from anther.vibration import ShakePlan
 SPECIES, SEED, DISTANCE = "tomato", 10, 0.72
 FEWEST_VIEWS = 3
 MOTIONS = (0, 1, 2, 3, 4)  # of a trial: early reach, approach, settle, shake, retreat
+SHAKE, PIECES = 3, 3  # the shake is streamed in so many pieces before it comes to rest: probe, step, hold
 EXPECTED = {"pushed": "collision", "ctrl-c": "interrupted", "kill -9": "interrupted"}  # others: device_fault
 
 
@@ -86,14 +88,18 @@ def draw(number: int, seed: int) -> Case:
     rng = np.random.default_rng([seed, number])
     lasting, share = bool(rng.random() < 0.3), float(rng.uniform(0, 0.8))
     if number % 50 == 7:
-        return Case(number, Fault("kill -9", int(rng.choice(MOTIONS)), share))
+        at = int(rng.choice(MOTIONS))
+        return Case(number, Fault("kill -9", at, share, piece=int(rng.integers(PIECES)) if at == SHAKE else 0))
     if number % 20 == 13:
         return Case(number, Fault("frames lost", int(rng.integers(0, 30)), share, lasting), views=True)
     kinds: list[Kind] = [k for k in get_args(Kind) if k != "kill -9"]
     kind = kinds[rng.integers(len(kinds))]
     # an arm that stands still (2) cannot be stale; a gripper is told to open, open, close in steps, release
     at = {"stale joints": (0, 1, 3, 4), "gripper jam": (0, 2, 3), "frames lost": (0,)}.get(kind, MOTIONS)
-    return Case(number, Fault(kind, int(rng.choice(at)), share, lasting), whole_plant=number % 10 == 3)
+    fault = Fault(kind, int(rng.choice(at)), share, lasting)
+    if fault.at == SHAKE or kind == "frames lost":
+        fault = replace(fault, piece=int(rng.integers(PIECES)))
+    return Case(number, fault, whole_plant=number % 10 == 3)
 
 
 def prepare(base: Path) -> None:
@@ -146,7 +152,11 @@ def run_once(base: Path, folder: Path, robot: Robot, *, restart_from: str | None
         early_reach(planner, plan.grasp, robot, limits, Params()) as arrive,
     ):
         shake = run.stage("shake plan", ShakePlan.load, lambda _: plan)
-        return run.stage("execution", Trial.load, lambda _: execute(planner, shake, robot, limits, arrive=arrive))
+        return run.stage(
+            "execution",
+            Trial.load,
+            lambda _: execute(planner, shake, robot, limits, arrive=arrive, watched=Pieces(shake)),
+        )
 
 
 def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str:

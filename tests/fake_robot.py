@@ -12,6 +12,7 @@ from anther.devices import (
     LEAD,
     ArmRecord,
     ArmSample,
+    DeviceError,
     Frame,
     GripperState,
     JointTrajectory,
@@ -101,6 +102,8 @@ class FakeCamera:
         self.rates.append(rate)
 
     def recorded(self, since: float) -> list[Frame]:
+        if not self.rates:
+            raise DeviceError("it records nothing")
         return [self._frame(since + i / self.rates[-1]) for i in range(int(self.rates[-1] / 2))]
 
     def stop(self) -> list[Frame]:

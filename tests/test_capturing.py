@@ -47,6 +47,9 @@ class FreeCamera:
     def start(self, rate: float) -> None:
         raise NotImplementedError
 
+    def recorded(self, since: float) -> list[Frame]:
+        raise NotImplementedError
+
     def stop(self) -> list[Frame]:
         raise NotImplementedError
 

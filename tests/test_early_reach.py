@@ -13,7 +13,7 @@ from fake_robot import LIMITS, FakeArm, FakeGripper, fake_robot, horizontal_gras
 from small_planner import SmallPlanner, solve
 from test_execution import POINT, Plan
 
-from anther.devices import ArmRecord, DeviceError, JointTrajectory, Watch
+from anther.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
 from anther.early_reach import early_reach
 from anther.errors import StageFailure
 from anther.execution import EARLY, PHASES, Params, execute
@@ -138,11 +138,11 @@ class SlowArm(FakeArm):
         super().__init__()
         self.moving = Event()
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         def slowly(sample: Any) -> None:
             self.moving.set()
             Event().wait(0.005)
             if watch:
                 watch(sample)
 
-        return super().follow(trajectory, slowly)
+        return super().follow(trajectory, slowly, more)

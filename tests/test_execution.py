@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from small_planner import SmallPlanner, solve
 
 from anther.arm import sawyer
-from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, Watch
+from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, More, Watch
 from anther.errors import InputError, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
 from anther.execution.closing import ENOUGH
@@ -146,7 +146,9 @@ def test_a_fault_in_any_motion_ends_held_open_and_recorded(when: int, error: Bas
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_a_shake_cut_short_keeps_what_was_seen_of_it(share: float) -> None:
     class Stopping(FakeArm):
-        def follow(self, trajectory: JointTrajectory, watch: Watch | None = None) -> ArmRecord:
+        def follow(
+            self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None
+        ) -> ArmRecord:
             def until(sample: ArmSample) -> None:
                 if self.done == 3 and sample.time - start > share * trajectory.duration:
                     self.done = -100
@@ -155,7 +157,7 @@ def test_a_shake_cut_short_keeps_what_was_seen_of_it(share: float) -> None:
                 watch(sample)
 
             start = self.clock + 0.01
-            return super().follow(trajectory, until)
+            return super().follow(trajectory, until, more)
 
     arm, gripper = Stopping(), FakeGripper()
     trial = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS)
@@ -257,7 +259,7 @@ def test_a_dead_arm_still_gets_a_record() -> None:
     ("changes", "message"),
     [
         ({"amplitude": 0.05, "frequency": 10.0}, "amplitude x 2 pi frequency"),
-        ({"duration": 8.0}, "shake duration"),
+        ({"duration": 12.1}, "shake duration"),
         ({"amplitude": -0.001}, "allowed: a number > 0"),
         ({"frequency": float("nan")}, "allowed: a number > 0"),
     ],

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from fake_robot import horizontal_grasp
 
 from anther.execution import Trial
 from anther.geometry import Array
@@ -22,7 +23,7 @@ PLAN: Any = SimpleNamespace(
     amplitude=2e-3,
     frequency=F,
     waveform=SINE,
-    grasp=SimpleNamespace(T_world_flange=np.eye(4), point=GRIP),
+    grasp=replace(horizontal_grasp(GRIP, np.zeros(7)), T_world_flange=np.eye(4)),
 )
 
 

@@ -13,7 +13,8 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 BASE = {"errors", "checks", "files", "geometry", "__init__"}
 ORDER = [
     "capture", "calibration", "masks", "cloud", "skeleton", "stem", "next_view", "flowers", "grasp", "elastic_rod",
-    "plant", "pressing", "vibration", "swing", "devices", "motion_limits", "safety", "oscillation", "execution",
+    "plant", "pressing", "vibration", "swing", "devices", "motion_limits", "watchdog", "motor_guard", "safety",
+    "oscillation", "execution",
     "early_reach", "flower_tracking", "response", "escalation", "identification", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)

@@ -208,7 +208,7 @@ def test_what_was_checked_is_what_is_commanded() -> None:
     [
         ((0.05, 10.0, 1.0), "amplitude x 2 pi frequency"),
         ((0.002, 20.0, 1.0), r"amplitude x \(2 pi frequency\)\^2"),
-        ((0.005, 5.0, 5.01), "shake duration"),
+        ((0.005, 5.0, LIMITS.shake_duration + 0.01), "shake duration"),
         ((-0.001, 5.0, 1.0), "allowed: a number > 0"),
         ((0.001, float("nan"), 1.0), "allowed: a number > 0"),
         ((0.001, 5.0, float("inf")), "allowed: a number > 0"),
@@ -244,12 +244,12 @@ def readings(change: Callable[[int, ArmSample], ArmSample]) -> FakeArm:
     class Changed(FakeArm):
         count = 0
 
-        def follow(self, trajectory, watch=None):
+        def follow(self, trajectory, watch=None, more=None):
             def changed(sample: ArmSample) -> None:
                 self.count += 1
                 watch(change(self.count, sample))
 
-            return super().follow(trajectory, changed)
+            return super().follow(trajectory, changed, more)
 
     return Changed()
 
@@ -387,12 +387,12 @@ def test_every_command_of_a_trial_comes_through_the_guard() -> None:
         callers.add(frame.filename.rsplit("/", 1)[-1])
 
     class Arm(FakeArm):
-        def follow(self, trajectory, watch=None):
+        def follow(self, trajectory, watch=None, more=None):
             note()
             if self.done == 3:
                 self.done = 10
                 raise DeviceError("stopped")
-            return super().follow(trajectory, watch)
+            return super().follow(trajectory, watch, more)
 
         def hold(self) -> None:
             note()

@@ -67,7 +67,7 @@ class Swing:
     @property
     def reach(self) -> float:
         """No displacement of the piece is larger [m]."""
-        return float(np.maximum(self.amplitudes, self.before).sum())
+        return float(max(self.amplitudes.sum(), self.before.sum()))  # on the ramp all go from one to the other alike
 
     def motion(self, times: ArrayLike) -> tuple[Array, Array]:
         """Return displacement (T,) [m] and its rate (T,) [m/s] at (T,) times since the piece began [s]."""

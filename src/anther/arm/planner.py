@@ -192,7 +192,7 @@ class Planner:
         return self._borne(q, motion, amplitude)
 
     def swing(self, q: ArrayLike, direction: ArrayLike, piece: Swing, reach: float) -> JointTrajectory:
-        """Return a piece of a shake of the flange about joints (7,), see `shaking.swing_trajectory`; raise as `shake`."""
+        """Return a piece of a flange shake about joints (7,), see `shaking.swing_trajectory`; raise as `shake`."""
         q = check_array("joints", q, (7,))
         return self._borne(q, shaking.swing_trajectory(q, direction, piece, reach), piece.reach)
 

@@ -67,7 +67,7 @@ class Args:
     objective: Literal["fruit_set", "amplitude"] | None = None
     """Flowers that should set, or mean flower amplitude as in the paper; by default what --params says."""
     actuator: Literal["arm", "gripper"] = "arm"
-    """The arm shakes the closed gripper, or the gripper vibrates by itself (10-50 Hz)."""
+    """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
     waveforms: Literal["sine", "all"] = "sine"
     """Only sines, or also sweeps and bursts. Response and learning can follow a sine only."""
     shake: Preset | None = None

@@ -23,10 +23,10 @@ SEEN_ERROR = {
     "leaf_load": (1.3, 0.43),
     "grip_force": (0.5, 0.55),
 }
-"""True over narrowed largest load of each kind: median, and standard deviation of ln beside what the members explain, as
-`vibration.params.LOAD_ERROR` but after the camera has seen a tone. Measured by us on 34 simulated plants (seeds 500-519)
-whose truth no stage believes, two grips, seven tones from 2 to 11 Hz, points seen with an error of 12 %: 5 % of the
-loads pass what they say. Of the grip's force: that of the model."""
+"""True over narrowed largest load of each kind: median, and standard deviation of ln beside what the members explain,
+as `vibration.params.LOAD_ERROR` but after the camera has seen a tone. Measured by us on 34 simulated plants (seeds
+500-519) whose truth no stage believes, two grips, seven tones from 2 to 11 Hz, points seen with an error of 12 %: 5 %
+of the loads pass what they say. Of the grip's force: that of the model."""
 
 SIGNIFICANCE = 3.0
 """A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""

@@ -260,19 +260,32 @@ def _forward(work: _Work) -> None:
         work.grips.append(close(work.robot.gripper, grasp, work.plan.press, params))
         work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
     with work.phase("shake"):
-        if work.watched is None:
+        first = _first(work, work.watched)
+        if work.watched is None or first is None:
             _shake(work, lambda: work.follow(shake, work.felt.append))
         else:
-            _watch(work, work.watched)
+            _watch(work, work.watched, first)
         work.grips.append(work.robot.gripper.state())
 
 
-def _watch(work: _Work, watched: Watched) -> None:
+def _first(work: _Work, watched: Watched | None) -> Swing | None:
+    """Return the first piece of a shake that is watched; None: it is not, or the camera is blind, so do as planned."""
+    if watched is None or work.robot.side_camera is None:
+        return None
+    try:
+        return watched.begin(work.robot.side_camera.read())
+    except DeviceError as error:
+        if work.robot.motor is not None:  # no plan is made for what it does unwatched
+            raise
+        work.fail(error)
+        return None
+
+
+def _watch(work: _Work, watched: Watched, first: Swing) -> None:
     """Shake in pieces, each decided by what was seen of the one before, without a stop between them."""
-    camera, arm, plan, motor = work.robot.side_camera, work.robot.arm, work.plan, work.robot.motor
+    camera, plan, motor = work.robot.side_camera, work.plan, work.robot.motor
     assert camera is not None
-    first, rest = watched.begin(camera.read()), arm.joints()
-    done = [first]
+    rest, done = work.robot.arm.joints(), [first]
 
     def joints(piece: Swing) -> JointTrajectory:
         for amplitude, frequency in zip(piece.amplitudes, piece.frequencies, strict=True):

@@ -49,12 +49,15 @@ class Fault:
         at: in which command of the device it is for, counted from 0 (recordings and reads for a camera).
         share: how far that motion has come, or how much of a recording is kept, 0 to 1.
         lasting: whether it stays; otherwise the next command works again.
+        piece: of motions that go on without a stop, in which; of a recording that is looked at meanwhile, in which
+            look.
     """
 
     kind: Kind
     at: int = 0
     share: float = 0.5
     lasting: bool = False
+    piece: int = 0
 
     def strikes(self, count: int) -> bool:
         """Return whether command number `count` is struck."""
@@ -97,15 +100,26 @@ class FaultyArm:
         if count > fault.at and fault.kind == "arm stops":
             raise DeviceError("the arm rejected the command: it stopped and was not reset.")
         begun: list[float] = []
+        lengths = [trajectory.duration]
+
+        def due(passed: float) -> bool:
+            done, piece = sum(lengths[: fault.piece]), lengths[fault.piece : fault.piece + 1]
+            return bool(piece) and passed >= done + fault.share * piece[0]
 
         def disturbed(sample: ArmSample) -> None:
             begun.append(sample.time)
-            if sample.time - begun[0] >= fault.share * trajectory.duration or count > fault.at:
+            if due(sample.time - begun[0]) or count > fault.at:
                 sample = self._strike(sample)
             if watch:
                 watch(sample)
 
-        return self._arm.follow(trajectory, disturbed, more)
+        def onward() -> JointTrajectory | None:
+            assert more is not None
+            following = more()
+            lengths.extend([] if following is None else [following.duration])
+            return following
+
+        return self._arm.follow(trajectory, disturbed, more and onward)
 
     def hold(self) -> None:
         """Stop and hold the present position."""
@@ -149,7 +163,7 @@ class FaultyCamera:
 
     def __init__(self, camera: Camera, fault: Fault) -> None:
         self._camera, self._fault = camera, fault
-        self._reads = self._recordings = 0
+        self._reads = self._recordings = self._looks = 0
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -165,11 +179,14 @@ class FaultyCamera:
 
     def start(self, rate: float) -> None:
         """Begin to record."""
+        self._looks = 0
         self._camera.start(rate)
 
     def recorded(self, since: float) -> list[Frame]:
         """Return what was recorded so far, or lose it."""
-        if self._fault.strikes(self._recordings):
+        self._looks += 1
+        look, wanted = self._looks - 1, self._fault.piece
+        if self._fault.strikes(self._recordings) and (look == wanted or (self._fault.lasting and look > wanted)):
             raise DeviceError("the frames were lost on the cable.")
         return self._camera.recorded(since)
 

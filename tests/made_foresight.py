@@ -1,0 +1,156 @@
+"""A made-up plant of which it is known what any shake does: foresight of it, a plan, and a world that shakes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from fake_robot import horizontal_grasp
+from numpy.typing import NDArray
+
+from anther.devices import LEAD, ArmSample, Frame
+from anther.escalation import Escalation, Params
+from anther.escalation.foresight import LOADS, Foresight
+from anther.geometry import Array, Intrinsics, look_at
+from anther.response.points import Swings
+from anther.swing import Swing
+from anther.vibration import SINE, ResponseMap, ShakePlan
+from anther.vibration import Params as Limits
+from anther.vibration.observables import ComplexArray, semi_major
+from anther.vibration.shake_plan import Tones
+
+TONES = np.array([2.5, 4.0, 6.3])
+FLOWERS, POINTS, MEMBERS = 6, 20, 32
+ROWS = {"flowers": FLOWERS, "points": POINTS, **dict.fromkeys(LOADS, 2), "grip_force": 3}
+SIZES = {"flowers": 1.5, "points": 1.0, "stem_strain": 0.2, "joint_strain": 0.3, "base_strain": 0.2, "leaf_load": 300.0}
+T_WORLD_CAM = look_at(np.array([0.3, -0.5, 0.2]), np.array([0.0, 0.0, 0.1]))
+ALONG = np.array([0.6, 0.8, 0.0])
+
+
+def made_foresight(seed: int = 0, *, unsure: float = 0.5, gains: Sequence[float] = (1.0, 1.0, 1.0)) -> Foresight:
+    """Return what members of one family do: two numbers that are not known change all vectors, by a share `unsure`.
+
+    Args:
+        seed: of them.
+        unsure: 0: all members are alike.
+        gains: of flowers and points, by tone.
+    """
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum([0, *ROWS.values()])
+    where = {kind: slice(int(a), int(b)) for kind, a, b in zip(ROWS, ends, ends[1:], strict=False)}
+    shape = (len(TONES), ends[-1], 3)
+    usual, *ways = (rng.normal(size=shape) + 1j * rng.normal(size=shape) for _ in range(3))
+    scale = np.ones((len(TONES), ends[-1], 1))
+    for kind, size in SIZES.items():
+        scale[:, where[kind]] = size / 2
+    scale[:, where["grip_force"]] = np.array([100.0, 0.2, 0.2])[:, None]
+    for kind in ("flowers", "points"):
+        scale[:, where[kind]] *= np.asarray(gains)[:, None, None]
+    z = rng.normal(size=(MEMBERS, 2))
+    z[0] = 0
+    vectors = scale * (usual + unsure * np.einsum("md,dksx->mksx", z, np.array(ways)))
+    return Foresight(TONES, vectors, where, 4e-3, 0.016)
+
+
+def made_plan(
+    amplitudes: Sequence[float] = (0.002, 0.002, 0.002), reach: Sequence[float] = (0.02, 0.015, 0.01)
+) -> ShakePlan:
+    size = np.full(FLOWERS, 0.003)
+    return ShakePlan(
+        grasp_index=0,
+        grasp=horizontal_grasp(np.zeros(3), np.zeros(7)),
+        direction=ALONG,
+        amplitude=amplitudes[0],
+        frequency=float(TONES[0]),
+        duration=3.0,
+        waveform=SINE,
+        press=8.0,
+        predicted_amplitude=size,
+        predicted_amplitude_interval=np.column_stack([size / 2, 2 * size]),
+        predicted_acceleration=size,
+        predicted_acceleration_interval=np.column_stack([size / 2, 2 * size]),
+        score=1.0,
+        limits=(),
+        runner_up=None,
+        reason="The test's own.",
+        response_map=ResponseMap(TONES, np.zeros(1), *np.ones((3, 1, len(TONES)))),
+        tones=Tones(TONES, np.array(amplitudes), np.array(reach)),
+    )
+
+
+@dataclass
+class World:
+    """A plant that does to any shake what `truth` says, and a camera that sees it.
+
+    Attributes:
+        foresight: what is believed.
+        truth: (K, S, 3) of the plant.
+        shown: (F + P,) what the camera follows, by number of the look; the last one stays.
+        late: of the camera's clock [s].
+        noise: of what is seen [m].
+        plan, params, limits: of the shake.
+        pieces: that were asked for.
+    """
+
+    foresight: Foresight
+    truth: ComplexArray
+    shown: Sequence[NDArray[Any]] = field(default_factory=lambda: [np.ones(FLOWERS + POINTS, bool)])
+    late: float = 0.0
+    noise: float = 1e-6
+    plan: ShakePlan = field(default_factory=made_plan)
+    params: Params = field(default_factory=Params)
+    limits: Limits = field(default_factory=Limits)
+    begin: float = 17.43
+    pieces: list[Swing] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(1)
+        self.looks = 0
+
+    def swings(self, _: Any, frames: Sequence[Frame], tones: Array) -> Swings:
+        """Return what is seen of the present piece."""
+        shown = self.shown[min(self.looks, len(self.shown) - 1)] & bool(frames)
+        self.looks += 1
+        now = [int(np.abs(TONES - tone).argmin()) for tone in tones]
+        turned = self.pieces[-1].amplitudes[now] * np.exp(-2j * np.pi * tones * (self.begin + self.late))
+        seen = self.truth[now, : FLOWERS + POINTS] @ T_WORLD_CAM[:3, :2] * turned[:, None, None]
+        error = self._rng.normal(size=(2, *seen.shape))
+        seen = np.swapaxes(seen + self.noise * (error[0] + 1j * error[1]), 0, 1)
+        return Swings(np.where(shown[:, None, None], seen, np.nan), np.where(shown, self.noise, np.nan))
+
+    def escalation(self) -> Escalation:
+        return Escalation(
+            self.plan,
+            self.foresight,
+            np.zeros((FLOWERS, 3)),
+            np.zeros((POINTS, 3)),
+            camera=(Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5), T_WORLD_CAM),
+            middle=lambda q: q[:, :3],
+            limits=self.limits,
+            params=self.params,
+        )
+
+    def shaken(self, watched: Escalation) -> Escalation:
+        """Shake until the last piece."""
+        frame = Frame(self.begin, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
+        self.pieces, samples = [watched.begin(frame)], list[ArmSample]()
+        while not self.pieces[-1].stops:
+            piece = self.pieces[-1]
+            for t in np.arange(0.0 if not samples else 0.01, piece.seconds + 1e-9, 0.01):
+                q = np.concatenate([piece.motion([t])[0] * ALONG, np.zeros(4)])
+                samples.append(ArmSample(self.begin + piece.begin + t, q, q, 0.0))
+            told = [s for s in samples if s.time <= self.begin + piece.begin + piece.seconds - LEAD]
+            assert samples[0].time + watched.since() <= told[-1].time, "there is something to look at"
+            self.pieces.append(watched.go_on([frame], told))
+            assert len(self.pieces) < 40, "it ends"
+        return watched
+
+    def loads(self, tone: int) -> dict[str, float]:
+        """Return each kind's load in truth, per metre."""
+        return {kind: float(self.foresight.load(kind, self.truth[tone][None])[0]) for kind in LOADS}
+
+    def flowers(self, tone: int) -> Array:
+        """Return (F,) accelerations in truth, per metre [1/s2]."""
+        return (2 * np.pi * TONES[tone]) ** 2 * semi_major(self.truth[tone, :FLOWERS])

@@ -1,0 +1,269 @@
+"""A watched shake is raised where the flowers move most, as far as the limits go as they are known, and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_foresight import FLOWERS, POINTS, TONES, World, made_foresight, made_plan
+from scipy.stats import norm
+
+from anther import escalation
+from anther.errors import InputError
+from anther.escalation import Escalation, Params
+from anther.escalation import foresight as foresight_module
+from anther.escalation.known import SEEN_ERROR, limits_of
+from anther.vibration import Params as Limits
+from anther.vibration import PlantLimits
+
+WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
+"""Limits that nothing reaches."""
+SIGHTED, BLIND = np.ones(FLOWERS + POINTS, bool), np.zeros(FLOWERS + POINTS, bool)
+FREE = replace(made_plan(reach=(0.2, 0.2, 0.2)), press=1000.0)
+"""A plan whose actuator and pads end nothing."""
+Shaken = Callable[[World], Escalation]
+
+
+@pytest.fixture
+def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
+    """Shake a world with a camera that sees as the world says, by members that may be trusted to 2 %."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
+    monkeypatch.setattr(escalation, "sight", lambda *_: None)
+
+    def run(world: World) -> Escalation:
+        monkeypatch.setattr(escalation, "swings", world.swings)
+        return world.shaken(world.escalation())
+
+    return run
+
+
+def most(world: World, tone: int) -> tuple[float, float]:
+    """Return how far a tone may be raised, by the truth: amplitude [m] and the flowers' median there [m/s2]."""
+    flowers, loads = world.flowers(tone), world.loads(tone)
+    margin = {k: median * np.exp(norm.isf(world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()}
+    caps = [limit / (margin[k] * loads[k]) for k, limit in limits_of(world.limits, world.plan.press).items()]
+    caps += [world.plan.tones.reach[tone], world.params.target / np.median(flowers), world.params.most / flowers.max()]
+    return min(caps), min(caps) * float(np.median(flowers))
+
+
+def single(watched: Escalation) -> list[Any]:
+    """Return the steps of one tone."""
+    return [step for step in watched.steps if len(step.frequencies) == 1]
+
+
+@pytest.mark.parametrize("best", [0, 1, 2])
+def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken, best: int) -> None:
+    gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
+    foresight = made_foresight(2, gains=gains)
+    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    world.params = Params(raised=3.0, most_seconds=30)
+    # leaves bear the same at every tone, so what the flowers do there decides
+    allowed = [most(world, tone) for tone in range(3)]
+    expected = int(np.argmax([flowers for _, flowers in allowed]))
+    assert sorted(flowers for _, flowers in allowed)[-2] < 0.7 * allowed[expected][1]
+    watched = shaken(world)
+    last = watched.steps[-1]
+    assert last.frequencies == pytest.approx([TONES[expected]])
+    assert last.amplitudes[0] == pytest.approx(allowed[expected][0], rel=0.1)
+    assert last.median == pytest.approx(allowed[expected][1], rel=0.1)
+
+
+def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) -> None:
+    believed = made_foresight(2, gains=(2.0, 0.6, 0.1), unsure=0.8)
+    truth = believed.vectors[0].copy()
+    truth[0, : FLOWERS + POINTS] *= 0.1
+    truth[2, : FLOWERS + POINTS] *= 10
+    world = World(believed, truth, plan=FREE)
+    assert shaken(world).steps[-1].frequencies == pytest.approx([TONES[2]])
+    promised = World(believed, believed.vectors[0], plan=FREE)
+    assert shaken(promised).steps[-1].frequencies != pytest.approx([TONES[2]])
+
+
+def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
+    for seed in range(5):
+        foresight = made_foresight(seed)
+        world = World(
+            foresight, foresight.vectors[4], plan=FREE, params=Params(12.0, most=500.0, raised=3.0, most_seconds=30)
+        )
+        world.limits = Limits(plant=WEAK)
+        watched = shaken(world)
+        last = watched.steps[-1]
+        assert last.median == pytest.approx(12.0, rel=0.06)
+        held = world.pieces[-2]
+        assert held.seconds - held.ramp >= world.params.hold
+        assert "the target" in watched.steps[-2].decided
+
+
+def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(target=30.0, most=31.0))
+    world.limits = Limits(plant=WEAK)
+    watched = shaken(world)
+    felt = [np.nanmax(step.flowers) for step in single(watched)]
+    assert max(felt) < 31.0 * 1.03
+    assert max(felt) > 29.0
+    assert watched.steps[-1].median < 29.0
+
+
+def test_whatever_the_plant_every_rule_holds(shaken: Shaken) -> None:
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        foresight = made_foresight(seed, unsure=float(rng.uniform(0.1, 0.8)), gains=rng.uniform(0.2, 3, 3))
+        plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist())
+        world = World(foresight, foresight.vectors[seed % 32], plan=plan, late=float(rng.uniform(0, 0.03)))
+        world.params = Params(raised=float(rng.uniform(1.1, 2)), target=float(rng.uniform(5, 40)))
+        watched = shaken(world)
+        check_pieces(world, watched)
+        for step in single(watched):
+            assert step.used <= 1.03, step
+            assert step.median <= 1.03 * world.params.target
+        assert len(watched.steps) == len(world.pieces) - 1
+        for step, following in zip(watched.steps, watched.steps[1:], strict=False):
+            assert step.begin < step.end < following.begin
+
+
+def check_pieces(world: World, watched: Escalation) -> None:
+    """Check what holds of every shake: it stops, it keeps its reach and its time, and rises slowly."""
+    pieces, params, tones = world.pieces, world.params, world.plan.tones
+    assert [piece.stops for piece in pieces] == [False] * (len(pieces) - 1) + [True]
+    assert pieces[-1].begin + pieces[-1].seconds <= params.most_seconds + 1e-9
+    for piece in pieces:
+        assert np.all(piece.amplitudes <= tones.reach + 1e-12)
+        assert piece.reach <= 1.0001 * watched.reach
+    for piece in pieces[1:]:
+        assert (piece.amplitudes > 0).sum() <= 1
+        (tone,) = np.flatnonzero(piece.amplitudes) if not piece.stops else [0]
+        before = piece.before[tone]
+        start = tones.amplitudes[tone] if np.count_nonzero(piece.before) != 1 or before == 0 else 0.0
+        assert piece.amplitudes[tone] <= max(params.raised * before, start) + 1e-12
+
+
+def test_with_nothing_in_sight_the_plan_alone_is_carried_out(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4], shown=[BLIND])
+    watched = shaken(world)
+    probe, alone, end = world.pieces
+    assert alone.amplitudes == pytest.approx([world.plan.amplitude, 0, 0])
+    assert alone.seconds - alone.ramp >= world.plan.duration
+    assert end.stops
+    assert np.all(probe.amplitudes < world.plan.tones.amplitudes)
+    assert "Nothing is in sight" in watched.steps[0].decided
+    assert all(np.isnan(step.flowers).all() for step in watched.steps)
+    check_pieces(world, watched)
+
+
+@pytest.mark.parametrize("look", [1, 2, 3])
+def test_a_shake_that_is_lost_from_sight_ends(shaken: Shaken, look: int) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[*[SIGHTED] * look, BLIND])
+    watched = shaken(world)
+    assert len(world.pieces) == look + 2
+    assert world.pieces[-1].stops
+    assert f"Only 0 of {FLOWERS + POINTS} points are still followed" in watched.steps[-1].decided
+
+
+def test_a_shake_whose_flowers_are_lost_is_not_raised(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    few = SIGHTED.copy()
+    few[: FLOWERS - 1] = False
+    steady = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3))
+    losing = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[SIGHTED, SIGHTED, few])
+    shaken(steady)
+    watched = shaken(losing)
+    assert max(p.amplitudes.max() for p in steady.pieces) > 1.4 * losing.pieces[2].amplitudes.max()
+    assert losing.pieces[3].amplitudes == pytest.approx(losing.pieces[2].amplitudes)
+    assert losing.pieces[4].stops
+    assert "flowers were lost from sight" in watched.steps[2].decided
+
+
+@pytest.mark.parametrize("seconds", [5.0, 6.0, 9.0])
+def test_the_time_ends_a_shake_that_could_be_raised_further(shaken: Shaken, seconds: float) -> None:
+    foresight = made_foresight(1)
+    params = Params(raised=1.06, most_seconds=seconds, hold=0.6, target=1000, most=10_000)
+    world = World(foresight, foresight.vectors[4], plan=replace(FREE, tones=made_plan((1e-4,) * 3).tones))
+    world.params, world.limits = params, Limits(plant=WEAK)
+    watched = shaken(world)
+    assert "time" in watched.steps[-2].decided
+    check_pieces(world, watched)
+    assert world.pieces[-1].begin + world.pieces[-1].seconds > seconds - 1.5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> None:
+    """Each tone shows much in the probe and little when it is alone, so that the next one is tried."""
+    foresight = made_foresight(seed)
+
+    class Fading(World):
+        def swings(self, at: Any, frames: Any, tones: Any) -> Any:
+            found = super().swings(at, frames, tones)
+            return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
+
+    for seconds in (7.0, 8.0, 9.0):
+        world = Fading(foresight, foresight.vectors[4], params=Params(most_seconds=seconds))
+        check_pieces(world, shaken(world))
+
+
+def test_a_shake_that_the_actuator_ends_keeps_its_reach_while_it_turns_to_a_tone(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    plan = made_plan((0.004, 0.004, 0.004), (0.004, 0.004, 0.004))
+    world = World(foresight, foresight.vectors[4], plan=plan, limits=Limits(plant=WEAK))
+    watched = shaken(world)
+    check_pieces(world, watched)
+    assert watched.steps[-1].amplitudes == pytest.approx([0.004])
+
+
+def test_a_weak_limit_of_each_kind_ends_the_shake_there(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    ample = {"stem_strain": 1.0, "pedicel_strain": 1.0, "base_strain": 1.0, "leaf_load": 1e4}
+    tight = {"stem_strain": 2e-4, "pedicel_strain": 4e-4, "base_strain": 2e-4, "leaf_load": 0.5}
+    for kind, word in zip(ample, ("stem", "pedicels", "branch bases", "leaf bases"), strict=True):
+        limits = Limits(plant=PlantLimits(**(ample | {kind: tight[kind]})))
+        world = World(foresight, foresight.vectors[4], plan=FREE, limits=limits)
+        watched = shaken(world)
+        assert word in watched.steps[-1].binds
+        assert 0.85 < watched.steps[-1].used < 1.02
+    slips = World(foresight, foresight.vectors[4], plan=replace(FREE, press=0.2), limits=Limits(plant=WEAK))
+    watched = shaken(slips)
+    assert watched.steps[-1].binds == "slip"
+    assert 0.85 < watched.steps[-1].used < 1.02
+
+
+def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4])
+    watched = shaken(world)
+    done, last = watched.executed(watched.steps), watched.steps[-1]
+    assert (done.frequency, done.amplitude) == (last.frequencies[0], last.amplitudes[0])
+    assert done.duration == pytest.approx(last.end - last.begin)
+    tone = int(np.flatnonzero(done.frequency == TONES)[0])
+    believed = done.amplitude * foresight.sizes("flowers")[0, tone]
+    assert done.predicted_amplitude == pytest.approx(believed)
+    assert done.predicted_acceleration == pytest.approx((2 * np.pi * done.frequency) ** 2 * believed)
+    low, high = done.predicted_amplitude_interval.T
+    assert np.all(low < high)
+    assert last.decided in done.reason
+    assert watched.executed(()) is world.plan
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"target": 0.0},
+        {"target": 30.0, "most": 29.0},
+        {"probe": 0.1},
+        {"look": 0.1},
+        {"raised": 1.0},
+        {"raised": 5.0},
+        {"hold": 0.1},
+        {"most_seconds": 1.0},
+        {"most_seconds": 100.0},
+        {"points": -1},
+        {"target": float("nan")},
+    ],
+)
+def test_bad_params_are_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=list(changes)[-1]):
+        Params(**changes)  # type: ignore[arg-type]

@@ -1,0 +1,201 @@
+"""What is believed of a shake once a camera has seen a small one: exact sight tells, no sight and noise do not."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+import pytest
+from made_foresight import FLOWERS, POINTS, T_WORLD_CAM, TONES, World, made_foresight
+
+from anther.devices import ArmSample
+from anther.escalation import foresight as foresight_module
+from anther.escalation.foresight import LOADS, Foresight, narrowed
+from anther.escalation.known import Known, Look, gripper_motion, known, lateness
+from anther.swing import Swing
+from anther.vibration.observables import semi_major
+
+known_module = import_module("anther.escalation.known")
+ROWS = np.arange(FLOWERS + POINTS)
+T = T_WORLD_CAM[:3, :3]
+
+
+def off(foresight: Foresight, vectors: np.ndarray, truth: np.ndarray) -> float:
+    """Return the error of all vectors, over what is not known of them beforehand."""
+    return float(np.linalg.norm(vectors - truth) / np.linalg.norm(foresight.vectors[:, 1].mean(axis=0) - truth))
+
+
+def seen(truth: np.ndarray, rows: np.ndarray = ROWS) -> np.ndarray:
+    return truth[rows] @ T[:, :2]
+
+
+@pytest.mark.parametrize("member", [1, 7, 20, 31])
+def test_what_was_seen_exactly_of_a_member_tells_which_it_is(member: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    foresight = made_foresight(3)
+    truth = foresight.vectors[member, 1]
+    std = np.full(len(ROWS), 1e-9)
+    roughly = narrowed(foresight, 1, ROWS, seen(truth), std, T).vectors.mean(axis=0)
+    assert off(foresight, roughly, truth) < 0.35
+    monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
+    exactly = narrowed(foresight, 1, ROWS, seen(truth), std, T).vectors
+    assert off(foresight, exactly.mean(axis=0), truth) < 1e-2
+    for kind in LOADS:
+        (load,) = foresight.load(kind, truth[None])
+        assert foresight.load(kind, exactly) == pytest.approx(load, rel=0.02), "all members come to agree"
+
+
+def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
+    foresight = made_foresight(3)
+    errors = np.zeros(4)
+    for member in range(1, 32):
+        truth = foresight.vectors[member, 1]
+        for i, count in enumerate((0, 1, 5, 26)):
+            some = ROWS[:count]
+            std = np.full(count, 0.3)
+            found = narrowed(foresight, 1, some, seen(truth, some), std, T).vectors
+            errors[i] += off(foresight, found.mean(axis=0), truth) ** 2
+    assert np.all(np.diff(errors) < 0)
+    assert errors[-1] < 0.1 * errors[0]
+
+
+def test_with_nothing_seen_the_members_are_as_they_were() -> None:
+    foresight = made_foresight(3)
+    nothing = narrowed(foresight, 1, ROWS[:0], np.zeros((0, 2), complex), np.zeros(0), T)
+    assert np.array_equal(nothing.vectors, foresight.vectors[:, 1])
+
+
+def test_what_is_all_noise_changes_nothing() -> None:
+    foresight = made_foresight(3)
+    truth = foresight.vectors[9, 1]
+    unsure = narrowed(foresight, 1, ROWS, seen(truth), np.full(len(ROWS), 1e4), T)
+    assert np.allclose(unsure.vectors, foresight.vectors[:, 1], rtol=1e-2, atol=1e-2)
+
+
+def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> None:
+    """Over all members as truth, the errors of a load are as large as the narrowed members' spread says."""
+    foresight, std = made_foresight(3), np.full(5, 0.2)
+    rng, errors, spreads = np.random.default_rng(2), [], []
+    for member in range(1, 32):
+        truth = foresight.vectors[member, 1]
+        for _ in range(4):
+            noise = 0.2 * (rng.normal(size=(5, 2)) + 1j * rng.normal(size=(5, 2)))
+            found = narrowed(foresight, 1, ROWS[:5], seen(truth, ROWS[:5]) + noise, std, T).vectors
+            loads = foresight.load("stem_strain", found)
+            errors.append(loads.mean() - foresight.load("stem_strain", truth[None])[0])
+            spreads.append(loads.std())
+    prior = foresight.load("stem_strain", foresight.vectors[:, 1]).std()
+    assert 0.5 < np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(spreads))) < 1.5
+    assert np.mean(spreads) < 0.6 * prior
+
+
+def test_a_point_that_is_less_sure_counts_for_less() -> None:
+    foresight = made_foresight(3)
+    truth = foresight.vectors[9, 1]
+    wrong = seen(truth)
+    wrong[0] += 3.0  # the first flower is another one
+    alike, doubted = np.full(len(ROWS), 0.05), np.full(len(ROWS), 0.05)
+    doubted[0] = 10.0
+    believing, doubting = (narrowed(foresight, 1, ROWS, wrong, std, T).vectors for std in (alike, doubted))
+    assert off(foresight, doubting.mean(axis=0), truth) < off(foresight, believing.mean(axis=0), truth)
+
+
+def test_members_that_explain_what_was_seen_fit_better_than_others() -> None:
+    foresight, other = made_foresight(3), made_foresight(4)
+    std = np.full(len(ROWS), 0.01)
+    fits = [narrowed(foresight, 1, ROWS, seen(f.vectors[9, 1]), std, T).misfit for f in (foresight, other)]
+    assert fits[0] < fits[1]
+
+
+def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2)) -> Look:
+    """Return what is seen of a shake of 1 mm at some tones."""
+    sizes = np.isin(np.arange(len(TONES)), tones) * 1e-3
+    world.pieces = [Swing.first(TONES, sizes, 2.0, 0.5)]
+    active = np.array(tones)
+    gripper = 1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin)
+    return Look(active, np.full(len(tones), 1e-3), gripper, world.swings(None, [None], TONES[active]))  # type: ignore[list-item]
+
+
+@pytest.mark.parametrize("late", [0.0, 0.01, 0.03])
+def test_a_late_clock_is_found(late: float) -> None:
+    foresight = made_foresight(3, unsure=0.3)
+    for member in (0, 5, 11):
+        world = World(foresight, foresight.vectors[member], late=late)
+        assert lateness(foresight, look(world), T) == pytest.approx(late, abs=0.005)
+
+
+@pytest.fixture
+def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let members be trusted, and loads as they are narrowed."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 1e-3)
+    monkeypatch.setattr(known_module, "SEEN_ERROR", dict.fromkeys(LOADS, (1.0, 1e-9)))
+
+
+@pytest.mark.usefixtures("trusted")
+def test_a_late_clock_that_is_known_changes_nothing_else() -> None:
+    foresight = made_foresight(3)
+    for late in (0.0, 0.02):
+        world = World(foresight, foresight.vectors[5], late=late)
+        at = look(world)
+        for i in range(3):
+            one = known(foresight, at, i, T, late, 0.5)
+            for kind, load in world.loads(i).items():
+                assert one.loads[kind] == pytest.approx(load, rel=0.05)
+
+
+@pytest.mark.usefixtures("trusted")
+def test_flowers_that_are_seen_are_measured_and_others_believed() -> None:
+    foresight = made_foresight(3)
+    shown = np.ones(FLOWERS + POINTS, bool)
+    shown[[1, 4]] = False
+    world = World(foresight, foresight.vectors[5], shown=[shown])
+    one = known(foresight, look(world), 1, T, 0.0, 0.5)
+    assert one.seen.tolist() == shown[:FLOWERS].tolist()
+    assert one.flowers == pytest.approx(world.flowers(1), rel=0.05)
+
+
+def test_a_flower_that_moves_less_than_the_camera_can_tell_is_not_measured() -> None:
+    foresight = made_foresight(3)
+    world = World(foresight, foresight.vectors[5], noise=3e-3)
+    one = known(foresight, look(world), 1, T, 0.0, 0.5)
+    assert not one.seen.any()
+    expected = (2 * np.pi * TONES[1]) ** 2 * semi_major(foresight.vectors[:, 1, :FLOWERS].mean(axis=0))
+    assert np.abs(np.log(one.flowers / expected)).max() < 1.0
+
+
+def test_all_counts_per_metre_that_was_commanded() -> None:
+    foresight = made_foresight(3)
+    world = World(foresight, foresight.vectors[5])
+    at = look(world)
+    once: Known = known(foresight, at, 1, T, 0.0, 0.5)
+    weak = Look(at.tones, at.amplitudes, 0.5 * at.gripper, at.swings._replace(phasors=0.5 * at.swings.phasors))
+    half = known(foresight, weak, 1, T, 0.0, 0.5)
+    for kind in LOADS:
+        assert half.loads[kind] == pytest.approx(0.5 * once.loads[kind], rel=0.01)
+    assert half.flowers == pytest.approx(0.5 * once.flowers, rel=0.01)
+
+
+def test_less_risk_and_less_in_sight_are_larger_margins() -> None:
+    foresight = made_foresight(3)
+    sighted = World(foresight, foresight.vectors[5])
+    blind = World(foresight, foresight.vectors[5], shown=[np.zeros(FLOWERS + POINTS, bool)])
+
+    def margins(world: World, risk: float) -> dict[str, float]:
+        loads = known(foresight, look(world), 1, T, 0.0, risk).loads
+        return {kind: loads[kind] / known(foresight, look(world), 1, T, 0.0, 0.5).loads[kind] for kind in LOADS}
+
+    careful, bold, unseen = margins(sighted, 0.01), margins(sighted, 0.2), margins(blind, 0.01)
+    for kind in LOADS:
+        assert 1 < bold[kind] < careful[kind] < unseen[kind]
+        spread = known_module.SEEN_ERROR[kind][1]
+        assert careful[kind] >= np.exp(2.326 * spread) - 1e-3, "no margin is less than what was measured"
+
+
+def test_the_gripper_s_own_motion_is_read_from_the_joints() -> None:
+    along, middle = np.array([0.6, 0.8, 0.0]), np.array([0.7, 0.1, 0.2])
+    sizes = np.array([1e-3, 2e-3, 0.5e-3]) * np.exp(1j * np.array([0.3, -1.0, 2.0]))
+    times = 40 + np.arange(0, 1.5, 0.01)
+    swing = np.imag(np.exp(2j * np.pi * times[:, None] * TONES) @ sizes) + 1e-4 * (times - 40)
+    joints = np.column_stack([middle + swing[:, None] * along, np.zeros((len(times), 4))])
+    samples = [ArmSample(t, 0 * q, q) for t, q in zip(times, joints, strict=True)]
+    assert np.allclose(gripper_motion(samples, lambda q: q[:, :3], along, TONES), sizes, atol=1e-6)

@@ -1,0 +1,184 @@
+"""Points followed in a film of a shake: drawn blobs that swing as is known over a background that stands still."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from anther.devices import Frame
+from anther.geometry import Array, Intrinsics
+from anther.response.points import Sight, Swings, sight, swings
+
+CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
+DEPTH, RADIUS, RATE = 0.6, 13, 60.0
+PER_PIXEL = DEPTH / CAMERA.fx
+HOMES = np.array([[60.0, 60.0], [160.3, 55.6], [110.7, 120.2]])  # px
+TONES = np.array([2.4, 4.1, 7.3])
+WHERE = np.random.default_rng(0).normal(size=(3, 3, 2)) + 1j * np.random.default_rng(1).normal(size=(3, 3, 2))
+SWUNG = 1.2 * WHERE / np.abs(WHERE)  # px, of every point, tone and axis
+Path = Callable[[Array], Array]
+
+
+def wave(phasors: Array, tones: Array = TONES) -> Path:
+    """Return the way (T, 2) of phasors (K, 2)."""
+    return lambda t: np.imag(np.exp(2j * np.pi * t[:, None] * tones) @ phasors)
+
+
+def drawn(centres: Array, light: float, rng: np.random.Generator, noise: float) -> np.ndarray:
+    """Return a picture of blobs, each of its own texture, at centres (P, 2), NaN for none."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
+    grey = 90 + 25 * np.sin(0.31 * u + 0.17 * v) * np.cos(0.23 * v - 0.11 * u) + 12 * np.sin(0.9 * u) * np.sin(0.8 * v)
+    for i, (x, y) in enumerate(centres):
+        if np.isfinite(x):
+            a, b = u - x, v - y
+            texture = 120 + 45 * np.sin((0.5 + 0.1 * i) * a + 0.3 * b + i) + 35 * np.cos(0.25 * a - (0.6 - 0.1 * i) * b)
+            cover = 1 / (1 + np.exp(2 * (np.hypot(a, b) - RADIUS)))
+            grey = grey + cover * (texture - grey)
+    rgb = light * np.repeat(grey[..., None], 3, axis=2) + noise * rng.normal(size=(*grey.shape, 3))
+    return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
+
+
+def film(
+    paths: list[Path], *, seconds: float = 1.4, rate: float = RATE, light: float = 0.0, noise: float = 2.0
+) -> tuple[Frame, list[Frame]]:
+    """Return the picture at rest and a film; exposure changes by a share `light` of itself from frame to frame."""
+    rng = np.random.default_rng(5)
+    times, homes = 7.3 + np.arange(0, seconds, 1 / rate), HOMES[: len(paths)]
+    depth = np.full((CAMERA.height, CAMERA.width), DEPTH, np.float32)
+    shown = np.array([home + path(times) for home, path in zip(homes, paths, strict=True)])
+    lights = 1 + light * rng.uniform(-1, 1, len(times))
+    frames = [Frame(float(t), drawn(shown[:, i], lights[i], rng, noise), depth) for i, t in enumerate(times)]
+    return Frame(0.0, drawn(homes, 1.0, rng, noise), depth), frames
+
+
+def seen(rest: Frame, homes: Array = HOMES) -> Sight:
+    """Return what is in sight of points at their places in the picture, all at DEPTH before the camera."""
+    places = np.column_stack([(homes - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, np.full(len(homes), DEPTH)])
+    return sight(rest, CAMERA, np.eye(4), np.zeros((0, 3)), places)
+
+
+def off(found: Swings, truth: Array = SWUNG) -> Array:
+    """Return the error of every point and tone, over the size of the motion in truth."""
+    return np.linalg.norm(found.phasors / PER_PIXEL - truth, axis=2) / np.linalg.norm(truth, axis=2)
+
+
+@pytest.mark.parametrize("light", [0.0, 0.2])
+def test_amplitude_and_phase_of_every_tone_are_found_whatever_the_exposure(light: float) -> None:
+    rest, frames = film([wave(phasors) for phasors in SWUNG], light=light)
+    at = seen(rest)
+    assert at.shown.all()
+    assert at.pixels == pytest.approx(HOMES, abs=1e-6)
+    found = swings(at, frames, TONES)
+    assert off(found).max() < 0.02
+    assert np.all(found.std < 0.05 * PER_PIXEL)
+    assert np.all(found.std >= 1e-6)
+
+
+def test_wind_and_swings_that_die_out_are_not_taken_for_tones() -> None:
+    def drifting(phasors: Array) -> Path:
+        return lambda t: wave(phasors)(t) + np.outer(2.0 * np.sin(2 * np.pi * 0.3 * t), [1.0, -0.5])
+
+    rest, frames = film([drifting(phasors) for phasors in SWUNG])
+    assert off(swings(seen(rest), frames, TONES)).max() < 0.06
+
+
+def test_a_tone_that_is_not_there_is_found_to_be_nothing() -> None:
+    quiet = SWUNG.copy()
+    quiet[:, 1] = 0
+    rest, frames = film([wave(phasors) for phasors in quiet])
+    found = swings(seen(rest), frames, TONES)
+    sizes = np.linalg.norm(found.phasors, axis=2) / PER_PIXEL
+    assert sizes[:, 1].max() < 0.06
+    assert sizes[:, [0, 2]].min() > 1.5
+
+
+def test_tones_near_half_the_frame_rate_are_told_from_what_they_would_be_aliased_to() -> None:
+    tones = np.array([3.0, 13.5])  # at 30 frames a second a 13.5 Hz that is aliased would be 16.5 Hz, or slower
+    truth = np.array([[[1.0, 0.5j], [0.8j, -0.7]]] * 2)
+    rest, frames = film([wave(truth[0], tones), wave(truth[1], tones)], rate=30.0)
+    found = swings(seen(rest, HOMES[:2]), frames, tones)
+    assert off(found, truth).max() < 0.06
+
+
+def test_a_large_swing_is_followed_over_many_pixels() -> None:
+    tones, truth = np.array([3.3]), np.array([[[18.0, 6.0j]]])
+    rest, frames = film([wave(truth[0], tones)])
+    assert off(swings(seen(rest, HOMES[:1]), frames, tones), truth).max() < 0.03
+
+
+def test_a_point_that_is_lost_is_nan_and_the_others_are_not() -> None:
+    def gone(t: Array) -> Array:
+        return np.where((t - t[0] > 0.3)[:, None], np.nan, wave(SWUNG[0])(t))
+
+    rest, frames = film([gone, wave(SWUNG[1]), wave(SWUNG[2])])
+    found = swings(seen(rest), frames, TONES)
+    assert np.isnan(found.phasors[0]).all()
+    assert np.isnan(found.std[0])
+    assert off(found)[1:].max() < 0.02
+
+
+def test_a_point_that_is_covered_for_a_moment_is_still_measured() -> None:
+    def blinking(t: Array) -> Array:
+        return np.where((np.arange(len(t)) % 7 == 3)[:, None], np.nan, wave(SWUNG[0])(t))
+
+    rest, frames = film([blinking, wave(SWUNG[1])])
+    assert off(swings(seen(rest, HOMES[:2]), frames, TONES), SWUNG[:2]).max() < 0.06
+
+
+def test_a_point_that_leaves_the_picture_is_nan() -> None:
+    tones = np.array([3.3])
+    truth = np.array([[[90.0, 0.0]]])
+    rest, frames = film([wave(truth[0], tones)])
+    found = swings(seen(rest, HOMES[:1]), frames, tones)
+    assert np.isnan(found.std[0])
+    assert np.isnan(found.phasors[0]).all()
+
+
+@pytest.mark.parametrize("place", [[-4.0, 60.0], [300.0, 60.0], [60.0, 190.0]])
+def test_a_point_outside_the_picture_is_not_in_sight(place: list[float]) -> None:
+    rest, frames = film([wave(SWUNG[0])])
+    at = seen(rest, np.array([HOMES[0], place]))
+    assert at.shown.tolist() == [True, False]
+    found = swings(at, frames, TONES)
+    assert np.isnan(found.std[1])
+    assert np.isfinite(found.std[0])
+
+
+def test_a_point_behind_something_or_behind_the_camera_is_not_in_sight() -> None:
+    rest, _ = film([wave(SWUNG[0])])
+    rest.depth[40:80, 40:80] = DEPTH - 0.05
+    assert not seen(rest, HOMES[:1]).shown[0]
+    rest.depth[40:80, 40:80] = 0  # no reading
+    assert not seen(rest, HOMES[:1]).shown[0]
+    rest.depth[40:80, 40:80] = DEPTH + 0.01
+    assert seen(rest, HOMES[:1]).shown[0]
+    behind = sight(rest, CAMERA, np.eye(4), np.zeros((0, 3)), np.array([[0.0, 0.0, -0.3], [0.0, 0.0, DEPTH]]))
+    assert behind.shown.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("count", [0, 1, 10])
+def test_of_too_few_frames_nothing_is_said(count: int) -> None:
+    rest, frames = film([wave(SWUNG[0])])
+    found = swings(seen(rest, HOMES[:1]), frames[:count], TONES)
+    assert found.phasors.shape == (1, 3, 2)
+    assert np.isnan(found.phasors).all()
+    assert np.isnan(found.std).all()
+
+
+def test_a_film_of_noise_is_less_sure() -> None:
+    clear, noisy = (film([wave(SWUNG[0])], noise=noise) for noise in (1.0, 60.0))
+    sure, unsure = (swings(seen(rest, HOMES[:1]), frames, TONES) for rest, frames in (clear, noisy))
+    assert unsure.std[0] > 2 * sure.std[0] or np.isnan(unsure.std[0])
+
+
+@settings(max_examples=3, deadline=None)
+@given(st.floats(0.0, 100.0))
+def test_phases_are_on_the_clock_of_the_frames(later: float) -> None:
+    rest, frames = film([wave(SWUNG[0])])
+    moved = [Frame(f.time + later, f.rgb, f.depth) for f in frames]
+    turned = SWUNG[:1] * np.exp(-2j * np.pi * TONES * later)[None, :, None]
+    assert off(swings(seen(rest, HOMES[:1]), moved, TONES), turned).max() < 0.02

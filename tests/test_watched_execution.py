@@ -1,0 +1,262 @@
+"""A shake that is decided while it lasts: its pieces are streamed, and whatever goes wrong in one ends safely."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_robot import LIMITS, FakeArm, FakeCamera, FakeGripper, fake_robot
+from test_execution import GRASP, PLANNER, Blind, Plan
+
+from anther.arm import sawyer
+from anther.devices import LEAD, ArmSample, DeviceError, Frame, Robot
+from anther.errors import InputError
+from anther.execution import PHASES, Params, Step, Trial, execute
+from anther.sim.faults import Fault, with_faults
+from anther.swing import Swing
+
+TONES = np.array([4.0, 6.0])
+PIECES = {"probe": (0.0008, 0.0006), "step": (0.002, 0.0), "hold": (0.003, 0.0), "end": (0.0, 0.0)}
+NAMES = tuple(PIECES)[:3]
+
+
+class Scripted:
+    """Asks for the same pieces whatever it sees; `fault` may raise when a piece is decided."""
+
+    reach, highest = 0.003, 6.0
+
+    def __init__(self, fault: Callable[[int], None] = lambda _: None, pieces: Sequence[Sequence[float]] = ()) -> None:
+        self.fault, self.sizes = fault, list(pieces or PIECES.values())
+        self.pieces: list[Swing] = []
+        self.steps: tuple[Step, ...] = ()
+        self.looks: list[tuple[list[Frame], list[ArmSample]]] = []
+
+    def begin(self, frame: Frame) -> Swing:
+        assert isinstance(frame, Frame)
+        self.fault(0)
+        self.pieces = [Swing.first(TONES, self.sizes[0], 1.5, 0.4)]
+        return self.pieces[0]
+
+    def since(self) -> float:
+        return self.pieces[-1].begin + 0.5
+
+    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        count = len(self.pieces)
+        self.fault(count)
+        self.looks.append((list(frames), list(samples)))
+        when = samples[0].time + self.since(), samples[-1].time
+        flowers = (1.5, float("nan"))
+        self.steps += (Step(*when, tuple(TONES), (0.1, 0.2), flowers, {"slip": 0.5}, f"piece {count}", 0.01),)
+        last = count == len(self.sizes) - 1
+        self.pieces.append(self.pieces[-1].then(self.sizes[count], 0.4 if last else 1.2, 0.4))
+        return self.pieces[-1]
+
+
+def check_end(trial: Trial, arm: FakeArm, gripper: FakeGripper) -> None:
+    """Check a trial that was ended in its shake: the arm was held, the pads are open, it is out of the plant."""
+    assert not trial.finished
+    assert trial.phases == PHASES
+    assert arm.held >= 1
+    assert gripper.opening == Params().opening
+    away = sawyer.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3]
+    assert np.linalg.norm(away) == pytest.approx(Params().stand_off, abs=4e-3)
+
+
+def test_the_pieces_follow_each_other_without_a_stop() -> None:
+    arm, watched = FakeArm(), Scripted()
+    trial = execute(PLANNER, Plan(), fake_robot(arm), LIMITS, watched=watched)
+    assert trial.finished
+    assert trial.phases == PHASES
+    assert arm.held == 0
+    assert trial.steps == watched.steps
+    assert len(trial.steps) == 3
+    assert np.diff(trial.shake_times).max() < 0.021
+    seconds = sum(piece.seconds for piece in watched.pieces)
+    assert np.ptp(trial.shake_times) == pytest.approx(seconds, abs=0.05)
+    y = sawyer.forward(trial.measured)[:, 1, 3] - GRASP.T_world_flange[1, 3]
+    passed = trial.shake_times - trial.shake_times[0]
+    for i, piece in enumerate(watched.pieces):
+        own = (passed >= piece.begin + 0.01 * i) & (passed <= piece.begin + 0.01 * i + piece.seconds)
+        wanted = piece.motion(passed[own] - piece.begin - 0.01 * i)[0]  # the fake arm's clock ticks between motions
+        assert y[own] == pytest.approx(wanted, abs=2e-5)
+    assert trial.commanded[-1] == pytest.approx(trial.commanded[0], abs=1e-6)
+
+
+def test_each_piece_is_decided_in_time_by_what_was_seen_of_the_one_before() -> None:
+    watched = Scripted()
+    execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=watched)
+    for i, (frames, samples) in enumerate(watched.looks):
+        piece, begin = watched.pieces[i], samples[0].time
+        assert samples[-1].time - begin == pytest.approx(piece.begin + piece.seconds - LEAD, abs=0.06)
+        assert frames[0].time == pytest.approx(begin + piece.begin + 0.5, abs=1e-6)
+
+
+def test_a_trial_keeps_its_steps_on_disk(tmp_path: Path) -> None:
+    trial = execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=Scripted())
+    trial.save(tmp_path / "trial.npz")
+    back = Trial.load(tmp_path / "trial.npz")
+    assert len(back.steps) == 3
+    for step, was in zip(back.steps, trial.steps, strict=True):
+        assert np.array_equal(step.flowers, was.flowers, equal_nan=True)
+        assert replace(step, flowers=()) == replace(was, flowers=())
+    assert back.steady == trial.steady == (trial.steps[-1].begin, trial.steps[-1].end)
+    assert (back.steps[0].used, back.steps[0].binds, back.steps[0].median) == (0.5, "slip", 1.5)
+
+
+def test_a_shake_is_steady_in_its_last_step_or_all_the_time_or_never() -> None:
+    plain = execute(PLANNER, Plan(), fake_robot(), LIMITS)
+    assert plain.steps == ()
+    assert plain.steady == (plain.shake_times[0], plain.shake_times[-1])
+    assert replace(plain, shake_times=[], commanded=np.zeros((0, 7)), measured=np.zeros((0, 7))).steady == (0.0, 0.0)
+    nothing = Step(0.0, 1.0, (4.0,), (0.001,), (float("nan"),), {}, "", 0.0)
+    assert (nothing.used, nothing.binds) == (0.0, "")
+    assert np.isnan(nothing.median)
+
+
+@pytest.mark.parametrize(("highest", "rate"), [(5.0, 15.0), (6.8, 15.0), (7.0, 30.0), (14.0, 60.0), (50.0, 90.0)])
+def test_the_frame_rate_is_the_slowest_that_tells_all_tones(highest: float, rate: float) -> None:
+    robot, watched = fake_robot(), Scripted()
+    watched.highest = highest
+    execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
+    assert isinstance(robot.side_camera, FakeCamera)
+    assert robot.side_camera.rates == [rate]
+
+
+def test_without_a_side_camera_the_plan_is_carried_out() -> None:
+    watched = Scripted()
+    trial = execute(PLANNER, Plan(), replace(fake_robot(), side_camera=None), LIMITS, watched=watched)
+    assert trial.finished
+    assert watched.pieces == []
+    assert np.ptp(trial.shake_times) == pytest.approx(Plan().duration, abs=1e-6)
+
+
+class Lost(FakeCamera):
+    """Reads nothing."""
+
+    def read(self) -> Frame:
+        raise DeviceError("no picture")
+
+
+def test_a_camera_that_sees_nothing_at_rest_leaves_the_plan() -> None:
+    watched = Scripted()
+    trial = execute(PLANNER, Plan(), replace(fake_robot(), side_camera=Lost()), LIMITS, watched=watched)
+    assert trial.failure == "device_fault"
+    assert "no picture" in trial.stop_reason
+    assert trial.phases == PHASES
+    assert watched.pieces == []
+    assert np.ptp(trial.shake_times) == pytest.approx(Plan().duration, abs=1e-6)
+
+
+@pytest.mark.parametrize("at", ["start", "stop", "frames"])
+def test_a_camera_that_records_nothing_stops_nothing(at: str) -> None:
+    trial = execute(PLANNER, Plan(), replace(fake_robot(), side_camera=Blind(at)), LIMITS, watched=Scripted())
+    assert trial.failure == "device_fault"
+    assert trial.phases == PHASES
+    assert len(trial.steps) == 3
+
+
+# Faults in each of the pieces.
+
+
+@pytest.mark.parametrize("piece", range(3), ids=NAMES)
+@pytest.mark.parametrize(
+    ("kind", "failure"),
+    [
+        ("arm stops", "device_fault"),
+        ("pushed", "collision"),
+        ("ctrl-c", "interrupted"),
+        ("stale joints", "device_fault"),
+    ],
+)
+@pytest.mark.parametrize("lasting", [False, True])
+def test_a_fault_of_the_arm_in_any_piece_ends_safely(kind: str, failure: str, piece: int, lasting: bool) -> None:
+    arm, gripper, watched = FakeArm(), FakeGripper(), Scripted()
+    robot = with_faults(fake_robot(arm, gripper), Fault(kind, 3, 0.5, lasting, piece))  # type: ignore[arg-type]
+    trial = execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
+    assert trial.failure == failure
+    assert arm.held >= 1
+    assert gripper.opening == Params().opening
+    if not lasting and kind != "stale joints":
+        check_end(trial, arm, gripper)
+    assert trial.steps == watched.steps
+    assert len(trial.steps) == piece
+    begin = sum(p.seconds for p in watched.pieces[:piece])
+    passed = np.ptp(trial.shake_times)
+    assert begin + 0.4 * watched.pieces[piece].seconds < passed < begin + 0.8 * watched.pieces[piece].seconds
+    again = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS, watched=Scripted())
+    assert again.finished
+
+
+@pytest.mark.parametrize("piece", range(3), ids=NAMES)
+def test_frames_lost_in_any_piece_stop_nothing(piece: int) -> None:
+    arm, gripper, watched = FakeArm(), FakeGripper(), Scripted()
+    robot = with_faults(fake_robot(arm, gripper), Fault("frames lost", 0, 1.0, piece=piece))
+    trial = execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
+    assert [not frames for frames, _ in watched.looks] == [i == piece for i in range(3)]
+    assert (trial.failure, arm.held) == ("device_fault", 0)
+    assert "lost on the cable" in trial.stop_reason
+    assert trial.phases == PHASES
+    assert len(trial.steps) == 3
+    assert gripper.opening == Params().opening
+
+
+@pytest.mark.parametrize("count", range(4), ids=("before", *NAMES))
+@pytest.mark.parametrize("error", [RuntimeError("bug"), KeyboardInterrupt(), InputError("odd"), DeviceError("no")])
+def test_one_who_watches_and_raises_ends_the_shake_safely(error: BaseException, count: int) -> None:
+    def fault(now: int) -> None:
+        if now == count:
+            raise error
+
+    if count == 0 and isinstance(error, DeviceError):
+        pytest.skip("a device that fails before the shake leaves the plan")
+    arm, gripper, watched = FakeArm(), FakeGripper(), Scripted(fault)
+    trial = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS, watched=watched)
+    check_end(trial, arm, gripper)
+    assert str(error) in trial.stop_reason
+    assert trial.steps == watched.steps
+    assert len(trial.steps) == max(count - 1, 0)
+    assert (len(trial.shake_times) > 0) == (count > 0)
+    assert (len(trial.frames) > 0) == (count > 0)
+
+
+@pytest.mark.parametrize("piece", range(3), ids=NAMES)
+@pytest.mark.parametrize(
+    ("sizes", "message"),
+    [((0.0, 0.02), "allowed"), ((0.004, 0.0), "displacement of a swing"), ((float("nan"), 0.0), "swing amplitudes")],
+)
+def test_a_piece_beyond_the_limits_is_not_begun(sizes: tuple[float, float], message: str, piece: int) -> None:
+    pieces = list(PIECES.values())
+    pieces[piece] = sizes
+    arm, gripper, watched = FakeArm(), FakeGripper(), Scripted(pieces=pieces)
+    trial = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS, watched=watched)
+    check_end(trial, arm, gripper)
+    assert message in trial.stop_reason
+    assert trial.failure == "limits_exceeded"
+    assert len(trial.steps) == piece
+    y = sawyer.forward(trial.measured)[:, 1, 3] - GRASP.T_world_flange[1, 3] if len(trial.measured) else np.zeros(1)
+    assert np.abs(y).max() < 0.0031
+
+
+def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
+    arm, gripper = FakeArm(), FakeGripper()
+    watched = Scripted(pieces=[(0.0008, 0.0006)] * 20)
+    trial = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS, watched=watched)
+    check_end(trial, arm, gripper)
+    assert "shake duration" in trial.stop_reason
+    assert np.ptp(trial.shake_times) < LIMITS.shake_duration
+
+
+def test_one_who_never_stops_the_pads_is_not_left_so() -> None:
+    class Endless(Scripted):
+        def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+            piece = super().go_on(frames, samples)
+            return replace(piece, amplitudes=np.zeros(2), ramp=piece.seconds) if len(self.pieces) > 2 else piece
+
+    arm, gripper = FakeArm(), FakeGripper()
+    robot: Robot = fake_robot(arm, gripper)
+    trial = execute(PLANNER, Plan(), robot, LIMITS, watched=Endless())
+    assert trial.finished
+    assert trial.commanded[-1] == pytest.approx(trial.commanded[0], abs=1e-6)
