@@ -198,7 +198,7 @@ def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> No
 
     class Fading(World):
         def swings(self, at: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
-            found = super().swings(at, frames, tones)
+            found = super().swings(at, frames, tones, expected)
             return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
 
     for seconds in (7.0, 8.0, 9.0):
