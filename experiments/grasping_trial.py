@@ -178,7 +178,9 @@ def watched(cell: SimulatedCell, run: Memory) -> Any:
     return replace(side, robot=robot, plan_around=plan_around)
 
 
-def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[str, Any], Done | None]:
+def performed(
+    cell: SimulatedCell, perform: Callable[[], Done], params: Params = Params()
+) -> tuple[dict[str, Any], Done | None]:
     """Perform, judge, and return how it went, with the simulated time of its phases [s]."""
     done = verdict = failure = None
     try:
@@ -188,7 +190,7 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
         verdict = judge(cell.world, shaken, done.shake.frequency, done.trial.steady)
     except StageFailure as stopped:
         failure, shaken = stopped, None
-    summary = as_counted(summarise(cell, done, verdict, failure))
+    summary = as_counted(summarise(cell, done, verdict, failure, params))
     row = {k: v for k, v in summary.items() if np.ndim(v) == 0 or k in LISTED}
     row["stem_held"] = shaken is not None and row["organ_grasped"] == "stem"
     row["axis_held"] = shaken is not None and row["organ_grasped"] in ("stem", "branch")

@@ -33,13 +33,13 @@ from vibration_plant import matched
 
 from anther.arm.planner import Planner
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
-from anther.errors import StageFailure
 from anther.execution import execute
 from anther.files import read_json, write_json
 from anther.grasp.paper import paper_grasp
 from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance
+from anther.safety import GuardedArm
 from anther.vibration import ArmShaker, ShakePlan, plan_shake
 
 SPECIES: tuple[Species, ...] = ("tomato", "pepper")
@@ -47,6 +47,8 @@ FIRST, DEVELOPMENT = 9500, 7700
 """Plants from the first seed on are in no other table; on those from the second on constants may be set."""
 PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
 """Of the paper's largest and fastest shakes (docs/paper.md)."""
+PAPER_FORCE = 150.0
+"""The paper's shakes pull with 15 to 141 N (`anther.pressing` has what a grip bears); a guard's 10 N would stop most."""
 LEAST_SHAKE = 1e-6  # m: the paper's grasp is not refused because the plant bears no useful shake there
 WAYS = ("paper", "plan", "escalated", "motor")
 
@@ -99,7 +101,7 @@ def shaken(case: Case, file: Path) -> dict[str, Any]:
     run, material = Brief(file.parent), PEPPER if case.species == "pepper" else TOMATO
     params = replace(Params(), escalate=case.way != "plan", actuator="gripper" if case.way == "motor" else "arm")
     ways: dict[str, Callable[[], Done]] = {"paper": lambda: by_the_paper(cell, run, material)}
-    row, done = performed(cell, ways.get(case.way, lambda: pollinate(cell.robot_side, material, run, params)))
+    row, done = performed(cell, ways.get(case.way, lambda: pollinate(cell.robot_side, material, run, params)), params)
     row = {**asdict(case), **row}
     if done is not None:
         row["steps"] = [asdict(step) for step in done.trial.steps]
@@ -118,8 +120,10 @@ def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
     plan = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.vibration, least_amplitude=LEAST_SHAKE))
     shake: ShakePlan = replace(plan, press=float(side.limits.pressing.most(grasp.stem_diameter)), **PAPER_SHAKE)
-    robot = replace(side.robot, side_camera=None, T_world_side_camera=None)
-    return Done(shake, execute(planner, shake, robot, side.limits, params.execution), None, rods.material)
+    limits = replace(side.limits, contact_force=PAPER_FORCE)
+    arm = GuardedArm(side.robot.arm._arm, limits)  # the cell's own guard would stop it
+    robot = replace(side.robot, arm=arm, side_camera=None, T_world_side_camera=None)
+    return Done(shake, execute(planner, shake, robot, limits, params.execution), None, rods.material)
 
 
 def seen_and_true(cell: SimulatedCell, run: Memory, done: Done, case: Case) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from anther.vibration import Pads, ShakePlan
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
     "nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision", "limits_exceeded",
 )  # fmt: skip
-"""How one grasp can fail so that another may still succeed."""
+"""How one grasp can fail so that another may still succeed, if nothing was shaken yet."""
 
 
 @dataclass(frozen=True)
@@ -278,7 +278,7 @@ def _shaken(
         if watched is not None:
             shake = watched.executed(trial.steps)
         grasps = [g for i, g in enumerate(grasps) if i != planned]
-        if trial.failure not in TRY_THE_NEXT or not grasps:
+        if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
             return shake, trial
 
 

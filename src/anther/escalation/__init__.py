@@ -136,6 +136,7 @@ class Escalation:
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
         self._limits, self._risk = limits_of(limits, plan.press), limits.risk
         self._may: dict[int, Allowed] = {}
+        self._picture: dict[int, NDArray[np.complex128]] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
         self._doubted = False
 
@@ -179,6 +180,7 @@ class Escalation:
         told = [known(self._foresight, look, i, self._T, self._late, self._risk) for i in range(len(look.tones))]
         self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
         tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
+        self._picture |= {int(t): one.picture for t, one in zip(look.tones, told, strict=True)}
         self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)
         ramp = self._ramp(tone)
         new = np.where(np.arange(len(self._foresight.tones)) == tone, amplitude, 0.0)
@@ -223,7 +225,11 @@ class Escalation:
             gripper = piece.amplitudes[active] * np.exp(-2j * np.pi * piece.frequencies[active] * begin)
         else:
             gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
-        return Look(active, piece.amplitudes[active], gripper, swings(self._sight, frames, piece.frequencies[active]))
+        expected = None
+        if all(int(tone) in self._picture for tone in active):
+            expected = np.stack([piece.amplitudes[tone] * self._picture[int(tone)] for tone in active], axis=1)
+        seen = swings(self._sight, frames, piece.frequencies[active], expected)
+        return Look(active, piece.amplitudes[active], gripper, seen)
 
     def _allowed(self, tone: int, one: Known) -> Allowed:
         """Return how far a tone may be raised."""

@@ -127,10 +127,10 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
     return _Begin(first, pixels, radius, patches(1.0), patches(params.wide), images)
 
 
-def placed(frame: Frame, intrinsics: Intrinsics, rest: Array, params: Params) -> tuple[Array, NDArray[np.bool_]]:
-    """Return where flowers at `rest` (F, 3), camera frame, are in a frame (F, 2) [px], and whether each is in sight."""
+def placed(frame: Frame, intrinsics: Intrinsics, rest: Array, params: Params) -> tuple[Array, list[Patch]]:
+    """Return where flowers at `rest` (F, 3), camera frame, are in a frame (F, 2) [px], and each alone."""
     begin = _begin([frame], intrinsics, rest, params)
-    return begin.pixels, np.array([patch.cover >= params.least_cover for patch in begin.own])
+    return begin.pixels, begin.own
 
 
 def _settled(petals: Image, pixel: Array, radius: float) -> Array:

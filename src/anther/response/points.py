@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.devices import Frame
+from anther.flower_tracking import Image, Patch, seek, smoothed
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.response.following import placed
 from anther.response.params import Params
@@ -28,6 +29,10 @@ NEAR = 0.02
 """A point is in sight where the depth measured there is its own to this [m]."""
 BRIGHT = 100.0
 """Median grey of the pictures that are compared: exposure and gain of a camera change from frame to frame."""
+SCALES = (1.0, 1.6, 0.6)
+"""Times what is expected, along which a flower is looked for."""
+SEEK, FINE, LIKE = 8, 3, 0.4
+"""A flower is looked for so far from there [px], then from the swing that fits; `Params.own_likeness`."""
 SLOW = 4
 """Legendre polynomials beside the tones: wind, and swings that die out."""
 LEAST_SHARE = 0.6
@@ -38,6 +43,9 @@ LEAST_ERROR = 0.03
 """No place is surer than this [px]: a guess, and about what films without motion show."""
 
 
+ComplexArray = NDArray[np.complex128]
+
+
 class Sight(NamedTuple):
     """What a camera that stands still has in sight.
 
@@ -46,14 +54,14 @@ class Sight(NamedTuple):
         pixels: (P, 2) where the points are in it.
         per_pixel: (P,) what a pixel measures there [m].
         shown: (P,) whether the point is in sight.
-        T_world_cam: (4, 4).
+        flowers: the first F points, each alone as it looks at rest.
     """
 
     picture: NDArray[np.uint8]
     pixels: Array
     per_pixel: Array
     shown: NDArray[np.bool_]
-    T_world_cam: Array
+    flowers: tuple[Patch, ...]
 
 
 class Swings(NamedTuple):
@@ -80,27 +88,41 @@ def sight(
     pixels = intrinsics.project(np.where(rest[:, 2:] > NEAR, rest, 1.0))
     inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = inside & (rest[:, 2] > NEAR) & _own_depth(frame.depth, pixels, rest[:, 2], inside)
-    count = len(flowers)
+    count, alone = len(flowers), list[Patch]()
     if count and rest[:count, 2].min() > params.depth_gate:
-        pixels[:count], covered = placed(frame, intrinsics, rest[:count], params)
-        shown[:count] = inside[:count] & covered
-    return Sight(_picture(frame), pixels, rest[:, 2] / intrinsics.fx, shown, np.asarray(T_world_cam))
+        pixels[:count], alone = placed(frame, intrinsics, rest[:count], params)
+        alone = [patch._replace(image=patch.image * _gain(frame)) for patch in alone]
+        shown[:count] = inside[:count] & np.array([patch.cover >= params.least_cover for patch in alone])
+    return Sight(_picture(frame), pixels, rest[:, 2] / intrinsics.fx, shown, tuple(alone))
 
 
-def swings(at: Sight, frames: Sequence[Frame], tones: Array) -> Swings:
+def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None) -> Swings:
     """Return how the points in sight swung in frames of a shake whose tones (K,) [Hz] are known.
 
     Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
-    and back: where it is going, else at home, else where it was. Then tones and slow terms are fitted to its path by
-    least squares.
+    and back: where it is going, else at home, else where it was. A flower is small before a background that stands
+    still: its own pixels alone are then looked for along that path, along what is expected, and at home; where it is
+    found most often counts, and it is looked for once more along the swing that fits. Then tones and slow terms are
+    fitted to each path by least squares.
+
+    Args:
+        at: what is in sight.
+        frames: of the shake.
+        tones: (K,) [Hz].
+        expected: (F, K, 2) phasors of the flowers as `Swings` has them [m]; None: nothing is.
     """
     phasors = np.full((len(at.pixels), len(tones), 2), np.nan, np.complex128)
     std, times = np.full(len(at.pixels), np.nan), np.array([f.time for f in frames])
     if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
         return Swings(phasors, std)
     basis = _basis(times, tones)
+    images = [smoothed(frame) * _gain(frame) for frame in frames] if at.shown[: len(at.flowers)].any() else []
     for point, path in zip(np.flatnonzero(at.shown), np.swapaxes(_paths(at, frames), 0, 1), strict=True):
-        found = _fitted(basis, path)
+        if point < len(at.flowers):
+            guess = None if expected is None else expected[point] / at.per_pixel[point]
+            found = _fitted(basis, _flower_path(at, int(point), images, path, basis, guess))
+        else:
+            found = _fitted(basis, path)
         if found is not None:
             sine, cosine = found[0][: len(tones)], found[0][len(tones) : 2 * len(tones)]
             phasors[point], std[point] = sine + 1j * cosine, found[1]
@@ -117,9 +139,46 @@ def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bo
     return own
 
 
+def _gain(frame: Frame) -> float:
+    """Return what brings the median grey of a frame to `BRIGHT`."""
+    return BRIGHT / max(float(np.median(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY))), 1.0)
+
+
 def _picture(frame: Frame) -> NDArray[np.uint8]:
     grey = cv2.GaussianBlur(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 0.8)
-    return np.clip(grey * (BRIGHT / max(float(np.median(grey)), 1.0)), 0, 255).astype(np.uint8)
+    return np.clip(grey * _gain(frame), 0, 255).astype(np.uint8)
+
+
+def _flower_path(
+    at: Sight, k: int, images: Sequence[Image], path: Array, basis: Array, expected: ComplexArray | None
+) -> Array:
+    """Return (T, 2) where a flower's own pixels are [px], NaN where they are not found.
+
+    Args:
+        at: what is in sight.
+        k: number of the flower.
+        images: T smoothed frames.
+        path: (T, 2) where its surroundings were found.
+        basis: (T, 2K + SLOW) of the tones.
+        expected: (K, 2) its phasors [px], or None.
+    """
+    own = at.flowers[k]
+    shift = at.pixels[k] - own.centre
+    ways = [np.where(np.isfinite(path), path, at.pixels[k])]
+    if expected is not None:
+        swing = basis[:, : 2 * len(expected)] @ np.concatenate([expected.real, expected.imag])
+        ways = [at.pixels[k] + scale * swing for scale in SCALES] + ways
+    best, worth = np.full_like(path, np.nan), 0.0
+    for way in ways:
+        found = seek(images, own, way - shift, SEEK, LIKE) + shift
+        fitted = _fitted(basis, found)
+        if fitted is None:
+            continue
+        found = seek(images, own, basis @ fitted[0] - shift, FINE, LIKE) + shift
+        sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted[1])
+        if sure > worth:
+            best, worth = found, sure
+    return best
 
 
 def _paths(at: Sight, frames: Sequence[Frame]) -> Array:
