@@ -201,8 +201,8 @@ def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> No
             found = super().swings(at, frames, tones, expected)
             return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
 
-    for seconds in (7.0, 8.0, 9.0):
-        world = Fading(foresight, foresight.vectors[4], params=Params(most_seconds=seconds))
+    for seconds in np.arange(6.0, 9.0, 0.25):
+        world = Fading(foresight, foresight.vectors[4], params=Params(most_seconds=float(seconds)))
         check_pieces(world, shaken(world))
 
 

@@ -45,12 +45,12 @@ def drawn(centres: Array, light: float, rng: np.random.Generator, noise: float) 
 def film(
     paths: list[Path], *, seconds: float = 1.4, rate: float = RATE, light: float = 0.0, noise: float = 2.0
 ) -> tuple[Frame, list[Frame]]:
-    """Return the picture at rest and a film; exposure changes by a share `light` of itself from frame to frame."""
+    """Return the picture at rest and a film; exposure goes up and down by a share `light`, as fast as a tone."""
     rng = np.random.default_rng(5)
     times, homes = 7.3 + np.arange(0, seconds, 1 / rate), HOMES[: len(paths)]
     depth = np.full((CAMERA.height, CAMERA.width), DEPTH, np.float32)
     shown = np.array([home + path(times) for home, path in zip(homes, paths, strict=True)])
-    lights = 1 + light * rng.uniform(-1, 1, len(times))
+    lights = 1 + light * np.sin(2 * np.pi * TONES[1] * times)
     frames = [Frame(float(t), drawn(shown[:, i], lights[i], rng, noise), depth) for i, t in enumerate(times)]
     return Frame(0.0, drawn(homes, 1.0, rng, noise), depth), frames
 

@@ -12,8 +12,10 @@ from small_planner import solve
 from test_safety import HERE
 
 from anther.arm import sawyer
+from anther.arm.planner import Planner
 from anther.arm.shaking import swing_trajectory
-from anther.errors import InputError
+from anther.errors import InputError, StageFailure
+from anther.geometry import Array
 from anther.swing import Swing
 
 TONES = np.array([2.5, 4.1, 7.3])
@@ -135,3 +137,24 @@ def test_a_piece_beyond_the_reach_of_the_shake_is_refused() -> None:
         swing_trajectory(REST, ALONG, piece, 0.0039)
     with pytest.raises(InputError, match="reach of a swing"):
         swing_trajectory(REST, ALONG, piece, 0.3)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_swing_is_free_only_if_both_its_ends_are(monkeypatch: pytest.MonkeyPatch, side: int) -> None:
+    planner = Planner(np.zeros((0, 3)), np.zeros((0, 3)))
+    rest = sawyer.forward(REST)[:3, 3]
+    piece = Swing.first([1.0], [0.02], 2.0, 1.0)
+
+    def up_to_a_wall(way: Array, *_: Any) -> bool:
+        return bool(np.all(side * (sawyer.forward(way)[:, :3, 3] - rest) @ ALONG < 0.015))
+
+    planner.swing(REST, ALONG, piece, 0.02)
+    planner.shake(REST, ALONG, 0.02, 1.0, 3.0)
+    monkeypatch.setattr(planner.world, "path_free", up_to_a_wall)
+    for move in (
+        lambda: planner.swing(REST, ALONG, piece, 0.02),
+        lambda: planner.shake(REST, ALONG, 0.02, 1.0, 3.0),
+    ):
+        with pytest.raises(StageFailure, match="hits something") as failure:
+            move()
+        assert failure.value.kind == "collision"
