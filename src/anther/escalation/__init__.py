@@ -38,7 +38,7 @@ class Params:
             20, between 5 and 80 (facts: pollination 6).
         most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same).
         probe: how long all tones are watched at once, at most [s].
-        look: how long a step is watched at least [s], or three periods.
+        look: how long a step is watched at least [s], or two periods.
         raised: a step is at most so many times the one before.
         hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
         most_seconds: of the whole shake [s].
@@ -50,7 +50,7 @@ class Params:
     probe: float = 1.4
     look: float = 0.4
     raised: float = 1.5
-    hold: float = 2.0
+    hold: float = 1.2
     most_seconds: float = 12.0
     points: int = 60
 
@@ -66,8 +66,8 @@ class Params:
 
 
 RAMP = 0.3
-"""In which the amplitude changes [s], or one period of the slowest tone if that is longer."""
-PERIODS = 3.0
+"""In which the amplitude changes [s], or half a period of the slowest tone if that is longer."""
+PERIODS = 2.0
 """A step is watched for so many of its periods at least."""
 PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
 """The probe is watched for so many periods of its slowest tone, at least so long [s]."""
@@ -137,6 +137,8 @@ class Escalation:
         self._limits, self._risk = limits_of(limits, plan.press), limits.risk
         self._may: dict[int, Allowed] = {}
         self._picture: dict[int, NDArray[np.complex128]] = {}
+        self._worth: dict[int, float] = {}
+        self._tried: dict[int, tuple[float, float]] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
         self._doubted = False
 
@@ -160,7 +162,7 @@ class Escalation:
         tones = self.plan.tones
         size = PROBED * np.minimum(tones.amplitudes, tones.reach) / np.sqrt(len(tones.frequencies))
         size *= min(1.0, self.reach / size.sum())
-        ramp = max(RAMP, 1 / tones.frequencies.min())
+        ramp = max(RAMP, 0.5 / float(tones.frequencies.min()))
         self._piece = Swing.first(tones.frequencies, size, ramp + self._probe + LEAD, ramp)
         return self._piece
 
@@ -180,6 +182,7 @@ class Escalation:
         told = [known(self._foresight, look, i, self._T, self._late, self._risk) for i in range(len(look.tones))]
         self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
         tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
+        self._worth |= {int(t): float(np.median(one.flowers)) for t, one in zip(look.tones, told, strict=True)}
         self._picture |= {int(t): one.picture for t, one in zip(look.tones, told, strict=True)}
         self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)
         ramp = self._ramp(tone)
@@ -233,12 +236,11 @@ class Escalation:
 
     def _allowed(self, tone: int, one: Known) -> Allowed:
         """Return how far a tone may be raised."""
-        counted = one.flowers[one.seen] if one.seen.any() else one.flowers
-        median = float(np.median(counted)) if len(counted) else 0.0
+        median, largest = float(np.median(one.flowers)), float(one.flowers[one.seen].max(initial=0.0))
         caps = {kind: limit / max(one.loads[kind], 1e-12) for kind, limit in self._limits.items()}
         caps["what the actuator can do"] = float(self.plan.tones.reach[tone])
         caps["the target"] = self.params.target / max(median, 1e-12)
-        caps["the most a flower may feel"] = self.params.most / max(float(counted.max(initial=0)), 1e-12)
+        caps["the most a flower may feel"] = self.params.most / max(largest, 1e-12)
         binds = min(caps, key=lambda name: caps[name])
         return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
 
@@ -253,10 +255,11 @@ class Escalation:
         if look.followed < LOST * self._in_sight:
             return tone, 0.0, 0.0, f"Only {look.followed} of {self._in_sight} points are still followed: ended."
         best = max(self._may, key=lambda k: (min(self._may[k].flowers, self.params.target), self._may[k].flowers))
-        here = tone if len(look.tones) == 1 else None
-        better = here is None or self._may[best].flowers > BETTER * self._may[here].flowers
-        if best != here and better and self._fits(best):
+        if self._may[best].flowers <= BETTER * self._may[tone].flowers:
+            best = tone  # of the probe, the plan's own
+        if len(look.tones) > 1 or (best != tone and self._fits(best)):
             return self._turned_to(best, look)
+        self._tried[tone] = max(self._tried.get(tone, (0.0, 0.0)), (now * self._worth[tone], now))
         return self._raised(tone, now, seen)
 
     def _turned_to(self, tone: int, look: Look) -> tuple[int, float, float, str]:
@@ -283,7 +286,16 @@ class Escalation:
             self._doubted = True
             return tone, higher, self._watch(tone), f"Watched again at {1e3 * higher:.2g} mm: {why}."
         self._last = True
-        return tone, min(now, higher), self.params.hold, f"Held at {1e3 * min(now, higher):.2g} mm: {why}."
+        best = max(self._tried, key=lambda k: self._tried[k])
+        if best != tone and self._tried[best] > (BETTER * now * self._worth[tone], 0.0):
+            tone, higher, why = (
+                best,
+                self._tried[best][1],
+                f"{why}; more was seen at {self._foresight.tones[best]:.3g} Hz",
+            )
+        else:
+            higher = min(now, higher)
+        return tone, higher, self.params.hold, f"Held at {1e3 * higher:.2g} mm: {why}."
 
     def _fits(self, tone: int) -> bool:
         """Return whether there is time for one more step, the hold after it, and coming to rest."""
@@ -291,7 +303,7 @@ class Escalation:
         return ends + 3 * ramp + self._watch(tone) + self.params.hold + 2 * LEAD <= self.params.most_seconds
 
     def _ramp(self, tone: int) -> float:
-        return max(RAMP, 1 / float(self._foresight.tones[tone]))
+        return max(RAMP, 0.5 / float(self._foresight.tones[tone]))
 
     def _watch(self, tone: int) -> float:
         return max(self.params.look, PERIODS / float(self._foresight.tones[tone]))

@@ -28,6 +28,9 @@ as `vibration.params.LOAD_ERROR` but after the camera has seen a tone. Measured 
 500-519) whose truth no stage believes, two grips, seven tones from 2 to 11 Hz, points seen with an error of 12 %: 5 %
 of the loads pass what they say. Of the grip's force: that of the model."""
 
+UNSEEN = 0.2
+"""A flower that is not seen counts with this quantile of what the members say: a tone is not taken for what it might
+do."""
 SIGNIFICANCE = 3.0
 """A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
 
@@ -39,7 +42,7 @@ class Known(NamedTuple):
     """Of one tone, per metre of the commanded amplitude.
 
     Attributes:
-        flowers: (F,) peak acceleration [1/s2]; of those that are not seen, what is believed.
+        flowers: (F,) peak acceleration [1/s2]; of those that are not seen, what is believed with a margin.
         seen: (F,) whether the camera measured it.
         loads: kind (`LOADS`) -> largest load, with the margin.
         picture: (F, 2) phasors of the flowers along the camera's x and y, on its clock [m/m].
@@ -113,7 +116,7 @@ def known(foresight: Foresight, look: Look, i: int, T: Array, late: float, risk:
     moved = look.gripper[i] / look.amplitudes[i]
     share = abs(moved)
     flowers = found.vectors[:, where["flowers"]].mean(axis=0)
-    believed = np.exp(np.log(np.maximum(semi_major(found.vectors[:, where["flowers"]]), 1e-12)).mean(axis=0))
+    believed = np.quantile(semi_major(found.vectors[:, where["flowers"]]), UNSEEN, axis=0)
     own, std = motion[: len(flowers)], look.swings.std[: len(flowers)] / abs(look.gripper[i])
     seen = np.linalg.norm(own, axis=1) >= SIGNIFICANCE * std  # not where one of them is NaN
     flowers[seen] = own[seen] @ T[:, :2].T + (flowers[seen] @ T[:, 2])[:, None] * T[:, 2]

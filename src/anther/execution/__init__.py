@@ -153,7 +153,8 @@ def execute(
         if arrive is not None:
             with work.phase(EARLY):
                 work.note(arrive())
-        check_shake(shake.amplitude, shake.frequency * shake.waveform.ratio, shake.duration, limits)
+        if work.robot.motor is None:
+            check_shake(shake.amplitude, shake.frequency * shake.waveform.ratio, shake.duration, limits)
         _forward(work)
         _back(work)
     except (Exception, KeyboardInterrupt) as error:
@@ -248,7 +249,9 @@ def _forward(work: _Work) -> None:
         raise StageFailure("unreachable", "the grasp has no arm joints. Plan it with the arm's reach.")
     with work.phase("open"):  # whatever cannot be done at this grasp is refused before anything moves to it
         p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
-        shake = work.planner.shake(grasp.joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
+        shake = JointTrajectory.standstill(grasp.joints, 1.0)
+        if work.robot.motor is None:
+            shake = work.planner.shake(grasp.joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
         work.robot.gripper.move(work.opening)
     with work.phase("reach"):
         if np.abs(arm.joints() - outward.positions[-1]).max() > THERE:

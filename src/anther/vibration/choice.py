@@ -205,6 +205,8 @@ def best(found: Search, rows: NDArray[Any], *, avoid: Place | None = None) -> Pl
 
 OF_THE_MACHINE = 3
 """The first bounds of a search: the plant has no part in them."""
+QUICK = 2.0
+"""Slower frequencies are not tried beside the plan's own [Hz]: watching one takes two seconds and more."""
 TONES, APART = 6, 1.15
 """So many frequencies are worth trying, each this factor from the others: responses lose their likeness within 40 %."""
 
@@ -217,7 +219,7 @@ def tones_at(found: Search, response: Gains, at: Place, least: float) -> Tones:
     chosen = [q]
     for k in np.argsort(-moved, kind="stable"):
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
-        if far and size[k] >= least and len(chosen) < TONES:
+        if far and found.frequencies[k] >= QUICK and size[k] >= least and len(chosen) < TONES:
             chosen.append(int(k))
     bounds = list(found.bounds.values())[:OF_THE_MACHINE]
     machine = [(limit / np.maximum(value[0], 1e-12))[:, g, d] for value, limit in bounds]
