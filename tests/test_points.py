@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics
 from anther.response.points import Sight, Swings, sight, swings
+from anther.vibration.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
 DEPTH, RADIUS, RATE = 0.6, 13, 60.0
@@ -23,7 +24,7 @@ SWUNG = 1.2 * WHERE / np.abs(WHERE)  # px, of every point, tone and axis
 Path = Callable[[Array], Array]
 
 
-def wave(phasors: Array, tones: Array = TONES) -> Path:
+def wave(phasors: ComplexArray, tones: Array = TONES) -> Path:
     """Return the way (T, 2) of phasors (K, 2)."""
     return lambda t: np.imag(np.exp(2j * np.pi * t[:, None] * tones) @ phasors)
 
@@ -61,7 +62,7 @@ def seen(rest: Frame, homes: Array = HOMES) -> Sight:
     return sight(rest, CAMERA, np.eye(4), np.zeros((0, 3)), places)
 
 
-def off(found: Swings, truth: Array = SWUNG) -> Array:
+def off(found: Swings, truth: ComplexArray = SWUNG) -> Array:
     """Return the error of every point and tone, over the size of the motion in truth."""
     return np.linalg.norm(found.phasors / PER_PIXEL - truth, axis=2) / np.linalg.norm(truth, axis=2)
 
@@ -79,7 +80,7 @@ def test_amplitude_and_phase_of_every_tone_are_found_whatever_the_exposure(light
 
 
 def test_wind_and_swings_that_die_out_are_not_taken_for_tones() -> None:
-    def drifting(phasors: Array) -> Path:
+    def drifting(phasors: ComplexArray) -> Path:
         return lambda t: wave(phasors)(t) + np.outer(2.0 * np.sin(2 * np.pi * 0.3 * t), [1.0, -0.5])
 
     rest, frames = film([drifting(phasors) for phasors in SWUNG])
@@ -131,7 +132,7 @@ def test_a_point_that_is_covered_for_a_moment_is_still_measured() -> None:
 
 def test_a_point_that_leaves_the_picture_is_nan() -> None:
     tones = np.array([3.3])
-    truth = np.array([[[90.0, 0.0]]])
+    truth = np.array([[[90.0 + 0j, 0.0]]])
     rest, frames = film([wave(truth[0], tones)])
     found = swings(seen(rest, HOMES[:1]), frames, tones)
     assert np.isnan(found.std[0])
