@@ -197,8 +197,8 @@ def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> No
     foresight = made_foresight(seed)
 
     class Fading(World):
-        def swings(self, at: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
-            found = super().swings(at, frames, tones, expected)
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            found = super().swings(_, frames, tones, expected)
             return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
 
     for seconds in np.arange(6.0, 9.0, 0.25):
