@@ -34,6 +34,7 @@ LISTED = (
     "true_held_beside",
     "true_flower_acceleration_peak_ms2",
 )  # of a trial's summary; other lists, one number a flower, are left out
+USUAL = Params()
 LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
 
 
@@ -179,7 +180,7 @@ def watched(cell: SimulatedCell, run: Memory) -> Any:
 
 
 def performed(
-    cell: SimulatedCell, perform: Callable[[], Done], params: Params = Params()
+    cell: SimulatedCell, perform: Callable[[], Done], params: Params = USUAL
 ) -> tuple[dict[str, Any], Done | None]:
     """Perform, judge, and return how it went, with the simulated time of its phases [s]."""
     done = verdict = failure = None

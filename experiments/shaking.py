@@ -48,7 +48,7 @@ FIRST, DEVELOPMENT = 9500, 7700
 PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
 """Of the paper's largest and fastest shakes (docs/paper.md)."""
 PAPER_FORCE = 150.0
-"""The paper's shakes pull with 15 to 141 N (`anther.pressing` has what a grip bears); a guard's 10 N would stop most."""
+"""The paper's shakes pull with 15 to 141 N (facts: pollination 6); a guard's 10 N would stop most."""
 LEAST_SHAKE = 1e-6  # m: the paper's grasp is not refused because the plant bears no useful shake there
 WAYS = ("paper", "plan", "escalated", "motor")
 
@@ -111,7 +111,7 @@ def shaken(case: Case, file: Path) -> dict[str, Any]:
 
 
 def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
-    """Take the plant by the paper's rule (P12-P14) and shake it as the paper's most vigorous runs, seen as by Anther."""
+    """Take the plant by the paper's rule (P12-P14) and shake it as the paper's most vigorous runs."""
     params, side = Params(), cell.robot_side
     seen: Seen = perceive(run.stage("capture", None, side.take_views), side.workspace, run, params)
     planner = cast(Planner, side.plan_around(seen.cloud))

@@ -96,7 +96,7 @@ def one_plant(case: Case, out: Path) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def _scanned(species: Species, seed: int, seen_as: Truth) -> Seen:
+def scanned_plant(species: Species, seed: int, seen_as: Truth) -> Seen:
     """Return what ten views tell of a plant of this truth."""
     views = views_at(USUAL_DISTANCE, PRESETS["fast"])
     plant = grow(species, seed, 0, USUAL_DISTANCE, seen_as)
@@ -104,7 +104,7 @@ def _scanned(species: Species, seed: int, seen_as: Truth) -> Seen:
     return perceive(photograph(sight, views.joints, seed, truth=seen_as)[0], layout(USUAL_DISTANCE).workspace)
 
 
-def _looks(truth: Truth) -> Truth:
+def looks(truth: Truth) -> Truth:
     """Return the truth as far as it changes what is seen: without wind, mechanics do not."""
     if truth.wind > 0:
         return truth
@@ -116,7 +116,7 @@ def predicted(case: Case) -> dict[str, Any]:
     """Scan, model, probe and predict one plant, and return it beside the truth."""
     truth = truth_of(case.truth, case.seed)
     plant = grow(case.species, case.seed, 0, USUAL_DISTANCE, truth)
-    seen = _scanned(case.species, case.seed, _looks(truth))
+    seen = scanned_plant(case.species, case.seed, looks(truth))
     model = scanned(seen, PRIOR[case.species])
     i, j = matched(seen.flowers.positions, plant.flower_position)
     points = stem_points(plant, HEIGHTS)
@@ -128,7 +128,7 @@ def predicted(case: Case) -> dict[str, Any]:
     after = refine(model, probes)
     frequencies = np.array(SLOW + FAST)
     true = np.array([semi_major(grip.linear(frequencies)) for grip in grips])
-    loads = {k: np.array([_loads(grip, frequencies)[k] for grip in grips]) for k in KINDS}
+    loads = {k: np.array([loads_of(grip, frequencies)[k] for grip in grips]) for k in KINDS}
     row: dict[str, Any] = {"species": case.species, "seed": case.seed, "true": true[:, :, j]}
     row["loads"] = loads
     for name, belief in (("before", before), ("after", after)):
@@ -223,7 +223,7 @@ def _felt(grip: ShakenPlant, amplitude: float, frequency: float, seed: int) -> F
     return Felt(amplitude, 0.0, felt, error, float(np.angle(square) / 2 + error / size * rng.normal()))
 
 
-def _loads(grip: ShakenPlant, frequencies: Array) -> dict[str, Array]:
+def loads_of(grip: ShakenPlant, frequencies: Array) -> dict[str, Array]:
     """Return, by kind, (Q,) the largest strain of small shakes, per metre of grip motion."""
     strain = semi_major(grip.bending(frequencies))
     pieces = grip.mechanics.pieces
