@@ -78,7 +78,7 @@ class Pieces:
         self._tones, self._ramp = plan.tones.frequencies, 1 / float(plan.tones.frequencies.min())
         self._sizes = [probe + 0.0 * own, 0.5 * plan.amplitude * own, plan.amplitude * own, 0.0 * own]
 
-    def begin(self, _: Frame) -> Swing:
+    def begin(self, frame: Frame) -> Swing:
         """Return the probe."""
         self._piece = Swing.first(self._tones, self._sizes[0], 1.0 + self._ramp, self._ramp)
         return self._piece
@@ -87,7 +87,7 @@ class Pieces:
         """Return when the piece under way is steady [s]."""
         return self._piece.begin + self._piece.ramp
 
-    def go_on(self, _: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return the next piece."""
         when = samples[0].time + self.since(), samples[-1].time
         tones, sizes = tuple(self._tones.tolist()), tuple(self._piece.amplitudes.tolist())

@@ -74,7 +74,7 @@ def solve(T: Array, seed: Any = sawyer.NEUTRAL) -> Array:
         AssertionError: none found.
     """
     rng = np.random.default_rng(0)
-    q = np.array(seed, dtype=float)
+    q, error = np.array(seed, dtype=float), np.full(6, np.inf)
     for _ in range(50):
         for _ in range(200):
             now = sawyer.forward(q)

@@ -163,8 +163,9 @@ def test_what_is_commanded_is_a_copy_that_nobody_can_change() -> None:
     class Noting(FakeArm):
         def follow(self, trajectory, watch=None, more=None):  # type: ignore[no-untyped-def]
             def noted() -> JointTrajectory | None:
+                assert more is not None
                 motion = more()
-                commanded.append(motion)
+                commanded.extend([] if motion is None else [motion])
                 return motion
 
             return super().follow(trajectory, watch, noted)

@@ -46,7 +46,7 @@ def most(world: World, tone: int) -> tuple[float, float]:
     margin = {k: median * np.exp(norm.isf(world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()}
     caps = [limit / (margin[k] * loads[k]) for k, limit in limits_of(world.limits, world.plan.press).items()]
     caps += [world.plan.tones.reach[tone], world.params.target / np.median(flowers), world.params.most / flowers.max()]
-    return min(caps), min(caps) * float(np.median(flowers))
+    return float(min(caps)), float(min(caps) * np.median(flowers))
 
 
 def single(watched: Escalation) -> list[Any]:
@@ -111,7 +111,7 @@ def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None
 def test_whatever_the_plant_every_rule_holds(shaken: Shaken) -> None:
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        foresight = made_foresight(seed, unsure=float(rng.uniform(0.1, 0.8)), gains=rng.uniform(0.2, 3, 3))
+        foresight = made_foresight(seed, unsure=float(rng.uniform(0.1, 0.8)), gains=rng.uniform(0.2, 3, 3).tolist())
         plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist())
         world = World(foresight, foresight.vectors[seed % 32], plan=plan, late=float(rng.uniform(0, 0.03)))
         world.params = Params(raised=float(rng.uniform(1.1, 2)), target=float(rng.uniform(5, 40)))
@@ -197,8 +197,8 @@ def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> No
     foresight = made_foresight(seed)
 
     class Fading(World):
-        def swings(self, at: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
-            found = super().swings(at, frames, tones, expected)
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            found = super().swings(_, frames, tones, expected)
             return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
 
     for seconds in np.arange(6.0, 9.0, 0.25):

@@ -194,7 +194,7 @@ BAD_FIRST: dict[str, tuple[Swing, SafetyLimits]] = {
     "swing of the motor": (Swing.first([10.0], [2e-3], 0.5, 0.2), LIMITS),
     "speed of the motor": (FIRST, replace(LIMITS, shake_speed=0.1)),
     "acceleration of the motor": (Swing.first([50.0], [1e-3], 0.5, 0.2), LIMITS),
-    "duration of the swing": (Swing.first([30.0], [1e-4], 5.5, 0.2), LIMITS),
+    "duration of the swing": (Swing.first([30.0], [1e-4], LIMITS.shake_duration + 0.1, 0.2), LIMITS),
     "begin of the swing": (LAST, LIMITS),
 }
 

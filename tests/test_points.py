@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics
 from anther.response.points import Sight, Swings, sight, swings
+from anther.vibration.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
 DEPTH, RADIUS, RATE = 0.6, 13, 60.0
@@ -23,7 +24,7 @@ SWUNG = 1.2 * WHERE / np.abs(WHERE)  # px, of every point, tone and axis
 Path = Callable[[Array], Array]
 
 
-def wave(phasors: Array, tones: Array = TONES) -> Path:
+def wave(phasors: ComplexArray, tones: Array = TONES) -> Path:
     """Return the way (T, 2) of phasors (K, 2)."""
     return lambda t: np.imag(np.exp(2j * np.pi * t[:, None] * tones) @ phasors)
 
@@ -61,7 +62,7 @@ def seen(rest: Frame, homes: Array = HOMES) -> Sight:
     return sight(rest, CAMERA, np.eye(4), np.zeros((0, 3)), places)
 
 
-def off(found: Swings, truth: Array = SWUNG) -> Array:
+def off(found: Swings, truth: ComplexArray = SWUNG) -> Array:
     """Return the error of every point and tone, over the size of the motion in truth."""
     return np.linalg.norm(found.phasors / PER_PIXEL - truth, axis=2) / np.linalg.norm(truth, axis=2)
 
@@ -79,7 +80,7 @@ def test_amplitude_and_phase_of_every_tone_are_found_whatever_the_exposure(light
 
 
 def test_wind_and_swings_that_die_out_are_not_taken_for_tones() -> None:
-    def drifting(phasors: Array) -> Path:
+    def drifting(phasors: ComplexArray) -> Path:
         return lambda t: wave(phasors)(t) + np.outer(2.0 * np.sin(2 * np.pi * 0.3 * t), [1.0, -0.5])
 
     rest, frames = film([drifting(phasors) for phasors in SWUNG])
@@ -131,7 +132,7 @@ def test_a_point_that_is_covered_for_a_moment_is_still_measured() -> None:
 
 def test_a_point_that_leaves_the_picture_is_nan() -> None:
     tones = np.array([3.3])
-    truth = np.array([[[90.0, 0.0]]])
+    truth = np.array([[[90.0 + 0j, 0.0]]])
     rest, frames = film([wave(truth[0], tones)])
     found = swings(seen(rest, HOMES[:1]), frames, tones)
     assert np.isnan(found.std[0])
@@ -182,3 +183,52 @@ def test_phases_are_on_the_clock_of_the_frames(later: float) -> None:
     moved = [Frame(f.time + later, f.rgb, f.depth) for f in frames]
     turned = SWUNG[:1] * np.exp(-2j * np.pi * TONES * later)[None, :, None]
     assert off(swings(seen(rest, HOMES[:1]), moved, TONES), turned).max() < 0.02
+
+
+# Flowers: small, of their own colour, before leaves that stand still or go another way.
+
+
+def flower_film(path: Path, *, seconds: float = 1.2) -> tuple[Frame, list[Frame]]:
+    """Return the picture at rest and a film of one yellow flower at HOMES[0], 9 px across, before leaves."""
+    rng = np.random.default_rng(8)
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
+    leaves = (
+        60 + 25 * np.sin(0.31 * u + 0.17 * v) * np.cos(0.23 * v - 0.11 * u) + 15 * np.sin(0.9 * u) * np.sin(0.8 * v)
+    )
+    behind = leaves[..., None] * [0.7, 1.2, 0.5]
+
+    def frame(time: float, centre: Array) -> Frame:
+        away = np.hypot(u - centre[0], v - centre[1])
+        cover = (1 / (1 + np.exp(3 * (away - 4.5))))[..., None]
+        petals = (1 - 0.03 * away)[..., None].clip(0.5) * [235.0, 215.0, 60.0]
+        rgb = behind + cover * (petals - behind) + 2 * rng.normal(size=behind.shape)
+        depth = np.where(away < 4.5, DEPTH, DEPTH + 0.015).astype(np.float32)
+        return Frame(time, np.clip(np.rint(rgb), 0, 255).astype(np.uint8), depth)
+
+    times = 3.1 + np.arange(0, seconds, 1 / RATE)
+    return frame(0.0, HOMES[0]), [frame(float(t), HOMES[0] + way) for t, way in zip(times, path(times), strict=True)]
+
+
+@pytest.mark.parametrize("wrong", [None, 1.0, 1.5, 0.7])
+@pytest.mark.parametrize("size", [1.5, 6.0])
+def test_a_flower_is_followed_though_its_background_stands_still(size: float, wrong: float | None) -> None:
+    tones = np.array([4.1])
+    truth = size * np.array([[[1.0 + 0j, 0.4j]]])
+    rest, frames = flower_film(wave(truth[0], tones))
+    place = np.append((HOMES[0] - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, DEPTH)
+    at = sight(rest, CAMERA, np.eye(4), place[None], np.zeros((0, 3)))
+    assert at.shown.tolist() == [True]
+    assert at.pixels[0] == pytest.approx(HOMES[0], abs=0.5)
+    expected = None if wrong is None else wrong * PER_PIXEL * truth
+    found = swings(at, frames, tones, expected)
+    assert off(found, truth).max() < 0.08
+    assert np.isfinite(found.std[0])
+
+
+def test_flowers_come_first_and_one_that_is_hidden_is_not_in_sight() -> None:
+    rest, _ = flower_film(wave(np.zeros((1, 2)), np.array([4.1])))
+    places = np.column_stack([(HOMES - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, np.full(3, DEPTH)])
+    at = sight(rest, CAMERA, np.eye(4), places[:2], places[2:])
+    assert at.shown.tolist()[:2] == [True, False]
+    assert len(at.flowers) == 2
+    assert at.pixels.shape == (3, 2)
