@@ -99,7 +99,7 @@ def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
 
 def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None:
     foresight = made_foresight(1)
-    world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(target=30.0, most=31.0))
+    world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(30.0, 31.0, raised=3.0, most_seconds=30.0))
     world.limits = Limits(plant=WEAK)
     watched = shaken(world)
     felt = [np.nanmax(step.flowers) for step in single(watched)]
