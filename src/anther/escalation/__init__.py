@@ -225,7 +225,8 @@ class Escalation:
     def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
         if self._middle is None:
-            gripper = piece.amplitudes[active] * np.exp(-2j * np.pi * piece.frequencies[active] * begin)
+            turned = np.exp(-2j * np.pi * piece.frequencies[active] * begin)
+            gripper = np.asarray(piece.amplitudes[active] * turned, dtype=np.complex128)
         else:
             gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
         expected = None
