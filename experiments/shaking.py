@@ -152,7 +152,7 @@ def main() -> None:
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     plants = [(SPECIES[k % 2], first + k // 2) for k in range(2 if args.quick else args.plants)]
     cases = [Case(species, seed, way, args.truth) for species, seed in plants for way in args.ways]
-    with ProcessPoolExecutor(args.jobs, max_tasks_per_child=20) as pool:
+    with ProcessPoolExecutor(args.jobs) as pool:
         done = pool.map(one, cases, [args.out] * len(cases))
         rows = list(track(done, "shakes", total=len(cases), console=Console()))
     text = shaking_table.report(rows)
