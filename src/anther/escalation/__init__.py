@@ -181,8 +181,8 @@ class Escalation:
             self._late = lateness(self._foresight, look, self._T) if look.followed else 0.0
         told = [known(self._foresight, look, i, self._T, self._late, self._risk) for i in range(len(look.tones))]
         self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
-        tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
         self._worth |= {int(t): float(np.median(one.flowers)) for t, one in zip(look.tones, told, strict=True)}
+        tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
         self._picture |= {int(t): one.picture for t, one in zip(look.tones, told, strict=True)}
         self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)
         ramp = self._ramp(tone)
