@@ -95,7 +95,7 @@ def one(species: Species, seed: int) -> list[dict[str, Any]]:
             row: dict[str, Any] = {"species": species, "seed": seed, "height": height, "tone": tone}
             for kind in LOADS:
                 if foresight.where[kind].stop > foresight.where[kind].start:
-                    before, after = (foresight.load(kind, v) for v in (foresight.vectors[:, k], found.vectors))
+                    before, after = (foresight.load(kind, v) for v in (foresight.vectors[:, k], found))
                     row[kind] = [true[kind][k], *said(before, LOAD_ERROR[kind]), *said(after, SEEN_ERROR[kind])]
             rows.append(row)
     return rows

@@ -101,7 +101,9 @@ def test_a_chain_that_does_not_join_is_refused_and_the_arm_holds(name: str) -> N
 def test_joins_within_the_tolerance_pass() -> None:
     pieces = cut(WHOLE)
     off = [pieces[0], moved(pieces[1], by=0.5 * JUMP * ONE, faster=0.5 * JUMP * ONE), pieces[2]]
-    GuardedArm(FakeArm(), LIMITS).follow(off[0], None, following(off[1:]))
+    arm = FakeArm()
+    GuardedArm(arm, LIMITS).follow(off[0], None, following(off[1:]))
+    assert (arm.done, arm.held) == (1, 0)
 
 
 LATER: dict[str, tuple[str, JointTrajectory, SafetyLimits]] = {

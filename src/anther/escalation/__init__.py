@@ -89,7 +89,8 @@ BETTER = 1.3
 ENOUGH = 1.05
 """A raise by less is not worth its time."""
 LOST = 0.5
-"""A shake is ended when fewer than this share of the flowers seen in the probe are still followed."""
+"""A shake is ended when fewer than this share of the points followed in the probe still are, and raised no more when
+fewer than this share of the flowers measured at its tone are."""
 
 
 class Allowed(NamedTuple):
@@ -107,6 +108,10 @@ class Escalation:
     each tone at this grip (`foresight.narrowed`). The tone is taken at which the flowers can be moved most, and raised
     in steps, each watched, until they feel `Params.target` or a limit is near. Where the camera sees nothing, the plan
     is done as it is.
+
+    Attributes:
+        plan, params: as given.
+        steps: what was done so far.
 
     Args:
         plan: where, and by the model how far at most.
@@ -132,7 +137,8 @@ class Escalation:
         limits: Limits,
         params: Params = Params(),
     ) -> None:
-        self.plan, self.params, self.steps = plan, params, ()
+        self.plan, self.params = plan, params
+        self.steps: tuple[Step, ...] = ()
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
         self._limits, self._risk = limits_of(limits, plan.press), limits.risk
         self._may: dict[int, Allowed] = {}
@@ -141,9 +147,6 @@ class Escalation:
         self._tried: dict[int, tuple[float, float]] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
         self._doubted = False
-
-    steps: tuple[Step, ...]
-    """What was done so far."""
 
     @property
     def reach(self) -> float:
@@ -162,7 +165,7 @@ class Escalation:
         tones = self.plan.tones
         size = PROBED * np.minimum(tones.amplitudes, tones.reach) / np.sqrt(len(tones.frequencies))
         size *= min(1.0, self.reach / size.sum())
-        ramp = max(RAMP, 0.5 / float(tones.frequencies.min()))
+        ramp = self._ramp(int(tones.frequencies.argmin()))
         self._piece = Swing.first(tones.frequencies, size, ramp + self._probe + LEAD, ramp)
         return self._piece
 

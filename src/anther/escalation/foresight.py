@@ -110,22 +110,10 @@ def _foreseen(
     return [found[:, look.flowers], found[:, found.shape[1] - len(seen) :], *strains, leaves, held]
 
 
-class Narrowed(NamedTuple):
-    """What is believed of one tone after a camera saw it.
-
-    Attributes:
-        vectors: (M, S, 3) what one metre of the gripper's motion does, of the members as corrected.
-        misfit: -2 ln likelihood of what was seen, up to a constant.
-    """
-
-    vectors: ComplexArray
-    misfit: float
-
-
 def narrowed(
     foresight: Foresight, tone: int, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
-) -> Narrowed:
-    """Return what one metre does at one tone, once points were seen to move in the camera's picture.
+) -> ComplexArray:
+    """Return (M, S, 3) what one metre does at one tone, once points were seen to move in the camera's picture.
 
     The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
     hidden flowers follow as the members have them follow, so that at a tone and grip that were measured no resonance
@@ -141,18 +129,46 @@ def narrowed(
         T: (3, 3) rotation from the camera to the world.
     """
     members = foresight.vectors[:, tone]
-    mean, count = members.mean(axis=0), len(members)
     if not len(rows):
-        return Narrowed(members, 0.0)
-    off = (members - mean).reshape(count, -1) / np.sqrt(count - 1)
-    shown = (members[:, rows] @ T[:, :2]).reshape(count, -1)
-    size = np.maximum(np.linalg.norm(motion, axis=1), np.linalg.norm(mean[rows] @ T[:, :2], axis=1))
+        return members
+    count, seen = len(members), _seen(members, rows, motion, std, T)
+    off = (members - members.mean(axis=0)).reshape(count, -1) / np.sqrt(count - 1)
+    drawn = np.random.default_rng(0).normal(size=(2, *seen.miss.shape))
+    misses = seen.miss + drawn[0] + 1j * drawn[1]
+    weights = np.linalg.solve(seen.gram, seen.spread.conj() @ misses.T).T
+    return members + (weights @ off).reshape(members.shape)
+
+
+def misfit(
+    foresight: Foresight, tone: int, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
+) -> float:
+    """Return -2 ln likelihood of what was seen at one tone, up to a constant; arguments as of `narrowed`."""
+    if not len(rows):
+        return 0.0
+    seen = _seen(foresight.vectors[:, tone], rows, motion, std, T)
+    miss = seen.miss.mean(axis=0)
+    explained = np.linalg.solve(seen.gram, seen.spread.conj() @ miss) @ seen.spread
+    return float(np.vdot(miss, miss - explained).real) + float(np.linalg.slogdet(seen.gram)[1])
+
+
+class _Seen(NamedTuple):
+    """Members beside what was seen of P points, in standard deviations of that.
+
+    Attributes:
+        miss: (M, 2P) seen less what each member says.
+        spread: (M, 2P) of the members about their mean, over the root of M - 1.
+        gram: (M, M) of the members' spread, and 1.
+    """
+
+    miss: ComplexArray
+    spread: ComplexArray
+    gram: ComplexArray
+
+
+def _seen(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array) -> _Seen:
+    said = members[:, rows] @ T[:, :2]
+    size = np.maximum(np.linalg.norm(motion, axis=1), np.linalg.norm(said.mean(axis=0), axis=1))
     noise = np.sqrt(np.repeat(std**2 + (MISFIT * size) ** 2, 2))
-    spread = (shown - shown.mean(axis=0)) / np.sqrt(count - 1) / noise
-    drawn = np.random.default_rng(0).normal(size=(2, *shown.shape))
-    misses = (motion.reshape(-1) - shown) / noise + drawn[0] + 1j * drawn[1]
-    miss = (motion.reshape(-1) - shown.mean(axis=0)) / noise
-    gram = np.eye(count) + spread.conj() @ spread.T
-    weights = np.linalg.solve(gram, spread.conj() @ misses.T).T
-    misfit = float(np.vdot(miss, miss - np.linalg.solve(gram, spread.conj() @ miss) @ spread).real)
-    return Narrowed(members + (weights @ off).reshape(members.shape), misfit + float(np.linalg.slogdet(gram)[1]))
+    said = said.reshape(len(members), -1)
+    spread = (said - said.mean(axis=0)) / np.sqrt(len(members) - 1) / noise
+    return _Seen((motion.reshape(-1) - said) / noise, spread, np.eye(len(members)) + spread.conj() @ spread.T)

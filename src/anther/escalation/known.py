@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.devices import ArmSample
-from anther.escalation.foresight import LOADS, Foresight, Narrowed, narrowed
+from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
 from anther.geometry import Array
 from anther.response.points import Swings
 from anther.vibration import Params as Limits
@@ -96,7 +96,8 @@ def gripper_motion(
 
 def lateness(foresight: Foresight, look: Look, T: Array) -> float:
     """Return by how much the camera's clock is late [s]: that of `LATE` which the members explain best."""
-    fits = [sum(_narrowed(foresight, look, i, T, late)[0].misfit for i in range(len(look.tones))) for late in LATE]
+    tones = range(len(look.tones))
+    fits = [sum(misfit(foresight, *_points(foresight, look, i, late)[0], T) for i in tones) for late in LATE]
     return float(LATE[int(np.argmin(fits))])
 
 
@@ -111,16 +112,17 @@ def known(foresight: Foresight, look: Look, i: int, T: Array, late: float, risk:
         late: see `lateness`.
         risk: share of shakes in which a load may be larger than is said.
     """
-    found, motion = _narrowed(foresight, look, i, T, late)
+    points, motion = _points(foresight, look, i, late)
+    found = narrowed(foresight, *points, T)
     where, omega = foresight.where, 2 * np.pi * foresight.tones[look.tones[i]]
     moved = look.gripper[i] / look.amplitudes[i]
     share = abs(moved)
-    flowers = found.vectors[:, where["flowers"]].mean(axis=0)
-    believed = np.quantile(semi_major(found.vectors[:, where["flowers"]]), UNSEEN, axis=0)
+    flowers = found[:, where["flowers"]].mean(axis=0)
+    believed = np.quantile(semi_major(found[:, where["flowers"]]), UNSEEN, axis=0)
     own, std = motion[: len(flowers)], look.swings.std[: len(flowers)] / abs(look.gripper[i])
     seen = np.linalg.norm(own, axis=1) >= SIGNIFICANCE * std  # not where one of them is NaN
     flowers[seen] = own[seen] @ T[:, :2].T + (flowers[seen] @ T[:, 2])[:, None] * T[:, 2]
-    loads = {kind: share * margined(foresight.load(kind, found.vectors), SEEN_ERROR[kind], risk) for kind in LOADS}
+    loads = {kind: share * margined(foresight.load(kind, found), SEEN_ERROR[kind], risk) for kind in LOADS}
     picture = moved * np.exp(-1j * omega * late) * (flowers @ T[:, :2])
     return Known(share * omega**2 * np.where(seen, semi_major(flowers), believed), seen, loads, picture)
 
@@ -132,11 +134,16 @@ def limits_of(limits: Limits, press: float) -> dict[str, float]:
     return dict(zip(LOADS, values, strict=True))
 
 
-def _narrowed(foresight: Foresight, look: Look, i: int, T: Array, late: float) -> tuple[Narrowed, ComplexArray]:
-    """Return what is believed of one tone, and (F + P, 2) what was seen of it per metre of the gripper's motion."""
+def _points(
+    foresight: Foresight, look: Look, i: int, late: float
+) -> tuple[tuple[int, NDArray[np.int64], ComplexArray, Array], ComplexArray]:
+    """Return tone, rows, motion and deviation of what was seen, as `narrowed` takes them, and all motion (F + P, 2).
+
+    Motion is per metre of the gripper's own.
+    """
     tone = int(look.tones[i])
     turned = np.exp(2j * np.pi * foresight.tones[tone] * late) / look.gripper[i]
     motion, std = look.swings.phasors[:, i] * turned, look.swings.std * abs(turned)
     used = np.flatnonzero(np.isfinite(std))
     rows = np.concatenate([np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])])
-    return narrowed(foresight, tone, rows[used], motion[used], std[used], T), motion
+    return (tone, rows[used], motion[used], std[used]), motion

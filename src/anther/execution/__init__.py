@@ -209,20 +209,16 @@ class _Work:
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, and note when."""
-        return self.noted(self.robot.arm.follow(trajectory, watch, more))
+        return self.note(self.robot.arm.follow(trajectory, watch, more))
 
-    def noted(self, record: ArmRecord) -> ArmRecord:
-        """Note when the arm did what it did, and return that."""
-        self.note(record)
-        return record
-
-    def note(self, record: ArmRecord) -> None:
-        """Note when the arm moved; what passed on the clock since the last motion was the previous phase's."""
+    def note(self, record: ArmRecord) -> ArmRecord:
+        """Note when the arm moved, and return that; what passed since the last motion was the previous phase's."""
         begin = float(record.times[0])
         if len(self.marks) > 1:
             self.marks[-2] = (*self.marks[-2][:2], begin)
         self.marks[-1] = (self.marks[-1][0], begin, begin)
         self.clock = float(record.times[-1])
+        return record
 
     def trial(self) -> Trial:
         grips = np.array([(g.opening, g.force, g.is_gripping) for g in self.grips], dtype=float).reshape(-1, 3)
@@ -314,7 +310,7 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
     if motor is None:
         _shake(work, lambda: work.follow(joints(first), work.felt.append, onward))
     else:
-        _shake(work, lambda: work.noted(motor.swing(first, work.felt.append, more)))
+        _shake(work, lambda: work.note(motor.swing(first, work.felt.append, more)))
 
 
 def _shake(work: _Work, move: Callable[[], ArmRecord]) -> None:

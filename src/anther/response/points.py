@@ -17,6 +17,7 @@ from anther.flower_tracking import Image, Patch, seek, smoothed
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.response.following import placed
 from anther.response.params import Params
+from anther.vibration.observables import ComplexArray
 
 DEFAULTS = Params()
 WINDOW = 15
@@ -31,19 +32,14 @@ BRIGHT = 100.0
 """Median grey of the pictures that are compared: exposure and gain of a camera change from frame to frame."""
 SCALES = (1.0, 1.6, 0.6)
 """Times what is expected, along which a flower is looked for."""
-SEEK, FINE, LIKE = 8, 3, 0.4
-"""A flower is looked for so far from there [px], then from the swing that fits; `Params.own_likeness`."""
+SEEK = 8
+"""A flower is looked for so far from there [px], then within `Params.near` of the swing that fits."""
 SLOW = 4
 """Legendre polynomials beside the tones: wind, and swings that die out."""
 LEAST_SHARE = 0.6
 """Of the frames in which a point must be followed."""
-OUTLIER = 4.0
-"""Places so many robust deviations off the fit are left out."""
 LEAST_ERROR = 0.03
 """No place is surer than this [px]: a guess, and about what films without motion show."""
-
-
-ComplexArray = NDArray[np.complex128]
 
 
 class Sight(NamedTuple):
@@ -72,7 +68,7 @@ class Swings(NamedTuple):
         std: (P,) standard deviation of either part of any of them [m].
     """
 
-    phasors: NDArray[np.complex128]
+    phasors: ComplexArray
     std: Array
 
 
@@ -88,12 +84,12 @@ def sight(
     pixels = intrinsics.project(np.where(rest[:, 2:] > NEAR, rest, 1.0))
     inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = inside & (rest[:, 2] > NEAR) & _own_depth(frame.depth, pixels, rest[:, 2], inside)
-    count, alone = len(flowers), list[Patch]()
+    count, alone, gain = len(flowers), list[Patch](), _gain(frame)
     if count and rest[:count, 2].min() > params.depth_gate:
         pixels[:count], alone = placed(frame, intrinsics, rest[:count], params)
-        alone = [patch._replace(image=patch.image * _gain(frame)) for patch in alone]
+        alone = [patch._replace(image=patch.image * gain) for patch in alone]
         shown[:count] = inside[:count] & np.array([patch.cover >= params.least_cover for patch in alone])
-    return Sight(_picture(frame), pixels, rest[:, 2] / intrinsics.fx, shown, tuple(alone))
+    return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, shown, tuple(alone))
 
 
 def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None) -> Swings:
@@ -101,9 +97,9 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
 
     Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
     and back: where it is going, else at home, else where it was. A flower is small before a background that stands
-    still: its own pixels alone are then looked for along that path, along what is expected, and at home; where it is
-    found most often counts, and it is looked for once more along the swing that fits. Then tones and slow terms are
-    fitted to each path by least squares.
+    still: its own pixels alone are then looked for along what is expected and along that path, each time once more
+    along the swing that fits; where it is found most often counts. Then tones and slow terms are fitted to each path by
+    least squares.
 
     Args:
         at: what is in sight.
@@ -116,8 +112,11 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
     if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
         return Swings(phasors, std)
     basis = _basis(times, tones)
-    images = [smoothed(frame) * _gain(frame) for frame in frames] if at.shown[: len(at.flowers)].any() else []
-    for point, path in zip(np.flatnonzero(at.shown), np.swapaxes(_paths(at, frames), 0, 1), strict=True):
+    gains = [_gain(frame) for frame in frames]
+    paths = np.swapaxes(_paths(at, [_picture(f, gain) for f, gain in zip(frames, gains, strict=True)]), 0, 1)
+    seeing = at.shown[: len(at.flowers)].any()
+    images = [smoothed(f) * gain for f, gain in zip(frames, gains, strict=True)] if seeing else []
+    for point, path in zip(np.flatnonzero(at.shown), paths, strict=True):
         if point < len(at.flowers):
             guess = None if expected is None else expected[point] / at.per_pixel[point]
             found = _fitted(basis, _flower_path(at, int(point), images, path, basis, guess))
@@ -144,9 +143,9 @@ def _gain(frame: Frame) -> float:
     return BRIGHT / max(float(np.median(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY))), 1.0)
 
 
-def _picture(frame: Frame) -> NDArray[np.uint8]:
+def _picture(frame: Frame, gain: float) -> NDArray[np.uint8]:
     grey = cv2.GaussianBlur(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 0.8)
-    return np.clip(grey * _gain(frame), 0, 255).astype(np.uint8)
+    return np.clip(grey * gain, 0, 255).astype(np.uint8)
 
 
 def _flower_path(
@@ -170,21 +169,21 @@ def _flower_path(
         ways = [at.pixels[k] + scale * swing for scale in SCALES] + ways
     best, worth = np.full_like(path, np.nan), 0.0
     for way in ways:
-        found = seek(images, own, way - shift, SEEK, LIKE) + shift
+        found = seek(images, own, way - shift, SEEK, DEFAULTS.own_likeness) + shift
         fitted = _fitted(basis, found)
         if fitted is None:
             continue
-        found = seek(images, own, basis @ fitted[0] - shift, FINE, LIKE) + shift
+        found = seek(images, own, basis @ fitted[0] - shift, DEFAULTS.near, DEFAULTS.own_likeness) + shift
         sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted[1])
         if sure > worth:
             best, worth = found, sure
     return best
 
 
-def _paths(at: Sight, frames: Sequence[Frame]) -> Array:
-    """Return (T, S, 2) where the S points in sight are in the frames [px]; NaN where lost."""
+def _paths(at: Sight, pictures: Sequence[NDArray[np.uint8]]) -> Array:
+    """Return (T, S, 2) where the S points in sight are in the pictures [px]; NaN where lost."""
     home = at.pixels[at.shown].astype(np.float32)[:, None]
-    out = np.full((len(frames), len(home), 2), np.nan)
+    out = np.full((len(pictures), len(home), 2), np.nan)
     place, before = home.copy(), home.copy()
     options: dict[str, Any] = {
         "winSize": (WINDOW, WINDOW),
@@ -192,8 +191,8 @@ def _paths(at: Sight, frames: Sequence[Frame]) -> Array:
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
         "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
     }
-    for i, frame in enumerate(frames):
-        picture, lost = _picture(frame), np.ones(len(home), dtype=bool)
+    for i, picture in enumerate(pictures):
+        lost = np.ones(len(home), dtype=bool)
         found = place.copy()
         for guess in (2 * place - before, home, place):
             there, ok, _ = cv2.calcOpticalFlowPyrLK(at.picture, picture, home[lost], guess[lost].copy(), **options)
@@ -224,7 +223,7 @@ def _fitted(basis: Array, path: Array) -> tuple[Array, float] | None:
         return None
     miss = np.abs(path - basis @ _solved(basis[used], path[used])[0])
     usual = 1.4826 * np.median(miss[used], axis=0)
-    used &= (np.nan_to_num(miss, nan=np.inf) <= OUTLIER * np.maximum(usual, LEAST_ERROR)).all(axis=1)
+    used &= (np.nan_to_num(miss, nan=np.inf) <= DEFAULTS.outlier * np.maximum(usual, LEAST_ERROR)).all(axis=1)
     if used.sum() < least:
         return None
     coefficients, inverse_gram = _solved(basis[used], path[used])
