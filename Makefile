@@ -42,7 +42,6 @@ docs: $(DEV)  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py benchmarks/perception.py --figure docs/pictures/perception.png
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --page docs/grasping.md
-	$(BIN)/python tools/record.py experiments/actuators.py --figure docs/pictures/actuators.png
 	$(BIN)/python tools/record.py experiments/limits.py
 	$(BIN)/python tools/record.py experiments/second_judge.py
 	$(BIN)/python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/wide_truth.md

@@ -19,10 +19,9 @@ from rich.table import Table
 from scipy.special import expit
 
 from anther.files import replacing, write_json
-from anther.fruit_set import NAMES, PRIORS, Count, FruitSet, fit
+from anther.fruit_set import EXPONENTS, NAMES, PRIORS, Count, FruitSet, fit, pollen_dose
 from anther.geometry import Array
 from anther.pictures.fruit_set import draw_fruit_set
-from anther.vibration.limits import pollen_dose
 
 WAYS = {"varied": (1.0, 250.0, 4), "gentle": (5.0, 20.0, 4), "no_control": (5.0, 20.0, 0)}
 """Name -> (weakest, strongest shake [m/s2], every how manieth plant is left alone)."""
@@ -30,20 +29,22 @@ FLOWERS = 12
 
 
 def drawn_truth(rng: np.random.Generator) -> Array:
-    """Return (4,) one dose-response drawn from the prior, in the order of `NAMES`."""
-    z = [rng.normal(*getattr(PRIORS["tomato"], name)) for name in NAMES]
-    return np.array([expit(z[0]), expit(z[1]), np.exp(z[2]), expit(z[3])])
+    """Return (5,) one dose-response drawn from the prior, in the order of `NAMES`."""
+    z = [rng.normal(*getattr(PRIORS["tomato"], name)) for name in NAMES[:4]]
+    return np.array(
+        [expit(z[0]), expit(z[1]), np.exp(z[2]), expit(z[3]), rng.uniform(EXPONENTS.min(), EXPONENTS.max())]
+    )
 
 
 def counts(rng: np.random.Generator, truth: Array, plants: int, way: str) -> list[Count]:
     """Return what a grower would count on plants visited once each."""
-    (p0, gain, half, likeness), (weakest, strongest, control) = truth, WAYS[way]
+    (p0, gain, half, likeness, exponent), (weakest, strongest, control) = truth, WAYS[way]
     size, found = 1 / likeness - 1, []
     for k in range(plants):
         alone = control > 0 and k % control == 0
         middle = np.exp(rng.uniform(np.log(weakest), np.log(strongest)))
         shaken = middle * rng.uniform(0.5, 1.5, 5)
-        p = p0 + (1 - p0) * gain * (0.0 if alone else float(pollen_dose(shaken, half).mean()))
+        p = p0 + (1 - p0) * gain * (0.0 if alone else float(pollen_dose(shaken, half, exponent).mean()))
         fruit = int(rng.binomial(FLOWERS, rng.beta(p * size, (1 - p) * size)))
         found.append(Count(FLOWERS, fruit, () if alone else (shaken,)))
     return found
@@ -56,7 +57,7 @@ def score(learned: FruitSet, truth: Array) -> dict[str, float]:
         _, low, high = learned.interval(name)
         row |= {f"{name}_holds": float(low <= value <= high), f"{name}_narrowed": learned.learned(name)}
     _, low, high = learned.added(20.0)
-    added = (1 - truth[0]) * truth[1] * float(pollen_dose(np.array(20.0), truth[2]))
+    added = (1 - truth[0]) * truth[1] * float(pollen_dose(20.0, truth[2], truth[4]))
     return row | {"added_holds": float(low <= added <= high), "added_width": high - low}
 
 

@@ -10,9 +10,10 @@ plant's first shake taught. The history is a real one, in SQLite. One JSON a pla
 that was stopped goes on.
 
 Keys of the --json file: <crop>_<arm>_error, the mean |ln(true / predicted amplitude)| of a flower; _bias, its signed
-mean; _within, the share of flowers inside the predicted interval (0.9 is right); _more, the share of flowers that sets
-because of the shake, by the true accelerations; _acceleration, their mean [m/s2]; _strain, the largest share of the
-stem's strain limit used; the same with _late for the last half of the plants; and the crop's last belief.
+mean; _within, the share of flowers inside the predicted interval (0.9 is right); _freed, the share of pollen that
+leaves the flowers by the true accelerations, the median over what is not known of the dose; _acceleration, their mean
+[m/s2]; _strain, the largest share of the stem's strain limit used; the same with _late for the last half of the plants;
+and the crop's last belief.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps
 from anther.identification import Observed, refine
 from anther.plant import Material, PlantModel, build_plant
+from anther.sim.effect import pollen_freed
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene as Rendered
 from anther.sim.shaken_plant import ShakenPlant
@@ -61,7 +63,6 @@ from anther.sim.truth import NOMINAL, Truth
 from anther.store import ShakeRecord, TrialRecord, add_missing, facts_prior, starting_material
 from anther.vibration import Params as ShakeParams
 from anther.vibration import ShakePlan, plan_shake
-from anther.vibration.dose import freed_share, set_probability
 
 ARMS = ("facts", "crop", "plant")
 CROPS: tuple[Species, ...] = ("tomato", "pepper")
@@ -83,7 +84,7 @@ class Visit:
         why: how the belief came about, or why nothing was shaken.
         shake: (Hz, m), or None.
         predicted, low, high, true, measured: amplitudes [m]; measured is None where the camera could not.
-        more: share of all flowers that sets because of the shake.
+        freed: share of the pollen that leaves the flowers, the median over what is not known of the dose.
         acceleration: mean peak acceleration of all flowers [m/s2].
         strain: largest bending strain of the stem over its limit.
         before, after: the belief, as plain values.
@@ -97,7 +98,7 @@ class Visit:
     high: list[float]
     true: list[float]
     measured: list[float | None]
-    more: float
+    freed: float
     acceleration: float
     strain: float
     before: dict[str, float]
@@ -139,7 +140,7 @@ def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Gen
     try:
         model: PlantModel = scene.model(belief)
         plan = plan_shake(model, scene.grasps)
-        true, more, jolt, strain = shaken(scene, plan)
+        true, freed, jolt, strain = shaken(scene, plan)
     except StageFailure as failure:
         return Visit(arm, str(failure), None, [], [], [], [], [], 0.0, 0.0, 0.0, before, before)
     known = scene.flowers >= 0
@@ -163,7 +164,7 @@ def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Gen
         high=high.tolist(),
         true=answer[known].tolist(),
         measured=[float(m) if np.isfinite(m) else None for m in measured[known]],
-        more=more,
+        freed=freed,
         acceleration=jolt,
         strain=strain,
         before=asdict(model.material),
@@ -172,17 +173,15 @@ def visit(scene: Scene, arm: str, belief: Material, why: str, rng: np.random.Gen
 
 
 def shaken(scene: Scene, plan: ShakePlan) -> tuple[Array, float, float, float]:
-    """Return the true flowers' amplitudes (F,) [m], what more sets, their mean acceleration [m/s2], and the strain."""
+    """Return of the true flowers amplitudes (F,) [m], pollen freed and mean acceleration [m/s2], and the strain."""
     limits = ShakeParams()
     truth = scene.truth
     plant = ShakenPlant(truth, plan.grasp.point, plan.direction, truth=scene.around)
     done = plant.steady(plan.amplitude, plan.frequency)
     jolt = (2 * np.pi * plan.frequency) ** 2 * done.amplitude
-    freed = freed_share(jolt[None], np.array([plan.duration]), limits.half_dose, limits.release_time)
-    more = set_probability(freed, limits.unshaken, limits.gain).mean() - limits.unshaken
     on_stem = np.isin(plant.mechanics.pieces.first, truth.stem_segments())
     strain = np.max([plant.mechanics.strain(q)[on_stem].max() for q in done.qpos])
-    return done.amplitude, float(more), float(jolt.mean()), float(strain / limits.plant.stem_strain)
+    return done.amplitude, pollen_freed(jolt)[1], float(jolt.mean()), float(strain / limits.plant.stem_strain)
 
 
 def learn(
@@ -246,7 +245,7 @@ def summary(rows: Sequence[Visit]) -> dict[str, float]:
         "error": float(np.mean([np.abs(m).mean() for m in miss])),
         "bias": float(np.mean([m.mean() for m in miss])),
         "within": float(np.mean(held)),
-        "more": float(np.mean([v.more for v in rows])),
+        "freed": float(np.mean([v.freed for v in rows])),
         "acceleration": float(np.mean([v.acceleration for v in rows])),
         "strain": float(max(v.strain for v in rows)),
     }
@@ -302,10 +301,10 @@ def _crop(species: Species, seeds: Sequence[int], out: Path, truth: str) -> list
 
 
 def _table(found: dict[str, float], crops: Sequence[str]) -> Table:
-    table = Table("crop", "begun with", "|ln(true/predicted)|", "bias", "in interval", "sets more", "flowers [m/s²]")
+    table = Table("crop", "begun with", "|ln(true/predicted)|", "bias", "in interval", "pollen freed", "flowers [m/s²]")
     for crop in crops:
         for arm in ARMS:
-            value = {n: found[f"{crop}_{arm}_{n}"] for n in ("error", "bias", "within", "more", "acceleration")}
+            value = {n: found[f"{crop}_{arm}_{n}"] for n in ("error", "bias", "within", "freed", "acceleration")}
             late = {n: found[f"{crop}_{arm}_{n}_late"] for n in ("error", "bias", "within")}
             table.add_row(
                 crop,
@@ -313,7 +312,7 @@ def _table(found: dict[str, float], crops: Sequence[str]) -> Table:
                 f"{value['error']:.2f} (late {late['error']:.2f})",
                 f"{value['bias']:+.2f} ({late['bias']:+.2f})",
                 f"{value['within']:.0%} ({late['within']:.0%})",
-                f"{value['more']:+.1%}",
+                f"{value['freed']:.1%}",
                 f"{value['acceleration']:.1f}",
             )
     return table

@@ -22,7 +22,7 @@ def draw(done: Mapping[str, Sequence[Sequence[Any]]]) -> Figure:
         for k, arm in enumerate(COLOURS):
             visits = [row[k] for row in rows]
             _series(panels[0], order, [_error(v) for v in visits], arm)
-            _series(panels[1], order, [100 * v.more if v.true else np.nan for v in visits], arm)
+            _series(panels[1], order, [100 * v.freed if v.true else np.nan for v in visits], arm)
         _gain(panels[2], order, [row[1] for row in rows])
         panels[0].set(ylabel="|ln(true / predicted)| of a flower", title=f"{crop}: prediction error", ylim=(0, None))
         panels[1].set(ylabel="flowers that set because of it [%]", title="dose delivered", ylim=(0, None))

@@ -148,10 +148,12 @@ def predicted(case: Case) -> dict[str, Any]:
 def tone_amplitudes(belief: Refinement, point: Array) -> Array:
     """Return (Q,) how far the gripper moves in each tone of the probe [m].
 
-    So far that the middle flower should move 8 mm, which a camera can follow; not beyond 4 mm nor 2 m/s2.
+    So far that the middle flower, if one is known, should move 8 mm, which a camera can follow; not beyond 4 mm nor
+    2 m/s2.
     """
-    gains = np.median(belief.amplitude_at(point[None], DIRECTION, np.array(TONES))[0], axis=1)
-    return np.minimum(np.minimum(4e-3, 8e-3 / gains), 2.0 / (2 * np.pi * np.array(TONES)) ** 2)
+    gains = belief.amplitude_at(point[None], DIRECTION, np.array(TONES))[0]
+    most = np.minimum(4e-3, 2.0 / (2 * np.pi * np.array(TONES)) ** 2)
+    return np.minimum(most, 8e-3 / np.median(gains, axis=1)) if gains.size else most
 
 
 def _probe(

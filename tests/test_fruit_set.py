@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.special import expit
 
 from anther.errors import InputError
-from anther.fruit_set import GRID, NAMES, PRIORS, Count, counts_of, fit
+from anther.fruit_set import GRID, NAMES, PRIORS, Count, counts_of, fit, pollen_dose, worth
 from anther.pictures.fruit_set import draw_fruit_set
 from anther.store import Outcome, ShakeRecord, TrialRecord
 
@@ -35,13 +35,34 @@ def drawn(rng: np.random.Generator, p0: float, gain: float, half: float, likenes
 def test_without_counts_it_is_the_prior_and_says_so() -> None:
     for species, prior in PRIORS.items():
         nothing = fit([], prior)
-        for name, transform in zip(NAMES, (expit, expit, np.exp, expit), strict=True):
+        for name, transform in zip(NAMES[:4], (expit, expit, np.exp, expit), strict=True):
             mean, deviation = getattr(prior, name)
             wanted = transform(mean + np.array([0, -1.645, 1.645]) * deviation)
             assert nothing.interval(name) == pytest.approx(wanted, rel=0.04), (species, name)
             assert nothing.learned(name) < 0.03
         assert "prior" in nothing.caveats()[0]
         assert "No count" in nothing.caveats()[0]
+
+
+@given(st.lists(st.floats(0, 1e4), min_size=2, max_size=8), st.floats(1.0, 2.0))
+def test_the_dose_rises_and_saturates(accelerations: list[float], exponent: float) -> None:
+    dose = pollen_dose(np.sort(accelerations), 20.0, exponent)
+    assert np.all((dose >= 0) & (dose <= 1))
+    assert np.all(np.diff(dose) >= 0)
+    assert pollen_dose(20.0, 20.0, exponent) == 0.5
+
+
+def test_what_a_shake_is_worth_is_a_range_over_the_flowers() -> None:
+    belief, felt = fit([]), np.array([2.0, 5.0, 40.0])
+    median, low, high = belief.added(felt)
+    assert low < median < high
+    assert high > 4 * low  # half a dose lies between 5 and 80
+    one_by_one = [belief.added(a) for a in felt]
+    assert min(m for m, _, _ in one_by_one) < median < max(m for m, _, _ in one_by_one)
+    said = worth(np.append(felt, np.nan), "tomato")
+    assert said.startswith("Of 4 flowers")
+    assert f"{4 * median:.1f} ({4 * low:.1f} to {4 * high:.1f})" in said
+    assert worth(np.array([np.nan]), "tomato") == ""
 
 
 def test_many_counts_find_what_made_them() -> None:
@@ -51,7 +72,7 @@ def test_many_counts_find_what_made_them() -> None:
         _, low, high = learned.interval(name)
         assert low < value < high, name
         assert learned.learned(name) > 0.5, name
-    assert learned.interval("half_dose")[2] / learned.interval("half_dose")[1] < 2.5
+    assert learned.interval("half_dose")[2] / learned.interval("half_dose")[1] < 3  # of 16 before
     assert learned.caveats() == ()
     chances = [learned.probability(a)[0] for a in (0, 5, 25, 100, 300)]
     assert chances == sorted(chances)
@@ -65,7 +86,7 @@ def test_intervals_hold_as_often_as_they_say() -> None:
     rng, inside = np.random.default_rng(2), np.zeros(3)
     prior = PRIORS["tomato"]
     for _ in range(30):
-        z = {name: rng.normal(*getattr(prior, name)) for name in NAMES}
+        z = {name: rng.normal(*getattr(prior, name)) for name in NAMES[:4]}
         truth = [expit(z["unshaken"]), expit(z["gain"]), np.exp(z["half_dose"]), expit(z["likeness"])]
         learned = fit(drawn(rng, *truth, plants=16), prior)
         intervals = [learned.interval(name) for name in NAMES[:3]]

@@ -171,7 +171,6 @@ def test_fruit_set_from_the_history(history: str, say, tmp_path: Path) -> None:
     assert (code, (tmp_path / "f.png").stat().st_size > 5000) == (0, True)
     assert "2 counts (1 without a shake), 40 flowers, 24 fruit" in text
     assert "extrapolated" in text  # two shakes of 4.8 m/s2 free next to nothing
-    assert "--params.vibration.half-dose" in text
     result = json.loads(say("fruit-set", history, "--json")[1])
     assert result["unshaken_learned"] > result["half_dose_learned"]
     assert result["probability"]["0"][0] < result["probability"]["200"][0]

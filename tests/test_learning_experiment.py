@@ -26,7 +26,7 @@ def visit(arm: str, ratio: float, gain: float = 1.0) -> learning.Visit:
     after = TOMATO.changed(response_gain=gain, response_spread=0.2)
     return learning.Visit(
         arm, "because", (9.0, 5e-4), [1e-3, 2e-3], [5e-4, 1e-3], [2e-3, 4e-3], true, [true[0], None],
-        more=0.1, acceleration=4.0, strain=0.2, before=asdict(TOMATO), after=asdict(after),
+        freed=0.1, acceleration=4.0, strain=0.2, before=asdict(TOMATO), after=asdict(after),
     )  # fmt: skip
 
 
@@ -35,9 +35,9 @@ def test_errors_bias_and_coverage_are_those_of_the_rows() -> None:
     assert found["bias"] == pytest.approx(np.log(0.4) / 2)
     assert found["error"] == pytest.approx(-np.log(0.4) / 2)
     assert found["within"] == 0.5
-    assert found["more"] == pytest.approx(0.1)
+    assert found["freed"] == pytest.approx(0.1)
     nothing = learning.Visit("facts", "no", None, [], [], [], [], [], 0.0, 0.0, 0.0, {}, {})
-    assert learning.summary([visit("facts", 1.0), nothing])["more"] == pytest.approx(0.05)
+    assert learning.summary([visit("facts", 1.0), nothing])["freed"] == pytest.approx(0.05)
 
 
 def test_plants_done_are_read_and_taught_again(tmp_path: Path) -> None:

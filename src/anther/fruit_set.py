@@ -1,8 +1,10 @@
 """Fruit set: what the counts of growers teach of how many flowers set for the shake they were given. O counts.
 
 P(set) = p0 + (1 - p0) g R: p0 sets without a shake; of the rest, a share g sets when all pollen is freed; R is the
-share that is freed, by the planner's own model of one shake (`vibration.limits.pollen_dose`), each visit freeing its
-share of what the earlier ones left: R = 1 - prod over visits (1 - mean over flowers of a^2 / (a^2 + half^2)).
+share that is freed, `pollen_dose`, each visit freeing its share of what the earlier ones left:
+R = 1 - prod over visits (1 - mean over flowers of a^n / (a^n + half^n)). No curve of pollen over acceleration was ever
+measured for a shaken tomato or pepper flower (facts: pollination 6), so half and n are believed in a range, and no
+choice of a shake depends on them.
 """
 
 from __future__ import annotations
@@ -17,11 +19,29 @@ from scipy.special import expit, gammaln, logit
 from anther.checks import check_array, check_range
 from anther.geometry import Array
 from anther.store.records import Outcome, TrialRecord
-from anther.vibration.limits import pollen_dose
 
-NAMES = ("unshaken", "gain", "half_dose", "likeness")
+NAMES = ("unshaken", "gain", "half_dose", "likeness", "exponent")
 GRID = (17, 17, 23, 13)
-"""Points of the posterior's grid along each of `NAMES`."""
+"""Points of the posterior's grid along each of the first of `NAMES`."""
+EXPONENTS = np.array([1.0, 1.5, 2.0])
+"""n, each as likely before any count (facts: pollination 6: 1 to 2)."""
+
+
+def pollen_dose(acceleration: Array | float, half: Array | float, exponent: Array | float) -> Array:
+    """Return the share of its pollen that a flower frees in one shake, a^n / (a^n + half^n).
+
+    A model of ours that follows what is known: bee buzzes of 200-490 m/s2 free it well (facts: pollination 1b); wind,
+    which gives flowers 4-24 m/s2, sets much of a field's fruit (facts: pollination 6: half lies near 20 m/s2, 5 to 80);
+    more vibration helps less and less (rsif.2024.0526), one to two visits saturate (Morandin 2001), and from 1 to 5 s
+    the duration hardly matters (Ilbi & Boztok 1994), so it is left out.
+
+    Args:
+        acceleration: peak of the flower [m/s2].
+        half: acceleration that frees half [m/s2].
+        exponent: n.
+    """
+    power = (np.asarray(acceleration) / half) ** exponent
+    return power / (power + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +54,7 @@ class Prior:
             and 65.7 % (Al-Attal 2003); bagged habanero 25 % (facts: pollination 1c).
         gain: logit of g. (set - p0) / (1 - p0) was 0.73-1 with bumblebees and 0.32 with a vibrator on tomato, 0.72 for
             one visit on habanero (the same sources).
-        half_dose: ln of the acceleration that frees half of the pollen [m/s2]: the planner's 20, with 5 and 80 m/s2 at
+        half_dose: ln of the acceleration that frees half of the pollen [m/s2]: 20, with 5 and 80 m/s2 at
             5 and 95 % (facts: pollination 6).
         likeness: logit of the intraclass correlation of flowers counted together: they share weather, vigour and load,
             so that ten of one plant tell less than ten of ten plants. An estimate of ours; no source found.
@@ -75,10 +95,10 @@ class Count:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FruitSet:
-    """The dose-response as it is believed: K weighted points (p0, g, half dose, likeness) of a posterior.
+    """The dose-response as it is believed: K weighted points (p0, g, half dose, likeness, n) of a posterior.
 
     Attributes:
-        points: (K, 4) [-, -, m/s2, -], in the order of `NAMES`.
+        points: (K, 5) [-, -, m/s2, -, -], in the order of `NAMES`.
         weights: (K,), sum 1.
         counts: what it was learned from.
         prior: what it began with.
@@ -93,24 +113,30 @@ class FruitSet:
         """Return median, 5 % and 95 % of one of `NAMES`."""
         return _quantiles(self.points[:, NAMES.index(name)], self.weights)
 
-    def probability(self, acceleration: float) -> tuple[float, float, float]:
-        """Return median, 5 % and 95 % of P(set) after one visit that shakes the flowers this much [m/s2].
+    def probability(self, acceleration: float | Array) -> tuple[float, float, float]:
+        """Return median, 5 % and 95 % of P(set) after one visit.
 
         It is of an average plant; a single one varies by `likeness` more.
+
+        Args:
+            acceleration: peak, of all flowers or (F,) of each [m/s2]; of these the mean is returned.
         """
         return _quantiles(self.points[:, 0] + self._added(acceleration), self.weights)
 
-    def added(self, acceleration: float) -> tuple[float, float, float]:
-        """Return median, 5 % and 95 % of what such a visit adds to P(set)."""
+    def added(self, acceleration: float | Array) -> tuple[float, float, float]:
+        """Return median, 5 % and 95 % of what such a visit adds to P(set); see `probability`."""
         return _quantiles(self._added(acceleration), self.weights)
 
-    def _added(self, acceleration: float) -> Array:
-        unshaken, gain, half, _ = self.points.T
-        ratio = check_range("acceleration", acceleration, 0, 1e6, "m/s2") / half
-        return (1 - unshaken) * gain * pollen_dose(ratio, 1.0)
+    def _added(self, acceleration: float | Array) -> Array:
+        unshaken, gain, half, _, exponent = self.points.T
+        freed = np.zeros(len(half))
+        felt = np.atleast_1d(np.asarray(acceleration, dtype=float))
+        for one in felt:
+            freed += pollen_dose(check_range("acceleration", float(one), 0, 1e6, "m/s2"), half, exponent) / len(felt)
+        return (1 - unshaken) * gain * freed
 
     def learned(self, name: str) -> float:
-        """Return by which share the counts narrowed one of `NAMES`, on the scale of its prior: 0 is nothing."""
+        """Return by which share the counts narrowed one of `NAMES[:4]`, on the scale of its prior: 0 is nothing."""
         column = NAMES.index(name)
         values = (np.log if name == "half_dose" else logit)(self.points[:, column])
         deviation = np.sqrt(self.weights @ (values - self.weights @ values) ** 2)
@@ -118,7 +144,7 @@ class FruitSet:
 
     def freed(self, count: Count) -> float:
         """Return the share of pollen that the visits before a count freed, as believed (mean)."""
-        return float(self.weights @ _freed(count, self.points[:, 2]))
+        return float(self.weights @ _freed(count, self.points[:, 2], self.points[:, 4]))
 
     def caveats(self) -> tuple[str, ...]:
         """Return what this cannot know, in sentences for people."""
@@ -146,27 +172,47 @@ def fit(counts: Sequence[Count], prior: Prior = PRIORS["tomato"]) -> FruitSet:
     """Return the posterior of the dose-response.
 
     A count is beta-binomial with mean P(set) (module's docstring) and intraclass correlation `likeness`, so that many
-    flowers of one plant are not taken for many plants. The posterior is summed over a grid of the four parameters on
-    their priors' scales, after three rounds on a coarser one, each zooming to 4.5 standard deviations about the mean;
-    no approximation by a normal, since few counts give skewed and ridged posteriors.
+    flowers of one plant are not taken for many plants. The posterior is summed over `EXPONENTS` and a grid of the other
+    four on their priors' scales, after three rounds on a coarser one, each zooming to 4.5 standard deviations about the
+    mean; no approximation by a normal, since few counts give skewed and ridged posteriors.
 
     Args:
         counts: of one crop.
         prior: of the crop.
     """
-    priors = np.array([getattr(prior, name) for name in NAMES])
+    priors = np.array([getattr(prior, name) for name in NAMES[:4]])
     low, high = priors[:, 0] - 4 * priors[:, 1], priors[:, 0] + 4 * priors[:, 1]
     for _ in range(3):
         mean, deviation = _marginals(*_posterior(counts, priors, low, high, [n // 2 + 1 for n in GRID]))
         low, high = np.maximum(low, mean - 4.5 * deviation), np.minimum(high, mean + 4.5 * deviation)
     axes, weights = _posterior(counts, priors, low, high, GRID)
-    grid = np.stack([g.ravel() for g in np.meshgrid(*axes, indexing="ij")], axis=1)
+    grid = np.stack([g.ravel() for g in np.meshgrid(*axes, EXPONENTS, indexing="ij")], axis=1)
     flat = weights.ravel()
     kept = flat > 1e-7 * flat.max()
-    cells = np.random.default_rng(0).uniform(-0.5, 0.5, (int(kept.sum()), len(NAMES)))  # a point stands for its cell
-    points = grid[kept] + cells * [axis[1] - axis[0] for axis in axes]
-    values = np.stack([expit(points[:, 0]), expit(points[:, 1]), np.exp(points[:, 2]), expit(points[:, 3])], axis=1)
+    cells = np.random.default_rng(0).uniform(-0.5, 0.5, (int(kept.sum()), len(axes)))  # a point stands for its cell
+    points, exponent = grid[kept, :4] + cells * [axis[1] - axis[0] for axis in axes], grid[kept, 4]
+    ways = (expit, expit, np.exp, expit)
+    values = np.stack([*(way(column) for way, column in zip(ways, points.T, strict=True)), exponent], axis=1)
     return FruitSet(values, flat[kept] / flat[kept].sum(), tuple(counts), prior)
+
+
+def worth(felt: Array, crop: str) -> str:
+    """Return in a sentence what one visit is worth before any count: a wide range, since little is known.
+
+    Args:
+        felt: (F,) peak acceleration of each flower [m/s2]; NaN where it is not known, which counts as the others' mean.
+        crop: of `PRIORS`; another is taken as pepper.
+    """
+    known = felt[np.isfinite(felt)]
+    if not len(known):
+        return ""
+    belief = fit([], PRIORS.get(crop, PRIORS["pepper"]))
+    alone, more = belief.interval("unshaken"), belief.added(known)
+    of = [f"{len(felt) * m:.1f} ({len(felt) * low:.1f} to {len(felt) * high:.1f})" for m, low, high in (alone, more)]
+    return (
+        f"Of {len(felt)} flowers {of[0]} set without a shake, and this one adds {of[1]}: nine in ten, by all that is "
+        "known of what a shake frees."
+    )
 
 
 def counts_of(trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> tuple[list[Count], list[str]]:
@@ -209,18 +255,19 @@ def _accelerations(trial: TrialRecord) -> Array | None:
     return known if len(known) else None
 
 
-def _freed(count: Count, half: Array) -> Array:
-    """Return the share of pollen freed before a count, for each half dose."""
-    kept = np.ones(len(half))
+def _freed(count: Count, half: Array, exponent: Array) -> Array:
+    """Return the share of pollen freed before a count, for each half dose and exponent."""
+    half, exponent = np.broadcast_arrays(half, exponent)
+    kept = np.ones(half.shape)
     for accelerations in count.shakes:
-        kept *= 1 - pollen_dose(accelerations[:, None] / half, 1.0).mean(axis=0)  # only the ratio counts
+        kept *= 1 - np.mean([pollen_dose(a, half, exponent) for a in accelerations], axis=0)
     return 1 - kept
 
 
 def _posterior(
     counts: Sequence[Count], priors: Array, low: Array, high: Array, sizes: Sequence[int]
 ) -> tuple[list[Array], Array]:
-    """Return axes between low and high (4,), and the posterior's weights on their grid, sum 1."""
+    """Return axes between low and high (4,), and the posterior's weights on their grid and `EXPONENTS`, sum 1."""
     axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, sizes, strict=True)]
     log_posterior = _log_prior(axes, priors) + _log_likelihood(counts, axes)
     weights = np.exp(log_posterior - log_posterior.max())
@@ -229,16 +276,16 @@ def _posterior(
 
 def _log_prior(axes: Sequence[Array], priors: Array) -> Array:
     each = [-0.5 * ((axis - mean) / deviation) ** 2 for axis, (mean, deviation) in zip(axes, priors, strict=True)]
-    return each[0][:, None, None, None] + each[1][:, None, None] + each[2][:, None] + each[3]
+    return (each[0][:, None, None, None] + each[1][:, None, None] + each[2][:, None] + each[3])[..., None]
 
 
 def _log_likelihood(counts: Sequence[Count], axes: Sequence[Array]) -> Array:
-    """Return beta-binomial log-likelihoods over the grid of the axes, up to a constant."""
-    unshaken, gain = expit(axes[0])[:, None, None, None], expit(axes[1])[:, None, None]
-    size = 1 / expit(axes[3]) - 1  # alpha + beta
-    total = np.zeros([len(axis) for axis in axes])
+    """Return beta-binomial log-likelihoods over the grid of the axes and `EXPONENTS`, up to a constant."""
+    unshaken, gain = expit(axes[0])[:, None, None, None, None], expit(axes[1])[:, None, None, None]
+    size = (1 / expit(axes[3]) - 1)[:, None]  # alpha + beta
+    total = np.zeros([len(axis) for axis in (*axes, EXPONENTS)])
     for count in counts:
-        freed = _freed(count, np.exp(axes[2]))[:, None]
+        freed = _freed(count, np.exp(axes[2])[:, None], EXPONENTS)[:, None]
         p = np.clip(unshaken + (1 - unshaken) * gain * freed, 1e-12, 1 - 1e-12)
         a, b, n, m = p * size, (1 - p) * size, count.flowers, count.fruit
         total += gammaln(a + m) - gammaln(a) + gammaln(b + n - m) - gammaln(b) - gammaln(size + n) + gammaln(size)
@@ -249,7 +296,7 @@ def _marginals(axes: Sequence[Array], weights: Array) -> tuple[Array, Array]:
     """Return mean and standard deviation along each axis, the latter at least half a step."""
     means, deviations = [], []
     for k, axis in enumerate(axes):
-        marginal = weights.sum(axis=tuple(i for i in range(len(axes)) if i != k))
+        marginal = weights.sum(axis=tuple(i for i in range(weights.ndim) if i != k))
         means.append(marginal @ axis)
         deviations.append(max(np.sqrt(marginal @ (axis - means[-1]) ** 2), 0.5 * (axis[1] - axis[0])))
     return np.array(means), np.array(deviations)

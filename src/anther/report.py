@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from anther.files import write_text
+from anther.fruit_set import worth
 from anther.pictures import report as figures
 from anther.pictures.steps import draw_steps
 from anther.plant import LEARNED, Material
@@ -236,7 +237,9 @@ def _motion(results: RunResults) -> str:
     held = response.visible & np.all(
         (response.amplitude[:, None] >= shake.predicted_amplitude_interval) == [1, 0], axis=1
     )
+    felt = np.where(response.visible, response.acceleration_peak, shake.predicted_acceleration)
     text = f"<p>{held.sum()} of {response.visible.sum()} measured amplitudes lie within the predicted interval.</p>"
+    text += f"<p>{escape(worth(felt, results.crop or ''))}</p>"
     header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
     return text + picture + _table(header, rows)
 

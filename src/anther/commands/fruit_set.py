@@ -69,7 +69,7 @@ def summary(learned: FruitSet) -> dict[str, Any]:
         "controls": sum(not c.shakes for c in learned.counts),
         **{name: learned.interval(name) for name in NAMES},
         **{f"{name}_prior": before.interval(name) for name in NAMES},
-        **{f"{name}_learned": learned.learned(name) for name in NAMES},
+        **{f"{name}_learned": learned.learned(name) for name in NAMES[:4]},
         "probability": {f"{a:g}": learned.probability(a) for a in ACCELERATIONS},
         "added": {f"{a:g}": learned.added(a) for a in ACCELERATIONS},
         "probability_prior": {f"{a:g}": before.probability(a) for a in ACCELERATIONS},
@@ -88,10 +88,12 @@ def _print(result: dict[str, Any]) -> None:
         ("unshaken", "sets without a shake", 100, " %"),
         ("gain", "of the rest, sets when all pollen is freed", 100, " %"),
         ("half_dose", "acceleration that frees half of it", 1, " m/s²"),
+        ("exponent", "how steeply it grows with that, 1 to 2", 1, ""),
         ("likeness", "likeness of flowers counted together", 1, ""),
     ):
         texts = [_interval(result[key], scale, unit) for key in (name, f"{name}_prior")]
-        table.add_row(label, *texts, f"{result[f'{name}_learned']:.0%}")
+        learned = result.get(f"{name}_learned")
+        table.add_row(label, *texts, "" if learned is None else f"{learned:.0%}")
     console.print(table)
     table = Table("one visit shakes the flowers by", "sets (nine in ten)", "the visit adds", "sets, before any count")
     for a, believed in result["probability"].items():
@@ -99,11 +101,6 @@ def _print(result: dict[str, Any]) -> None:
         texts = [_interval(values, 100, " %") for values in (believed, result["added"][a], prior)]
         table.add_row(f"{a} m/s²", *texts)
     console.print(table)
-    if result["counts"]:
-        unshaken, gain, half = (result[name][0] for name in ("unshaken", "gain", "half_dose"))
-        options = {"unshaken": f"{unshaken:.2f}", "gain": f"{gain:.2f}", "half-dose": f"{half:.0f}"}
-        words = " ".join(f"--params.vibration.{name} {value}" for name, value in options.items())
-        console.print(f"To plan with it: anther trial {words}")
     for note in result["caveats"]:
         console.print(f"- {note}")
 

@@ -21,6 +21,7 @@ from anther.errors import bad_input
 from anther.files import read_json, replacing
 from anther.flowers import Flowers, supposed_flowers
 from anther.formats.skeletons import read_skeleton
+from anther.fruit_set import worth
 from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
 from anther.identification import read_material
@@ -64,8 +65,8 @@ class Args:
     likened to."""
     material: Path | None = None
     """What `anther identify` measured (material.json)."""
-    objective: Literal["fruit_set", "amplitude"] | None = None
-    """Flowers that should set, or mean flower amplitude as in the paper; by default what --params says."""
+    objective: Literal["acceleration", "amplitude"] | None = None
+    """What three flowers of four feel, or mean flower amplitude as in the paper; by default what --params says."""
     actuator: Literal["arm", "gripper"] = "arm"
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
     waveforms: Literal["sine", "all"] = "sine"
@@ -209,6 +210,7 @@ def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
             for name, value, limit, s in plan.limits
         ],
         "runner_up": None if other is None else {n: getattr(other, n) for n in ("frequency", "amplitude", "score")},
+        "worth": worth(plan.predicted_acceleration, crop),
         "reason": plan.reason,
         "notes": list(plan.notes),
     }
@@ -228,6 +230,7 @@ def _print(args: Args, plan: ShakePlan, crop: Crop) -> None:
         between = f"{1e3 * low:.2f} to {1e3 * high:.2f}"
         flowers.add_row(str(k + 1), f"{1e3 * amplitude:.2f}", between, f"{jolt:.1f}")
     console.print(flowers)
+    console.print(worth(plan.predicted_acceleration, crop), highlight=False)
     for note in plan.notes:
         console.print(f"note: {note}", highlight=False, markup=False)
     if args.actuator == "gripper":

@@ -46,8 +46,8 @@ def draw_fruit_set(learned: FruitSet, prior: FruitSet, species: str) -> Figure:
 
 
 def _draw_count(axes: Axes, learned: FruitSet, count: Count) -> None:
-    freed = min(learned.freed(count), 0.999)
-    x = learned.interval("half_dose")[0] * np.sqrt(freed / (1 - freed))
+    freed, exponent = min(learned.freed(count), 0.999), learned.interval("exponent")[0]
+    x = learned.interval("half_dose")[0] * (freed / (1 - freed)) ** (1 / exponent)
     low, high = beta.ppf([0.05, 0.95], count.fruit + 0.5, count.flowers - count.fruit + 0.5)
     axes.plot([x, x], [low, high], color=COUNT, lw=0.8, alpha=0.5)
     axes.scatter(x, count.fruit / count.flowers, s=3 * count.flowers, color=COUNT, alpha=0.7, lw=0)

@@ -64,9 +64,9 @@ def plan_shake(
     Linear theory (complex tree solves about the gravity equilibrium) gives the response of every flower to a shake of
     one metre at every grip, direction and frequency, for the plant as believed and for `Params.draws` scenarios drawn
     from the spread of its material. Each shake is as large as actuator and plant allow, with the one margin that
-    `Params.risk` states; its worth is the expectation over the scenarios. The winner is checked by the nonlinear
-    solver, whose amplitudes are the prediction, and made smaller where that says a limit is passed; the interval is
-    that of the scenarios, widened by how far one flower differs from its plant.
+    `Params.risk` states; it is ranked by what three flowers of four feel in them. The winner is checked by the
+    nonlinear solver, whose amplitudes are the prediction, and made smaller where that says a limit is passed; the
+    interval is that of the scenarios, widened by how far one flower differs from its plant.
 
     Args:
         plant: from `build_plant`.
@@ -93,6 +93,9 @@ def plan_shake(
         raise _nothing_allowed(found, len(grasps), least, actuator)
     found, at, done = _best_that_holds(plant, grips, response, found, len(grasps), least, params)
     other = _runner_up(found, at, params, len(grasps))
+    score = (
+        float(found.score[at]) * done.shake.amplitude / float(found.amplitude[at])
+    )  # both objectives are linear in it
     return ShakePlan(
         grasp_index=at[2],
         grasp=grasps[at[2]],
@@ -106,10 +109,10 @@ def plan_shake(
         predicted_amplitude_interval=done.amplitude[:, None] * done.spread,
         predicted_acceleration=done.acceleration,
         predicted_acceleration_interval=done.acceleration[:, None] * done.spread,
-        score=float(found.score[at]),
+        score=score,
         limits=done.limits,
         runner_up=other,
-        reason=_reason(done, other, float(grips.arc_length[at[2]]), float(found.score[at]), params),
+        reason=_reason(done, other, float(grips.arc_length[at[2]]), score, params),
         response_map=_map(grips, response, found, len(grasps), least),
         tones=tones_at(found, response, at, least),
         pads=params.pads,
@@ -232,19 +235,18 @@ def _runner_up(found: Search, at: Place, params: Params, grasps: int) -> RunnerU
 
 
 def _reason(done: _Checked, other: RunnerUp | None, arc_length: float, score: float, params: Params) -> str:
-    shake, flowers = done.shake, len(done.amplitude)
+    shake = done.shake
     if params.objective == "amplitude":
         goal = f"the highest mean flower amplitude ({1e3 * score:.3g} mm)"
     else:
-        without = params.unshaken * flowers
-        goal = f"the most flowers that should set: {score:.2f} of {flowers}, {without:.2f} without a shake"
+        goal = f"the most that three flowers of four should feel ({score:.3g} m/s2)"
     form = "" if shake.waveform == SINE else f" as a {shake.waveform}"
     text = (
         f"Held {100 * arc_length:.0f} cm up the stem with {press(done.limits, params.least_press):.2g} N and shaken"
         f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz{form}, the flowers should move"
         f" {1e3 * np.median(done.amplitude):.2g} mm (median)"
         f" with {np.median(done.acceleration):.3g} m/s2. Of all grasps, directions, frequencies and waveforms compared"
-        f" this gives {goal}, averaged over {params.draws} further drawings of the plant's stiffness and damping."
+        f" this gives {goal}, over {params.draws} further drawings of the plant's stiffness and damping."
         f" {closest(done.limits[:-1], kept=params.keeps_limits)}"
     )
     if other is None:

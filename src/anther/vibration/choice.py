@@ -18,7 +18,6 @@ from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
 from anther.vibration.actuators import Actuator
 from anther.vibration.breeze import FLOWERS
-from anther.vibration.dose import freed_share, set_probability
 from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.params import LOAD_ERROR, Params
 from anther.vibration.search import Gains
@@ -174,8 +173,13 @@ def margined(values: Array, error: tuple[float, float] | None, risk: float) -> A
     return median * np.exp(logs.mean(axis=0) + norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
 
 
+ROBUST = 0.25
+"""A shake is ranked by the acceleration that all but this share of the flowers reach, over all scenarios of the plant.
+What pollen or fruit that is worth is not well enough known to choose by (`anther.fruit_set`)."""
+
+
 def _worth(pieces: Mix, flower: Array, acceleration: Array, amplitude: Array, params: Params) -> Array:
-    """Return (G, D) the objective's expectation over the scenarios at amplitudes (G, D)."""
+    """Return (G, D) what the objective is worth at amplitudes (G, D): [m/s2] or [m]."""
 
     def over_time(values: Array) -> Array:
         """Return (K, M, G, D, F) of values (M, Q, G, D, F)."""
@@ -183,10 +187,9 @@ def _worth(pieces: Mix, flower: Array, acceleration: Array, amplitude: Array, pa
 
     if params.objective == "amplitude":
         return (amplitude[..., None] * over_time(flower).max(axis=0)).mean(axis=(0, -1))
-    freed = freed_share(
-        amplitude[..., None] * over_time(acceleration), pieces.seconds, params.half_dose, params.release_time
-    )
-    return set_probability(freed, params.unshaken, params.gain).sum(axis=-1).mean(axis=0)
+    share = pieces.seconds / np.sum(pieces.seconds)
+    felt = np.sqrt(np.tensordot(share, over_time(acceleration) ** 2, axes=1))  # (M, G, D, F)
+    return amplitude * np.quantile(felt, ROBUST, axis=(0, -1))
 
 
 def best(found: Search, rows: NDArray[Any], *, avoid: Place | None = None) -> Place:

@@ -1,4 +1,4 @@
-"""What bounds a shake: the arm and the plant; and what a shake is worth: the pollen it frees."""
+"""What an arm bounds a shake by."""
 
 from __future__ import annotations
 
@@ -41,19 +41,3 @@ def sawyer_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
 def _amplitude(table: Array, frequencies: Array) -> Array:
     inside = np.exp(np.interp(np.log(frequencies), np.log(_HERTZ), np.log(table)))
     return inside * np.minimum(1, (_HERTZ[-1] / frequencies) ** 2)
-
-
-def pollen_dose(acceleration: Array, half: float) -> Array:
-    """Return the share of its pollen that a flower frees in one shake, a^2 / (a^2 + half^2).
-
-    A model of ours that follows what is known: bee buzzes of 200-490 m/s2 free it well (facts: pollination 1b); wind,
-    which gives flowers 4-24 m/s2, sets much of a field's fruit (facts: pollination 6: half lies near 20 m/s2, 5 to 80);
-    more vibration helps less and less (rsif.2024.0526), one to two visits saturate (Morandin 2001), and from 1 to 5 s
-    the duration hardly matters (Ilbi & Boztok 1994), so it is left out.
-
-    Args:
-        acceleration: peak acceleration of the flower [m/s2].
-        half: acceleration that frees half [m/s2].
-    """
-    square = np.square(acceleration)
-    return square / (square + half**2)

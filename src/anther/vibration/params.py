@@ -36,15 +36,8 @@ class Params:
     The plant's limits are a judgement (facts: pollination 6); no measured abscission acceleration exists.
 
     Attributes:
-        objective: "fruit_set": expected number of flowers that set; "amplitude": mean flower amplitude, as in the
+        objective: "acceleration": of the flowers, see `choice.ROBUST`; "amplitude": their mean amplitude, as in the
             paper.
-        unshaken: share of flowers that sets without a shake [-]: 30 % (Morandin 2001) to 66 % (Al-Attal 2003).
-        gain: of the others, the share that sets when all pollen is free [-]: 0.73-1 with bumblebees, 0.32 with a
-            vibrator (the same sources). The choice of the shake depends on neither; they are the medians of the prior
-            in `anther.fruit_set`, which `anther fruit-set` replaces by what counts teach.
-        half_dose: acceleration that frees half of a flower's pollen [m/s2].
-        release_time: in which a flower approaches what the acceleration can free [s]: yields of +71, +68 and +87 %
-            after 1, 3 and 5 s (Ilbi & Boztok 1994; differences not significant) give 0.6.
         waveforms: that are compared: `WAVEFORMS` has a sine, two sweeps and a burst. Response and learning need one
             frequency, so only a sine by default.
         lowest, highest: frequencies searched [Hz]; None: the actuator's band.
@@ -71,11 +64,7 @@ class Params:
         most_duration: of a visit [s].
     """
 
-    objective: Literal["fruit_set", "amplitude"] = "fruit_set"
-    unshaken: float = 0.475
-    gain: float = 0.75
-    half_dose: float = 20.0
-    release_time: float = 0.6
+    objective: Literal["acceleration", "amplitude"] = "acceleration"
     waveforms: tuple[Waveform, ...] = (SINE,)
     lowest: float | None = None
     highest: float | None = None
@@ -99,9 +88,9 @@ class Params:
     most_duration: float = 5.0
 
     def __post_init__(self) -> None:
-        if self.objective not in ("fruit_set", "amplitude"):
+        if self.objective not in ("acceleration", "amplitude"):
             raise bad_input(
-                "objective", given=f"'{self.objective}'", allowed="fruit_set or amplitude", do="Choose one."
+                "objective", given=f"'{self.objective}'", allowed="acceleration or amplitude", do="Choose one."
             )
         if not self.waveforms:
             raise bad_input("waveforms", given="none", allowed="one or more", do="Add a sine.")
@@ -114,15 +103,11 @@ class Params:
         check_range("number of directions", self.directions, 1, 360)
         check_range("number of heights", self.heights, 0, 500)
         check_range("number of draws", self.draws, 0, 1000)
-        for name in ("unshaken", "gain"):
-            check_range(name, getattr(self, name), 0, 1)
         check_range("risk", self.risk, 1e-6, 0.5)
         check_range("arm_share", self.arm_share, 0.01, 1)
         if self.least_amplitude is not None:
             check_range("least_amplitude", self.least_amplitude, 1e-7, self.most_amplitude, "m")
-        for name in (
-            "half_dose", "release_time", "most_speed", "least_press", "pad_friction",
-        ):  # fmt: skip
+        for name in ("most_speed", "least_press", "pad_friction"):
             check_range(name, getattr(self, name), 1e-9, 1e6)
         check_range("most_duration", self.most_duration, 0.1, 60, "s")
         check_range("duration", self.duration, 0.1, self.most_duration, "s")

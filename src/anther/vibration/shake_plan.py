@@ -77,7 +77,7 @@ class RunnerUp:
     Attributes:
         grasp_index: into the ranked grasps.
         frequency, amplitude: [Hz], [m].
-        score: of the objective; the plan's own score is `ShakePlan.score`.
+        score: of the objective, not checked by the nonlinear solver; the plan's own is `ShakePlan.score`.
         waveform: in words.
     """
 
@@ -107,8 +107,8 @@ class ShakePlan:
             the gain, and of one flower about its plant [m].
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
-        score: of the objective by linear theory, averaged over the scenarios: flowers that set, or mean flower
-            amplitude [m].
+        score: of the objective by linear theory over the scenarios: what three flowers of four should feel [m/s2], or
+            mean flower amplitude [m].
         limits: (name, value, limit, share used) each; values of the plant are those of the cautious scenario by linear
             theory, or of the plant as believed by the nonlinear solver where these are larger.
         runner_up: the next best, or None.
