@@ -1,13 +1,14 @@
-r"""What a shake does for the person with the plant: five ways to shake the same unseen plants, judged by MuJoCo.
+r"""What a shake does for the person with the plant: ways to shake the same unseen plants, judged by MuJoCo.
 
     python tools/record.py experiments/shaking.py --jobs 2 --page docs/shaking.md
 
 Every plant's truth is drawn wide (`anther.sim.truth.WIDE`): pads, damping, limits that no stage knows. Each way begins
-anew from the same views of the same plant:
+anew from the same views of the same plant, but for the second visit:
 
 paper      the paper's shake, 12 mm at 1.9 Hz for 5 s, at its grasp (longest edge of the stem), whatever the limits
 plan       Anther's plan alone: what the model allows
 escalated  the plan raised by what the side camera sees
+again      a second visit, with other errors of arm and cameras, that begins with what the first ended with
 motor      the same with a motor in the gripper
 
 Every trial ends in one JSON in --out and is not run again. Keys of --json: those of `shaking_table.metrics`.
@@ -40,7 +41,7 @@ from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance
 from anther.safety import GuardedArm
-from anther.vibration import ArmShaker, ShakePlan, plan_shake
+from anther.vibration import ArmShaker, EarlierShake, ShakePlan, plan_shake
 
 SPECIES: tuple[Species, ...] = ("tomato", "pepper")
 FIRST, DEVELOPMENT = 9500, 7700
@@ -50,7 +51,7 @@ PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
 PAPER_FORCE = 150.0
 """The paper's shakes pull with 15 to 141 N (facts: pollination 6); a guard's 10 N would stop most."""
 LEAST_SHAKE = 1e-6  # m: the paper's grasp is not refused because the plant bears no useful shake there
-WAYS = ("paper", "plan", "escalated", "motor")
+WAYS = ("paper", "plan", "escalated", "again", "motor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,8 @@ def one(case: Case, out: Path) -> dict[str, Any]:
     file = case.file(out)
     if not file.exists():
         try:
-            row = shaken(case, file)
+            earlier = ended_with(case, out) if case.way == "again" else None
+            row = shaken(case, file, earlier)
         except Exception as error:  # one trial's bug must not end a run of hours
             crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
             return {**asdict(case), **crash}
@@ -88,7 +90,17 @@ def one(case: Case, out: Path) -> dict[str, Any]:
     return read_json(file)
 
 
-def shaken(case: Case, file: Path) -> dict[str, Any]:
+def ended_with(case: Case, out: Path) -> EarlierShake | None:
+    """Return what the first visit to a plant ended with; None where no flower was measured or it failed."""
+    row = one(replace(case, way="escalated"), out)
+    if not row["success"] or row.get("step_flower_acceleration_median_ms2") is None:
+        return None
+    return EarlierShake(
+        row["grasp_arc_length_m"], np.array(row["direction"]), row["shake_frequency_hz"], row["shake_amplitude_m"]
+    )
+
+
+def shaken(case: Case, file: Path, earlier: EarlierShake | None = None) -> dict[str, Any]:
     """Run one trial and return what became of it."""
     cell = build(
         case.species,
@@ -97,13 +109,17 @@ def shaken(case: Case, file: Path) -> dict[str, Any]:
         PRESETS["fast"],
         truth=truth_of(case.truth, case.seed),
         actuator="gripper" if case.way == "motor" else "arm",
+        visit=int(case.way == "again"),
     )
     run, material = Brief(file.parent), PEPPER if case.species == "pepper" else TOMATO
     params = replace(Params(), escalate=case.way != "plan", actuator="gripper" if case.way == "motor" else "arm")
     ways: dict[str, Callable[[], Done]] = {"paper": lambda: by_the_paper(cell, run, material)}
-    row, done = performed(cell, ways.get(case.way, lambda: pollinate(cell.robot_side, material, run, params)), params)
+    row, done = performed(
+        cell, ways.get(case.way, lambda: pollinate(cell.robot_side, material, run, params, None, earlier)), params
+    )
     row = {**asdict(case), **row}
     if done is not None:
+        row["direction"] = done.shake.direction
         row["steps"] = [asdict(step) for step in done.trial.steps]
         row["shaking_s"] = float(np.ptp(done.trial.shake_times)) if len(done.trial.shake_times) else 0.0
         row["flowers"] = seen_and_true(cell, run, done, case)
@@ -152,6 +168,7 @@ def main() -> None:
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     plants = [(SPECIES[k % 2], first + k // 2) for k in range(2 if args.quick else args.plants)]
     cases = [Case(species, seed, way, args.truth) for species, seed in plants for way in args.ways]
+    cases.sort(key=lambda case: case.way == "again")  # it needs the first visit
     with ProcessPoolExecutor(args.jobs) as pool:
         done = pool.map(one, cases, [args.out] * len(cases))
         rows = list(track(done, "shakes", total=len(cases), console=Console()))

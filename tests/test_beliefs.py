@@ -14,8 +14,11 @@ from hypothesis import strategies as st
 from anther.errors import InputError
 from anther.plant import PEPPER, TOMATO, Material
 from anther.store import (
+    GraspRecord,
+    ShakeRecord,
     TrialRecord,
     crop_prior,
+    earlier_shake,
     facts_prior,
     hierarchical_normal,
     record_trial,
@@ -61,6 +64,31 @@ def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
     record_trial(replace(taught, measured_amplitude=(float("nan"),), material=TOMATO), where)
     assert starting_material("tomato", "a", where).source == "facts"
     assert starting_material("tomato", "b", where).source == "facts"
+
+
+def test_the_last_shake_that_was_held_and_seen_is_remembered(tmp_path: Path) -> None:
+    where = tmp_path / "h.sqlite"
+    assert earlier_shake("tomato", "a", where) is None
+    way, grasp = (0.0, 1.0, 0.0), GraspRecord(arc_length=0.3)
+    sine = ShakeRecord(5.0, 2e-3, 3.0, "sine", way)
+    first = replace(trial("a", TOMATO, TOMATO), grasp=grasp, shake=sine)
+    record_trial(first, where)
+    later = [
+        replace(first, success=False, failure="slipped", shake=replace(sine, amplitude=9e-3)),
+        replace(first, measured_amplitude=(float("nan"),), shake=replace(sine, amplitude=8e-3)),
+        replace(first, shake=None),
+        replace(first, plant="b", shake=replace(sine, amplitude=7e-3)),
+    ]
+    for hours, record in enumerate(later, 1):
+        record_trial(replace(record, time=first.time + timedelta(hours=hours)), where)
+    found = earlier_shake("tomato", "a", where)
+    assert found is not None
+    assert (found.arc_length, found.frequency, found.amplitude) == (0.3, 5.0, 2e-3)
+    assert found.direction == pytest.approx(way)
+    record_trial(replace(first, shake=replace(sine, frequency=7.0), time=first.time + timedelta(hours=9)), where)
+    newest = earlier_shake("tomato", "a", where)
+    assert newest is not None
+    assert newest.frequency == 7.0
 
 
 def test_flowers_that_only_moved_too_little_teach_as_well(tmp_path: Path) -> None:

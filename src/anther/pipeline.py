@@ -25,7 +25,7 @@ from anther.response import Response, measure_response, stem_near
 from anther.runs import Advance, Run
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.vibration import Pads, ShakePlan
+from anther.vibration import EarlierShake, Pads, ShakePlan
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
     "nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision", "limits_exceeded",
@@ -171,7 +171,14 @@ def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
     return rods if hung is seen.flowers else replace(rods, notes=(*hung.notes, *rods.notes))
 
 
-def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_masks: FindMasks | None = None) -> Done:
+def pollinate(
+    cell: Cell,
+    material: Material,
+    run: Run,
+    params: Params,
+    find_masks: FindMasks | None = None,
+    earlier: EarlierShake | None = None,
+) -> Done:
     """See, grasp and shake one plant, and measure how its flowers answer.
 
     The shake is chosen among the grasps about as good as the best. When the gripper holds nothing or the wrong thing,
@@ -183,6 +190,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
         run: where every stage's result is kept.
         params: of every stage.
         find_masks: see `perceive`.
+        earlier: see `plan_shake`.
 
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
@@ -195,7 +203,7 @@ def pollinate(cell: Cell, material: Material, run: Run, params: Params, find_mas
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits, params.execution) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
-            shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params=params)
+            shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params=params, earlier=earlier)
     answer = _watched(cell, trial, shake, seen, run, params=params)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material, params.vibration.pads)
@@ -241,6 +249,7 @@ def _shaken(
     arrive: Arrive | None,
     *,
     params: Params,
+    earlier: EarlierShake | None,
 ) -> tuple[ShakePlan, Trial]:
     """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
 
@@ -249,7 +258,7 @@ def _shaken(
     while True:
         offered = [g for g in grasps if g.score >= grasps[0].score - params.grasp.slack]
         try:
-            shake = _planned(planner, rods, offered, run, cell.limits, params=params)
+            shake = _planned(planner, rods, offered, run, cell.limits, params=params, earlier=earlier)
         except StageFailure as failure:
             if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
                 raise
@@ -304,7 +313,14 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
 
 
 def _planned(
-    planner: MotionPlanner, rods: PlantModel, grasps: list[Grasp], run: Run, limits: SafetyLimits, *, params: Params
+    planner: MotionPlanner,
+    rods: PlantModel,
+    grasps: list[Grasp],
+    run: Run,
+    limits: SafetyLimits,
+    *,
+    params: Params,
+    earlier: EarlierShake | None,
 ) -> ShakePlan:
     """Choose a shake among the grasps."""
 
@@ -316,5 +332,5 @@ def _planned(
     return run.stage(
         "shake plan",
         ShakePlan.load,
-        lambda _: vibration.plan_shake(rods, grasps, actuator, params.vibration, limits.pressing),
+        lambda _: vibration.plan_shake(rods, grasps, actuator, params.vibration, limits.pressing, earlier),
     )

@@ -176,8 +176,11 @@ def build(
     distance: float = USUAL_DISTANCE,
     truth: Truth = NOMINAL,
     actuator: Literal["arm", "gripper"] = "arm",
+    visit: int = 0,
 ) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`, but for what `truth` says.
+
+    Another `visit` is to the same plant, with other errors of arm and cameras.
 
     With the actuator "gripper" there is a motor in the gripper (`sim.carriage`), and `Robot.motor` to command it. The
     views are rendered, not driven to: the arm stands where it waits after the last of them.
@@ -188,7 +191,7 @@ def build(
     place = layout(distance, beyond=actuator == "gripper")
     planned, last = views_at(distance, views), to_waiting(distance, views)
     plant = grow(species, seed, viewpoint, distance, truth)
-    noise = np.random.default_rng([seed, int(viewpoint), 2])
+    noise = np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit])
     scene = Scene.of_plant(plant)
     motor = carriage.Params() if actuator == "gripper" else None
     mujoco = world.Cell(plant, WAITING, world.Params(arm=arm_model.Params(motor=motor)), truth)
@@ -207,7 +210,13 @@ def build(
         to_waiting=last,
         robot_side=pipeline.Cell(
             take_views=lambda advance: photograph(
-                in_wind(plant, scene, planned, truth), planned.joints, seed, viewpoint, progress=advance, truth=truth
+                in_wind(plant, scene, planned, truth),
+                planned.joints,
+                seed,
+                viewpoint,
+                visit,
+                progress=advance,
+                truth=truth,
             )[0],
             plan_around=lambda cloud: Planner(
                 cloud.points,
@@ -228,16 +237,17 @@ def photograph(
     joints: Array,
     seed: int,
     viewpoint: float = 0.0,
+    visit: int = 0,
     *,
     progress: Advance | None = None,
     truth: Truth = NOMINAL,
 ) -> tuple[Capture, CaptureTruth]:
     """Return what the wrist camera sees of a plant from joints (V, 7) [rad], and the truth, which is for judges.
 
-    Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed` and `viewpoint` [deg];
-    `truth` says how large they are.
+    Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed`, `viewpoint` [deg] and
+    `visit`; `truth` says how large they are.
     """
-    sight, camera = (np.random.default_rng([seed, int(viewpoint), k]) for k in range(2))
+    sight, camera = (np.random.default_rng([seed, int(viewpoint), k + 10 * visit]) for k in range(2))
     T_flange_cam_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera, factor=truth.hand_eye_error)
     return capture_views(
         plant,

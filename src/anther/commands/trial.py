@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from anther.pipeline import Done
     from anther.sim.judge import Verdict
     from anther.store import Belief, TrialRecord
+    from anther.vibration import EarlierShake
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class Args:
     """What is true of plant, air, pads, arm and camera: as usual, or drawn from the seed wider than any stage believes.
     It is for judging: no stage is told."""
     material: Literal["learned", "facts"] = "learned"
-    """Begin with what the history teaches of this plant or its crop, or as if nothing had ever been measured."""
+    """Begin with what the history teaches of this plant or its crop, and with the shake that its last visit ended with;
+    or as if nothing had ever been measured."""
     shake: Preset | None = None
     """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says. 'paper' is
     the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept, slip is not prevented, nothing is raised."""
@@ -98,13 +100,13 @@ def run(args: Args) -> int:
         )
     args = replace(args, params=_params(args))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
-    belief, began = _belief(args), datetime.now(UTC)
+    belief, earlier, began = _belief(args), _earlier(args), datetime.now(UTC)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
     cell = done = verdict = failure = None
     with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
         try:
             cell = run.timed("cell", lambda _: _build(args))
-            done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks)
+            done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks, earlier)
             done.shake.save(run.folder / EXECUTED)
             verdict = run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
@@ -163,6 +165,12 @@ def _belief(args: Args) -> Belief:
     if args.material == "facts":
         return Belief(facts_prior(args.plant), "facts", 0, f"the facts' prior of {args.plant}, as asked for")
     return starting_material(args.plant, _label(args), args.history)
+
+
+def _earlier(args: Args) -> EarlierShake | None:
+    from anther.store import earlier_shake
+
+    return None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
 
 
 def _label(args: Args) -> str:

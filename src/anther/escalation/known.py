@@ -121,10 +121,18 @@ def known(foresight: Foresight, look: Look, i: int, T: Array, late: float, risk:
     believed = np.quantile(semi_major(found[:, where["flowers"]]), UNSEEN, axis=0)
     own, std = motion[: len(flowers)], look.swings.std[: len(flowers)] / abs(look.gripper[i])
     seen = np.linalg.norm(own, axis=1) >= SIGNIFICANCE * std  # not where one of them is NaN
-    flowers[seen] = own[seen] @ T[:, :2].T + (flowers[seen] @ T[:, 2])[:, None] * T[:, 2]
+    flowers[seen] = own[seen] @ T[:, :2].T + _along(found[:, where["flowers"]] @ T[:, 2])[seen, None] * T[:, 2]
     loads = {kind: share * margined(foresight.load(kind, found), SEEN_ERROR[kind], risk) for kind in LOADS}
     picture = moved * np.exp(-1j * omega * late) * (flowers @ T[:, :2])
     return Known(share * omega**2 * np.where(seen, semi_major(flowers), believed), seen, loads, picture)
+
+
+def _along(motion: ComplexArray) -> ComplexArray:
+    """Return (F,) what a camera cannot see, the motion along its line of sight: phase of the members' mean, size of
+    their root mean square, since members (M, F) that disagree do not say that nothing moves."""
+    mean = motion.mean(axis=0)
+    size = np.sqrt(np.mean(np.abs(motion) ** 2, axis=0))
+    return np.asarray(size * np.exp(1j * np.angle(mean)), dtype=np.complex128)
 
 
 def limits_of(limits: Limits, press: float) -> dict[str, float]:

@@ -2,10 +2,17 @@
 
 `record_trial`, `record_outcome` write, `read_trials`, `read_outcomes` read, `export` makes tables for other programs,
 and `starting_material` says what is believed of a plant before it is shaken: its own last belief, else what the crop
-taught.
+taught; `earlier_shake` with which shake to begin.
 """
 
-from anther.store.beliefs import Belief, crop_prior, facts_prior, hierarchical_normal, starting_material
+from anther.store.beliefs import (
+    Belief,
+    crop_prior,
+    earlier_shake,
+    facts_prior,
+    hierarchical_normal,
+    starting_material,
+)
 from anther.store.database import DEFAULT, PATIENCE, shown
 from anther.store.export import TABLES, export
 from anther.store.records import GraspRecord, Outcome, ShakeRecord, TrialRecord
@@ -30,6 +37,7 @@ __all__ = [
     "TrialRecord",
     "add_missing",
     "crop_prior",
+    "earlier_shake",
     "export",
     "facts_prior",
     "find_plants",

@@ -17,6 +17,7 @@ from anther.plant import LEARNED, PEPPER, TOMATO, Material
 from anther.store.database import DEFAULT
 from anther.store.records import TrialRecord
 from anther.store.trials import read_trials
+from anther.vibration import SINE, EarlierShake
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}
 """What is believed of a crop before any plant of it was measured; each says its sources."""
@@ -81,6 +82,21 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
         known = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
         return Belief(facts, "facts", 0, f"the facts' prior of {known}; no plant has taught anything yet")
     return Belief(crop, "crop", count, f"learned from {_count(count, f'other {species} plant')}")
+
+
+def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> EarlierShake | None:
+    """Return the last shake of a plant that succeeded and whose flowers were measured; None if there is none.
+
+    Raises:
+        InputError: the history cannot be read.
+    """
+    for trial in reversed(read_trials(where, species=species, result="success")):
+        grasp, shake = trial.grasp, trial.shake
+        if trial.plant != plant or not trial.measured or grasp is None or shake is None:
+            continue
+        if grasp.arc_length is not None and shake.direction is not None and shake.waveform == str(SINE):
+            return EarlierShake(grasp.arc_length, np.array(shake.direction), shake.frequency, shake.amplitude)
+    return None
 
 
 def crop_prior(trials: Sequence[TrialRecord], facts: Material) -> Material:

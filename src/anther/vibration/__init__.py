@@ -21,6 +21,7 @@ from anther.vibration.choice import (
     Grips,
     Place,
     Search,
+    as_earlier,
     best,
     checked_limits,
     closest,
@@ -35,21 +36,22 @@ from anther.vibration.pads import PADS, Pads
 from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params, Preset, with_preset
 from anther.vibration.plant_limits import PRESETS, PlantLimits
 from anther.vibration.search import Gains, gains, scenarios
-from anther.vibration.shake_plan import LimitRow, ResponseMap, RunnerUp, ShakePlan
+from anther.vibration.shake_plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
 from anther.vibration.verification import Shake, Shaken, verified
 from anther.vibration.waveforms import SINE, Waveform, mix
 
 __all__ = [
-    "PADS", "PRESETS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Crop", "Pads", "Params", "PlantLimits", "Preset",
-    "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper", "Waveform", "like_breeze", "plan_shake", "sawyer_limit",
-    "with_preset",
+    "PADS", "PRESETS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Crop", "EarlierShake", "Pads", "Params",
+    "PlantLimits", "Preset", "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper", "Waveform", "like_breeze",
+    "plan_shake", "sawyer_limit", "with_preset",
 ]  # fmt: skip
 
 
 SAWYER, DEFAULTS = ArmShaker(), Params()
 
 CHECKED, NEAR = 4, 0.1
-"""So many shakes are simulated until one holds the limits; those within 10 % of a refused one's frequency are not."""
+"""So many shakes are simulated until the best holds the limits; those within 10 % of a cut one's frequency count as
+cut."""
 
 
 def plan_shake(
@@ -58,6 +60,7 @@ def plan_shake(
     actuator: Actuator = SAWYER,
     params: Params = DEFAULTS,
     pressing: Pressing = PRESSING,
+    earlier: EarlierShake | None = None,
 ) -> ShakePlan:
     """Choose grasp, direction, frequency, waveform and amplitude, and predict what every flower will do.
 
@@ -74,6 +77,8 @@ def plan_shake(
         actuator: what shakes the grip.
         params: limits and search.
         pressing: what gripper and stem bear; a shake that needs more is made smaller.
+        earlier: an earlier visit's shake of this plant; where it can be done again, a watched shake begins with its
+            frequency alone, and larger.
 
     Raises:
         InputError: the frequencies asked for are outside the actuator's band.
@@ -91,11 +96,11 @@ def plan_shake(
     found = search(response, grips, grasps, frequencies, actuator=actuator, least=least, params=params)
     if not np.any(found.score[:, :, : len(grasps)] >= 0):
         raise _nothing_allowed(found, len(grasps), least, actuator)
+    again = None if earlier is None else as_earlier(found, grips, len(grasps), earlier)
+    found, earlier = (found, None) if again is None else (again, earlier)
     found, at, done = _best_that_holds(plant, grips, response, found, len(grasps), least, params)
     other = _runner_up(found, at, params, len(grasps))
-    score = (
-        float(found.score[at]) * done.shake.amplitude / float(found.amplitude[at])
-    )  # both objectives are linear in it
+    score = float(found.score[at])
     return ShakePlan(
         grasp_index=at[2],
         grasp=grasps[at[2]],
@@ -114,7 +119,7 @@ def plan_shake(
         runner_up=other,
         reason=_reason(done, other, float(grips.arc_length[at[2]]), score, params),
         response_map=_map(grips, response, found, len(grasps), least),
-        tones=tones_at(found, response, at, least),
+        tones=tones_at(found, response, at, least, earlier),
         pads=params.pads,
         notes=plant.notes + done.notes,
     )
@@ -157,17 +162,31 @@ class _Checked(NamedTuple):
 def _best_that_holds(
     plant: PlantModel, grips: Grips, response: Gains, found: Search, grasps: int, least: float, params: Params
 ) -> tuple[Search, Place, _Checked]:
-    """Return the best shake that the nonlinear solver does not make too small, and the search without those it did."""
-    found, refused = found._replace(score=found.score.copy()), ""
+    """Return the best shake as the nonlinear solver leaves it, and the search with the scores of those it cut.
+
+    What is cut loses its score in proportion, and so do its neighbours in frequency, which would be cut alike.
+    """
+    linear, refused = found.score, ""
+    found = found._replace(score=linear.copy())
+    checked: dict[Place, tuple[float, _Checked]] = {}
     for _ in range(CHECKED):
         at = best(found, np.arange(grasps))
-        if found.score[at] < 0:
+        if found.score[at] < 0 or at in checked:
             break
         done = _check(plant, grips, response, found, at, least, params)
-        if done.shake.amplitude >= least:
-            return found, at, done
-        refused = closest(done.limits)
-        found.score[at[0], np.abs(np.log(found.frequencies / found.frequencies[at[1]])) < NEAR, at[2]] = -1
+        kept = done.shake.amplitude / found.amplitude[at]
+        near = np.abs(np.log(found.frequencies / found.frequencies[at[1]])) < NEAR
+        if done.shake.amplitude < least:
+            refused, kept = closest(done.limits), -np.inf
+        else:
+            checked[at] = float(linear[at] * kept), done
+        alike = (at[0], near, at[2])
+        found.score[alike] = np.minimum(found.score[alike], np.maximum(linear[alike] * kept, -1))
+        for place, (score, _) in checked.items():
+            found.score[place] = score
+    if checked:
+        at = max(checked, key=lambda place: checked[place][0])
+        return found, at, checked[at][1]
     raise StageFailure(
         "limits_exceeded",
         f"the best shakes pass a limit in the nonlinear solver unless they are below {1e3 * least:.2g} mm. {refused} "

@@ -21,7 +21,7 @@ from anther.vibration.breeze import FLOWERS
 from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.params import LOAD_ERROR, Params
 from anther.vibration.search import Gains
-from anther.vibration.shake_plan import Tones
+from anther.vibration.shake_plan import EarlierShake, Tones
 from anther.vibration.verification import PEAKS
 from anther.vibration.waveforms import Mix, mix
 
@@ -214,9 +214,16 @@ TONES, APART = 6, 1.15
 """So many frequencies are worth trying, each this factor from the others: responses lose their likeness within 40 %."""
 
 
-def tones_at(found: Search, response: Gains, at: Place, least: float) -> Tones:
-    """Return the frequencies at which a sine moves the flowers most by the model, at the place of a shake."""
+def tones_at(found: Search, response: Gains, at: Place, least: float, earlier: EarlierShake | None) -> Tones:
+    """Return the frequencies at which a sine moves the flowers most by the model, at the place of a shake.
+
+    Of an earlier visit it is that visit's alone, as large as it was there.
+    """
     _, q, g, d = at
+    bounds = list(found.bounds.values())[:OF_THE_MACHINE]
+    reach = np.min([(limit / np.maximum(value[0], 1e-12))[:, g, d] for value, limit in bounds], axis=0)
+    if earlier is not None:
+        return Tones(found.frequencies[[q]], np.minimum(earlier.amplitude, reach[[q]]), reach[[q]])
     size = found.amplitude[0, :, g, d]
     moved = (2 * np.pi * found.frequencies) ** 2 * size * response.flower[:, :, g, d].mean(axis=(0, -1))
     chosen = [q]
@@ -224,9 +231,24 @@ def tones_at(found: Search, response: Gains, at: Place, least: float) -> Tones:
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
         if far and found.frequencies[k] >= QUICK and size[k] >= least and len(chosen) < TONES:
             chosen.append(int(k))
-    bounds = list(found.bounds.values())[:OF_THE_MACHINE]
-    machine = [(limit / np.maximum(value[0], 1e-12))[:, g, d] for value, limit in bounds]
-    return Tones(found.frequencies[chosen], size[chosen], np.min(machine, axis=0)[chosen])
+    return Tones(found.frequencies[chosen], size[chosen], reach[chosen])
+
+
+NEAR = 0.02
+"""A grip is the one of an earlier visit up to this along the stem [m]: the pads are 16 mm wide."""
+
+
+def as_earlier(found: Search, grips: Grips, grasps: int, earlier: EarlierShake) -> Search | None:
+    """Return the search with no other shakes than an earlier visit's, or None where none of them is allowed."""
+    ratio = np.abs(np.log(found.frequencies / earlier.frequency))
+    rows = np.flatnonzero(np.abs(grips.arc_length[:grasps] - earlier.arc_length) <= NEAR)
+    score, q = np.full_like(found.score, -1.0), int(ratio.argmin())
+    if ratio[q] > 0.5 * np.log(APART):
+        return None
+    for g in rows:
+        d = int(np.abs(grips.directions[g] @ earlier.direction).argmax())
+        score[0, q, g, d] = found.score[0, q, g, d]
+    return found._replace(score=score) if np.any(score >= 0) else None
 
 
 def limit_rows(found: Search, at: Place) -> list[tuple[str, float, float, float]]:

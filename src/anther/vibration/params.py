@@ -45,8 +45,8 @@ class Params:
         directions: how many, over half a turn of the horizontal plane.
         heights: grip heights of the response map, beside the grasps.
         draws: scenarios drawn from the material's spread, beside the best guess.
-        risk: share of shakes in which a load of the plant may pass its limit [-]: the one margin against what the model
-            gets wrong. A load is taken as lognormal; scenarios and `LOAD_ERROR` say where and how wide.
+        risk: share of shakes in which a load of the plant may pass its limit [-], one in forty: the one margin against
+            what the model gets wrong. A load is taken as lognormal; scenarios and `LOAD_ERROR` say where and how wide.
         seed: of the draws.
         arm_share: share of the actuator's limit that is used [-].
         least_amplitude: of the grip [m]; None: what the actuator can be trusted with.
@@ -72,7 +72,7 @@ class Params:
     directions: int = 8
     heights: int = 8
     draws: int = 6
-    risk: float = 0.05
+    risk: float = 0.025
     seed: int = 0
     arm_share: float = 0.8
     least_amplitude: float | None = None
