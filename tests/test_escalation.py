@@ -97,6 +97,18 @@ def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
         assert "the target" in watched.steps[-2].decided
 
 
+def test_every_look_has_the_frames_that_a_path_is_fitted_to(shaken: Shaken) -> None:
+    for seed in range(10):
+        foresight = made_foresight(seed)
+        tones = TONES * np.random.default_rng(seed).uniform(0.5, 3)
+        world = World(foresight._replace(tones=tones), foresight.vectors[1], plan=FREE, params=Params(look=0.2))
+        watched = shaken(world)
+        rate = watched.frame_rate
+        assert rate > 2 * tones.max()
+        for step in single(watched):
+            assert (step.end - step.begin) * rate > 10
+
+
 def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None:
     foresight = made_foresight(1)
     world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(30.0, 31.0, raised=3.0, most_seconds=30.0))

@@ -79,6 +79,9 @@ WORDS = {
     "grip_force": "slip",
 }
 """The kinds of load, for people."""
+SAMPLES, FRAMES = 2.2, 11
+"""Frames a period at least, little more than two where frequencies are known; and in a look, of which six are fitted to
+each path."""
 PROBED = 0.7
 """Of the probe: the rms of its loads over that of the plan's shake; its peaks are about 1.3 times those."""
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
@@ -154,9 +157,10 @@ class Escalation:
         return float(self.plan.tones.reach.max())
 
     @property
-    def highest(self) -> float:
-        """Frequency of the fastest tone [Hz]."""
-        return float(self._foresight.tones.max())
+    def frame_rate(self) -> float:
+        """Frames a second that it needs: of a period of the fastest tone, and of the shortest look."""
+        fastest = int(self._foresight.tones.argmax())
+        return max(SAMPLES * float(self._foresight.tones[fastest]), FRAMES / self._watch(fastest))
 
     def begin(self, frame: Frame) -> Swing:
         """Return the probe: all tones at once, with the mean square of `PROBED` times what the model allows of one."""

@@ -37,7 +37,6 @@ __all__ = ["EARLY", "PHASES", "Params", "Planner", "Progress", "Shake", "Step", 
 DEFAULTS = Params()
 Progress = Callable[[int, int], None]  # called with (phases done, phases in all)
 THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
-SAMPLES = 2.2  # frames a period of the fastest tone, at least: known frequencies need little more than two
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
@@ -95,13 +94,13 @@ class Watched(Protocol):
     Attributes:
         reach: the pads never move further [m].
         steps: what was done so far.
-        highest: frequency [Hz].
+        frame_rate: the least that it needs [1/s].
     """
 
     @property
     def reach(self) -> float: ...
     @property
-    def highest(self) -> float: ...
+    def frame_rate(self) -> float: ...
     @property
     def steps(self) -> tuple[Step, ...]: ...
 
@@ -345,10 +344,10 @@ def _filmed(work: _Work) -> Iterator[None]:
 
 
 def _rate(work: _Work) -> float:
-    """Return the frame rate: of a shake that is watched, the slowest at which none of its tones is aliased."""
+    """Return the frame rate: of a shake that is watched, the slowest that it can do with."""
     if work.watched is None:
         return choose_rate(work.plan.frequency, work.params.rates)
-    ample = [rate for rate in work.params.rates if rate >= SAMPLES * work.watched.highest]
+    ample = [rate for rate in work.params.rates if rate >= work.watched.frame_rate]
     return min(ample, default=max(work.params.rates))
 
 
