@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +18,8 @@ import pytest
 from anther import __version__
 from anther.capture import Capture
 from anther.cli import COMMANDS, main
+from anther.commands.run_folder import open_run
+from anther.errors import InputError, StageFailure
 from anther.geometry import Intrinsics, look_at
 
 
@@ -89,7 +95,76 @@ def test_trial_does_not_overwrite(capfd, tmp_path) -> None:
     assert (tmp_path / "precious.txt").read_text() == "mine"
     (tmp_path / "00_params.json").write_text("{}")
     assert "add --overwrite" in refused(capfd, "trial", "--out", tmp_path)
-    assert (tmp_path / "precious.txt").exists()
+    assert "besides it precious.txt" in refused(capfd, "trial", "--out", tmp_path, "--overwrite")
+    assert (tmp_path / "precious.txt").read_text() == "mine"
+    assert (tmp_path / "00_params.json").exists()
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Arguments of a command that fills a run folder."""
+
+    plant: str = "tomato"
+    seed: int = 3
+    where: Path = Path("a")
+
+
+def opened(folder, args=Asked(), restart_from=None, overwrite=False):
+    return open_run(folder, args, restart_from=restart_from, overwrite=overwrite, same=("plant", "seed", "where"))
+
+
+def test_overwrite_removes_what_a_run_wrote_and_only_that(tmp_path) -> None:
+    with opened(tmp_path) as run:
+        (run.folder / "01_capture").mkdir()
+        (run.folder / "trial.json").write_text("{}")
+        (run.folder / "04_skeleton.npz").write_text("old")
+    with opened(tmp_path, overwrite=True):
+        pass
+    assert {path.name for path in tmp_path.iterdir()} == {"00_params.json", "progress.json", "timing.json"}
+
+
+def test_a_run_is_not_gone_on_with_as_another_plants(tmp_path) -> None:
+    with opened(tmp_path):
+        pass
+    kept = (tmp_path / "00_params.json").read_text()
+    for other, said in (
+        (Asked(plant="pepper"), "plant tomato instead of pepper"),
+        (Asked(seed=4), "seed 3 instead of 4"),
+    ):
+        with pytest.raises(InputError, match=said), opened(tmp_path, other, restart_from="grasp"):
+            pass
+    assert (tmp_path / "00_params.json").read_text() == kept
+    with opened(tmp_path, restart_from="grasp"):
+        pass
+
+
+def test_what_became_of_a_run_is_said(tmp_path) -> None:
+    with opened(tmp_path):  # it ends before its first stage, as when the cell is being built
+        pass
+    with pytest.raises(InputError, match="ended in the stage capture"), opened(tmp_path):
+        pass
+    with opened(tmp_path, restart_from="where-it-stopped") as run:
+        assert run.stage("capture", lambda _: "read", lambda _: "new", lambda result, path: None) == "new"
+
+    def fail(_):
+        raise StageFailure("no_plant_found", "nothing green")
+
+    with opened(tmp_path, restart_from="masks") as run, pytest.raises(StageFailure):
+        run.stage("masks", lambda _: None, fail)
+    with pytest.raises(InputError, match="ended in the stage masks: nothing green"), opened(tmp_path):
+        pass
+
+
+def test_a_service_that_is_stopped_ends_as_with_ctrl_c(monkeypatch, capfd) -> None:
+    def command(_):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(5)
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr("anther.commands.history.run", command)
+    assert main(["history"]) == 130
+    assert "interrupted" in capfd.readouterr().err
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 @pytest.mark.parametrize("name", ["reconstruct", "skeletonize", "shake", "view"])

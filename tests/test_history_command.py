@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -80,6 +81,29 @@ def test_the_list_and_its_filters(history: str, say) -> None:
     code, text = say("history", history, "--result", "sad")
     assert code == 2
     assert "no_stem_found" in text
+
+
+def test_labels_are_text_whatever_they_look_like(tmp_path: Path, say) -> None:
+    where = str(tmp_path / "h.sqlite")
+    record_trial(replace(trial("row 3 [/bed]"), run="=cmd|' /C calc'!A0"), where)
+    code, text = say("history", where)
+    assert code == 0
+    assert "row 3 [/bed]" in text
+    assert "grasp [cm]" in text
+    out = tmp_path / "visits.csv"
+    assert say("history", where, "--export", out)[0] == 0
+    cells = next(iter(csv.DictReader(out.open())))
+    assert cells["run"] == "'=cmd|' /C calc'!A0"
+
+
+@pytest.mark.parametrize("where", ["", ":memory:", "sqlite://", "pipe", "folder"])
+def test_a_history_that_is_no_file_is_refused_at_once(where: str, tmp_path: Path, say, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    Path("folder").mkdir()
+    code, text = say("history", where)
+    assert code == 2
+    assert "Name a file" in text
 
 
 def test_csv(history: str, say, tmp_path: Path) -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
+from signal import SIGTERM, default_int_handler, signal
+from threading import current_thread, main_thread
 from types import ModuleType
 
 COMMANDS = {
@@ -42,7 +45,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[0] not in COMMANDS:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
         return 2
-    return _run(words[0], words[1:])
+    with _terminated_as_interrupted():
+        return _run(words[0], words[1:])
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """A service that is stopped (SIGTERM) ends as with Ctrl-C: the arm at rest, the pads open, all recorded."""
+    if current_thread() is not main_thread():
+        yield
+        return
+    before = signal(SIGTERM, default_int_handler)
+    try:
+        yield
+    finally:
+        signal(SIGTERM, before)
 
 
 def _run(name: str, words: list[str]) -> int:

@@ -24,8 +24,8 @@ from anther.stem.confidence import doubt
 from anther.store.records import TrialRecord
 from anther.vibration import Crop, ShakePlan
 
-EXECUTED = "09_executed_shake.json"
-"""The shake as it was carried out."""
+EXECUTED, SUMMARY = "09_executed_shake.json", "trial.json"
+"""The shake as it was carried out; the trial in numbers."""
 
 
 class Answer(NamedTuple):
@@ -208,7 +208,7 @@ def read_run(folder: Path | str) -> RunResults:
     }
     grasps = folder / FILES["grasp"]
     timing = folder / "timing.json"
-    summary, visit, executed = folder / "trial.json", folder / "visit.json", folder / EXECUTED
+    summary, visit, executed = folder / SUMMARY, folder / "visit.json", folder / EXECUTED
     return RunResults(
         folder=folder,
         params=read_json(folder / "00_params.json"),

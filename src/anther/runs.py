@@ -73,6 +73,8 @@ class Run:
             raise bad_input("restart-from", given=f"'{restart_from}'", allowed=allowed, do="Name one of these stages.")
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
+        if restart_from is None:
+            self._note(next(iter(FILES)), "interrupted", "the process ended before the first stage")
         self.seconds: dict[str, float] = {}
         self._restart_from = restart_from
         columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())

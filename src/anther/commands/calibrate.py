@@ -175,7 +175,7 @@ def _print(found: HandEye, notes: list[str], args: Args) -> None:
 
     from anther.geometry import pose7
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     console.print(_view_table(found))
     console.print(_method_table(found))
     pose = " ".join(f"{number:.6f}" for number in pose7(found.T_flange_cam))

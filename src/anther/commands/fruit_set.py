@@ -80,7 +80,7 @@ def _print(result: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     told = f"{result['counts']} counts ({result['controls']} without a shake), {result['flowers']} flowers"
     console.print(f"{result['species']}: {told}, {result['fruit']} fruit")
     table = Table("", "believed (nine in ten)", "before any count", "narrowed by")

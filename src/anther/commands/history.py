@@ -89,7 +89,7 @@ def _list(args: Args, trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]
 
     from anther.store import shown
 
-    console = Console()
+    console = Console(markup=False)  # labels are the user's own: "[/bed]" is no markup
     if not trials and not outcomes:
         return console.print(f"{shown(args.history)}: no trial or outcome, or none that fits.")
     if trials:

@@ -217,12 +217,12 @@ def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
 
 
 def _print(args: Args, plan: ShakePlan, crop: Crop) -> None:
-    console = Console(width=100)
+    console = Console(width=100, markup=False)
     console.print(plan.reason, highlight=False, markup=False)
     limits = Table("limit", "planned", "allowed", "as in a breeze of", "used", title="How close each limit is")
     for name, value, limit, share in plan.limits:
         style, wind = "bold" if share > 0.9 else None, like_breeze(name, limit, crop)
-        limits.add_row(name.replace("[", "\\["), f"{value:.3g}", f"{limit:.3g}", wind, f"{share:.0%}", style=style)
+        limits.add_row(name, f"{value:.3g}", f"{limit:.3g}", wind, f"{share:.0%}", style=style)
     console.print(limits)
     flowers = Table("flower", "mm", "9 of 10 scenarios", "m/s2", title="What each flower should do")
     rows = zip(plan.predicted_amplitude, plan.predicted_amplitude_interval, plan.predicted_acceleration, strict=True)

@@ -48,7 +48,9 @@ def run(args: Args) -> None:
     workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=_folder(args.capture) / "masks")
     capture = Capture.load(args.capture)
-    with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
+    with open_run(
+        out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=("capture", "workspace")
+    ) as run:
         capture = run.stage("capture", Capture.load, lambda _: capture)
         seen = pipeline.perceive(capture, workspace, run, args.params, find_masks)
         grasps = pipeline.rank_grasps(seen, None, run, args.params)

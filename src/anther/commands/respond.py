@@ -299,4 +299,4 @@ def _print(args: Args, result: dict[str, Any]) -> None:
     table.add_row("their damping ratios", ", ".join(f"{ratio:.3f}" for ratio in result["damping_ratios"]))
     if args.out is not None:
         table.add_row("written", str(args.out))
-    Console().print(table)
+    Console(markup=False).print(table)

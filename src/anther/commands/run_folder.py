@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import platform
 import shutil
 from collections.abc import Iterator
@@ -12,26 +13,42 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from anther.commands.visit_record import FILE as VISIT
 from anther.errors import bad_input
-from anther.files import write_json
-from anther.runs import Run
+from anther.files import read_json, write_json
+from anther.results import EXECUTED, SUMMARY
+from anther.runs import FILES, PROGRESS, Run
 
 if TYPE_CHECKING:
     from anther.results import RunResults
 
 PARAMS, TIMING = "00_params.json", "timing.json"
+WRITTEN = {PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, *FILES.values()}
+"""What a run writes into its folder."""
 LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "embreex", "small_gicp", "scikit-image")
 
 
 @contextmanager
-def open_run(folder: Path, args: Any, *, restart_from: str | None, overwrite: bool) -> Iterator[Run]:
+def open_run(
+    folder: Path, args: Any, *, restart_from: str | None, overwrite: bool, same: tuple[str, ...]
+) -> Iterator[Run]:
     """Open a run folder, note parameters and versions in it, and note the time per stage at the end.
 
+    Args:
+        folder: of the run.
+        args: of the command; kept.
+        restart_from: see `Run`.
+        overwrite: remove what an earlier run wrote there, and nothing else.
+        same: names of arguments that a run which is gone on with must have had alike.
+
     Raises:
-        InputError: the folder holds an earlier run (and neither overwrite nor a restart was asked for), or
-            something that is not a run.
+        InputError: the folder holds an earlier run (and neither overwrite nor a restart was asked for), another run
+            than the one to go on with, or something that is not a run.
     """
-    _make_room(folder, restart_from=restart_from, overwrite=overwrite)
+    if restart_from is not None:
+        _check_same(folder, args, same)
+    else:
+        _make_room(folder, overwrite=overwrite)
     run = Run(folder, restart_from=restart_from)
     write_json(folder / PARAMS, parameters(args))
     with run:
@@ -52,8 +69,23 @@ def parameters(args: Any) -> dict[str, Any]:
     }
 
 
-def _make_room(folder: Path, *, restart_from: str | None, overwrite: bool) -> None:
-    if restart_from is not None or not folder.exists() or not any(folder.iterdir()):
+def _check_same(folder: Path, args: Any, names: tuple[str, ...]) -> None:
+    if not (folder / PARAMS).is_file():
+        return
+    was = read_json(folder / PARAMS)
+    now = json.loads(json.dumps({name: getattr(args, name) for name in names}, default=str))
+    other = [f"{name} {was[name]} instead of {now[name]}" for name in names if name in was and was[name] != now[name]]
+    if other:
+        raise bad_input(
+            "restart-from",
+            given=f"{folder}, a run with {', '.join(other)}",
+            allowed="a run of the same plant, seen alike",
+            do="Ask for what that run was, or choose another folder.",
+        )
+
+
+def _make_room(folder: Path, *, overwrite: bool) -> None:
+    if not folder.exists() or not any(folder.iterdir()):
         return
     if not (folder / PARAMS).is_file():
         raise bad_input(
@@ -65,11 +97,34 @@ def _make_room(folder: Path, *, restart_from: str | None, overwrite: bool) -> No
     if not overwrite:
         raise bad_input(
             "run folder",
-            given=f"{folder}, which holds a finished run",
+            given=f"{folder}, which holds {_what_run(folder)}",
             allowed="a new or empty folder",
             do="Choose another, or add --overwrite or --restart-from STAGE.",
         )
-    shutil.rmtree(folder)
+    others = sorted({path.name for path in folder.iterdir()} - WRITTEN)
+    if others:
+        raise bad_input(
+            "overwrite",
+            given=f"{folder}, which holds a run and besides it {', '.join(others[:5])}",
+            allowed="a folder with nothing but a run: only what a run wrote is removed",
+            do="Move the other files, or choose another folder.",
+        )
+    for name in WRITTEN:
+        path = folder / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _what_run(folder: Path) -> str:
+    """Say whether the run there was finished."""
+    if not (folder / PROGRESS).is_file():
+        return "a run"
+    last = read_json(folder / PROGRESS)
+    if last.get("failure") is None and (folder / FILES["report"]).is_file():
+        return "a finished run"
+    return f"a run that ended in the stage {last.get('stage')}: {last.get('message')}"
 
 
 def finish(run: Run) -> RunResults:

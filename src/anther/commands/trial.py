@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from anther.vibration import EarlierShake
 
 
+SAME = ("plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
+"""Arguments that make the plant and how it is seen: a run cannot be gone on with as another's."""
+
+
 @dataclass(frozen=True)
 class Args:
     """Attributes: which plant, how it is seen, and where the run is kept."""
@@ -80,7 +84,7 @@ def run(args: Args) -> int:
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
     from anther.pipeline import pollinate
-    from anther.results import EXECUTED
+    from anther.results import EXECUTED, SUMMARY
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
     from anther.store import shown
 
@@ -103,7 +107,7 @@ def run(args: Args) -> int:
     belief, earlier, began = _belief(args), _earlier(args), datetime.now(UTC)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
     cell = done = verdict = failure = None
-    with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite) as run:
+    with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=SAME) as run:
         try:
             cell = run.timed("cell", lambda _: _build(args))
             done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks, earlier)
@@ -114,7 +118,7 @@ def run(args: Args) -> int:
         summary = summarise(cell, done, verdict, failure, args.params)
         summary |= {"seconds": dict(run.seconds), "parameters": parameters(args)}
         summary |= {"material_source": belief.source, "material_reason": belief.reason}
-        write_json(run.folder / "trial.json", summary)
+        write_json(run.folder / SUMMARY, summary)
         lost = remember(_record(args, out, began, summary, done), out, history)
     print_summary(finish(run))
     print(f"material to begin with: {belief.reason}")

@@ -223,7 +223,7 @@ def print_summary(results: RunResults) -> None:
     times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in slowest if seconds >= 0.05)
     table.add_row("time per stage [s]", f"{times}; total {sum(results.seconds.values()):.1f}")
     table.add_row("report", str(results.folder / "10_report.html"))
-    Console().print(table)
+    Console(markup=False).print(table)
 
 
 def _rows(results: RunResults) -> list[tuple[str, str]]:

@@ -26,7 +26,8 @@ SEEN_ERROR = {
 """True over narrowed largest load of each kind: median, and standard deviation of ln beside what the members explain,
 as `vibration.params.LOAD_ERROR` but after the camera has seen a tone. Measured by us on 34 simulated plants (seeds
 500-519; the stem's spread also on 9600-9607) whose truth no stage believes, two grips, seven tones from 2 to 11 Hz,
-points seen with an error of 12 %: 5 % of the loads pass what they say at that risk. Of the grip's force: that of the model."""
+points seen with an error of 12 %: 5 % of the loads pass what they say at that risk. Of the grip's force: that of the
+model."""
 
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say: a tone is not taken for what it might

@@ -63,14 +63,26 @@ def shown(where: Path | str) -> str:
 def _url(where: Path | str) -> URL:
     """Return the database's URL: a path is a SQLite file."""
     if isinstance(where, Path) or "://" not in where:
-        return URL.create("sqlite", database=str(where))
+        return _file(URL.create("sqlite", database=str(where)))
     try:
         url = make_url(where)
     except ArgumentError as error:
         raise _refused("history", where.split(":")[0] + "://...", "Check the address.") from error
     if url.get_backend_name() not in ("postgresql", "postgres", "sqlite"):
         raise _refused("history", url.render_as_string(), "Other databases were never tested.")
-    return url.set(drivername="sqlite" if url.get_backend_name() == "sqlite" else "postgresql+psycopg")
+    return _file(url) if url.get_backend_name() == "sqlite" else url.set(drivername="postgresql+psycopg")
+
+
+def _file(url: URL) -> URL:
+    """Return the URL of a SQLite file.
+
+    Raises:
+        InputError: no name, a database in memory, a folder, or what is there is no file (a pipe would be waited for).
+    """
+    name = url.database or ""
+    if not name or name.startswith(":") or (Path(name).exists() and not Path(name).is_file()):
+        raise _refused("history", f"'{name}'", "Name a file, e.g. runs/history.sqlite.")
+    return url.set(drivername="sqlite")
 
 
 def _refused(what: str, given: str, do: str) -> InputError:
@@ -121,7 +133,9 @@ def _configure_sqlite(connection: Any, _: Any) -> None:
         except connection.OperationalError:
             if time.monotonic() > deadline:
                 raise
-            time.sleep(0.02)
+        if time.monotonic() > deadline:
+            raise connection.OperationalError("this file system keeps no write-ahead log")
+        time.sleep(0.02)
     connection.execute("PRAGMA synchronous=FULL")
     connection.execute("PRAGMA foreign_keys=ON")
 

@@ -92,7 +92,14 @@ def _csv(path: Path, columns: dict[str, type], lines: list[dict[str, Any]]) -> N
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.DictWriter(stream, list(columns))
         writer.writeheader()
-        writer.writerows({name: v.isoformat() if isinstance(v, date) else v for name, v in x.items()} for x in lines)
+        writer.writerows({name: _cell(v) for name, v in line.items()} for line in lines)
+
+
+def _cell(value: Any) -> Any:
+    """Return what a CSV cell holds: a text that a spreadsheet would take for a formula begins with an apostrophe."""
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return f"'{value}"
+    return value.isoformat() if isinstance(value, date) else value
 
 
 def _parquet(path: Path, columns: dict[str, type], lines: list[dict[str, Any]]) -> None:
