@@ -9,7 +9,6 @@ import json
 import os
 import shutil
 import tempfile
-import zlib
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from anther.checks import check_array, check_range, check_transform
 from anther.errors import InputError, bad_input
 from anther.files import existing, read_json
 from anther.geometry import Array, Box, Intrinsics
+from anther.images import read_image
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 """nerfstudio's camera frame (x right, y up, z backward) expressed in OpenCV's (x right, y down, z forward)."""
@@ -34,6 +34,7 @@ PIXEL_CENTRE = 0.5
 _DEPTH_UNITS = (1e-4, 1e-3)  # [m] per 16-bit step: 6.5 m in tenths of a millimetre, else 65 m in millimetres
 _PLAUSIBLE_DEPTH = (0.02, 20.0)  # [m] median of a view's readings
 _PLAUSIBLE_POSITION = 50.0  # [m] from the world's origin
+_MOST_PIXELS = 2**28  # of all views together: some 300 of a D455, 2 GB with colour. A guess
 _INTRINSICS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
 _DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
@@ -122,6 +123,7 @@ class Capture:
         frames = _frames(meta)
         intrinsics = _read_intrinsics(meta, frames)
         poses = np.stack([_read_pose(i, frame) for i, frame in enumerate(frames)])
+        _check_apart(poses)
         joints = [frame.get("joints") for frame in frames]
         return cls(
             depth=_read_depth(folder, meta, frames, intrinsics),
@@ -151,6 +153,17 @@ def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
             given=f"a camera {furthest:g} m from the world's origin",
             allowed=f"at most {_PLAUSIBLE_POSITION:g} m",
             do="Are the poses in metres?",
+        )
+
+
+def _check_apart(poses: Array) -> None:
+    """Refuse views that were all taken from one and the same place: nothing could be told about depth."""
+    if len(poses) > 1 and np.abs(poses - poses[0]).max() < 1e-6:
+        raise bad_input(
+            "transforms.json",
+            given=f"{len(poses)} views with one and the same pose",
+            allowed="a pose of its own for every view",
+            do="Was the arm's pose read only once, or the camera not moved? Write each view's own pose.",
         )
 
 
@@ -303,11 +316,12 @@ def _read_depth(
 ) -> NDArray[np.float32]:
     unit = _number("depth_unit_scale_factor", meta.get("depth_unit_scale_factor", 1e-3))
     check_range("depth_unit_scale_factor", unit, 1e-6, 1, "m")
-    depth = np.empty((len(frames), intrinsics.height, intrinsics.width), dtype=np.float32)
+    size = _checked_size(len(frames), intrinsics)
+    depth = np.empty((len(frames), *size[::-1]), dtype=np.float32)
 
     def read(view: int) -> None:
         path = folder / str(frames[view]["depth_file_path"])
-        image = _read_image(path, cv2.IMREAD_UNCHANGED, intrinsics)
+        image = read_image(path, cv2.IMREAD_UNCHANGED, size)
         if image.dtype != np.uint16 or image.ndim != 2:
             raise bad_input(
                 str(path),
@@ -332,57 +346,25 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
             allowed="a colour image for every frame or for none",
             do="Add the missing images, or remove file_path everywhere for a depth-only capture.",
         )
-    rgb = np.empty((len(frames), intrinsics.height, intrinsics.width, 3), dtype=np.uint8)
+    size = _checked_size(len(frames), intrinsics)
+    rgb = np.empty((len(frames), *size[::-1], 3), dtype=np.uint8)
 
     def read(view: int) -> None:
-        image = _read_image(folder / str(frames[view]["file_path"]), cv2.IMREAD_COLOR, intrinsics)
+        image = read_image(folder / str(frames[view]["file_path"]), cv2.IMREAD_COLOR, size)
         rgb[view] = image[..., ::-1]
 
     _in_threads(read, range(len(frames)))
     return rgb
 
 
-def _read_image(path: Path, flags: int, intrinsics: Intrinsics) -> NDArray[Any]:
-    try:
-        data = path.read_bytes()
-    except (OSError, ValueError) as error:
-        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
-        raise InputError(
-            f"{path}: {reason}. transforms.json names this image; copy it there or correct the path."
-        ) from error
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _is_intact(data) else None
-    if image is None:
-        raise bad_input(
-            str(path),
-            given=f"{len(data)} bytes that are not a whole image",
-            allowed="PNG or JPEG",
-            do="It is truncated or damaged; copy it again.",
-        )
-    if image.shape[:2] != (intrinsics.height, intrinsics.width):
-        raise bad_input(
-            str(path),
-            given=f"{image.shape[1]} x {image.shape[0]} px",
-            allowed=f"{intrinsics.width} x {intrinsics.height} px (w, h in transforms.json)",
-            do="Depth must be aligned to colour and have its size.",
-        )
-    return image
-
-
-def _is_intact(data: bytes) -> bool:
-    """Return whether a PNG's chunks are whole (decoders fill a truncated image silently) or a JPEG has its end."""
-    if data.startswith(b"\xff\xd8"):
-        return b"\xff\xd9" in data[-65536:]
-    if not data.startswith(b"\x89PNG\r\n\x1a\n"):
-        return False
-    at = 8
-    while at + 12 <= len(data):
-        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
-        if end > len(data) or zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            return False
-        if data[at + 4 : at + 8] == b"IEND":
-            return True
-        at = end
-    return False
+def _checked_size(views: int, camera: Intrinsics) -> tuple[int, int]:
+    """Return (width, height) [px] if so many views of that size can be held."""
+    pixels = views * camera.width * camera.height
+    if pixels > _MOST_PIXELS:
+        given = f"{views} views of {camera.width} x {camera.height} px"
+        allowed = f"at most {_MOST_PIXELS / 1e6:.0f} million pixels"
+        raise bad_input("transforms.json", given=given, allowed=allowed, do="Take fewer views, or shrink the images.")
+    return camera.width, camera.height
 
 
 def _in_threads(work: Any, items: Iterable[Any]) -> None:

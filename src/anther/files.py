@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,14 @@ from numpy.typing import NDArray
 
 from anther.errors import InputError, bad_input
 
-_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS)
+_UNWRITABLE = (
+    errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS, errno.EPERM, errno.EEXIST, errno.ENOTDIR, errno.EISDIR,
+    errno.ENAMETOOLONG, errno.EFBIG,
+)  # fmt: skip
+
+LARGEST, LARGEST_TEXT = 2**30, 2**28
+"""Most bytes of a file that is read whole, and of one whose text takes ten times as much once read. A guess: a thousand
+views of a D455 are less, as is a cloud of twenty million points."""
 
 
 @contextmanager
@@ -63,13 +71,19 @@ def read_json(path: Path | str) -> Any:
     """Read a JSON file.
 
     Raises:
-        InputError: the file is missing or is not JSON.
+        InputError: the file is missing or is not JSON, is nested too deeply or has a number of more than 18 digits.
     """
-    path = existing(path)
+    path = whole_file(path, LARGEST_TEXT // 4)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        return json.loads(path.read_text(encoding="utf-8"), parse_int=_integer)
+    except (ValueError, RecursionError) as error:
         raise bad_input(str(path), given=f"not JSON ({error})", allowed="a JSON file", do="Is it truncated?") from error
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > 18:  # neither a float nor an int64 is sure to hold it
+        raise ValueError(f"an integer of {len(digits)} digits")
+    return int(digits)
 
 
 def write_npz(path: Path | str, kind: str, schema: int, **arrays: Any) -> None:
@@ -84,34 +98,103 @@ def read_npz(path: Path | str, kind: str, schema: int) -> dict[str, NDArray[Any]
     Raises:
         InputError: missing, truncated, of another kind, or of another schema number.
     """
-    path = existing(path)
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise bad_input(
-            str(path), given=f"unreadable ({error})", allowed=f"an .npz holding a {kind}", do="Is it truncated?"
-        ) from error
-    found = (str(arrays.pop("kind", "")), int(arrays.pop("schema", -1)))
-    if found != (kind, schema):
+    arrays = load_npz(path, f"an .npz holding a {kind}")
+    found = (str(arrays.pop("kind", "")), str(arrays.pop("schema", "unknown")))
+    if found != (kind, str(schema)):
         raise bad_input(
             str(path),
-            given=f"kind '{found[0]}', schema {found[1]}",
+            given=f"kind '{found[0][:40]}', schema {found[1][:40]}",
             allowed=f"kind '{kind}', schema {schema}",
             do="Write it again with this version of Anther.",
         )
     return arrays
 
 
-def existing(path: Path | str) -> Path:
-    """Return the path as `Path` if it exists.
+def load_npz(path: Path | str, allowed: str, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Read the arrays of an .npz, without pickle and only if they have room.
+
+    Args:
+        path: the file.
+        allowed: what it should hold, for the message.
+        names: of the arrays that are wanted; None: all.
 
     Raises:
-        InputError: there is no such file or folder.
+        InputError: missing, damaged, or its arrays take more than LARGEST bytes.
+    """
+    path = whole_file(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            wanted = {name: info for name, info in members.items() if names is None or name in names}
+            size = sum(info.file_size for info in wanted.values())
+            if size > LARGEST:
+                raise ValueError(f"arrays of {size / 1e9:.1f} GB, more than {LARGEST / 1e9:.1f} GB")
+            return {name: _array(archive, info) for name, info in wanted.items()}
+    except Exception as error:  # zipfile, zlib and numpy raise whatever the bytes provoke
+        raise bad_input(str(path), given=f"unreadable ({error})", allowed=allowed, do="Is it truncated?") from error
+
+
+def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return one array; numpy would make room for the shape it states before it finds out that the bytes are few."""
+    headers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    with archive.open(info) as stream:
+        shape, _, dtype = headers[np.lib.format.read_magic(stream)](stream)
+    if math.prod(shape) * max(dtype.itemsize, 1) > info.file_size:
+        raise ValueError(f"{info.filename} states the shape {shape} and has {info.file_size} bytes")
+    with archive.open(info) as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)
+
+
+@contextmanager
+def understood(path: Path | str, allowed: str, do: str) -> Iterator[None]:
+    """Turn what goes wrong while values read from a file are made use of into one clear error.
+
+    Args:
+        path: the file.
+        allowed, do: see `errors.bad_input`.
+
+    Raises:
+        InputError: something is missing, of another type or of another value than expected.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise error if str(error).startswith(str(path)) else InputError(f"{path}: {error}") from error
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
+        raise bad_input(str(path), given=f"what cannot be used ({error!r})", allowed=allowed, do=do) from error
+
+
+def existing(path: Path | str) -> Path:
+    """Return the path as `Path` if it is a file or a folder.
+
+    Raises:
+        InputError: there is no such file or folder, or it is a pipe or a device, which could be read for ever.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder. Check the path; the current folder is {Path.cwd()}.")
+    try:
+        if path.is_file() or path.is_dir():
+            return path
+        there = path.exists()
+    except (OSError, ValueError) as error:  # a name too long, a null character, a folder that may not be entered
+        raise bad_input(str(path)[:200], given=str(error), allowed="a file or folder", do="Check the path.") from error
+    if there:
+        raise bad_input(str(path), given="a pipe or device", allowed="a file or folder", do="Save it to a file first.")
+    raise InputError(f"{path}: no such file or folder. Check the path; the current folder is {Path.cwd()}.")
+
+
+def whole_file(path: Path | str, largest: int = LARGEST) -> Path:
+    """Return the path as `Path` if it is a file that may be read whole.
+
+    Raises:
+        InputError: there is no such file, or it is larger than `largest` [bytes].
+    """
+    path = existing(path)
+    if not path.is_file():
+        raise bad_input(str(path), given="a folder", allowed="a file", do="Name a file in it.")
+    size = path.stat().st_size
+    if size > largest:
+        allowed, do = f"at most {largest / 1e6:.0f} MB", "Is it the right file? Thin it out or split it."
+        raise bad_input(str(path), given=f"{size / 1e6:.0f} MB", allowed=allowed, do=do)
     return path
 
 

@@ -161,6 +161,23 @@ class Box:
                 "box", given=f"{self.lower} .. {self.upper}", allowed="lower < upper", do="Swap the corners."
             )
 
+    def cells(self, edge: float, most: float) -> NDArray[np.int64]:
+        """Return how many cubes of `edge` [m] cover the box along each axis (3,).
+
+        Raises:
+            InputError: more than `most` in all.
+        """
+        counts = np.maximum(1, np.ceil((self.upper - self.lower) / edge))
+        if not np.prod(counts) <= most:
+            raise bad_input(
+                "workspace",
+                given=" x ".join(f"{size:.3g}" for size in self.upper - self.lower) + " m",
+                allowed=f"at most {most:.2g} cells of {1e3 * edge:g} mm in it",
+                do="Without --workspace it lies where the cameras look: do their poses differ, and are they in metres? "
+                "With one view, or one that sees far beyond the plant, give --workspace.",
+            )
+        return counts.astype(np.int64)
+
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return (N,) whether each of (N, 3) points lies within."""
         p = np.asarray(points)

@@ -35,6 +35,8 @@ SCHEMA = 2
 MARGIN = 0.05
 """Pixels this far outside the workspace still take part in the registration [m]: a pose may be off by a few cm."""
 
+_MOST_CELLS = 1e8  # of obstacles: 28 bytes each
+
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
 
@@ -187,6 +189,7 @@ def fuse(
     """
     params = params or Params()
     box = workspace or viewed_box(capture)
+    box.cells(params.obstacle_voxel, _MOST_CELLS)
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
     pixels = plant_pixels(capture, labels, box, params)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.errors import InputError, bad_input
-from anther.files import existing, replacing
+from anther.files import replacing, whole_file
 from anther.geometry import Array
 
 _TYPES = {
@@ -64,7 +64,7 @@ def read_ply(path: Path | str) -> dict[str, Any]:
     Raises:
         InputError: the file is missing, truncated, or not a PLY with vertices x, y, z.
     """
-    table = _vertices(existing(path))
+    table = _vertices(Path(path))
     names = table.dtype.names or ()
 
     def columns(*wanted: str) -> NDArray[Any] | None:
@@ -82,7 +82,7 @@ def read_ply(path: Path | str) -> dict[str, Any]:
 
 
 def _vertices(path: Path) -> NDArray[Any]:
-    data = path.read_bytes()
+    data = whole_file(path).read_bytes()
     end = data.find(b"end_header", 0, _LONGEST_HEADER)
     if not data.startswith(b"ply") or end < 0:
         raise bad_input(str(path), given="a file without a PLY header", allowed="a PLY file", do="Is it truncated?")
@@ -91,9 +91,11 @@ def _vertices(path: Path) -> NDArray[Any]:
         count, dtype, order = _header(data[:end].decode("ascii", "replace").split("\n"))
         if order == "":
             rows = np.loadtxt(data[body:].decode("ascii").splitlines()[:count], ndmin=2)
+            if len(rows) < count:
+                raise ValueError(f"{len(rows)} of {count} vertices")
             return np.array([tuple(row) for row in rows], dtype=dtype)
         return np.frombuffer(data, dtype=dtype, count=count, offset=body)
-    except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
+    except (ValueError, TypeError, KeyError, IndexError) as error:
         if isinstance(error, InputError):
             raise
         raise bad_input(
@@ -112,4 +114,7 @@ def _header(lines: list[str]) -> tuple[int, np.dtype[Any], str]:
     stop = elements[1] if len(elements) > 1 else len(words)
     properties = [w for w in words[elements[0] : stop] if w[:1] == ["property"]]
     fields = [(w[2], (order or "<") + _TYPES[w[1]]) for w in properties]
-    return int(words[elements[0]][2]), np.dtype(fields), order
+    count = int(words[elements[0]][2])
+    if count < 0:
+        raise ValueError(f"{count} vertices")
+    return count, np.dtype(fields), order

@@ -136,16 +136,12 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
     from rich.progress import track
 
     from anther.calibration import find_corners
+    from anther.images import read_image
 
     sizes: dict[tuple[int, int], str] = {}
 
     def read(name: str) -> Any:
-        stored = np.fromfile(folder / name, dtype=np.uint8)
-        image = cv2.imdecode(stored, cv2.IMREAD_GRAYSCALE) if len(stored) else None
-        if image is None:
-            raise bad_input(
-                str(folder / name), given="no readable image", allowed="PNG, JPEG, TIFF", do="Save it again."
-            )
+        image = read_image(folder / name, cv2.IMREAD_GRAYSCALE)
         sizes.setdefault((image.shape[1], image.shape[0]), name)
         if len(sizes) > 1:
             text = ", ".join(f"{w} x {h} ({first})" for (w, h), first in sizes.items())

@@ -15,6 +15,7 @@ from anther.checks import check_array
 from anther.errors import bad_input
 from anther.files import existing, read_json
 from anther.geometry import Array, Intrinsics
+from anther.images import read_image
 
 _MM = 1e-3  # [m]
 
@@ -66,7 +67,7 @@ def _pose(matrix_mm: Any) -> Array:
 
 
 def _depth(path: Path, scale: float) -> Any:
-    image = cv2.imread(str(existing(path)), cv2.IMREAD_UNCHANGED)
-    if image is None or image.dtype != np.uint16 or image.ndim != 2:
+    image = read_image(path, cv2.IMREAD_UNCHANGED)
+    if image.dtype != np.uint16 or image.ndim != 2:
         raise bad_input(str(path), given="no 16-bit depth image", allowed="one channel, 16 bits", do="Is it truncated?")
     return (image * np.float64(scale)).astype(np.float32)

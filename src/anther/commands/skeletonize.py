@@ -34,8 +34,8 @@ class Args:
     """Units of the file; by default what the file states, else metres."""
     up: Axis | None = None
     """Axis that points up in the file; by default what the file states, else z."""
-    plant: int = 0
-    """Which plant of an .npz that holds several."""
+    plant: int | None = None
+    """Which plant of an .npz that holds several, from 0 on."""
     out: Path | None = None
     """Folder for skeleton.npz, skeleton.swc, grasp.json and overview.png."""
     json: bool = False

@@ -18,18 +18,20 @@ _MOST_BROKEN = 0.05
 _SMALLEST, _LARGEST = 0.005, 20.0  # [m]: a seedling; a 0.6 m plant in mm, read as metres, measures 600 m
 
 
-def read_cloud(path: Path | str, units: Units | None = None, up: Axis | None = None, *, plant: int = 0) -> Cloud:
+def read_cloud(
+    path: Path | str, units: Units | None = None, up: Axis | None = None, *, plant: int | None = None
+) -> Cloud:
     """Return the cloud in a file, in metres with z up.
 
     Args:
         path: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz.
         units: of the file; None takes what the file states, else metres.
         up: axis that points up in the file; None takes what the file states, else z.
-        plant: which plant of an .npz that holds several.
+        plant: which plant of an .npz that holds several; None: it must hold one.
 
     Raises:
-        InputError: missing, truncated, of an unknown format, too few points, more than 5 % broken points, or a size
-            no plant has (wrong units).
+        InputError: missing, truncated, of an unknown format, several plants and none chosen, too few points, more
+            than 5 % broken points, or a size no plant has (wrong units).
     """
     path = existing(path)
     raw = _read(path, plant)
@@ -58,7 +60,7 @@ def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
     return Cloud(points, colors=None if raw.colors is None else raw.colors[finite], notes=notes)
 
 
-def _read(path: Path, plant: int) -> RawPoints:
+def _read(path: Path, plant: int | None) -> RawPoints:
     match path.suffix.lower():
         case ".ply":
             return read_ply(path)

@@ -29,6 +29,7 @@ from anther.formats.colmap_model import (
 from anther.formats.points import RawPoints, read_ply
 from anther.formats.upright import scale_and_up
 from anther.geometry import Array, Intrinsics
+from anther.images import read_image
 
 DEPTH_MAPS = ("geometric", "photometric")
 """Kinds of depth map, the better first."""
@@ -146,12 +147,7 @@ def _depth(path: Path | None, intrinsics: Intrinsics, scale: float) -> NDArray[n
 
 
 def _colour(path: Path, intrinsics: Intrinsics) -> NDArray[Any]:
-    image = cv2.imread(str(existing(path)), cv2.IMREAD_COLOR)
-    if image is None or image.shape[:2] != (intrinsics.height, intrinsics.width):
-        given = "no image" if image is None else f"{image.shape[1]} x {image.shape[0]} px"
-        raise bad_input(
-            str(path), given=given, allowed=f"{intrinsics.width} x {intrinsics.height} px", do="Is it undistorted?"
-        )
+    image = read_image(path, cv2.IMREAD_COLOR, (intrinsics.width, intrinsics.height))
     return image[..., ::-1]
 
 

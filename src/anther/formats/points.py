@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +13,14 @@ from trimesh.exchange.ply import load_ply
 
 from anther.checks import check_array
 from anther.errors import InputError, bad_input
+from anther.files import LARGEST, LARGEST_TEXT, load_npz, understood, whole_file
 from anther.geometry import Array
 
 Units = Literal["m", "mm"]
 Axis = Literal["x", "y", "z"]
+
+MOST_POINTS = 20_000_000
+"""Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,24 +42,46 @@ class RawPoints:
 
 def read_ply(path: Path) -> RawPoints:
     """Read a PLY, ASCII or binary; of a mesh, its vertices."""
+    stored = load_whole_ply(path)
     try:
-        with path.open("rb") as stream:
-            stored = load_ply(stream, fix_texture=False, skip_materials=True)
         points = np.asarray(stored["vertices"], dtype=np.float64)
+        colors = stored.get("vertex_colors", stored.get("colors"))
+        has_colors = colors is not None and len(colors) == len(points)
+        return RawPoints(points, _bytes(np.asarray(colors)[:, :3]) if has_colors else None)
     except InputError:
         raise
     except Exception as error:  # trimesh raises whatever the bytes provoke
         raise _unreadable(path, error, "a PLY with vertices x, y, z") from error
-    colors = stored.get("vertex_colors", stored.get("colors"))
-    has_colors = colors is not None and len(colors) == len(points)
-    return RawPoints(points, np.asarray(colors)[:, :3].astype(np.uint8) if has_colors else None)
+
+
+def load_whole_ply(path: Path) -> dict[str, Any]:
+    """Return what trimesh's `load_ply` makes of a file, if every element is as long as the header says.
+
+    Raises:
+        InputError: missing, too large, no PLY, or truncated, of which trimesh says nothing where it is ASCII.
+    """
+    with whole_file(path).open("rb") as stream:
+        ascii_text = b"ascii" in stream.read(64)
+    try:
+        with whole_file(path, LARGEST_TEXT if ascii_text else LARGEST).open("rb") as stream:
+            stored = load_ply(stream, fix_texture=False, skip_materials=True)
+        for name, element in stored["metadata"]["_ply_raw"].items():
+            data = element.get("data", ())
+            held = len(next(iter(data.values()))) if isinstance(data, dict) else len(data)
+            if held != element["length"]:
+                raise ValueError(f"{held} of {element['length']} rows of {name}")
+    except InputError:
+        raise
+    except Exception as error:  # trimesh raises whatever the bytes provoke
+        raise _unreadable(path, error, "a PLY") from error
+    return stored
 
 
 def read_text(path: Path) -> RawPoints:
     """Read rows of x y z, further columns (r g b as 0-255) optional, separated by blanks, commas or semicolons."""
     try:
-        lines = path.read_text(encoding="utf-8").replace(",", " ").replace(";", " ").splitlines()
-        lines = [line for line in lines if _is_row(line)]
+        text = whole_file(path, LARGEST_TEXT).read_text(encoding="utf-8")
+        lines = [line for line in text.replace(",", " ").replace(";", " ").splitlines() if _is_row(line)]
         if not lines:
             raise ValueError("no row of numbers")
         rows = np.loadtxt(lines, dtype=np.float64, ndmin=2)
@@ -71,37 +96,29 @@ def read_text(path: Path) -> RawPoints:
     return RawPoints(rows[:, :3], colors.astype(np.uint8) if is_colour else None)
 
 
-def read_npz_points(path: Path, plant: int) -> RawPoints:
-    """Read an NPZ with `points` (N, 3), or `points_x100` (N, 3) integers and `offsets` of several plants.
+def read_npz_points(path: Path, plant: int | None) -> RawPoints:
+    """Read an NPZ with `points` (N, 3), or `points_x100` (N, 3) integers, and `offsets` where it has several plants.
 
-    `colors` (N, 3), `units` and `up` (3,) are used when they are there.
+    `colors` (N, 3), `units` and `up` (3,) are used when they are there. Of several plants one must be chosen.
     """
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            held = {name: stored[name] for name in stored.files if name in _NPZ_KEYS}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise _unreadable(path, error, "an .npz with points (N, 3)") from error
-    part = slice(None)
-    if "points_x100" in held:
-        part = _plant_part(path, held, plant)
-        held["points"] = held["points_x100"] / 100.0
-    if "points" not in held:
+    held = load_npz(path, "an .npz with points (N, 3)", _NPZ_KEYS)
+    stored, per_unit = (held["points_x100"], 100.0) if "points_x100" in held else (held.get("points"), 1.0)
+    if stored is None:
         raise bad_input(str(path), given="no array 'points'", allowed="points (N, 3)", do="Rename the array.")
-    points = check_array(f"{path}: points", held["points"], (None, 3), finite=False)[part]
-    colors = held.get("colors")
-    units = str(held.get("units", "")).rstrip("?")
-    up = np.asarray(held.get("up", (0, 0, 0)), dtype=np.float64)
-    return RawPoints(
-        points,
-        None if colors is None or len(colors) != len(held["points"]) else colors[part, :3].astype(np.uint8),
-        "m" if units == "m" else "mm" if units == "mm" else None,
-        ("x", "y", "z")[int(np.argmax(up))] if up.shape == (3,) and up.max() > 0.9 else None,
-    )
+    if stored.ndim != 2 or stored.shape[1] != 3 or len(stored) > MOST_POINTS:
+        allowed = f"shape (N, 3), N <= {MOST_POINTS:,}"
+        raise bad_input(f"{path}: points", given=f"shape {stored.shape}", allowed=allowed, do="Thin out the cloud.")
+    with understood(path, "numbers in points, colors, offsets and up", "Write the arrays anew."):
+        part = _plant_part(path, held.get("offsets"), len(stored), plant)
+        points = check_array(f"{path}: points", stored[part], (None, 3), finite=False) / per_unit
+        colors = held.get("colors")
+        fits = colors is not None and colors.ndim == 2 and colors.shape[1] >= 3 and len(colors) == len(stored)
+        return RawPoints(points, _bytes(colors[part, :3]) if fits else None, _units(path, held), _up(held))
 
 
 def read_pcd(path: Path) -> RawPoints:
     """Read a PCD (ASCII, binary or binary_compressed) with fields x, y, z and, optionally, rgb."""
-    content = path.read_bytes()
+    content = whole_file(path).read_bytes()
     header, body = _pcd_header(path, content)
     try:
         record = _pcd_record(header)
@@ -119,13 +136,38 @@ def read_pcd(path: Path) -> RawPoints:
 _NPZ_KEYS = {"points", "points_x100", "offsets", "colors", "units", "up"}
 
 
-def _plant_part(path: Path, held: dict[str, NDArray[Any]], plant: int) -> slice:
-    offsets = held.get("offsets", np.array([0, len(held["points_x100"])]))
-    if not 0 <= plant < len(offsets) - 1:
-        raise bad_input(
-            str(path), given=f"plant {plant}", allowed=f"0 <= plant <= {len(offsets) - 2}", do="Choose another."
-        )
-    return slice(int(offsets[plant]), int(offsets[plant + 1]))
+def _plant_part(path: Path, offsets: NDArray[Any] | None, count: int, plant: int | None) -> slice:
+    """Return where the points of one plant lie among the `count` of all."""
+    starts = np.array([0, count]) if offsets is None else check_array(f"{path}: offsets", offsets, (None,), dtype=int)
+    if len(starts) < 2 or starts[0] < 0 or starts[-1] > count or np.any(np.diff(starts) < 0):
+        allowed = f"rising numbers from 0 to {count}, where each plant's points begin and the last one's end"
+        raise bad_input(f"{path}: offsets", given=f"{starts[:5]}", allowed=allowed, do="Write them anew.")
+    last = len(starts) - 2
+    if plant is None and last > 0:
+        allowed, do = f"one of them, 0 to {last}", "Choose it with --plant NUMBER."
+        raise bad_input(str(path), given=f"a file of {last + 1} plants", allowed=allowed, do=do)
+    plant = plant or 0
+    if not 0 <= plant <= last:
+        raise bad_input(str(path), given=f"plant {plant}", allowed=f"0 <= plant <= {last}", do="Choose another.")
+    return slice(int(starts[plant]), int(starts[plant + 1]))
+
+
+def _units(path: Path, held: dict[str, NDArray[Any]]) -> Units | None:
+    """Return the units that the file states; whoever wrote it may have been unsure ("mm?")."""
+    stated = str(held.get("units", "")).strip().rstrip("?")
+    if stated not in ("", "m", "mm"):
+        raise bad_input(f"{path}: units", given=f"'{stated[:40]}'", allowed="'m' or 'mm'", do="Scale the points.")
+    return "mm" if stated == "mm" else "m" if stated == "m" else None
+
+
+def _up(held: dict[str, NDArray[Any]]) -> Axis | None:
+    up = np.asarray(held.get("up", (0, 0, 0)), dtype=np.float64)
+    return ("x", "y", "z")[int(np.argmax(up))] if up.shape == (3,) and up.max() > 0.9 else None
+
+
+def _bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return colours 0-255; what lies outside, or is no number, goes to the nearest that does not."""
+    return np.clip(np.nan_to_num(colors.astype(np.float64)), 0, 255).astype(np.uint8)
 
 
 def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes]:

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from trimesh.exchange.ply import load_ply
 
 from anther.errors import bad_input
 from anther.files import replacing
+from anther.formats.points import load_whole_ply
 from anther.formats.skeleton_file import SkeletonFile, rooted
 from anther.skeleton import Skeleton
 
@@ -63,11 +63,7 @@ def read_skeleton_ply(path: Path | str) -> SkeletonFile:
         InputError: unreadable, no edges (a plain cloud), or not one tree.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as stream:
-            elements = load_ply(stream, fix_texture=False, skip_materials=True)["metadata"]["_ply_raw"]
-    except Exception as error:  # trimesh raises whatever the bytes provoke
-        raise bad_input(str(path), given=f"unreadable ({error})", allowed="a PLY", do="Is it truncated?") from error
+    elements = load_whole_ply(path)["metadata"]["_ply_raw"]
     vertices = _element(path, elements, "vertex", ("x", "y", "z"))
     edges = _element(path, elements, "edge", ("vertex1", "vertex2"))
     nodes = np.column_stack([np.ravel(vertices[axis]) for axis in "xyz"]).astype(np.float64)

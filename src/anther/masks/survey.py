@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from anther.masks import Params
 
 _THREADS = 2  # each votes in a grid of its own
+_MOST_BYTES = 2.5e9  # of the votes, the sums and masks of all cells together
 _COARSE = 3  # step of the pixels that the colours are learned from
 
 
@@ -58,7 +59,8 @@ class Survey:
 
 def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
     """Let all views vote, and find the ground in the votes."""
-    grid = Grid.over(workspace or viewed_box(capture), params.voxel)
+    layers = 1 if capture.rgb is None else LAYERS
+    grid = Grid.over(workspace or viewed_box(capture), params.voxel, _MOST_BYTES / (2 * _THREADS * layers + 16))
     rule, light = None, None
     if capture.rgb is not None:
         light = Light.on(capture.rgb, params.green)

@@ -43,9 +43,9 @@ class Grid:
     shape: tuple[int, int, int]
 
     @classmethod
-    def over(cls, box: Box, voxel: float) -> Grid:
-        """Return the grid that covers a box."""
-        counts = np.maximum(1, np.ceil((box.upper - box.lower) / voxel).astype(int))
+    def over(cls, box: Box, voxel: float, most: float) -> Grid:
+        """Return the grid that covers a box; more than `most` cells are refused."""
+        counts = box.cells(voxel, most)
         return cls(box.lower, voxel, (int(counts[0]), int(counts[1]), int(counts[2])))
 
 
