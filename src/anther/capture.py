@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range, check_transform
 from anther.errors import InputError, bad_input
-from anther.files import existing, read_json
+from anther.files import existing, made_folder, read_json, written
 from anther.geometry import Array, Box, Intrinsics
 from anther.images import read_image
 
@@ -88,7 +88,8 @@ class Capture:
         An existing capture in `folder` is replaced. Depth is rounded to 0.1 mm, or to 1 mm beyond 6.5 m.
 
         Raises:
-            InputError: `folder` exists and is something else than a capture, or depth exceeds 65 m.
+            InputError: `folder` exists and is something else than a capture, it cannot be written, or depth exceeds
+                65 m.
         """
         folder = Path(folder)
         if (
@@ -99,15 +100,16 @@ class Capture:
             raise bad_input(
                 str(folder), given="something that is not a capture", allowed="a new folder", do="Choose another name."
             )
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-        try:
-            _write_folder(self, temporary / "new")
-            if folder.exists():
-                folder.replace(temporary / "old")
-            (temporary / "new").replace(folder)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+        made_folder(folder.parent)
+        with written(folder, "a folder that can be written"):
+            temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+            try:
+                _write_folder(self, temporary / "new")
+                if folder.exists():
+                    folder.replace(temporary / "old")
+                (temporary / "new").replace(folder)
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
 
     @classmethod
     def load(cls, folder: Path | str) -> Capture:
@@ -316,7 +318,7 @@ def _read_depth(
 ) -> NDArray[np.float32]:
     unit = _number("depth_unit_scale_factor", meta.get("depth_unit_scale_factor", 1e-3))
     check_range("depth_unit_scale_factor", unit, 1e-6, 1, "m")
-    size = _checked_size(len(frames), intrinsics)
+    size = check_views(len(frames), intrinsics)
     depth = np.empty((len(frames), *size[::-1]), dtype=np.float32)
 
     def read(view: int) -> None:
@@ -346,7 +348,7 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
             allowed="a colour image for every frame or for none",
             do="Add the missing images, or remove file_path everywhere for a depth-only capture.",
         )
-    size = _checked_size(len(frames), intrinsics)
+    size = check_views(len(frames), intrinsics)
     rgb = np.empty((len(frames), *size[::-1], 3), dtype=np.uint8)
 
     def read(view: int) -> None:
@@ -357,13 +359,17 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
     return rgb
 
 
-def _checked_size(views: int, camera: Intrinsics) -> tuple[int, int]:
-    """Return (width, height) [px] if so many views of that size can be held."""
+def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
+    """Return (width, height) [px] if so many views of that size can be held.
+
+    Raises:
+        InputError: they are too many or too large.
+    """
     pixels = views * camera.width * camera.height
     if pixels > _MOST_PIXELS:
         given = f"{views} views of {camera.width} x {camera.height} px"
         allowed = f"at most {_MOST_PIXELS / 1e6:.0f} million pixels"
-        raise bad_input("transforms.json", given=given, allowed=allowed, do="Take fewer views, or shrink the images.")
+        raise bad_input("capture", given=given, allowed=allowed, do="Take fewer views, or shrink the images.")
     return camera.width, camera.height
 
 

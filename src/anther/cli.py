@@ -74,9 +74,16 @@ def _run(name: str, words: list[str]) -> int:
     except AntherError as error:
         print(f"anther {name}: {error}", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        print(f"anther {name}: not enough memory ({error}). Give a smaller cloud or capture.", file=sys.stderr)
+        return 2
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        place, why = error.filename or "a file or device", error.strerror or error
+        print(f"anther {name}: {place}: {why}. Check the path, its rights and the disk's space.", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print(f"anther {name}: interrupted; finished stages are kept.", file=sys.stderr)
         return 130

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import errno
 import json
 import math
 import os
+import struct
 import tempfile
 import zipfile
 from collections.abc import Callable, Collection, Iterator
@@ -23,6 +25,11 @@ _UNWRITABLE = (
     errno.ENAMETOOLONG, errno.EFBIG,
 )  # fmt: skip
 
+_UNFIT = (
+    ArithmeticError, AttributeError, LookupError, RecursionError, StopIteration, TypeError, ValueError, csv.Error,
+    struct.error,
+)  # fmt: skip
+
 LARGEST, LARGEST_TEXT = 2**30, 2**28
 """Most bytes of a file that is read whole, and of one whose text takes ten times as much once read. A guess: a thousand
 views of a D455 are less, as is a cloud of twenty million points."""
@@ -38,7 +45,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
         InputError: the disk is full, or the folder may not be written.
     """
     path = Path(path)
-    try:
+    with written(path, "a file that can be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=path.parent)
         os.close(handle)
@@ -49,11 +56,37 @@ def replacing(path: Path | str) -> Iterator[Path]:
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def written(path: Path | str, allowed: str) -> Iterator[None]:
+    """Turn what the disk or its owner does not allow into one clear error.
+
+    Args:
+        path: of the file or folder that is written.
+        allowed: see `errors.bad_input`.
+
+    Raises:
+        InputError: the disk is full, the place may not be written, or is a file where a folder is wanted.
+    """
+    try:
+        yield
     except OSError as error:
         if error.errno not in _UNWRITABLE:
             raise
         do = "What was there is unchanged: free some space or choose another folder."
-        raise bad_input(str(path), given=error.strerror, allowed="a file that can be written", do=do) from error
+        raise bad_input(str(path)[:300], given=error.strerror, allowed=allowed, do=do) from error
+
+
+def made_folder(path: Path | str) -> Path:
+    """Make a folder if it is missing, and those above it.
+
+    Raises:
+        InputError: it cannot be made, or is a file.
+    """
+    with written(path, "a folder that can be written"):
+        Path(path).mkdir(parents=True, exist_ok=True)
+    return Path(path)
 
 
 def write_text(path: Path | str, text: str) -> None:
@@ -78,6 +111,32 @@ def read_json(path: Path | str) -> Any:
         return json.loads(path.read_text(encoding="utf-8"), parse_int=_integer)
     except (ValueError, RecursionError) as error:
         raise bad_input(str(path), given=f"not JSON ({error})", allowed="a JSON file", do="Is it truncated?") from error
+
+
+def read_lines(path: Path | str) -> list[str]:
+    """Read the lines of a text, UTF-8 with or without its mark.
+
+    Raises:
+        InputError: the file is missing, too large, or no text.
+    """
+    path = whole_file(path, LARGEST_TEXT)
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        given, do = f"unreadable, no text ({error})", "Export it again, as UTF-8."
+        raise bad_input(str(path), given=given, allowed="a text file", do=do) from error
+
+
+def read_object(path: Path | str) -> dict[str, Any]:
+    """Read a JSON file that holds an object.
+
+    Raises:
+        InputError: see `read_json`; or it holds a list, a number or a text.
+    """
+    value = read_json(path)
+    if not isinstance(value, dict):
+        raise bad_input(str(path), given=f"a {type(value).__name__}", allowed="a JSON object", do="Restore the file.")
+    return value
 
 
 def _integer(digits: str) -> int:
@@ -146,11 +205,13 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
 
 
 @contextmanager
-def understood(path: Path | str, allowed: str, do: str) -> Iterator[None]:
+def understood(
+    path: Path | str, allowed: str = "what Anther wrote", do: str = "Restore the file, or make it again."
+) -> Iterator[None]:
     """Turn what goes wrong while values read from a file are made use of into one clear error.
 
     Args:
-        path: the file.
+        path: the file, for the message.
         allowed, do: see `errors.bad_input`.
 
     Raises:
@@ -159,9 +220,11 @@ def understood(path: Path | str, allowed: str, do: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise error if str(error).startswith(str(path)) else InputError(f"{path}: {error}") from error
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
-        raise bad_input(str(path), given=f"what cannot be used ({error!r})", allowed=allowed, do=do) from error
+        if str(error).startswith(str(path)):
+            raise
+        raise InputError(f"{path}: {error}") from error
+    except _UNFIT as error:
+        raise bad_input(str(path), given=f"unreadable ({error!r})", allowed=allowed, do=do) from error
 
 
 def existing(path: Path | str) -> Path:

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from anther.checks import check_array
 from anther.cloud import Cloud
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
@@ -88,8 +88,9 @@ class Flowers:
         Raises:
             InputError: missing, truncated, or of another kind or schema.
         """
-        a = read_npz(path, _KIND, _SCHEMA)
-        return cls(a["positions"], a["attachment"], tuple(str(note) for note in a["notes"]))
+        with understood(path):
+            a = read_npz(path, _KIND, _SCHEMA)
+            return cls(a["positions"], a["attachment"], tuple(str(note) for note in a["notes"]))
 
 
 def find_flowers(

@@ -33,13 +33,16 @@ def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _is_intact(data) else None
     except cv2.error as error:
-        given, allowed = f"what OpenCV refuses ({error})", f"at most {MOST_PIXELS / 1e6:.0f} million pixels"
-        raise bad_input(str(path), given=" ".join(given.split()), allowed=allowed, do="Is it the right file?") from error
+        given, allowed = (
+            " ".join(f"what OpenCV refuses ({error})".split()),
+            f"at most {MOST_PIXELS / 1e6:.0f} million px",
+        )
+        raise bad_input(str(path), given=given, allowed=allowed, do="Is it the right file?") from error
     if image is None:
         raise bad_input(
             str(path),
             given=f"{len(data)} bytes that are not a whole image",
-            allowed="PNG or JPEG",
+            allowed="PNG, JPEG or TIFF",
             do="It is truncated or damaged; copy it again.",
         )
     if size is not None and image.shape[1::-1] != size:

@@ -12,7 +12,7 @@ from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.errors import bad_input
 from anther.execution import Trial
-from anther.files import existing, read_json
+from anther.files import existing, read_object
 from anther.flowers import Flowers
 from anther.grasp import Grasp, load_grasps
 from anther.masks import Masks
@@ -21,7 +21,7 @@ from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt
-from anther.store.records import TrialRecord
+from anther.store.records import TrialRecord, read_record
 from anther.vibration import Crop, ShakePlan
 
 EXECUTED, SUMMARY = "09_executed_shake.json", "trial.json"
@@ -211,11 +211,11 @@ def read_run(folder: Path | str) -> RunResults:
     summary, visit, executed = folder / SUMMARY, folder / "visit.json", folder / EXECUTED
     return RunResults(
         folder=folder,
-        params=read_json(folder / "00_params.json"),
-        summary=read_json(summary) if summary.exists() else None,
-        seconds=read_json(timing) if timing.exists() else {},
+        params=read_object(folder / "00_params.json"),
+        summary=read_object(summary) if summary.exists() else None,
+        seconds=read_object(timing) if timing.exists() else {},
         grasps=tuple(load_grasps(grasps)) if grasps.exists() else (),
         executed=ShakePlan.load(executed) if executed.exists() else None,
-        visit=TrialRecord.of(read_json(visit)) if visit.exists() else None,
+        visit=read_record(visit) if visit.exists() else None,
         **found,
     )

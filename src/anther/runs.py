@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from anther.errors import FailureKind, InputError, StageFailure, bad_input
-from anther.files import read_json, write_json
+from anther.files import made_folder, read_object, write_json
 
 FILES = {
     "capture": "01_capture",
@@ -71,8 +71,7 @@ class Run:
         if restart_from is not None and restart_from not in FILES:
             allowed = ", ".join((*FILES, WHERE_IT_STOPPED))
             raise bad_input("restart-from", given=f"'{restart_from}'", allowed=allowed, do="Name one of these stages.")
-        self.folder = Path(folder)
-        self.folder.mkdir(parents=True, exist_ok=True)
+        self.folder = made_folder(folder)
         if restart_from is None:
             self._note(next(iter(FILES)), "interrupted", "the process ended before the first stage")
         self.seconds: dict[str, float] = {}
@@ -140,8 +139,8 @@ def stage_under_way(folder: Path) -> str:
         InputError: the folder holds no run that could be gone on with.
     """
     try:
-        return str(read_json(folder / PROGRESS)["stage"])
-    except (InputError, KeyError, TypeError) as error:
+        return str(read_object(folder / PROGRESS)["stage"])
+    except (InputError, KeyError) as error:
         raise bad_input(
             "restart-from",
             given=f"'{WHERE_IT_STOPPED}' in {folder}, which does not say where it stopped",

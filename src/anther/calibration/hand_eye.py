@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_transform
 from anther.errors import bad_input
-from anther.files import read_json, write_json
+from anther.files import read_object, understood, write_json
 from anther.geometry import Array, Intrinsics, inverse
 
 KIND, SCHEMA = "hand-eye", 2
@@ -108,25 +108,21 @@ class HandEye:
         Raises:
             InputError: the file is missing, truncated or holds something else.
         """
-        stored = read_json(path)
-        if not isinstance(stored, dict) or (stored.get("kind"), stored.get("schema")) != (KIND, SCHEMA):
+        stored = read_object(path)
+        if (stored.get("kind"), stored.get("schema")) != (KIND, SCHEMA):
             raise bad_input(
                 str(path),
                 given="something else, or another schema number",
                 allowed=f"a calibration written by anther calibrate, schema {SCHEMA}",
                 do="Calibrate again.",
             )
-        try:
+        with understood(path, "a whole file", "Restore it."):
             values = {name: stored[name] for name in cls.__slots__}
             values["intrinsics"] = Intrinsics(**values["intrinsics"])
             values["methods"] = tuple(MethodError(**_with_nan(row)) for row in values["methods"])
             values["images"], values["notes"] = tuple(values["images"]), tuple(values["notes"])
             values["left_out_errors"] = np.array(values["left_out_errors"], dtype=np.float64).reshape(-1, 3)
             return cls(**values)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise bad_input(
-                str(path), given=f"an entry that cannot be used ({error!r})", allowed="a whole file", do="Restore it."
-            ) from error
 
 
 def _with_nan(row: dict[str, Any]) -> dict[str, Any]:

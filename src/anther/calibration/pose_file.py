@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from anther.errors import InputError, bad_input
-from anther.files import existing, read_json
+from anther.files import existing, read_json, read_lines, understood
 from anther.geometry import Array, Intrinsics, transform_from_pose7
 
 COLUMNS = ("image", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -64,13 +64,14 @@ def _json_rows(path: Path) -> list[tuple[str, str, Any]]:
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (UnicodeDecodeError, IsADirectoryError) as error:
-        raise bad_input(str(path), given="not text", allowed="CSV or JSON", do="Export it again.") from error
-    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    lines = [(n, line) for n, line in enumerate(read_lines(path), 1) if line.strip() and not line.startswith("#")]
     if not lines:
         return []
+    with understood(path, "CSV or JSON", "Export it again."):
+        return _csv_cells(path, lines)
+
+
+def _csv_cells(path: Path, lines: list[tuple[int, str]]) -> list[tuple[str, str, Any]]:
     header = lines[0][1]
     separator = next((mark for mark in (";", "\t") if mark in header), ",")
     names = [word.strip().lower() for word in next(csv.reader([header], delimiter=separator))]

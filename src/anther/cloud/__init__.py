@@ -26,7 +26,7 @@ from anther.cloud.pixels import pixel_normals, supported_pixels
 from anther.cloud.plausibility import cloud_doubts, coverage_doubts, refuse_ground, view_doubts
 from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array, Box, Intrinsics, transform_points
 from anther.masks import BACKGROUND, Masks
 
@@ -155,16 +155,17 @@ class Cloud:
         fields = read_ply(path)
         if not path.with_suffix(".npz").exists():
             return cls(**fields)
-        rest = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
-        return cls(
-            **fields,
-            obstacles=rest["obstacles"],
-            T_world_cam=rest.get("T_world_cam"),
-            notes=tuple(json.loads(str(rest["notes"]))),
-            view_agreement=rest.get("view_agreement"),
-            view_used=rest.get("view_used"),
-            footprint=float(rest["footprint"]) if "footprint" in rest else None,
-        )
+        with understood(path):
+            rest = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
+            return cls(
+                **fields,
+                obstacles=rest["obstacles"],
+                T_world_cam=rest.get("T_world_cam"),
+                notes=tuple(json.loads(str(rest["notes"]))),
+                view_agreement=rest.get("view_agreement"),
+                view_used=rest.get("view_used"),
+                footprint=float(rest["footprint"]) if "footprint" in rest else None,
+            )
 
 
 def fuse(

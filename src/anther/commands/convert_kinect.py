@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import tyro
 
-from anther.capture import Capture
+from anther.capture import Capture, check_views
 from anther.checks import check_array
 from anther.errors import bad_input
-from anther.files import existing, read_json
+from anther.files import existing, read_object, understood
 from anther.geometry import Array, Intrinsics
 from anther.images import read_image
 
@@ -44,20 +44,15 @@ def run(args: Args) -> None:
 
 def read_kinect(folder: Path) -> Capture:
     """Return the capture in a Kinect folder; see `Args`."""
-    meta = read_json(existing(folder) / "poses.json")
-    try:
+    meta = read_object(existing(folder) / "poses.json")
+    wanted = "intrinsics {width, height, fx, fy, cx, cy} and frames [{file, T_world_cam}]"
+    with understood(folder / "poses.json", wanted, "Compare with docs/capture.md."):
         values = {key: meta["intrinsics"][key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
         scale = float(meta.get("depth_scale_mm", 1.0)) * _MM
         poses = np.stack([_pose(frame["T_world_cam"]) for frame in meta["frames"]])
-        depth = np.stack([_depth(folder / frame["file"], scale) for frame in meta["frames"]])
-    except (KeyError, TypeError) as error:
-        raise bad_input(
-            str(folder / "poses.json"),
-            given=f"an entry that cannot be used ({error!r})",
-            allowed="intrinsics {width, height, fx, fy, cx, cy} and frames [{file, T_world_cam}]",
-            do="Compare with docs/capture.md.",
-        ) from error
-    return Capture(depth=depth, intrinsics=Intrinsics(**values), T_world_cam=poses)
+        size = check_views(len(poses), camera := Intrinsics(**values))
+        depth = np.stack([_depth(folder / frame["file"], scale, size) for frame in meta["frames"]])
+    return Capture(depth=depth, intrinsics=camera, T_world_cam=poses)
 
 
 def _pose(matrix_mm: Any) -> Array:
@@ -66,8 +61,8 @@ def _pose(matrix_mm: Any) -> Array:
     return T
 
 
-def _depth(path: Path, scale: float) -> Any:
-    image = read_image(path, cv2.IMREAD_UNCHANGED)
+def _depth(path: Path, scale: float, size: tuple[int, int]) -> Any:
+    image = read_image(path, cv2.IMREAD_UNCHANGED, size)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise bad_input(str(path), given="no 16-bit depth image", allowed="one channel, 16 bits", do="Is it truncated?")
     return (image * np.float64(scale)).astype(np.float32)

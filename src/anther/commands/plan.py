@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 import tyro
@@ -18,7 +18,7 @@ from anther.cloud import Cloud
 from anther.commands.run_folder import PARAMS
 from anther.commands.skeletonize import best_grasps
 from anther.errors import bad_input
-from anther.files import read_json, replacing
+from anther.files import read_object, replacing
 from anther.flowers import Flowers, supposed_flowers
 from anther.formats.skeletons import read_skeleton
 from anther.fruit_set import worth
@@ -128,7 +128,8 @@ def _params(args: Args) -> Params:
 def _crop(args: Args) -> Crop:
     """Return whose breeze the limits are likened to: the run's plant, or what --crop says."""
     params = args.source / PARAMS
-    return read_json(params).get("plant", args.crop) if params.is_file() else args.crop
+    stated = read_object(params).get("plant") if params.is_file() else None
+    return stated if stated in get_args(Crop) else args.crop
 
 
 def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:

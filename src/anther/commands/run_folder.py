@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from anther.commands.visit_record import FILE as VISIT
 from anther.errors import bad_input
-from anther.files import read_json, write_json
+from anther.files import made_folder, read_object, write_json
 from anther.results import EXECUTED, SUMMARY
 from anther.runs import FILES, PROGRESS, Run
 
@@ -72,7 +72,7 @@ def parameters(args: Any) -> dict[str, Any]:
 def _check_same(folder: Path, args: Any, names: tuple[str, ...]) -> None:
     if not (folder / PARAMS).is_file():
         return
-    was = read_json(folder / PARAMS)
+    was = read_object(folder / PARAMS)
     now = json.loads(json.dumps({name: getattr(args, name) for name in names}, default=str))
     other = [f"{name} {was[name]} instead of {now[name]}" for name in names if name in was and was[name] != now[name]]
     if other:
@@ -85,7 +85,7 @@ def _check_same(folder: Path, args: Any, names: tuple[str, ...]) -> None:
 
 
 def _make_room(folder: Path, *, overwrite: bool) -> None:
-    if not folder.exists() or not any(folder.iterdir()):
+    if not any(made_folder(folder).iterdir()):
         return
     if not (folder / PARAMS).is_file():
         raise bad_input(
@@ -121,7 +121,7 @@ def _what_run(folder: Path) -> str:
     """Say whether the run there was finished."""
     if not (folder / PROGRESS).is_file():
         return "a run"
-    last = read_json(folder / PROGRESS)
+    last = read_object(folder / PROGRESS)
     if last.get("failure") is None and (folder / FILES["report"]).is_file():
         return "a finished run"
     return f"a run that ended in the stage {last.get('stage')}: {last.get('message')}"

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anther.errors import AntherError, bad_input
-from anther.files import existing, read_json, write_json
-from anther.store import GraspRecord, ShakeRecord, TrialRecord, add_missing, record_trial, shown
+from anther.files import existing, write_json
+from anther.store import GraspRecord, ShakeRecord, TrialRecord, add_missing, read_record, record_trial, shown
 
 if TYPE_CHECKING:
     from anther.pipeline import Done
@@ -76,4 +76,4 @@ def add_run(folder: Path, history: str) -> int | None:
             allowed="a run folder of `anther trial`",
             do="Trials of earlier versions are in their history already.",
         )
-    return add_missing(TrialRecord.of(read_json(folder / FILE)), history)
+    return add_missing(read_record(folder / FILE), history)

@@ -20,7 +20,7 @@ from anther.elastic_rod.newton import State, Work, new_state
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.stepping import Grip, Output, Settings, advance, energies, record
 from anther.errors import StageFailure, bad_input
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 
 SCHEMA = 3
 
@@ -95,9 +95,10 @@ class Trajectory:
     @classmethod
     def load(cls, path: Path | str) -> Trajectory:
         """Read what `save` wrote."""
-        stored = read_npz(path, "rod trajectory", SCHEMA)
-        counts = stored.pop("counts")
-        return cls(**stored, newton_iterations=int(counts[0]), split_steps=int(counts[1]))
+        with understood(path):
+            stored = read_npz(path, "rod trajectory", SCHEMA)
+            counts = stored.pop("counts")
+            return cls(**stored, newton_iterations=int(counts[0]), split_steps=int(counts[1]))
 
 
 def simulate(

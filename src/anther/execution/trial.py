@@ -12,7 +12,7 @@ import numpy as np
 from anther.checks import check_array
 from anther.devices import Frame
 from anther.errors import FailureKind
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
@@ -134,9 +134,12 @@ class Trial:
         Raises:
             InputError: missing, truncated or of another kind.
         """
-        arrays: dict[str, Any] = read_npz(path, "trial", SCHEMA)
-        words = json.loads(str(arrays.pop("words")))
-        rows: list[dict[str, Any]] = words.pop("steps")
-        made: list[dict[str, Any]] = [{k: tuple(v) if isinstance(v, list) else v for k, v in r.items()} for r in rows]
-        steps = tuple(Step(**row) for row in made)
-        return cls(phases=tuple(words.pop("phases")), steps=steps, **words, **arrays)
+        with understood(path):
+            arrays: dict[str, Any] = read_npz(path, "trial", SCHEMA)
+            words = json.loads(str(arrays.pop("words")))
+            rows: list[dict[str, Any]] = words.pop("steps")
+            made: list[dict[str, Any]] = [
+                {k: tuple(v) if isinstance(v, list) else v for k, v in r.items()} for r in rows
+            ]
+            steps = tuple(Step(**row) for row in made)
+            return cls(phases=tuple(words.pop("phases")), steps=steps, **words, **arrays)

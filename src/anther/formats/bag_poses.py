@@ -11,7 +11,7 @@ import numpy as np
 
 from anther.checks import check_array
 from anther.errors import bad_input
-from anther.files import existing
+from anther.files import read_lines, understood
 from anther.geometry import Array, inverse, transform_from_pose7
 
 Where = Callable[[float], tuple[Array, float]]
@@ -135,11 +135,8 @@ def read_trajectory(path: Path | str) -> PoseSeries:
     Raises:
         InputError: missing, no rows of eight numbers, or a quaternion that is not of unit length.
     """
-    path = existing(path)
-    try:
-        rows = np.loadtxt(path, ndmin=2)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise bad_input(str(path), given=f"unreadable ({error})", allowed=_ROWS, do="Is it a trajectory?") from error
+    with understood(path, _ROWS, "Is it a trajectory?"):
+        rows = np.loadtxt(read_lines(path), ndmin=2)
     if not rows.size:
         raise bad_input(str(path), given="no rows", allowed=f"rows of {_ROWS}", do="Is it truncated?")
     rows = check_array(f"{path} (rows of {_ROWS})", rows, (None, 8))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.errors import InputError, bad_input
-from anther.files import existing
+from anther.files import read_lines, whole_file
 from anther.geometry import Array, inverse, transform
 
 MODELS = {
@@ -87,7 +87,9 @@ def read_cameras(folder: Path) -> dict[int, ColmapCamera]:
     path = _either(folder, "cameras")
     try:
         return dict(_cameras_binary(path.read_bytes()) if path.suffix == ".bin" else _cameras_text(path))
-    except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
+    except (struct.error, ValueError, IndexError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
         raise _unreadable(path, error, "COLMAP cameras") from error
 
 
@@ -100,7 +102,9 @@ def read_images(folder: Path) -> list[ColmapImage]:
     path = _either(folder, "images")
     try:
         images = list(_images_binary(path.read_bytes()) if path.suffix == ".bin" else _images_text(path))
-    except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
+    except (struct.error, ValueError, IndexError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
         raise _unreadable(path, error, "COLMAP images") from error
     return sorted(images, key=lambda image: image.name)
 
@@ -114,7 +118,9 @@ def read_points(folder: Path) -> tuple[Array, NDArray[np.uint8]]:
     path = _either(folder, "points3D")
     try:
         rows = list(_points_binary(path.read_bytes()) if path.suffix == ".bin" else _points_text(path))
-    except (struct.error, ValueError, IndexError, UnicodeDecodeError) as error:
+    except (struct.error, ValueError, IndexError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
         raise _unreadable(path, error, "COLMAP points") from error
     table = np.array(rows, dtype=np.float64).reshape(-1, 6)
     return table[:, :3].copy(), table[:, 3:].astype(np.uint8)
@@ -126,7 +132,7 @@ def read_depth_map(path: Path) -> NDArray[np.float32]:
     Raises:
         InputError: missing, or the file is no depth map of one channel or truncated.
     """
-    data = existing(path).read_bytes()
+    data = whole_file(path).read_bytes()
     head = data[:64].split(b"&", 3)
     try:
         width, height, channels = (int(word) for word in head[:3])
@@ -188,7 +194,7 @@ def _images_binary(data: bytes) -> Iterator[ColmapImage]:
 
 def _images_text(path: Path) -> Iterator[ColmapImage]:
     """Two lines an image; the second (its points) may be empty, so only comments are skipped."""
-    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    lines = [line for line in read_lines(path) if not line.startswith("#")]
     for line in lines[::2]:
         if line.strip():
             _, *pose, camera, name = line.split(maxsplit=9)
@@ -217,7 +223,7 @@ def _points_text(path: Path) -> Iterator[tuple[float, ...]]:
 
 
 def _lines(path: Path) -> Iterator[str]:
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in read_lines(path):
         if line.strip() and not line.startswith("#"):
             yield line
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from anther.errors import bad_input
-from anther.files import write_text
+from anther.files import read_lines, write_text
 from anther.formats.skeleton_file import SkeletonFile, rooted
 from anther.geometry import Array
 from anther.skeleton import Skeleton
@@ -48,8 +48,7 @@ def read_mtg(path: Path | str) -> SkeletonFile:
     Raises:
         InputError: no MTG, an entity that cannot be read, no coordinates, or not one tree.
     """
-    lines = Path(path).read_text(encoding="utf-8").splitlines()
-    lines = [line.split("#")[0].rstrip() for line in lines]
+    lines = [line.split("#")[0].rstrip() for line in read_lines(path)]
     heads = [i for i, line in enumerate(lines) if line.startswith("ENTITY-CODE")]
     if not heads:
         raise bad_input(str(path), given="no line ENTITY-CODE", allowed="an MTG file", do="Is it truncated?")

@@ -13,7 +13,7 @@ from trimesh.exchange.ply import load_ply
 
 from anther.checks import check_array
 from anther.errors import InputError, bad_input
-from anther.files import LARGEST, LARGEST_TEXT, load_npz, understood, whole_file
+from anther.files import LARGEST, LARGEST_TEXT, load_npz, read_lines, understood, whole_file
 from anther.geometry import Array
 
 Units = Literal["m", "mm"]
@@ -80,12 +80,14 @@ def load_whole_ply(path: Path) -> dict[str, Any]:
 def read_text(path: Path) -> RawPoints:
     """Read rows of x y z, further columns (r g b as 0-255) optional, separated by blanks, commas or semicolons."""
     try:
-        text = whole_file(path, LARGEST_TEXT).read_text(encoding="utf-8")
-        lines = [line for line in text.replace(",", " ").replace(";", " ").splitlines() if _is_row(line)]
+        lines = [line.replace(",", " ").replace(";", " ") for line in read_lines(path)]
+        lines = [line for line in lines if _is_row(line)]
         if not lines:
             raise ValueError("no row of numbers")
         rows = np.loadtxt(lines, dtype=np.float64, ndmin=2)
-    except (UnicodeDecodeError, ValueError) as error:
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
         raise _unreadable(path, error, "rows of at least three numbers: x y z") from error
     if rows.shape[1] < 3:
         raise bad_input(str(path), given=f"{rows.shape[1]} columns", allowed="x y z [r g b]", do="Export x, y and z.")

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from anther.checks import check_array
-from anther.errors import InputError, bad_input
-from anther.files import existing, write_text
+from anther.errors import bad_input
+from anther.files import LARGEST_TEXT, read_lines, understood, whole_file, write_text
 from anther.formats.gltf import write_glb
 from anther.formats.graphml import read_graphml, write_graphml
 from anther.formats.mtg import read_mtg, write_mtg
@@ -37,18 +37,12 @@ def read_skeleton(path: Path | str) -> SkeletonFile:
     Raises:
         InputError: missing, unreadable, not one tree, not finite, or not in metres.
     """
-    path = existing(path)
+    path = whole_file(path, LARGEST_TEXT)
     suffix = path.suffix.lower()
     if suffix not in READS:
         raise bad_input(str(path), given=f"a {suffix} file", allowed=" ".join(READS), do="Convert it.")
-    try:
+    with understood(path, f"a {suffix} skeleton file", "See docs/formats.md."):
         return READS[suffix](path)
-    except InputError as error:
-        raise error if str(error).startswith(str(path)) else InputError(f"{path}: {error}") from error
-    except (UnicodeDecodeError, ValueError, IndexError, KeyError, OSError) as error:
-        raise bad_input(
-            str(path), given=f"unreadable ({error})", allowed=f"a {suffix} skeleton file", do="See docs/formats.md."
-        ) from error
 
 
 def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
@@ -111,7 +105,7 @@ def _read_npz(path: Path) -> SkeletonFile:
 
 
 def _read_txt(path: Path) -> SkeletonFile:
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = read_lines(path)
     heads = [i for i, line in enumerate(lines) if line.lstrip().startswith("*")]
     names = [lines[i].strip().lower() for i in heads]
     if names != ["*nodes", "*edges"]:
@@ -122,7 +116,7 @@ def _read_txt(path: Path) -> SkeletonFile:
 
 
 def _read_swc(path: Path) -> SkeletonFile:
-    lines = path.read_text(encoding="utf-8").splitlines()
+    lines = read_lines(path)
     table = _table([line for line in lines if not line.lstrip().startswith("#")], 7)
     numbers = table[:, 0].astype(np.int64)
     index = {int(number): i for i, number in enumerate(numbers)}

@@ -16,7 +16,7 @@ from scipy.spatial import KDTree
 from anther.checks import check_array, check_range, check_transform
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
-from anther.files import read_json, write_json
+from anther.files import read_object, understood, write_json
 from anther.geometry import Array, inverse, pose7, transform, transform_from_pose7
 from anther.grasp.candidates import Candidates, candidates_along
 from anther.grasp.clearance import (
@@ -165,15 +165,11 @@ def load_grasps(path: Path | str) -> list[Grasp]:
     Raises:
         InputError: missing, not JSON, or not a list of grasps of this schema.
     """
-    stored = read_json(path)
-    if not isinstance(stored, dict) or (stored.get("kind"), stored.get("schema")) != ("grasps", SCHEMA):
+    stored = read_object(path)
+    if (stored.get("kind"), stored.get("schema")) != ("grasps", SCHEMA):
         raise bad_input(str(path), given="another kind of JSON", allowed=f"grasps, schema {SCHEMA}", do="Plan again.")
-    try:
+    with understood(path, str(_SAVED), "Plan again."):
         return [grasp_of(row) for row in stored["grasps"]]
-    except (KeyError, TypeError) as error:
-        raise bad_input(
-            str(path), given=f"a broken grasp ({error!r})", allowed=str(_SAVED), do="Plan again."
-        ) from error
 
 
 def grasp_row(grasp: Grasp) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from anther.errors import InputError, bad_input
-from anther.files import existing
+from anther.files import existing, read_lines
 from anther.geometry import Array
 
 UNITS = {
@@ -112,13 +112,7 @@ def _cells(path: Path, line: int, row: str, separator: str) -> list[str]:
 
 def _rows(path: Path) -> list[tuple[int, str]]:
     """Return the lines that hold something, with their numbers from 1."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (UnicodeDecodeError, IsADirectoryError) as error:
-        raise bad_input(
-            str(path), given=f"unreadable ({error})", allowed="a CSV file, UTF-8", do="Export it so."
-        ) from error
-    numbered = [(number, line.strip(" \r")) for number, line in enumerate(lines, start=1)]
+    numbered = [(number, line.strip(" \r")) for number, line in enumerate(read_lines(path), start=1)]
     return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from anther.capture import Capture
 from anther.checks import check_array, check_range
 from anther.errors import StageFailure
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
 from anther.masks.cells import kinds
 from anther.masks.images import labels_of_image
@@ -122,8 +122,9 @@ class Masks:
         Raises:
             InputError: the file is missing, truncated or holds something else.
         """
-        arrays = read_npz(path, "masks", SCHEMA)
-        return cls(arrays["labels"], str(arrays["source"]))
+        with understood(path):
+            arrays = read_npz(path, "masks", SCHEMA)
+            return cls(arrays["labels"], str(arrays["source"]))
 
 
 def segment(capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:

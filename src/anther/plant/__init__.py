@@ -20,7 +20,7 @@ from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import NaturalShape, Rods
 from anther.elastic_rod.stability import stands
 from anther.errors import StageFailure, bad_input
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.plant.material import LEARNED, PEPPER, TOMATO, Material
@@ -198,16 +198,17 @@ class PlantModel:
         Raises:
             InputError: missing, truncated, or not a plant model of this schema.
         """
-        stored: dict[str, Any] = read_npz(path, "plant model", SCHEMA)
-        natural = NaturalShape(**{name: stored[f"natural_{name}"] for name in _NATURAL_ARRAYS})
-        return cls(
-            rods=Rods(**{name: stored[name] for name in _ROD_ARRAYS}, natural=natural),
-            **{name: stored[name] for name in _PLANT_ARRAYS},
-            material=Material(**dict(zip(_MATERIAL, stored["material"].tolist(), strict=True))),
-            pedicel_spread=float(stored["pedicel_spread"]),
-            least_youngs=float(stored["least_youngs"]),
-            notes=tuple(stored["notes"].tolist()),
-        )
+        with understood(path):
+            stored: dict[str, Any] = read_npz(path, "plant model", SCHEMA)
+            natural = NaturalShape(**{name: stored[f"natural_{name}"] for name in _NATURAL_ARRAYS})
+            return cls(
+                rods=Rods(**{name: stored[name] for name in _ROD_ARRAYS}, natural=natural),
+                **{name: stored[name] for name in _PLANT_ARRAYS},
+                material=Material(**dict(zip(_MATERIAL, stored["material"].tolist(), strict=True))),
+                pedicel_spread=float(stored["pedicel_spread"]),
+                least_youngs=float(stored["least_youngs"]),
+                notes=tuple(stored["notes"].tolist()),
+            )
 
 
 def build_plant(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import Frame
 from anther.errors import InputError, bad_input
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import find_frequency, fit_swing
@@ -91,9 +91,10 @@ class Response:
         Raises:
             InputError: missing, truncated or of another kind.
         """
-        arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
-        stem = StemMotion(**{f.name: arrays.pop(f"stem_{f.name}") for f in fields(StemMotion)})
-        return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), stem=stem, **arrays)
+        with understood(path):
+            arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
+            stem = StemMotion(**{f.name: arrays.pop(f"stem_{f.name}") for f in fields(StemMotion)})
+            return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), stem=stem, **arrays)
 
 
 def measure_response(

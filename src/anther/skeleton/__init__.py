@@ -13,7 +13,7 @@ from small_gicp import voxelgrid_sampling
 from anther.checks import check_array, check_range
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.masks import FLOWER
 from anther.skeleton import geodesics
@@ -173,9 +173,12 @@ class Skeleton:
         Raises:
             InputError: missing, truncated, or of another kind or schema.
         """
-        a = read_npz(path, _KIND, _SCHEMA)
-        notes = tuple(str(note) for note in a["notes"])
-        return cls(a["nodes"], a["parent"], a["radius"], notes, a.get("width"), a.get("confidence"), a.get("flatness"))
+        with understood(path):
+            a = read_npz(path, _KIND, _SCHEMA)
+            notes = tuple(str(note) for note in a["notes"])
+            return cls(
+                a["nodes"], a["parent"], a["radius"], notes, a.get("width"), a.get("confidence"), a.get("flatness")
+            )
 
 
 def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:

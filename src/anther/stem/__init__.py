@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array
 from anther.errors import StageFailure, bad_input
-from anther.files import read_npz, write_npz
+from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import chains, edge_lengths
@@ -87,10 +87,11 @@ class Stem:
         Raises:
             InputError: missing, truncated, or of another kind or schema.
         """
-        a = read_npz(path, _KIND, _SCHEMA)
-        notes = tuple(str(note) for note in a["notes"])
-        sure = None if a.get("confidence") is None else float(a["confidence"])
-        return cls(a["node_ids"], a["arc_length"], a["attachments"], a["organ"], int(a["fork"]), notes, sure)
+        with understood(path):
+            a = read_npz(path, _KIND, _SCHEMA)
+            notes = tuple(str(note) for note in a["notes"])
+            sure = None if a.get("confidence") is None else float(a["confidence"])
+            return cls(a["node_ids"], a["arc_length"], a["attachments"], a["organ"], int(a["fork"]), notes, sure)
 
 
 def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: Array | None = None) -> Stem:

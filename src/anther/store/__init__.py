@@ -15,7 +15,7 @@ from anther.store.beliefs import (
 )
 from anther.store.database import DEFAULT, PATIENCE, shown
 from anther.store.export import TABLES, export
-from anther.store.records import GraspRecord, Outcome, ShakeRecord, TrialRecord
+from anther.store.records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
 from anther.store.trials import (
     add_missing,
     find_plants,
@@ -44,6 +44,7 @@ __all__ = [
     "find_visit",
     "hierarchical_normal",
     "read_outcomes",
+    "read_record",
     "read_trials",
     "record_outcome",
     "record_trial",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 
 from anther.errors import AntherError, InputError, MissingExtra, bad_input
+from anther.files import understood
 from anther.store.migrations import STEPS, migrate, version
 
 DEFAULT = Path("runs/history.sqlite")
@@ -35,7 +36,7 @@ def reading(where: Path | str) -> Iterator[Session | None]:
     if url.database is not None and url.drivername == "sqlite" and not Path(url.database).exists():
         yield None
         return
-    with _opened(url, write=False) as session:
+    with _opened(url, write=False) as session, _cells_understood(url):
         yield session
 
 
@@ -56,8 +57,7 @@ def writing(where: Path | str) -> Iterator[Session]:
 
 def shown(where: Path | str) -> str:
     """Return the history's place for people and files: without a password."""
-    url = _url(where)
-    return str(url.database) if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
+    return _place(_url(where))
 
 
 def _url(where: Path | str) -> URL:
@@ -94,7 +94,8 @@ def _opened(url: URL, *, write: bool) -> Iterator[Session]:
     engine = None
     try:
         engine = _engine(url)
-        _bring_up_to_date(engine)
+        with _cells_understood(url):
+            _bring_up_to_date(engine)
         with Session(engine.execution_options(write=write), expire_on_commit=False) as session:
             yield session
     except (SQLAlchemyError, OSError) as error:
@@ -104,6 +105,16 @@ def _opened(url: URL, *, write: bool) -> Iterator[Session]:
     finally:
         if engine is not None:
             engine.dispose()
+
+
+def _cells_understood(url: URL) -> AbstractContextManager[None]:
+    """Whoever edits a database by hand can put anything into its cells."""
+    return understood(f"trial history {_place(url)}", do="Correct the cell, or restore a copy of the database.")
+
+
+def _place(url: URL) -> str:
+    """Return the database's place without a password."""
+    return str(url.database) if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
 
 
 def _engine(url: URL) -> Engine:
@@ -165,5 +176,4 @@ def _explained(url: URL, error: Exception) -> InputError:
         "connection": "Is the server running, and does it accept you?",
     }
     do = next((text for word, text in advice.items() if word in cause), "Check path, free space and rights.")
-    place = url.database if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
-    return _refused(f"trial history {place}", cause, do)
+    return _refused(f"trial history {_place(url)}", cause, do)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, date, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from anther.checks import check_array, check_range
 from anther.errors import bad_input
+from anther.files import read_object, understood
 from anther.plant import Material
 
 MOTIONS = (
@@ -42,6 +44,7 @@ class GraspRecord:
 
     def __post_init__(self) -> None:
         _finite(self, "grasp", ("arc_length", "stem_diameter", "confidence"))
+        _of_type(self, organ=str | None)
         if self.pose7 is not None:
             object.__setattr__(self, "pose7", _tuple("pose7", self.pose7, 7))
 
@@ -66,6 +69,7 @@ class ShakeRecord:
 
     def __post_init__(self) -> None:
         _finite(self, "shake", ("frequency", "amplitude", "duration"))
+        _of_type(self, waveform=str | None)
         if self.direction is not None:
             object.__setattr__(self, "direction", _tuple("shake direction", self.direction, 3))
 
@@ -108,6 +112,7 @@ class TrialRecord:
 
     def __post_init__(self) -> None:
         _labels(self.species, self.plant)
+        _of_type(self, success=bool, failure=str | None, run=str | None)
         if self.time.tzinfo is None:
             raise bad_input("trial time", given="a time without zone", allowed="a time with zone", do="Use UTC.")
         counts = {len(getattr(self, name)) for name in MOTIONS} - {0}
@@ -144,7 +149,7 @@ class TrialRecord:
         Raises:
             InputError: it is no such record.
         """
-        try:
+        with understood("record of a trial", "what a trial wrote"):
             values: dict[str, Any] = dict(plain) | {name: _numbers(plain.get(name) or ()) for name in MOTIONS}
             values["time"] = datetime.fromisoformat(plain["time"])
             for name, kind in (("grasp", GraspRecord), ("shake", ShakeRecord)):
@@ -152,10 +157,16 @@ class TrialRecord:
             for name in ("believed", "material"):
                 values[name] = material_of(plain.get(name))
             return TrialRecord(**values)
-        except (KeyError, TypeError, AttributeError) as error:
-            raise bad_input(
-                "record of a trial", given=f"{error!r}", allowed="what a trial wrote", do="Check."
-            ) from error
+
+
+def read_record(path: Path) -> TrialRecord:
+    """Read a visit.json.
+
+    Raises:
+        InputError: missing, damaged, or no record of a trial.
+    """
+    with understood(path):
+        return TrialRecord.of(read_object(path))
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +194,7 @@ class Outcome:
 
     def __post_init__(self) -> None:
         _labels(self.species, self.plant)
+        _of_type(self, flowers=int, fruit=int, note=str)
         check_range("flowers", self.flowers, 1, 100_000)
         check_range("fruit", self.fruit, 0, self.flowers)
 
@@ -199,8 +211,18 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 def _labels(species: str, plant: str) -> None:
     for name, value in (("species", species), ("plant", plant)):
-        if not 0 < len(value) <= 200:
-            raise bad_input(name, given=f"{len(value)} characters", allowed="1 to 200", do="Name it briefly.")
+        if not isinstance(value, str) or not 0 < len(value) <= 200:
+            given = f"{len(value)} characters" if isinstance(value, str) else repr(value)[:40]
+            raise bad_input(name, given=given, allowed="a text of 1 to 200 characters", do="Name it briefly.")
+
+
+def _of_type(record: Any, **kinds: Any) -> None:
+    """Refuse other types, which files and databases that were changed by hand can hold."""
+    for name, kind in kinds.items():
+        value = getattr(record, name)
+        if not isinstance(value, kind):
+            allowed = getattr(kind, "__name__", str(kind))
+            raise bad_input(name, given=repr(value)[:40], allowed=allowed, do="Correct it.")
 
 
 def _finite(record: Any, what: str, names: tuple[str, ...]) -> None:
