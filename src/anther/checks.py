@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,19 @@ def check_range(name: str, value: float, lower: float, upper: float, unit: str =
             do="Check value and unit.",
         )
     return float(value)
+
+
+def check_parameters(params: Any) -> None:
+    """Check every number of a dataclass, and of tuples in it: none is NaN, infinite, or less than 0.
+
+    Raises:
+        InputError: one is.
+    """
+    for field in fields(params):
+        value = getattr(params, field.name)
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, (int, float)):
+                check_range(field.name, number, 0, 1e9)
 
 
 _EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])

@@ -123,8 +123,8 @@ def read_lines(path: Path | str) -> list[str]:
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        given, do = f"unreadable, no text ({error})", "Export it again, as UTF-8."
-        raise bad_input(str(path), given=given, allowed="a text file", do=do) from error
+        given, do = f"unreadable, no text ({error})", "Export it again."
+        raise bad_input(str(path), given=given, allowed="a text file, such as a CSV file, UTF-8", do=do) from error
 
 
 def read_object(path: Path | str) -> dict[str, Any]:

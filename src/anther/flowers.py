@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.checks import check_array
+from anther.checks import check_array, check_parameters, check_range
 from anther.cloud import Cloud
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
@@ -55,6 +55,12 @@ class Params:
     farthest: float = 0.08
     pedicel: float = 0.025
     leaf_cost: float = 4.0
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        for name in ("gap", "grid", "reach", "largest"):
+            check_range(name, getattr(self, name), 1e-4, 1, "m")
+        check_range("fullness", self.fullness, 0, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.capture import Capture, viewed_box
-from anther.checks import check_array, check_range, check_transform
+from anther.checks import check_array, check_parameters, check_range, check_transform
 from anther.cloud import registration
 from anther.cloud.clusters import attached_points
 from anther.cloud.fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
@@ -73,10 +73,14 @@ class Params:
     least_points: int = 200
 
     def __post_init__(self) -> None:
+        check_parameters(self)
         check_range("cloud voxel", self.voxel, 0.0002, 0.02, "m")
         check_range("obstacle voxel", self.obstacle_voxel, 0.002, 0.1, "m")
         check_range("gap", self.gap, self.voxel, 0.2, "m")
         check_range("far gap", self.far_gap, self.gap, 0.5, "m")
+        check_range("edge_window", self.edge_window, 1, 20, "px")
+        check_range("edge_depth", self.edge_depth, 1e-5, 0.1, "m")
+        check_range("seen_through", self.seen_through, 1e-3, 1, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +159,7 @@ class Cloud:
         fields = read_ply(path)
         if not path.with_suffix(".npz").exists():
             return cls(**fields)
-        with understood(path):
+        with understood(path.with_suffix(".npz")):
             rest = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
             return cls(
                 **fields,

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.checks import check_range
+from anther.checks import check_parameters, check_range
 from anther.cloud import joint
 from anther.cloud.matching import Estimate, Sample, match, plane_distances, replaced
 from anther.cloud.sequential import chain
@@ -74,9 +74,17 @@ class Params:
     search: float = 0.04
 
     def __post_init__(self) -> None:
+        check_parameters(self)
         check_range("registration rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
         check_range("registration translation sigma", self.translation_sigma, 1e-6, 1, "m")
         check_range("registration voxel", self.voxel, 1e-4, 0.1, "m")
+        for name in ("hand_eye_rotation_sigma", "hand_eye_translation_sigma", "reach_sigma", "point_sigma"):
+            check_range(name, getattr(self, name), 1e-6, 1)
+        check_range("points_per_view", self.points_per_view, 10, 1e5)
+        check_range("neighbours", self.neighbours, 1, 100)
+        check_range("number of match_distances", len(self.match_distances), 1, 100)
+        check_range("points_per_constraint", self.points_per_constraint, 1e-3, 1e6)
+        check_range("search", self.search, 0, 0.2, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

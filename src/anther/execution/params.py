@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from anther.checks import check_range
+from anther.checks import check_parameters, check_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,16 @@ class Params:
     rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
 
     def __post_init__(self) -> None:
+        check_parameters(self)
         check_range("stand_off", self.stand_off, 0.0, 0.5, "m")
         check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
         check_range("settle", self.settle, 0.01, 30.0, "s")
         check_range("calm", self.calm, 0.01, 30.0, "s")
         check_range("step", self.step, 1e-4, 0.02, "m")
+        check_range("loose", self.loose, 0, 0.02, "m")
+        check_range("thinnest", self.thinnest, 1e-4, 0.04, "m")
+        check_range("opening", self.opening, 0.002, 0.041667, "m")
+        check_range("thickest", self.thickest, 1e-4, 0.04, "m")
+        check_range("number of rates", len(self.rates), 1, 100)
+        for rate in self.rates:
+            check_range("rates", rate, 1, 1000, "Hz")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from anther.checks import check_range
+from anther.checks import check_parameters, check_range
 from anther.grasp.clearance import Gripper
 
 
@@ -65,7 +65,14 @@ class Params:
     asked: int = 150
 
     def __post_init__(self) -> None:
+        check_parameters(self)
         check_range("spacing", self.spacing, 1e-4, 1, "m")
         check_range("directions", self.directions, 1, 360)
         check_range("pregrasp distance", self.pregrasp_distance, 0.01, 0.5, "m")
         check_range("wanted grasps", self.wanted, 1, 1000)
+        for name in ("straight", "window", "leaf_size"):
+            check_range(name, getattr(self, name), 1e-3, 0.5, "m")
+        check_range("number of openings", len(self.openings), 1, 100)
+        for opening in self.openings:
+            check_range("openings", opening, 0.002, 0.2, "m")
+        check_range("asked", self.asked, 1, 1e5)

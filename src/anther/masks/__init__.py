@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.capture import Capture
-from anther.checks import check_array, check_range
+from anther.checks import check_array, check_parameters, check_range
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
@@ -91,9 +91,13 @@ class Params:
     least_pixels: int = 200
 
     def __post_init__(self) -> None:
+        check_parameters(self)
         check_range("mask voxel", self.voxel, 0.001, 0.05, "m")
         check_range("excess green threshold", self.green, 0, 1)
-        check_range("ground radius", self.ground_radius, self.voxel, 1, "m")
+        for name in ("ground_radius", "bare_ground_radius"):
+            check_range(name, getattr(self, name), self.voxel, 1, "m")
+        for name in ("flower_distance", "attach_distance"):
+            check_range(name, getattr(self, name), 0, 0.2, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

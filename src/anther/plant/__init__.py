@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.checks import check_array, check_range
+from anther.checks import check_array, check_parameters, check_range
 from anther.cloud import Cloud
 from anther.elastic_rod.equilibrium import with_gravity_equilibrium
 from anther.elastic_rod.motion import Clamp
@@ -79,6 +79,7 @@ class Params:
     stiffen: bool = True
 
     def __post_init__(self) -> None:
+        check_parameters(self)
         check_range("branch_share", self.branch_share, 0.01, 1)
         check_range("least_radius", self.least_radius, 1e-5, 0.1, "m")
         check_range("areal_density", self.areal_density, 0, 5, "kg/m2")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from anther.checks import check_range
+from anther.checks import check_parameters, check_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +75,10 @@ class Params:
     outlier: float = 4.0
 
     def __post_init__(self) -> None:
+        check_parameters(self)
         for name in ("depth_gate", "flower_radius", "shift", "reach"):
             check_range(name, getattr(self, name), 1e-4, 1.0, "m")
         check_range("seen_share", self.seen_share, 0, 1)
+        check_range("again", self.again, 0, 20)
+        check_range("near", self.near, 0, 50, "px")
+        check_range("wide", self.wide, 1, 10)

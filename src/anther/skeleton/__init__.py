@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from small_gicp import voxelgrid_sampling
 
-from anther.checks import check_array, check_range
+from anther.checks import check_array, check_parameters, check_range
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
@@ -33,6 +33,7 @@ _FEWEST_POINTS = 50
 _MANY_POINTS = 80_000
 _ENOUGH_POINTS = 80_000  # cross-sections of more are not better (measured on ten simulated captures)
 _FINEST = 700  # a cloud of many points is thinned to one per cube of plant size / _FINEST
+_MOST_VOXELS = 1500  # along the plant: with more, filled hollows take gigabytes
 _REACH, _FLAT = 6.0, 0.5  # surroundings looked at [voxels], and the planarity that counts as a blade
 _SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
 _FATTENING = 0.5
@@ -80,6 +81,18 @@ class Params:
     recentre: int = 2
     fattening: float | None = None
     smallest_radius: float = 1e-4
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        check_range("voxel", 0.001 if self.voxel is None else self.voxel, 1e-5, 1, "m")
+        check_range("resolution", self.resolution, 10, _MOST_VOXELS)
+        check_range("close", self.close, 0, 20)
+        check_range("hollow", self.hollow, 0, 0.5)
+        check_range("bridge", self.bridge, 0, 2)
+        check_range("spacing", 0.005 if self.spacing is None else self.spacing, 1e-4, 1, "m")
+        check_range("recentre", self.recentre, 0, 20)
+        check_range("fattening", self.fattening or 0, 0, 0.1, "m")
+        check_range("smallest radius", self.smallest_radius, 1e-6, 0.1, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,6 +210,8 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     size = _plant_size(points)
     if len(points) > _MANY_POINTS:
         points = np.asarray(voxelgrid_sampling(points, size / _FINEST).points())[:, :3]
+    if params.voxel is not None:
+        check_range("voxel", params.voxel, size / _MOST_VOXELS, size / 10, "m")  # finer, hollows fill with millions
     voxel = params.voxel or max(size / params.resolution, 1.3 * point_spacing(points))
     solid = solidify(points, voxel, close=params.close, fill=params.hollow * size)
     voxels, notes = _connected(solid, size, params)

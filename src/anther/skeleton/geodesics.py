@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from anther.checks import check_parameters, check_range
 from anther.geometry import Array
 from anther.skeleton.nearby import blocks
 from anther.skeleton.raw_tree import RawTree, with_extents
@@ -41,6 +42,11 @@ class Params:
     edge: float = 3.0
     cover: float = 4.0
     cover_flat: float = 10.0
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        check_range("cover", self.cover, 0.5, 100, "voxels")
+        check_range("cover_flat", self.cover_flat, 0, 100, "voxels")
 
 
 def geodesic_tree(voxels: Voxels, source: int, params: Params) -> RawTree:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from anther.checks import check_parameters, check_range
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -54,3 +56,13 @@ class Params:
     flower_reach: float = 0.03
     leaf_per_flower: float = 0.02
     spur: float = 3.0
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        check_range("turn", self.turn, 1, 180, "degrees")
+        check_range("window", self.window, 1e-3, 1)
+        check_range("shortest", self.shortest, 0, 1)
+        check_range("fork_angle", self.fork_angle, 0, 180, "degrees")
+        check_range("planar_doubt", self.planar_doubt, 1e-3, 1)
+        for name in ("flat_blade", "narrow"):
+            check_range(name, getattr(self, name), 1.01, 1e3)
