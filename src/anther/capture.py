@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range, check_transform
 from anther.errors import InputError, bad_input
-from anther.files import existing, made_folder, read_json, written
+from anther.files import existing, read_json, written
 from anther.geometry import Array, Box, Intrinsics
 from anther.images import read_image
 
@@ -92,16 +92,9 @@ class Capture:
                 65 m.
         """
         folder = Path(folder)
-        if (
-            folder.exists()
-            and not (folder / "transforms.json").exists()
-            and (folder.is_file() or any(folder.iterdir()))
-        ):
-            raise bad_input(
-                str(folder), given="something that is not a capture", allowed="a new folder", do="Choose another name."
-            )
-        made_folder(folder.parent)
         with written(folder, "a folder that can be written"):
+            _check_replaceable(folder)
+            folder.parent.mkdir(parents=True, exist_ok=True)
             temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
             try:
                 _write_folder(self, temporary / "new")
@@ -133,6 +126,14 @@ class Capture:
             T_world_cam=poses @ OPENGL_TO_OPENCV,
             rgb=_read_colour(folder, frames, intrinsics),
             joints=None if any(j is None for j in joints) else _joints_array(joints),
+        )
+
+
+def _check_replaceable(folder: Path) -> None:
+    other = folder.exists() and not (folder / "transforms.json").exists()
+    if other and (folder.is_file() or any(folder.iterdir())):
+        raise bad_input(
+            str(folder), given="something that is not a capture", allowed="a new folder", do="Choose another name."
         )
 
 

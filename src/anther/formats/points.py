@@ -67,7 +67,7 @@ def load_whole_ply(path: Path) -> dict[str, Any]:
             stored = load_ply(stream, fix_texture=False, skip_materials=True)
         for name, element in stored["metadata"]["_ply_raw"].items():
             data = element.get("data", ())
-            held = len(next(iter(data.values()))) if isinstance(data, dict) else len(data)
+            held = min(map(len, data.values())) if isinstance(data, dict) else len(data)
             if held != element["length"]:
                 raise ValueError(f"{held} of {element['length']} rows of {name}")
     except InputError:

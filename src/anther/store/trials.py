@@ -128,8 +128,8 @@ def read_outcomes(
     query = _of_plant(select(FruitSet).join(FruitSet.plant), species, plant).order_by(FruitSet.date, FruitSet.id)
     with reading(where) as session:
         rows = [] if session is None else list(session.scalars(query))
-    last = {(row.plant_id, row.visit_id, row.date): row for row in rows}
-    return [_outcome(row) for row in last.values()]
+        last = {(row.plant_id, row.visit_id, row.date): row for row in rows}
+        return [_outcome(row) for row in last.values()]
 
 
 def find_plants(label: str, where: Path | str = DEFAULT, *, species: str | None = None) -> list[tuple[str, str]]:

@@ -1,0 +1,80 @@
+"""No parameter of a stage may be NaN, infinite, negative, or so small or large that a stage never ends."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anther import checks, cloud, execution, flowers, grasp, masks, plant, response, skeleton, stem
+from anther.cli import main
+from anther.cloud import Cloud, registration
+from anther.errors import InputError
+from anther.skeleton import geodesics, skeletonize
+
+STAGES: list[Any] = [
+    cloud.Params(), registration.Params(), masks.Params(), skeleton.Params(), geodesics.Params(), stem.Params(),
+    flowers.Params(), grasp.Params(), plant.Params(), execution.Params(), response.Params(),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("params", STAGES, ids=lambda p: type(p).__module__)
+def test_no_number_may_be_nan_infinite_or_negative(params: Any) -> None:
+    names = [f.name for f in fields(params) if type(getattr(params, f.name)) in (int, float)]
+    assert names
+    for name in names:
+        for value in (float("nan"), float("inf"), -1.0):
+            with pytest.raises(InputError):
+                replace(params, **{name: value})
+
+
+def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
+    from anther.pipeline import Params
+
+    held = {type(getattr(Params(), f.name)) for f in fields(Params) if is_dataclass(getattr(Params(), f.name))}
+    others = {"anther.vibration.params", "anther.escalation", "anther.masks.by_words"}  # theirs are checked one by one
+    assert {kind.__module__ for kind in held - {type(params) for params in STAGES}} == others
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "value"),
+    [
+        (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "resolution", 1e6),
+        (skeleton.Params, "close", 10_000), (skeleton.Params, "recentre", 1_000_000), (geodesics.Params, "cover", 0.0),
+        (flowers.Params, "gap", 0.0), (flowers.Params, "grid", 0.0), (execution.Params, "rates", ()),
+        (execution.Params, "rates", (0.0,)), (execution.Params, "thinnest", 0.0), (execution.Params, "calm", 1e9),
+        (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
+        (grasp.Params, "leaf_size", 0.0), (registration.Params, "search", 5.0), (registration.Params, "neighbours", 0),
+        (registration.Params, "match_distances", ()), (stem.Params, "window", 0.0), (stem.Params, "narrow", 1.0),
+        (response.Params, "again", 10_000), (response.Params, "near", 10_000), (masks.Params, "attach_distance", 10.0),
+    ],
+)  # fmt: skip
+def test_what_would_never_end_or_mean_nothing(kind: Any, name: str, value: Any) -> None:
+    with pytest.raises(InputError, match=name.replace("_", "[_ ]")):
+        kind(**{name: value})
+
+
+def test_voxels_are_neither_finer_nor_coarser_than_the_plant_allows() -> None:
+    points = Cloud(np.random.default_rng(0).uniform(0, 1, (500, 3)) * [0.05, 0.05, 0.6])
+    for voxel in (1e-5, 0.5):
+        with pytest.raises(InputError, match="voxel: got"):
+            skeletonize(points, skeleton.Params(voxel=voxel))
+
+
+@pytest.mark.parametrize("value", ["-1", "0", "nan"])
+def test_the_command_line_refuses_them(capsys, value: str) -> None:
+    try:
+        code = main(["skeletonize", "a.ply", f"--params.voxel={value}"])
+    except SystemExit as stop:
+        code = stop.code
+    said = capsys.readouterr()
+    assert code == 2
+    assert "voxel" in said.err + said.out
+    assert "Traceback" not in said.err + said.out
+
+
+def test_numbers_in_tuples_are_checked_too() -> None:
+    with pytest.raises(InputError, match="openings"):
+        checks.check_parameters(replace(grasp.Params(), openings=(0.02, float("nan"))))
