@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther import checks, cloud, execution, flowers, grasp, masks, plant, response, skeleton, stem
+from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, plant, response, skeleton, stem
 from anther.cli import main
 from anther.cloud import Cloud, registration
 from anther.errors import InputError
@@ -31,9 +31,8 @@ def test_no_number_may_be_nan_infinite_or_negative(params: Any) -> None:
 
 
 def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
-    from anther.pipeline import Params
-
-    held = {type(getattr(Params(), f.name)) for f in fields(Params) if is_dataclass(getattr(Params(), f.name))}
+    whole = pipeline.Params()
+    held = {type(getattr(whole, f.name)) for f in fields(whole) if is_dataclass(getattr(whole, f.name))}
     others = {"anther.vibration.params", "anther.escalation", "anther.masks.by_words"}  # theirs are checked one by one
     assert {kind.__module__ for kind in held - {type(params) for params in STAGES}} == others
 

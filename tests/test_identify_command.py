@@ -177,7 +177,7 @@ def test_bad_bytes_folders_orders_and_places_are_refused(capsys, tmp_path: Path,
     path = tmp_path / "samples.csv"
     path.write_bytes(b"\xff\xfe\x00mass")
     assert "a CSV file, UTF-8" in refused(capsys, "--samples", path)
-    assert "a CSV file, UTF-8" in refused(capsys, "--samples", tmp_path)
+    assert "got a folder; allowed: a file" in refused(capsys, "--samples", tmp_path)
     path.write_text("time_s,displacement_mm\n0,1\n0.1,2\n0.1,3\n")
     assert "line 4, column time_s: got '0.1'; allowed: more than" in refused(capsys, "--density", 1000, "--trace", path)
     path.write_text("time_s,displacement_mm\n0,1\n0.1,2\n")
