@@ -23,8 +23,9 @@ from anther import cli, files
 from anther.capture import Capture, check_views, viewed_box
 from anther.cloud import ply
 from anther.commands.run_folder import open_run
-from anther.elastic_rod import Clamp
-from anther.elastic_rod import observed as rods_observed
+from anther.elastic_rod import Clamp, frequency_response
+from anther.elastic_rod.observed import observed_response
+from anther.elastic_rod.simulation import new_output
 from anther.errors import InputError
 from anther.files import existing, made_folder, read_json, read_npz, replacing, write_npz
 from anther.formats.clouds import read_cloud
@@ -226,10 +227,16 @@ def test_rods_too_finely_divided_are_refused(monkeypatch: pytest.MonkeyPatch) ->
     rods = cantilever(40)
     operator = csr_array(np.eye(3, 4 * 41))
     args = (rods, Clamp.root(rods), [np.array([20, 21, 22])], operator, np.array([10.0]))
-    rods_observed.observed_response(*args)
-    monkeypatch.setattr(rods_observed, "MOST_BYTES", 1e3)
-    with pytest.raises(InputError, match="41 nodes"):
-        rods_observed.observed_response(*args)
+    observed_response(*args)
+    monkeypatch.setattr("anther.checks.MOST_BYTES", 1e3)
+    asks = {
+        "a skeleton of 41 nodes": lambda: observed_response(*args),
+        "loads": lambda: frequency_response(rods, Clamp.root(rods), 20, [1, 0, 0], np.array([10.0])),
+        "a record of 100 moments of 41 nodes": lambda: new_output(100, 41),
+    }
+    for what, ask in asks.items():
+        with pytest.raises(InputError, match=what):
+            ask()
 
 
 def written_capture(path: Path) -> None:

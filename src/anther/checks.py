@@ -68,6 +68,20 @@ def check_range(name: str, value: float, lower: float, upper: float, unit: str =
     return float(value)
 
 
+MOST_BYTES = 2.5e9
+"""Most memory of one array that a computation makes: some 20 times what the largest scanned plant asks for."""
+
+
+def check_room(what: str, size: float, do: str) -> None:
+    """Check that `what` asks for no more than MOST_BYTES [bytes], before the memory is filled.
+
+    Raises:
+        InputError: it asks for more.
+    """
+    if size > MOST_BYTES:
+        raise bad_input(what, given=f"{size / 1e9:.1f} GB", allowed=f"at most {MOST_BYTES / 1e9:g} GB", do=do)
+
+
 def check_parameters(params: Any) -> None:
     """Check every number of a dataclass, and of tuples in it: none is NaN, infinite, or less than 0.
 

@@ -13,19 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
+from anther.checks import check_room
 from anther.elastic_rod.assembly import new_blocks
 from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
 from anther.elastic_rod.linear import linearise, set_dynamic
 from anther.elastic_rod.model import Model
 from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.response import on_all_cores, towards_root
+from anther.elastic_rod.response import FINE, on_all_cores, towards_root
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.tree_solver import factor, solve_columns, substitute_columns
 from anther.elastic_rod.vectors import compiled
-from anther.errors import bad_input
-
-MOST_BYTES = 2e9
-"""Room for the motions of the trunk: some 20 times what the largest scanned plant takes."""
 
 
 class Observed(NamedTuple):
@@ -73,14 +70,16 @@ def observed_response(
         springs: between gripper and pads.
 
     Raises:
-        InputError: the rods are divided so finely that this takes more than `MOST_BYTES`.
+        InputError: the rods are divided so finely that the memory does not suffice.
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     system = linearise(rods, clamp, gravity, loss_factor)
     held = [held_unknowns(rods.parent, pad) for pad in grip_nodes]
     loads = np.unique(np.concatenate(held))
     view = _view(system.model, towards_root(system.model, loads // 4), operator)
-    _check_room(len(rods.nodes), len(frequencies), len(loads), len(view.trunk))
+    threads = min(os.cpu_count() or 1, len(frequencies))  # each has columns of its own, see below
+    size = 16 * len(frequencies) * len(loads) * 4 * len(view.trunk) + threads * 64 * len(rods.nodes) * len(loads)
+    check_room(f"a skeleton of {len(rods.nodes)} nodes", size, FINE)
     trunk = np.empty((len(frequencies), len(loads), 4 * len(view.trunk)), np.complex128)
     branch = np.empty((len(frequencies), operator.shape[0], 8), np.complex128)
 
@@ -105,19 +104,6 @@ def observed_response(
         for q in range(len(frequencies)):
             _observe(branch[q], view.base, view.direct, moves[q], vectors[q, g])
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
-
-
-def _check_room(nodes: int, frequencies: int, loads: int, rows: int) -> None:
-    """Refuse rods so finely divided that the motions of the trunk, and of all nodes by each load, have no room."""
-    cores = min(os.cpu_count() or 1, frequencies)  # each has its own
-    size = 16 * frequencies * loads * 4 * rows + cores * 2 * 8 * nodes * 4 * loads
-    if size > MOST_BYTES:
-        raise bad_input(
-            "skeleton",
-            given=f"{nodes} nodes, {rows} of them on the way from the grips to the root: {size / 1e9:.1f} GB",
-            allowed=f"at most {MOST_BYTES / 1e9:g} GB",
-            do="Give nodes a few millimetres apart, as `anther skeletonize --params.spacing 0.005` does.",
-        )
 
 
 class _View(NamedTuple):

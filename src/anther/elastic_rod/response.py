@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anther.checks import check_array, check_range
+from anther.checks import check_array, check_range, check_room
 from anther.elastic_rod.assembly import new_blocks
 from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
 from anther.elastic_rod.linear import Linear, linearise, set_dynamic
@@ -23,6 +23,9 @@ from anther.errors import bad_input
 
 COLUMNS = 128
 """Loads solved side by side: enough for the vector units, few enough for the cache."""
+
+FINE = "Nodes a few millimetres apart are fine enough: thin them out, or ask for less at once."
+"""What to do about rods that are divided too finely."""
 
 
 class Driven(NamedTuple):
@@ -128,7 +131,7 @@ def driven_response(
     frequencies.
 
     Raises:
-        InputError: node or frequency out of range.
+        InputError: node or frequency out of range, or the memory does not suffice.
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     pads = [np.atleast_1d(np.asarray(pad)) for pad in grip_nodes]
@@ -178,6 +181,7 @@ def steady_motion(
 def _receptances(system: Linear, loads: NDArray[Any], wanted: NDArray[Any], omegas: Array) -> ComplexArray:
     """Return (Q, L, W) the motion of the wanted unknowns per unit load on each of the loaded ones."""
     rows = towards_root(system.model, np.concatenate([loads, wanted]) // 4)
+    check_room(f"{len(loads)} loads, {len(wanted)} unknowns", 16.0 * len(omegas) * len(loads) * len(wanted), FINE)
     out = np.zeros((len(omegas), len(loads), len(wanted)), np.complex128)
 
     def solve_some(which: NDArray[Any]) -> None:

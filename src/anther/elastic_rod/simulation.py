@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from anther.checks import check_array, check_range
+from anther.checks import check_array, check_range, check_room
 from anther.elastic_rod.assembly import move_frames, new_blocks
 from anther.elastic_rod.equilibrium import static_state
 from anther.elastic_rod.lanes import new_lanes
 from anther.elastic_rod.model import Model, build_model
 from anther.elastic_rod.motion import Clamp, Motion, gripped_edges
 from anther.elastic_rod.newton import State, Work, new_state
+from anther.elastic_rod.response import FINE
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
 from anther.elastic_rod.stepping import Grip, Output, Settings, advance, energies, record
 from anther.errors import StageFailure, bad_input
@@ -330,7 +331,12 @@ class Run:
 
 
 def new_output(rows: int, n: int) -> Output:
-    """Return empty rows for the records of N nodes."""
+    """Return empty rows for the records of N nodes.
+
+    Raises:
+        InputError: they do not fit into the memory.
+    """
+    check_room(f"a record of {rows} moments of {n} nodes", 48.0 * rows * n, f"Record fewer moments. {FINE}")
     x, director = np.zeros((2, rows, n, 3))
     return Output(x, director, np.zeros(rows), np.zeros((rows, 3)), np.zeros((rows, 3)), np.zeros(rows))
 
