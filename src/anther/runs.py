@@ -73,14 +73,14 @@ class Run:
             raise bad_input("restart-from", given=f"'{restart_from}'", allowed=allowed, do="Name one of these stages.")
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
-        if restart_from is None:
-            self._note(next(iter(FILES)), "interrupted", "the process ended before the first stage")
         self.seconds: dict[str, float] = {}
         self._restart_from = restart_from
         columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
         self._bars = Progress(*columns, console=Console(stderr=True), disable=quiet)
 
     def __enter__(self) -> Run:
+        if self._restart_from is None:
+            self._note(next(iter(FILES)), "interrupted", "the process ended before the first stage")
         self._bars.__enter__()
         return self
 
