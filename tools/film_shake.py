@@ -1,4 +1,4 @@
-"""Write the README's film: a simulated trial's watched shake, as the side camera sees it, at half the speed.
+"""Write the README's film: a simulated trial's watched shake from the side camera's place, at half the speed.
 
 python tools/film_shake.py docs/pictures/shake.gif [tomato|pepper] [SEED]
 """
@@ -14,10 +14,12 @@ from anther.commands.simulated_cell import PRESETS, Species, build
 from anther.pipeline import Params, pollinate
 from anther.plant import PEPPER, TOMATO
 from anther.runs import Run
+from anther.sim.render import Scene, d455
+from anther.sim.robot import cut_out
 
-WIDTH, MARGIN, COLOURS, SLOWER, LIVELY = 420, 30, 64, 2.0, 40
-"""Width of the film [px], how much is shown around what moves [px], colours, times slower; and what counts as
-moving, of 255."""
+WIDTH, COLOURS, RATE, PERIODS, SLOWER = 420, 128, 40, 6, 2.0
+"""Width of the film [px], colours, pictures a second, periods of the shake (whole ones, so that the film goes on as it
+began), and times slower than it was."""
 
 
 class Quiet(Run):
@@ -32,28 +34,23 @@ def main(out: str, species: str = "tomato", seed: str = "0") -> None:
     """Run the trial and write the film of its last, held shake."""
     cell = build(cast(Species, species), int(seed), 0.0, PRESETS["fast"])
     done = pollinate(cell.robot_side, PEPPER if species == "pepper" else TOMATO, Quiet(Path(), quiet=True), Params())
-    begin, end = done.trial.steady
-    frames = [frame for frame in done.trial.frames if begin <= frame.time <= end]
-    period = len(frames) * 1 / done.shake.frequency / (end - begin)
-    frames = frames[: round(period * int(len(frames) / period))]  # whole periods, so that the film goes on as it began
-    usual = np.median(frames[0].rgb, axis=(0, 1))
-    even = [np.clip(f.rgb * (usual / np.median(f.rgb, axis=(0, 1))), 0, 255).astype(np.uint8) for f in frames]
-    moved = np.ptp([picture.mean(axis=2) for picture in even], axis=0) > LIVELY
-    rows, columns = np.flatnonzero(moved.mean(axis=1) > 0.01), np.flatnonzero(moved.mean(axis=0) > 0.01)
-    shown = (
-        slice(max(rows[0] - MARGIN, 0), rows[-1] + MARGIN),
-        slice(max(columns[0] - MARGIN, 0), columns[-1] + MARGIN),
-    )
-    pictures = []
-    for picture in even:
-        part = Image.fromarray(picture[shown])
-        pictures.append(part.resize((WIDTH, round(WIDTH * part.height / part.width))).quantize(COLOURS))
+    log, side, period = cell.world.log(), cell.robot_side.robot, 1 / done.shake.frequency
+    end = done.trial.steady[1]
+    times = np.linspace(end - PERIODS * period, end, round(PERIODS * period * RATE), endpoint=False)
+    scene, view = Scene.of_plant(cell.plant), cut_out(d455(848, 480), 480, 480)
+    shapes = [
+        cell.plant.posed_vertices(cell.world.segment_poses(log.qpos[int(np.searchsorted(log.times, t))])) for t in times
+    ]
+    pictures = [scene.moved(shape).render(view, side.T_world_side_camera).rgb for shape in shapes]
+    pictures = [Image.fromarray(picture).resize((WIDTH, WIDTH)) for picture in pictures]
+    palette = pictures[0].quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     pictures[0].save(
         out,
         save_all=True,
         append_images=pictures[1:],
-        duration=round(SLOWER * 1000 * (end - begin) / len(frames)),
+        duration=round(SLOWER * 1000 / RATE),
         loop=0,
         optimize=True,
     )
