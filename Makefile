@@ -51,6 +51,7 @@ docs: $(DEV)  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/rod_validation.py
 	$(BIN)/python tools/record.py experiments/twist.py
 	$(BIN)/python tools/record.py benchmarks/rods.py --page docs/rod_speed.md
+	$(BIN)/python tools/film_shake.py docs/pictures/shake.gif
 	$(BIN)/python tools/draw_readme.py runs/trials/tomato-2-0 docs/pictures/trial.png
 
 lock: $(DEV)  ## show what is installed, to renew the lock files from

@@ -6,6 +6,7 @@
    and the bases of petioles, peduncles and forks, and the strain at every single place (docs/limits.md). A plant that
    buckles when its pieces are cut this fine is left out and the next one taken.
 2. Strain of pedicels over the acceleration of the grip, with true rods.
+3. What a breeze of 2, 4 and 6 m/s does to the same plants (`breezes.py`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from breezes import WINDS, blown, breeze_metrics, breeze_table
 from limit_strains import SPREAD_AT, StrainRow, strain_metrics, strain_per_acceleration, strain_rows, strain_table
 from rich.console import Console
 from rich.progress import track
@@ -62,6 +64,7 @@ def main() -> None:
     args = parser.parse_args()
     count, piece = (QUICK_PLANTS, QUICK_PIECE) if args.quick else (PLANTS, PIECE)
     console, rows, strains = Console(), list[StrainRow](), dict[str, list[Array]]()
+    breezes: dict[tuple[str, float], list[dict[str, float]]] = {(c, wind): [] for c in CROPS for wind in WINDS}
     cases = [(crop, seed) for crop in CROPS for seed in range(args.seed, args.seed + 2 * count)]
     for crop, seed in track(cases, "plants"):
         found = strains.setdefault(crop, [])
@@ -73,12 +76,17 @@ def main() -> None:
             console.print(f"{crop} {seed} is left out: {buckles}")
             continue
         found.append(strain_per_acceleration(CROPS[crop](seed), QUICK_PIECE))
+        for wind in WINDS:
+            breezes[crop, wind].append(blown(CROPS[crop](seed), wind))
     spread = {crop: np.array(values) for crop, values in strains.items()}
     console.print(strain_table(rows))
     console.print(acceleration_table(spread))
+    console.print(breeze_table(breezes))
     if args.json:
         numbers = {"plants": sum(map(len, strains.values()))}
-        write_json(args.json, {**numbers, **strain_metrics(rows), **acceleration_metrics(spread)})
+        write_json(
+            args.json, {**numbers, **strain_metrics(rows), **acceleration_metrics(spread), **breeze_metrics(breezes)}
+        )
 
 
 if __name__ == "__main__":

@@ -41,6 +41,7 @@ from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance
 from anther.safety import GuardedArm
+from anther.sim.truth import WIDE
 from anther.vibration import ArmShaker, EarlierShake, ShakePlan, plan_shake
 
 SPECIES: tuple[Species, ...] = ("tomato", "pepper")
@@ -56,7 +57,7 @@ WAYS = ("paper", "plan", "escalated", "again", "motor")
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One plant, one way to shake it, under one truth: "wide" or "nominal"."""
+    """One plant, one way to shake it, under one truth: "wide", "nominal", or a group of `sim.truth.WIDE` alone."""
 
     species: Species
     seed: int
@@ -157,7 +158,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="two plants")
     parser.add_argument("--plants", type=int, default=40, help="half tomatoes, half peppers")
     parser.add_argument("--ways", nargs="*", choices=WAYS, default=WAYS)
-    parser.add_argument("--truth", choices=("wide", "nominal"), default="wide")
+    parser.add_argument("--truth", choices=("wide", "nominal", *WIDE), default="wide", help="or one group alone")
     parser.add_argument("--development", action="store_true", help="the plants on which constants may be set")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
     parser.add_argument("--before", type=Path, help="rows of an earlier Anther on the same plants, for the table")

@@ -72,6 +72,8 @@ class FakeArm:
 class FakeGripper:
     """Closes until it meets something `width` wide [m]; 0 is nothing."""
 
+    stroke = sawyer.STROKE
+
     def __init__(self, width: float = 0.008) -> None:
         self.width, self.opening, self.commands = width, sawyer.STROKE, []
 

@@ -13,11 +13,21 @@ from straight_plant import straight_plant
 from anther.arm import sawyer
 from anther.arm.outline import outline
 from anther.capture import Capture
-from anther.devices import Arm, ArmSample, Camera, DeviceError, Gripper, JointTrajectory, Robot, SafetyLimits
+from anther.devices import (
+    Arm,
+    ArmSample,
+    Camera,
+    DeviceError,
+    Gripper,
+    GripperState,
+    JointTrajectory,
+    Robot,
+    SafetyLimits,
+)
 from anther.drivers.replay import ReplayCamera
-from anther.errors import InputError
+from anther.errors import InputError, StageFailure
 from anther.geometry import Box, Intrinsics
-from anther.safety import guard
+from anther.safety import GuardedGripper, guard
 from anther.sim.cell import Cell
 from anther.sim.faults import Fault, with_faults
 from anther.sim.robot import robot_of
@@ -171,6 +181,25 @@ def test_limits_with_an_empty_range_are_refused() -> None:
 def test_a_limit_cannot_be_switched_off(changes: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(changes))):
         replace(LIMITS, **changes)
+
+
+class Squeezing:
+    """A gripper that feels far too much whenever it closes."""
+
+    def __init__(self, gripper: Gripper) -> None:
+        self._gripper, self.stroke = gripper, gripper.stroke
+
+    def move(self, opening: float) -> GripperState:
+        return replace(self._gripper.move(opening), force=100.0 if opening < self.stroke else 0.0)
+
+    def state(self) -> GripperState:
+        return self._gripper.state()
+
+
+def test_on_too_much_force_every_gripper_is_opened_as_far_as_it_opens(robot: Robot) -> None:
+    with pytest.raises(StageFailure, match="the pads were opened"):
+        GuardedGripper(Squeezing(robot.gripper), LIMITS).move(0.01)
+    assert robot.gripper.state().opening == pytest.approx(robot.gripper.stroke, abs=2e-4)
 
 
 def test_simulated_gripper_refuses_more_than_its_stroke() -> None:

@@ -16,6 +16,7 @@ from anther.cli import main
 from anther.errors import InputError
 from anther.formats import gltf
 from anther.formats.mtg import successors
+from anther.formats.skeleton_file import rooted, supposed_radius
 from anther.formats.skeletons import READS, WRITES, read_skeleton, write_skeleton
 from anther.runs import FILES
 from anther.skeleton import Skeleton
@@ -322,3 +323,52 @@ def test_export_refuses(tmp_path: Path, capsys, source: str, out: str, message: 
     assert main(["export", str(tmp_path / source), "--out", str(tmp_path / out)]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / out).exists()
+
+
+def scrap_of_soil() -> tuple[np.ndarray, np.ndarray]:
+    """A stem of 31 nodes, 0.3 m, with a branch; at its foot a scrap of soil, whose end is the lowest node."""
+    stem = np.stack([np.zeros(31), np.zeros(31), 0.2 + 0.01 * np.arange(31)], axis=1)
+    scrap = np.array([[0.01, 0.0, 0.199], [0.03, 0.0, 0.198], [0.05, 0.01, 0.197], [-0.02, 0.0, 0.2]])
+    branch = np.array([[0.02, 0.0, 0.36], [0.05, 0.0, 0.38]])
+    nodes = np.concatenate([stem, scrap, branch])
+    edges = [(i, i + 1) for i in range(30)] + [(0, 31), (31, 32), (32, 33), (0, 34), (15, 35), (35, 36)]
+    return nodes, np.array(edges)
+
+
+def test_a_scrap_of_soil_is_not_the_root() -> None:
+    nodes, edges = scrap_of_soil()
+    lowest = rooted(nodes, edges)
+    assert lowest.numbers[0] == 33
+    assert lowest.rooted_at().nodes[0] == pytest.approx(nodes[0])
+    assert rooted(nodes[:31], edges[:30]).rooted_at().numbers[0] == 0  # without a scrap: the lowest node
+
+
+def test_who_knows_better_names_the_root() -> None:
+    nodes, edges = scrap_of_soil()
+    found = rooted(nodes, edges).rooted_at(30)
+    assert found.numbers[0] == 30
+    assert sorted(found.numbers) == list(range(len(nodes)))
+    assert np.all(found.parent[1:] < np.arange(1, len(nodes)))
+    with pytest.raises(InputError, match="node number"):
+        found.rooted_at(99)
+
+
+def test_supposed_radii_add_up_as_pipes_do() -> None:
+    found = rooted(*scrap_of_soil()).rooted_at()
+    radius = supposed_radius(found, 5e-3)
+    assert radius[0] == pytest.approx(5e-3)
+    assert np.all(radius[1:] <= radius[found.parent[1:]] + 1e-12)
+    stem = found.skeleton(radius)
+    assert stem.radius.min() == pytest.approx(0.5e-3)
+
+
+@pytest.mark.parametrize("name", ["pepper0", "pepper4", "tomato1", "tomato2"])
+def test_the_authors_plants_stand_where_their_stem_begins_or_it_is_said(data: Path, name: str) -> None:
+    found = read_skeleton(data / "skeletons" / f"{name}.txt").rooted_at()
+    stem = find_stem(found.skeleton(supposed_radius(found, 5e-3)))
+    rise = np.ptp(found.nodes[stem.node_ids, 2]) / np.ptp(found.nodes[:, 2])
+    if name == "tomato1":  # a tangle: its lines wander from stem to leaves and back
+        assert any("is the root right?" in note for note in stem.notes)
+    else:
+        assert rise > 0.6
+        assert not stem.notes

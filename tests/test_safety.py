@@ -315,7 +315,7 @@ def test_a_gripper_that_would_crush_opens() -> None:
     gripper = FakeGripper(0.008)
     with pytest.raises(StageFailure, match="grip force: got 8 N; the pads were opened"):
         GuardedGripper(gripper, replace(LIMITS, grip_force=5.0)).move(0.006)
-    assert gripper.opening == LIMITS.stroke
+    assert gripper.opening == sawyer.STROKE
 
 
 def test_a_hard_pad_on_a_thin_stem_opens_before_it_cuts() -> None:
@@ -327,7 +327,7 @@ def test_a_hard_pad_on_a_thin_stem_opens_before_it_cuts() -> None:
     with pytest.raises(StageFailure, match="stem stress: got") as failure:
         GuardedGripper(gripper, replace(LIMITS, pressing=Pressing(pad_modulus=2e7))).move(0.004)
     assert failure.value.kind == "limits_exceeded"
-    assert gripper.opening == LIMITS.stroke
+    assert gripper.opening == sawyer.STROKE
     assert stem_stress(gripper.state(), soft) == 0
 
 

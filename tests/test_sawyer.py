@@ -112,7 +112,6 @@ def test_camera_does_not_see_the_gripper():
 def test_grasp_planning_assumes_the_same_gripper():
     """Stages do not import the arm, so grasp planning has the gripper's numbers as defaults: they must not drift."""
     gripper = Gripper()
-    assert gripper.stroke == sawyer.STROKE
     assert gripper.depth == pytest.approx(sawyer.T_FLANGE_GRASP[2, 3])
     assert gripper.pad == (sawyer.PAD[0], sawyer.PAD[2])
     boxes = {tuple(np.round(box, 6)) for box in gripper.boxes(0.0)}

@@ -164,6 +164,11 @@ class Arm(Protocol):
 class Gripper(Protocol):
     """A parallel gripper. Its force cannot be set (facts: Intera 5.1 and later): it closes to a width."""
 
+    @property
+    def stroke(self) -> float:
+        """Largest opening between the pads [m]."""
+        ...
+
     def move(self, opening: float) -> GripperState:
         """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
 
@@ -291,7 +296,6 @@ class SafetyLimits:
         motor_stroke: farthest that a motor may move the pads to either side [m] (`vibration.VibratingGripper`).
         motor_acceleration: with which it may move them [m/s^2]: moves a flower with 50 m/s^2 at gain 1 (facts:
             pollination 1b); flowers were lost when shaken at 30 Hz, at a load that is not told (1d). A guess.
-        stroke: largest opening of the gripper [m] (facts: sawyer 3).
         grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).
         pressing: what a stem bears of the pads, see `Pressing`.
         grip_tolerance: pads that stop further than this from where they were sent, with nothing between them, are
@@ -317,7 +321,6 @@ class SafetyLimits:
     shake_duration: float = 12.0
     motor_stroke: float = 1.5e-3
     motor_acceleration: float = 50.0
-    stroke: float = 0.0417
     grip_force: float = 20.0
     pressing: Pressing = PRESSING
     grip_tolerance: float = 0.003
@@ -349,7 +352,6 @@ _RANGES = {
     "shake_duration": (0.01, 60.0, "s"),
     "motor_stroke": (1e-5, 0.02, "m"),
     "motor_acceleration": (1e-3, 500.0, "m/s^2"),
-    "stroke": (1e-3, 0.2, "m"),
     "grip_force": (0.1, 100.0, "N"),
     "grip_tolerance": (1e-4, 0.02, "m"),
 }

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther import MOST_PIXELS
+import anther
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, whole_file
 
@@ -35,7 +35,7 @@ def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None
     except cv2.error as error:
         given, allowed = (
             " ".join(f"what OpenCV refuses ({error})".split()),
-            f"at most {MOST_PIXELS / 1e6:.0f} million px",
+            f"at most {anther.MOST_PIXELS / 1e6:.0f} million px",
         )
         raise bad_input(str(path), given=given, allowed=allowed, do="Is it the right file?") from error
     if image is None:

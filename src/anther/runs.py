@@ -72,14 +72,14 @@ class Run:
             allowed = ", ".join((*FILES, WHERE_IT_STOPPED))
             raise bad_input("restart-from", given=f"'{restart_from}'", allowed=allowed, do="Name one of these stages.")
         self.folder = made_folder(folder)
-        if restart_from is None:
-            self._note(next(iter(FILES)), "interrupted", "the process ended before the first stage")
         self.seconds: dict[str, float] = {}
         self._restart_from = restart_from
         columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
         self._bars = Progress(*columns, console=Console(stderr=True), disable=quiet)
 
     def __enter__(self) -> Run:
+        if self._restart_from is None:
+            self._note(next(iter(FILES)), "interrupted", "the process ended before the first stage")
         self._bars.__enter__()
         return self
 

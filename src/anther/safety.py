@@ -154,11 +154,16 @@ class GuardedGripper:
 
     Args:
         gripper: the machine.
-        limits: its stroke and force.
+        limits: of its force.
     """
 
     def __init__(self, gripper: Gripper, limits: SafetyLimits) -> None:
         self._gripper, self._limits = gripper, limits
+
+    @property
+    def stroke(self) -> float:
+        """Largest opening between the pads [m]."""
+        return self._gripper.stroke
 
     def move(self, opening: float) -> GripperState:
         """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
@@ -168,15 +173,15 @@ class GuardedGripper:
                 the stem stress allowed (the pads were opened).
             DeviceError: the gripper refused or jammed.
         """
-        limits = self._limits
-        if not 0 <= opening <= limits.stroke:
-            given = f"gripper opening: got {opening:g} m; allowed: 0 <= opening <= {limits.stroke:g} m."
+        limits, stroke = self._limits, self.stroke
+        if not 0 <= opening <= stroke:
+            given = f"gripper opening: got {opening:g} m; allowed: 0 <= opening <= {stroke:g} m."
             raise StageFailure("limits_exceeded", f"{given} Check the unit.")
         before = self.state().opening
         state = _readable(self._gripper.move(opening))
         stress = stem_stress(state, limits)
-        if (state.force > limits.grip_force or stress > limits.pressing.stem_stress) and opening < limits.stroke:
-            self._gripper.move(limits.stroke)
+        if (state.force > limits.grip_force or stress > limits.pressing.stem_stress) and opening < stroke:
+            self._gripper.move(stroke)
             demand("grip force", state.force, limits.grip_force, "N; the pads were opened", "Close less far.")
             demand("stem stress", stress, limits.pressing.stem_stress, "Pa; the pads were opened", "Close less far.")
         short = abs(state.opening - opening)

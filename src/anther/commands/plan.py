@@ -20,6 +20,7 @@ from anther.commands.skeletonize import best_grasps
 from anther.errors import bad_input
 from anther.files import read_object, replacing
 from anther.flowers import Flowers, supposed_flowers
+from anther.formats.skeleton_file import supposed_radius
 from anther.formats.skeletons import read_skeleton
 from anther.fruit_set import worth
 from anther.geometry import Array
@@ -45,6 +46,11 @@ from anther.vibration import (
     with_preset,
 )
 
+STEM = {"tomato": 5e-3, "pepper": 6e-3}
+"""Radius of a main stem at its base [m]: tomato 4 to 6 mm, remembered, no source found; pepper 5 and 7 mm at harvest
+(facts: pollination 2)."""
+ROOTLESS = (".txt", ".ply")
+"""Files that say nothing of where the plant stands."""
 PEDICEL = 0.015
 """A flower named as a node of a skeleton hangs this far beyond it [m]: a pedicel (facts: pollination 2)."""
 
@@ -59,7 +65,11 @@ class Args:
     """Of a skeleton file: nodes that bear a flower, numbered as in the file. By default flowers are supposed at the
     ends of the branches."""
     radius: float | None = None
-    """Of a skeleton file without radii: of every node [m]."""
+    """Of a skeleton file without radii: of every node [m]; by default as thick as the crop's stem is at its base, and
+    thinner with what a node carries."""
+    root: int | None = None
+    """Of a skeleton file: the node at which the plant stands, numbered as in the file; by default where it begins to
+    rise from the soil, or the file's own root."""
     crop: Crop = "tomato"
     """Whose prior the material is, where neither the run nor --material tells it, and whose breeze the limits are
     likened to."""
@@ -142,8 +152,10 @@ def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
     material = None if args.material is None else read_material(args.material)
     if not args.source.is_dir():
         return _of_skeleton(args, material or (TOMATO if args.crop == "tomato" else PEPPER))
-    if args.flower or args.radius is not None:
-        raise bad_input("--flower or --radius", given="with a run folder", allowed="skeleton files", do="Leave it out.")
+    if args.flower or args.radius is not None or args.root is not None:
+        raise bad_input(
+            "--flower, --radius or --root", given="with a run folder", allowed="skeleton files", do="Leave it out."
+        )
     there = {stage: args.source / name for stage, name in FILES.items() if (args.source / name).exists()}
     if not {"skeleton", "stem"} <= there.keys():
         needed = f"a run folder with {FILES['skeleton']} and {FILES['stem']}"
@@ -163,7 +175,10 @@ def _of_skeleton(args: Args, material: Material) -> tuple[PlantModel, list[Grasp
     source = read_skeleton(args.source)
     if args.radius is not None:
         check_range("radius", args.radius, 1e-4, 0.2, "m")
-    skeleton = source.skeleton(args.radius)
+    if args.root is not None or args.source.suffix.lower() in ROOTLESS:
+        source = source.rooted_at(args.root)
+    bare = args.radius is None and source.radius is None
+    skeleton = source.skeleton(supposed_radius(source, STEM[args.crop]) if bare else args.radius)
     at = np.array([source.node(number) for number in args.flower], dtype=np.int64)
     if np.any(at == 0):
         raise bad_input("flower", given="the root", allowed="a node of a branch or of the stem", do="Name another.")

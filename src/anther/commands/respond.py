@@ -22,7 +22,7 @@ from anther.elastic_rod import natural_frequencies, response_map
 from anther.errors import bad_input
 from anther.files import replacing, write_json
 from anther.geometry import Array
-from anther.pictures.response_map import draw_response_map
+from anther.pictures.response_map import GripResponse, draw_response_map
 from anther.skeleton import Skeleton
 from anther.stem import find_stem
 from anther.vibration import Params as ShakeParams
@@ -63,41 +63,6 @@ class Args(PlantOptions):
     """Folder for response_map.csv, respond.json and response_map.png."""
     json: bool = False
     """Print the result as JSON."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Response:
-    """Steady motion of F flowers when the plant is shaken at one of G grips with one of Q frequencies.
-
-    Attributes:
-        frequencies: (Q,) [Hz].
-        grips: (G,) nodes, by their distance from the root.
-        distance: (G,) that distance along the plant [m].
-        amplitude: (Q,) grip amplitude [m].
-        direction: (Q, G, 3) shake direction.
-        ratio: (Q, G, F) flower amplitude (semi-major axis of its path) over grip amplitude [-].
-        resonances: (G, K) lowest natural frequencies while the grip is held [Hz].
-    """
-
-    frequencies: Array
-    grips: NDArray[Any]
-    distance: Array
-    amplitude: Array
-    direction: Array
-    ratio: Array
-    resonances: Array
-
-    @property
-    def acceleration(self) -> Array:
-        """(Q, G, F) peak acceleration of each flower [m/s^2]."""
-        return self.ratio * (self.amplitude * (2 * np.pi * self.frequencies) ** 2)[:, None, None]
-
-    @property
-    def best(self) -> tuple[int, int]:
-        """(q, g) of the largest mean acceleration."""
-        mean = self.acceleration.mean(axis=-1)
-        q, g = np.unravel_index(int(np.argmax(mean)), mean.shape)
-        return int(q), int(g)
 
 
 def run(args: Args) -> None:
@@ -159,7 +124,7 @@ def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
     return nodes[np.argsort(distance[nodes], kind="stable")]
 
 
-def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[Any]) -> Response:
+def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[Any]) -> GripResponse:
     """Return the response of the flowers at every grip and frequency; tissue is hysteretic: one damping ratio for all.
 
     Args:
@@ -183,7 +148,7 @@ def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[A
     amplitude = arm_amplitude(hertz) if args.arm else np.full(len(hertz), args.amplitude)
     bar = Console(stderr=True)
     resonances = np.array([_resonances(plant, nodes) for nodes in track(held, "grips", console=bar, transient=True)])
-    return Response(hertz, grips, plant.distances()[grips], amplitude, direction, ratio, resonances)
+    return GripResponse(hertz, grips, plant.distances()[grips], amplitude, direction, ratio, resonances)
 
 
 def _best_direction(moves: Any, ways: Array) -> tuple[Array, Array]:
@@ -212,7 +177,7 @@ def arm_amplitude(frequencies: Array) -> Array:
     return np.minimum(limit, ShakeParams().most_amplitude)
 
 
-def summary(plant: RodPlant, response: Response, flowers: NDArray[Any]) -> dict[str, Any]:
+def summary(plant: RodPlant, response: GripResponse, flowers: NDArray[Any]) -> dict[str, Any]:
     """Return the best cell and the natural frequencies, units in the names."""
     q, g = response.best
     there = response.acceleration[q, g]
@@ -245,7 +210,7 @@ def natural_modes(plant: RodPlant) -> tuple[Array, Array]:
     return hertz, drag + (at_1_hz - drag) / hertz
 
 
-def write_csv(path: Path, plant: RodPlant, response: Response) -> None:
+def write_csv(path: Path, plant: RodPlant, response: GripResponse) -> None:
     """Write one row per grip and frequency; docs/elastic_rod.md names the columns."""
     acceleration, nodes = response.acceleration, plant.rods.nodes
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:

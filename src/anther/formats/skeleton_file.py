@@ -66,15 +66,29 @@ class SkeletonFile:
             raise bad_input("node number", given=number, allowed=allowed, do="Use the file's own node numbers.")
         return int(found[0])
 
-    def skeleton(self, radius: float | None = None) -> Skeleton:
-        """Return the `Skeleton`; `radius` [m] replaces the file's radii.
+    def rooted_at(self, number: int | None = None) -> SkeletonFile:
+        """Return the same tree with another root: the node that the file calls `number`.
+
+        None: where the plant stands. Scraps of soil hang together with the stem in many scans, and the lowest node is
+        often the end of one; the root is then where the way to the highest node begins to rise.
+
+        Raises:
+            InputError: the file has no such node.
+        """
+        edges = np.stack([self.parent[1:], np.arange(1, len(self.nodes))], axis=1)
+        labels = None if self.labels is None else list(self.labels)
+        root = _base(self.nodes, edges) if number is None else self.node(number)
+        return rooted(self.nodes, edges, radius=self.radius, numbers=self.numbers, root=root, labels=labels)
+
+    def skeleton(self, radius: float | Array | None = None) -> Skeleton:
+        """Return the `Skeleton`; `radius` [m], one or (J,), replaces the file's radii.
 
         Raises:
             InputError: neither the file nor the caller gives a radius.
         """
         if radius is None and self.radius is None:
             raise bad_input("radius", given="none", allowed="a radius [m]", do="This file has no radii: give one.")
-        radii = self.radius if radius is None else np.full(len(self.nodes), radius)
+        radii = self.radius if radius is None else np.broadcast_to(np.asarray(radius, dtype=float), len(self.nodes))
         return Skeleton(self.nodes, self.parent, np.asarray(radii))
 
 
@@ -119,6 +133,48 @@ def rooted(
     above = np.where(parent[order] < 0, -1, place[parent[order]])
     named = None if labels is None else tuple(labels[j] for j in order)
     return SkeletonFile(nodes[order], above, None if radius is None else radius[order], numbers[order], named)
+
+
+THINNEST = 0.5e-3
+"""Radius below which nothing is supposed to be [m]: a pedicel's (facts: pollination 2)."""
+
+
+def supposed_radius(source: SkeletonFile, base: float) -> Array:
+    """Return (J,) radii [m] of a plant of which only the lines are known: sections that add up (pipes, Shinozaki 1964).
+
+    A node's section is to that of the stem's base as the length of all that it carries is to the whole plant's.
+
+    Args:
+        source: the lines.
+        base: radius of the stem at its root [m].
+    """
+    carried = np.zeros(len(source.nodes))
+    for j in range(len(source.nodes) - 1, 0, -1):
+        length = float(np.linalg.norm(source.nodes[j] - source.nodes[source.parent[j]]))
+        carried[source.parent[j]] += carried[j] + length
+    return np.maximum(base * np.sqrt(carried / carried[0]), THINNEST)
+
+
+LOW, FLAT, STEADY = 0.15, 0.2, 0.03
+"""A scrap of soil lies within this share of the plant's height and rises by no more than this of its length; a stem
+rises by half its length at least, all along this far [m]."""
+
+
+def _base(nodes: Array, edges: NDArray[Any]) -> int:
+    """Return where the way from the lowest node to the highest begins to rise; the lowest, where it does at once."""
+    lowest, highest = int(np.argmin(nodes[:, 2])), int(np.argmax(nodes[:, 2]))
+    _, parent = _walk(len(nodes), edges, highest)
+    way = [lowest]
+    while way[-1] != highest and parent[way[-1]] >= 0:
+        way.append(int(parent[way[-1]]))
+    path = nodes[way]
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    ceiling = path[0, 2] + LOW * np.ptp(nodes[:, 2])
+    for k in np.flatnonzero(path[:, 2] <= ceiling):
+        ahead = slice(k + 1, int(np.searchsorted(arc, arc[k] + STEADY)) + 1)
+        if len(arc[ahead]) and np.all(path[ahead, 2] - path[k, 2] >= 0.5 * (arc[ahead] - arc[k])):
+            return way[k] if path[k, 2] - path[0, 2] <= FLAT * arc[k] else lowest
+    return lowest
 
 
 def _walk(n: int, edges: NDArray[Any], root: int) -> tuple[list[int], NDArray[Any]]:

@@ -86,7 +86,7 @@ class Grasp:
     reason: str
     joints: NDArray[Any] | None = None
     confidence: float | None = None
-    opening: float = 0.041667
+    opening: float = Gripper().stroke
     squeezed: float | None = None
 
     def __post_init__(self) -> None:
@@ -217,10 +217,11 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         few = (candidates.arc_length <= stem.arc_length[stem.fork]) | (candidates.station % 4 == 0)
         candidates = candidates.only(few & (candidates.outward() > 0))
     around, poses = surroundings_of(stem, skeleton, cloud, leaf_size=params.leaf_size), candidates.T_world_flange
-    open_ = [(gripper.boxes(params.pregrasp_distance, o), gripper.closing(params.doubt, o)) for o in params.openings]
+    openings = tuple(share * gripper.stroke for share in params.openings)
+    open_ = [(gripper.boxes(params.pregrasp_distance, o), gripper.closing(params.doubt, o)) for o in openings]
     with ThreadPoolExecutor() as pool:
         met = Clearance.of(list(pool.map(lambda shape: clearance(poses, around, *shape, touch=params.touch), open_)))
-    candidates = candidates.opened(params.openings)
+    candidates = candidates.opened(openings)
     refusals = _refusals(candidates, met, params)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
@@ -268,7 +269,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
         "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
         "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.0007,
-        "half open": 0.3 * (c.opening < max(params.openings)),
+        "half open": 0.3 * (c.opening < max(params.openings) * params.gripper.stroke),
         "thick for the gripper": 2.5 * np.maximum(2 * c.radius / params.gripper.stroke - 0.6, 0),
         "far from the stem's middle": 0.4 * np.abs(c.arc_length / length - 0.5),
     }

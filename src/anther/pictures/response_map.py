@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -12,16 +13,49 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from anther.elastic_rod import Rods
-
-if TYPE_CHECKING:
-    from anther.commands.respond import Response
+from anther.geometry import Array
 
 MAGENTA = "#c2389a"
 DECADES = 3.0
 """What the colours span below the largest value; less is drawn as the darkest."""
 
 
-def draw_response_map(rods: Rods, flowers: NDArray[Any], response: Response, title: str) -> Figure:
+@dataclass(frozen=True, slots=True, eq=False)
+class GripResponse:
+    """Steady motion of F flowers when the plant is shaken at one of G grips with one of Q frequencies.
+
+    Attributes:
+        frequencies: (Q,) [Hz].
+        grips: (G,) nodes, by their distance from the root.
+        distance: (G,) that distance along the plant [m].
+        amplitude: (Q,) grip amplitude [m].
+        direction: (Q, G, 3) shake direction.
+        ratio: (Q, G, F) flower amplitude (semi-major axis of its path) over grip amplitude [-].
+        resonances: (G, K) lowest natural frequencies while the grip is held [Hz].
+    """
+
+    frequencies: Array
+    grips: NDArray[Any]
+    distance: Array
+    amplitude: Array
+    direction: Array
+    ratio: Array
+    resonances: Array
+
+    @property
+    def acceleration(self) -> Array:
+        """(Q, G, F) peak acceleration of each flower [m/s^2]."""
+        return self.ratio * (self.amplitude * (2 * np.pi * self.frequencies) ** 2)[:, None, None]
+
+    @property
+    def best(self) -> tuple[int, int]:
+        """(q, g) of the largest mean acceleration."""
+        mean = self.acceleration.mean(axis=-1)
+        q, g = np.unravel_index(int(np.argmax(mean)), mean.shape)
+        return int(q), int(g)
+
+
+def draw_response_map(rods: Rods, flowers: NDArray[Any], response: GripResponse, title: str) -> Figure:
     """Return a figure: the heat map with the resonances of the held plant, and the plant with its grips.
 
     White lines: the lowest natural frequencies while the grip is held. Cross: the best cell. In the plant a grip has
@@ -58,7 +92,7 @@ def draw_response_map(rods: Rods, flowers: NDArray[Any], response: Response, tit
     return figure
 
 
-def _draw_map(chart: Any, response: Response, mean: Any, norm: LogNorm) -> Any:
+def _draw_map(chart: Any, response: GripResponse, mean: Any, norm: LogNorm) -> Any:
     hertz, height = response.frequencies, 100 * response.distance
     mesh = chart.pcolormesh(_edges(np.log(hertz), np.exp), _edges(height), mean.T, norm=norm, cmap="inferno")
     for k, resonance in enumerate(response.resonances.T):
@@ -83,7 +117,7 @@ def _edges(centres: Any, back: Any = lambda x: x) -> Any:
     return back(np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]]))
 
 
-def _draw_plant(plot: Any, side: int, rods: Rods, flowers: NDArray[Any], response: Response, colours: Any) -> None:
+def _draw_plant(plot: Any, side: int, rods: Rods, flowers: NDArray[Any], response: GripResponse, colours: Any) -> None:
     flat = rods.nodes[:, [side, 2]]
     radius = np.asarray(rods.edge_radius)[1:]
     lines: Any = np.stack([flat[rods.parent[1:]], flat[1:]], axis=1)

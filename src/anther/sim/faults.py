@@ -148,6 +148,11 @@ class FaultyGripper:
         self._gripper, self._fault = gripper, fault
         self._count = 0
 
+    @property
+    def stroke(self) -> float:
+        """Largest opening between the pads [m]."""
+        return self._gripper.stroke
+
     def move(self, opening: float) -> GripperState:
         """Move, or stay."""
         self._count += 1

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.arm import sawyer
+from anther.checks import check_range
 from anther.devices import (
     LEAD,
     ArmRecord,
@@ -21,7 +22,6 @@ from anther.devices import (
     Robot,
     Watch,
 )
-from anther.errors import bad_input
 from anther.geometry import Array, Intrinsics, look_at
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.cell import Cell, CellLog
@@ -94,6 +94,8 @@ def _references(trajectory: JointTrajectory, begin: float, dt: float, *, last: b
 class SimGripper:
     """The electric gripper: closes at 0.15 m/s, the slowest its SDK accepts, up to its holding force."""
 
+    stroke = sawyer.STROKE
+
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
 
@@ -103,10 +105,7 @@ class SimGripper:
         Raises:
             InputError: beyond the stroke.
         """
-        if not 0 <= opening <= sawyer.STROKE:
-            raise bad_input(
-                "gripper opening", given=f"{opening:g} m", allowed="0 <= opening <= 0.041667 m", do="Units?"
-            )
+        check_range("gripper opening", opening, 0, self.stroke, "m")
         dt, start = self.cell.params.timestep, self.cell.grip_command
         ramp = abs(opening - start) / sawyer.FINGER_SPEED
         settling = 0.3 if ramp > 0.01 else 0.1 if ramp > dt else 0.02  # a short way is soon settled, and no way at once

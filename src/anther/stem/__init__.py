@@ -120,8 +120,19 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     forked = [fork_at(skeleton, path, organ, int(i), params) for i in attachments]
     fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
     confidence = stem_confidence(skeleton, node_ids)
-    notes = (*second_stem(skeleton, node_ids), *doubt(confidence))
+    notes = (*_low(skeleton.nodes, node_ids), *second_stem(skeleton, node_ids), *doubt(confidence))
     return Stem(node_ids, arc_length, attachments, organ, fork, notes, confidence)
+
+
+LOW = 0.25
+"""A main stem that rises by less than this share of the plant is doubted: a guess."""
+
+
+def _low(nodes: Array, node_ids: NDArray[Any]) -> tuple[str, ...]:
+    rise, height = nodes[node_ids, 2].max() - nodes[0, 2], nodes[:, 2].max() - nodes[0, 2]
+    if rise >= LOW * height:
+        return ()
+    return (f"main stem: it rises only {1e3 * rise:.0f} mm of the plant's {1e3 * height:.0f} mm; is the root right?",)
 
 
 def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any], params: Params) -> NDArray[Any]:
