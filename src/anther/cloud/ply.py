@@ -90,9 +90,10 @@ def _vertices(path: Path) -> NDArray[Any]:
     try:
         count, dtype, order = _header(data[:end].decode("ascii", "replace").split("\n"))
         if order == "":
-            rows = np.loadtxt(data[body:].decode("ascii").splitlines()[:count], ndmin=2)
-            if len(rows) < count:
-                raise ValueError(f"{len(rows)} of {count} vertices")
+            lines = data[body:].decode("ascii").splitlines()[:count]
+            if len(lines) < count:
+                raise ValueError(f"{len(lines)} of {count} vertices")
+            rows = np.loadtxt(lines, ndmin=2)
             return np.array([tuple(row) for row in rows], dtype=dtype)
         return np.frombuffer(data, dtype=dtype, count=count, offset=body)
     except (ValueError, TypeError, KeyError, IndexError) as error:

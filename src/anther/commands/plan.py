@@ -139,7 +139,7 @@ def _crop(args: Args) -> Crop:
     """Return whose breeze the limits are likened to: the run's plant, or what --crop says."""
     params = args.source / PARAMS
     stated = read_object(params).get("plant") if params.is_file() else None
-    return stated if stated in get_args(Crop) else args.crop
+    return next((crop for crop in get_args(Crop) if crop == stated), args.crop)
 
 
 def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:

@@ -114,8 +114,10 @@ def read_npz_points(path: Path, plant: int | None) -> RawPoints:
         part = _plant_part(path, held.get("offsets"), len(stored), plant)
         points = check_array(f"{path}: points", stored[part], (None, 3), finite=False) / per_unit
         colors = held.get("colors")
-        fits = colors is not None and colors.ndim == 2 and colors.shape[1] >= 3 and len(colors) == len(stored)
-        return RawPoints(points, _bytes(colors[part, :3]) if fits else None, _units(path, held), _up(held))
+        if colors is not None and (colors.ndim != 2 or colors.shape[1] < 3 or len(colors) != len(stored)):
+            colors = None
+        seen = None if colors is None else _bytes(colors[part, :3])
+        return RawPoints(points, seen, _units(path, held), _up(held))
 
 
 def read_pcd(path: Path) -> RawPoints:
