@@ -191,6 +191,22 @@ def test_a_shake_whose_flowers_are_lost_is_not_raised(shaken: Shaken) -> None:
     assert "flowers were lost from sight" in watched.steps[2].decided
 
 
+def test_what_moves_no_flower_that_is_seen_is_not_raised_beyond_what_the_model_allows(shaken: Shaken) -> None:
+    """Stem and leaves in sight narrow the model; but pedicels follow flowers, and none of them is measured."""
+    foresight, stalks = made_foresight(1), SIGHTED.copy()
+    stalks[:FLOWERS] = False
+    hidden, seen = (
+        World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[shown])
+        for shown in (stalks, SIGHTED)
+    )
+    watched = shaken(hidden)
+    shaken(seen)
+    for piece in hidden.pieces[1:]:
+        assert np.all(piece.amplitudes <= hidden.plan.tones.amplitudes + 1e-12)
+    assert max(p.amplitudes.max() for p in seen.pieces) > 1.4 * 0.0005
+    assert "flowers were lost from sight" in watched.steps[-2].decided
+
+
 @pytest.mark.parametrize("seconds", [5.0, 6.0, 9.0])
 def test_the_time_ends_a_shake_that_could_be_raised_further(shaken: Shaken, seconds: float) -> None:
     foresight = made_foresight(1)

@@ -283,7 +283,7 @@ class Escalation:
     def _raised(self, tone: int, now: float, seen: int) -> tuple[int, float, float, str]:
         may, self._most_seen = self._may[tone], max(self._most_seen, seen)
         higher, why = min(may.amplitude, self.params.raised * now), may.binds
-        if seen < LOST * self._most_seen:
+        if seen < LOST * self._most_seen or not seen:
             higher, why = min(now, higher), OUT_OF_SIGHT
         elif not self._fits(tone):
             higher, why = min(now, higher), NO_TIME
