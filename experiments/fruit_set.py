@@ -89,7 +89,7 @@ def main() -> None:
     if args.json:
         write_json(args.json, metrics)
     if args.figure:
-        rng, truth = np.random.default_rng(args.seed), np.array([0.45, 0.7, 25.0, 0.06])
+        rng, truth = np.random.default_rng(args.seed), np.array([0.45, 0.7, 25.0, 0.06, 1.5])
         learned = fit(counts(rng, truth, 40, "varied"))
         with replacing(args.figure) as temporary:
             draw_fruit_set(learned, fit([]), "simulated tomato").savefig(temporary, dpi=110)
