@@ -121,7 +121,15 @@ def plan_shake(
         response_map=_map(grips, response, found, len(grasps), least),
         tones=tones_at(found, response, at, least, earlier),
         pads=params.pads,
-        notes=plant.notes + done.notes,
+        notes=plant.notes + done.notes + _remembered(earlier),
+    )
+
+
+def _remembered(earlier: EarlierShake | None) -> tuple[str, ...]:
+    if earlier is None:
+        return ()
+    return (
+        f"shake: begins as an earlier visit ended, {1e3 * earlier.amplitude:.2g} mm at {earlier.frequency:.3g} Hz.",
     )
 
 
