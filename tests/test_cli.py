@@ -18,7 +18,7 @@ import pytest
 from anther import __version__
 from anther.capture import Capture
 from anther.cli import COMMANDS, main
-from anther.commands.run_folder import open_run
+from anther.commands.run_folder import WRITTEN, open_run
 from anther.errors import InputError, StageFailure
 from anther.geometry import Intrinsics, look_at
 
@@ -259,6 +259,7 @@ def test_a_trial_end_to_end(tmp_path, capsys) -> None:
     assert summary["true_flower_acceleration_least_ms2"] <= summary["true_flower_acceleration_median_ms2"]
     assert summary["pollen_freed_low"] < summary["pollen_freed_median"] < summary["pollen_freed_high"]
     assert {"01_capture", "03_cloud.ply", "04_skeleton.npz", "10_report.html"} <= {p.name for p in out.iterdir()}
+    assert {p.name for p in out.iterdir()} <= WRITTEN, "--overwrite would not know it"
     assert not list(Path(out).rglob(".*")), "no temporary files are left"
     assert len(summary["grasp_pose7"]) == 7
     assert np.isclose(np.linalg.norm(summary["shake_direction"]), 1)

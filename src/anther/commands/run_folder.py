@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from anther.results import RunResults
 
 PARAMS, TIMING = "00_params.json", "timing.json"
-WRITTEN = {PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, *FILES.values()}
-"""What a run writes into its folder."""
+WRITTEN = {PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, *FILES.values(), "03_cloud.npz"}
+"""What a run writes into its folder; a cloud's other arrays lie beside its .ply."""
 LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "embreex", "small_gicp", "scikit-image")
 
 
