@@ -12,13 +12,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import expit, gammaln, logit
 
 from anther.checks import check_array, check_range
 from anther.geometry import Array
-from anther.store.records import Outcome, TrialRecord
+
+if TYPE_CHECKING:  # the database's library takes half a second
+    from anther.store.records import Outcome, TrialRecord
 
 NAMES = ("unshaken", "gain", "half_dose", "likeness", "exponent")
 GRID = (17, 17, 23, 13)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from anther.results import RunResults
 
 PARAMS, TIMING = "00_params.json", "timing.json"
-WRITTEN = {PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, *FILES.values(), "03_cloud.npz"}
+WRITTEN = {PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, *FILES.values(), FILES["cloud"].replace(".ply", ".npz")}
 """What a run writes into its folder; a cloud's other arrays lie beside its .ply."""
 LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "embreex", "small_gicp", "scikit-image")
 

@@ -90,9 +90,9 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
     Raises:
         InputError: the history cannot be read.
     """
-    for trial in reversed(read_trials(where, species=species, result="success")):
+    for trial in reversed(read_trials(where, species=species, plant=plant, result="success")):
         grasp, shake = trial.grasp, trial.shake
-        if trial.plant != plant or not trial.measured or grasp is None or shake is None:
+        if not trial.measured or grasp is None or shake is None:
             continue
         if grasp.arc_length is not None and shake.direction is not None and shake.waveform == str(SINE):
             return EarlierShake(grasp.arc_length, np.array(shake.direction), shake.frequency, shake.amplitude)

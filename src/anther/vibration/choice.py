@@ -234,14 +234,14 @@ def tones_at(found: Search, response: Gains, at: Place, least: float, earlier: E
     return Tones(found.frequencies[chosen], size[chosen], reach[chosen])
 
 
-NEAR = 0.02
+SAME_PLACE = 0.02
 """A grip is the one of an earlier visit up to this along the stem [m]: the pads are 16 mm wide."""
 
 
 def as_earlier(found: Search, grips: Grips, grasps: int, earlier: EarlierShake) -> Search | None:
     """Return the search with no other shakes than an earlier visit's, or None where none of them is allowed."""
     ratio = np.abs(np.log(found.frequencies / earlier.frequency))
-    rows = np.flatnonzero(np.abs(grips.arc_length[:grasps] - earlier.arc_length) <= NEAR)
+    rows = np.flatnonzero(np.abs(grips.arc_length[:grasps] - earlier.arc_length) <= SAME_PLACE)
     score, q = np.full_like(found.score, -1.0), int(ratio.argmin())
     if ratio[q] > 0.5 * np.log(APART):
         return None
