@@ -18,12 +18,12 @@ from anther.swing import Swing
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointTrajectory:
-    """A timed joint path, densely sampled. T samples.
+    """A timed joint path, densely sampled. T samples of J joints.
 
     Attributes:
         times: (T,) from 0, increasing [s].
-        positions: (T, 7) [rad].
-        velocities: (T, 7) [rad/s].
+        positions: (T, J) [rad].
+        velocities: (T, J) [rad/s].
     """
 
     times: Array
@@ -33,8 +33,9 @@ class JointTrajectory:
     def __post_init__(self) -> None:
         n = len(self.times)
         object.__setattr__(self, "times", check_array("trajectory times", self.times, (n,)))
-        object.__setattr__(self, "positions", check_array("trajectory positions", self.positions, (n, 7)))
-        object.__setattr__(self, "velocities", check_array("trajectory velocities", self.velocities, (n, 7)))
+        object.__setattr__(self, "positions", check_array("trajectory positions", self.positions, (n, None)))
+        shape = self.positions.shape
+        object.__setattr__(self, "velocities", check_array("trajectory velocities", self.velocities, shape))
         if n < 2 or self.times[0] != 0 or np.any(np.diff(self.times) <= 0):
             raise bad_input(
                 "trajectory times", given=f"{n} samples", allowed="two or more, from 0, increasing", do="Resample."
@@ -42,8 +43,8 @@ class JointTrajectory:
 
     @classmethod
     def standstill(cls, joints: Array, duration: float) -> JointTrajectory:
-        """Return the trajectory of an arm that waits at joints (7,) for `duration` [s]."""
-        return cls(np.array([0.0, duration]), np.tile(joints, (2, 1)), np.zeros((2, 7)))
+        """Return the trajectory of an arm that waits at joints (J,) for `duration` [s]."""
+        return cls(np.array([0.0, duration]), np.tile(joints, (2, 1)), np.zeros((2, len(joints))))
 
     @property
     def duration(self) -> float:
@@ -61,7 +62,7 @@ class ArmSample:
 
     Attributes:
         time: when the joints were read [s], on the robot's clock.
-        commanded, measured: (7,) joint angles [rad].
+        commanded, measured: (J,) joint angles [rad].
         force: size of the force that the world exerts on arm and gripper [N]; NaN if the arm cannot tell. A Sawyer
             estimates it from its joint torques (endpoint_state, wrench; facts: sawyer 5).
     """
@@ -85,11 +86,11 @@ MoreSwing = Callable[[], Swing | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmRecord:
-    """What the arm did while following a trajectory: T samples.
+    """What the arm did while following a trajectory: T samples of J joints.
 
     Attributes:
         times: (T,) [s], on the robot's clock.
-        commanded, measured: (T, 7) joint angles [rad].
+        commanded, measured: (T, J) joint angles [rad].
     """
 
     times: Array
@@ -99,13 +100,14 @@ class ArmRecord:
     def __post_init__(self) -> None:
         n = len(self.times)
         object.__setattr__(self, "times", check_array("record times", self.times, (n,)))
-        object.__setattr__(self, "commanded", check_array("commanded joints", self.commanded, (n, 7)))
-        object.__setattr__(self, "measured", check_array("measured joints", self.measured, (n, 7)))
+        object.__setattr__(self, "commanded", check_array("commanded joints", self.commanded, (n, None)))
+        shape = self.commanded.shape
+        object.__setattr__(self, "measured", check_array("measured joints", self.measured, shape))
 
     @classmethod
     def of(cls, samples: Sequence[ArmSample]) -> ArmRecord:
         """Return the record that a watcher's samples make."""
-        joints = np.array([(s.commanded, s.measured) for s in samples]).reshape(-1, 2, 7)
+        joints = np.array([(s.commanded, s.measured) for s in samples]) if samples else np.zeros((0, 2, 0))
         return cls(np.array([s.time for s in samples], dtype=float), joints[:, 0], joints[:, 1])
 
 
@@ -133,12 +135,16 @@ class DeviceError(StageFailure):
     def __init__(self, message: str) -> None:
         super().__init__("device_fault", message)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle with the one argument that it takes."""
+        return type(self), (str(self),)
+
 
 class Arm(Protocol):
-    """A seven-joint arm."""
+    """An arm of J joints."""
 
     def joints(self) -> Array:
-        """Return the measured joint angles (7,) [rad]."""
+        """Return the measured joint angles (J,) [rad]."""
         ...
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
@@ -271,14 +277,14 @@ class Robot:
 class SafetyLimits:
     """What no command may exceed, whoever gives it. `anther.safety` holds every command and reading against them.
 
-    T samples, S balls.
+    T samples, S balls. How many joints J the arm has is told by `joint_lower`.
 
     Attributes:
-        forward: the arm's kinematics, joints (T, 7) [rad] -> flange poses (T, 4, 4) in the world.
-        outline: where arm and tool are, joints (T, 7) -> balls (T, S, 4): centre in the world and radius [m].
-        joint_lower, joint_upper: (7,) the arm's range [rad].
-        joint_speed: (7,) [rad/s].
-        joint_acceleration: (7,) [rad/s^2].
+        forward: the arm's kinematics, joints (T, J) [rad] -> flange poses (T, 4, 4) in the world.
+        outline: where arm and tool are, joints (T, J) -> balls (T, S, 4): centre in the world and radius [m].
+        joint_lower, joint_upper: (J,) the arm's range [rad].
+        joint_speed: (J,) [rad/s].
+        joint_acceleration: (J,) [rad/s^2].
         workspace: where the flange may be, world [m].
         keep_out: boxes that no part of arm and tool may enter: pot, bench.
         joint_margin: kept from either end of the range [rad].
@@ -327,7 +333,8 @@ class SafetyLimits:
 
     def __post_init__(self) -> None:
         for name in ("joint_lower", "joint_upper", "joint_speed", "joint_acceleration"):
-            object.__setattr__(self, name, check_array(name, getattr(self, name), (7,)))
+            shape = (None,) if name == "joint_lower" else self.joint_lower.shape
+            object.__setattr__(self, name, check_array(name, getattr(self, name), shape))
         empty = np.any(self.joint_lower + 2 * self.joint_margin >= self.joint_upper)
         if empty or np.any(self.joint_speed <= 0) or np.any(self.joint_acceleration <= 0):
             raise bad_input(

@@ -63,16 +63,6 @@ def limit_room(q: Array) -> Array:
     return 1 - np.max(np.abs(q - (sawyer.LOWER + half)) / half, axis=-1)
 
 
-def pose_error(poses: Array, target: Array) -> Array:
-    """Return (..., 6) translation [m] and rotation vector [rad], in the base frame, from `poses` to `target`."""
-    relative = target[..., :3, :3] @ np.swapaxes(poses[..., :3, :3], -1, -2)
-    skew = np.stack([relative[..., i, j] - relative[..., j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1) / 2
-    sine = np.linalg.norm(skew, axis=-1)
-    angle = np.arctan2(sine, (np.trace(relative, axis1=-2, axis2=-1) - 1) / 2)
-    factor = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)
-    return np.concatenate([target[..., :3, 3] - poses[..., :3, 3], skew * factor[..., None]], axis=-1)
-
-
 def follow(q: Array, targets: Array) -> Array:
     """Return joints (B, N, 7) that carry the flange from branches q (B, 7) through poses (N, 4, 4), or NaN where lost.
 

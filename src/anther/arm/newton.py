@@ -12,8 +12,8 @@ from anther.geometry import Array
 def newton_step(q: Array, target: Array, *, damping: float) -> tuple[Array, Array]:
     """Return the damped joint steps (K, 7) [rad] towards `target`, and the pose errors (K, 6) before them.
 
-    A step is J^T (J J^T + damping I)^-1 e (Levenberg-Marquardt; Nakamura and Hanafusa 1986), e as of
-    `kinematics.pose_error`.
+    A step is J^T (J J^T + damping I)^-1 e (Levenberg-Marquardt; Nakamura and Hanafusa 1986), e the
+    translation [m] and rotation vector [rad], in the base frame, from where the flange is to the target.
 
     Args:
         q: (K, 7) joints [rad].

@@ -21,7 +21,6 @@ from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.geometry import Array, Box, transform
 from anther.swing import Swing
-from anther.vibration.waveforms import SINE, Waveform
 
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
@@ -164,43 +163,25 @@ class Planner:
         return dynamics.check_effort(motion)
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-        """Return the amplitudes (Q,) [m] that `shake` can do at joints (7,): see `shake_limit`, and what is free."""
+        """Return the amplitudes (Q,) [m] that `swing` can do at joints (7,): see `shake_limit`, and what is free."""
         here, way = check_array("joints", q, (7,)), shaking.unit(direction)
         rate = np.linalg.pinv(sawyer.jacobian(here))[:, :3] @ way
         room = next((size for size in ROOMS if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
         return np.minimum(shake_limit(here, way, frequencies), room)
 
-    def shake(
-        self,
-        q: ArrayLike,
-        direction: ArrayLike,
-        amplitude: float,
-        frequency: float,
-        duration: float,
-        waveform: Waveform = SINE,
-    ) -> JointTrajectory:
-        """Return a shaking motion of the flange about joints (7,); see `shaking.shake_trajectory`.
+    def swing(self, q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
+        """Return joined pieces of a flange shake about joints (7,); see `shaking.swing_trajectory`.
 
         Raises:
             InputError: a number out of range.
             StageFailure: "limits_exceeded", "unreachable" or "collision".
         """
         q = check_array("joints", q, (7,))
-        motion = shaking.shake_trajectory(
-            q, direction, amplitude=amplitude, frequency=frequency, duration=duration, waveform=waveform
-        )
-        return self._borne(q, motion, amplitude)
-
-    def swing(self, q: ArrayLike, direction: ArrayLike, piece: Swing, reach: float) -> JointTrajectory:
-        """Return a piece of a flange shake about joints (7,), see `shaking.swing_trajectory`; raise as `shake`."""
-        q = check_array("joints", q, (7,))
-        return self._borne(q, shaking.swing_trajectory(q, direction, piece, reach), piece.reach)
-
-    def _borne(self, q: Array, shake: JointTrajectory, amplitude: float) -> JointTrajectory:
-        """Return a shake about joints (7,) whose two ends are free and whose torques the joints have."""
+        shake = shaking.swing_trajectory(q, direction, pieces, reach)
         along = (away := shake.positions - q) @ away[np.linalg.norm(away, axis=1).argmax()]
         if not self._may_swing(q, shake.positions[[along.argmin(), along.argmax()]]):
-            raise StageFailure("collision", f"a shake of {1e3 * amplitude:.1f} mm hits something. Shake less.")
+            size = 1e3 * max(piece.reach for piece in pieces)
+            raise StageFailure("collision", f"a shake of {size:.1f} mm hits something. Shake less.")
         return dynamics.check_effort(shake)
 
     def _wrist_in_plant(self, T_world_flange: Array, length: float) -> bool:
@@ -362,7 +343,7 @@ class Planner:
 
 
 def shake_limit(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-    """Return the amplitudes (Q,) [m] that `Planner.shake` can do at joints (7,): `SHAKE_SHARE` of the local limits.
+    """Return the amplitudes (Q,) [m] that `Planner.swing` can do at joints (7,): `SHAKE_SHARE` of the local limits.
 
     The limits are the joints' velocities, accelerations and torques.
     """
@@ -397,4 +378,4 @@ def _steady(way: Array) -> bool:
 
 
 def _angle(a: Array, b: Array) -> float:
-    return float(np.linalg.norm(kinematics.pose_error(a, b)[3:]))
+    return float(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).magnitude())

@@ -165,7 +165,6 @@ FINGER_Z = 0.05992  # m, where the fingers leave the body: 0.0018 + 0.0176 + 0.0
 TIP_Z = 0.13562  # m, the SDK's tip
 PAD = (0.016, 0.007, 0.037)  # m: width along x, thickness along y, length along z, ending at the tip
 FINGER_THICKNESS = 0.008  # m along y behind the pad; our estimate, the URDF's fingers are meshes
-FINGER_FORCE = 20.0  # N per finger
 FINGER_SPEED = 0.15  # m/s, the slowest the SDK accepts
 # The body's outline is our estimate from the gripper's mesh extents; no primitive is published for it.
 GRIPPER_BODY = Solid("gripper_body", (0, 0, 0.03), (0.032, 0.055, 0.03))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
@@ -11,8 +13,7 @@ from anther.checks import check_array, check_range
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
-from anther.swing import Swing
-from anther.vibration.waveforms import SINE, Waveform
+from anther.swing import Swing, motion
 
 _PAIRS = np.triu_indices(7, 1)
 
@@ -55,73 +56,35 @@ def joint_rates(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> A
     return _slowest_motion(q, unit(direction), omega)[0]
 
 
-def shake_trajectory(
-    q: ArrayLike,
-    direction: ArrayLike,
-    *,
-    amplitude: float,
-    frequency: float,
-    duration: float,
-    waveform: Waveform = SINE,
-    rate: float = 500.0,
+def swing_trajectory(
+    q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float, rate: float = 500.0
 ) -> JointTrajectory:
     """Return the joint motion that moves the flange to and fro along a straight line, its orientation held.
 
-    The displacement is `waveform.motion`. The joints are found as a function of it once, so every period is the same
-    and nothing drifts.
+    The joints are found as a function of the displacement once, so every period is the same and nothing drifts. They
+    depend on `reach`: motions of the same reach join.
 
     Args:
         q: (7,) joints at rest [rad].
         direction: (3,) of the shake, world.
-        amplitude: A [m].
-        frequency: f, of a sweep the first [Hz].
-        duration: of the whole motion, ramps included [s].
-        waveform: its shape in time.
+        pieces: what the flange does along it, one after the other.
+        reach: that no piece goes beyond [m].
         rate: samples per second; raised to 40 per period if that is more.
 
     Raises:
         InputError: a number out of range.
         StageFailure: "limits_exceeded" or "unreachable".
     """
-    highest = frequency * waveform.ratio
-    check_range("shake amplitude", amplitude, 1e-6, 0.2, "m")
-    check_range("shake frequency", frequency, 0.1, 50, "Hz")
-    check_range("highest shake frequency", highest, 0.1, 50, "Hz")
-    check_range("shake duration", duration, 2 / frequency, 60, "s")
-    times = np.linspace(0, duration, int(np.ceil(duration * max(rate, 40 * highest))) + 1)
-    d, d_rate = waveform.motion(times, amplitude, frequency, duration)
-    path = _joints_along(np.asarray(q, dtype=np.float64), unit(direction), amplitude, highest)
-    velocities = path(d, 1) * d_rate[:, None]
-    trajectory = JointTrajectory(times, path(d), velocities)
-    _check_limits(trajectory, np.asarray(q), direction, amplitude, highest)
-    return trajectory
-
-
-def swing_trajectory(
-    q: ArrayLike, direction: ArrayLike, piece: Swing, reach: float, rate: float = 500.0
-) -> JointTrajectory:
-    """Return the joint motion of one piece of a shake whose pieces all keep within `reach` [m]: they join.
-
-    Args:
-        q: (7,) joints at rest [rad].
-        direction: (3,) of the shake, world.
-        piece: what the flange does along it.
-        reach: [m].
-        rate: samples per second; raised to 40 per period if that is more.
-
-    Raises:
-        InputError: a number out of range.
-        StageFailure: "limits_exceeded" or "unreachable".
-    """
-    highest = float(piece.frequencies.max())
+    highest, size = float(max(piece.frequencies.max() for piece in pieces)), max(piece.reach for piece in pieces)
+    seconds = sum(piece.seconds for piece in pieces)
     check_range("reach of a swing", reach, 1e-6, 0.2, "m")
     check_range("shake frequency", highest, 0.1, 50, "Hz")
-    check_range("displacement of a swing", piece.reach, 0, 1.0001 * reach, "m")
-    times = np.linspace(0, piece.seconds, int(np.ceil(piece.seconds * max(rate, 40 * highest))) + 1)
-    d, d_rate = piece.motion(times)
+    check_range("displacement of a swing", size, 0, 1.0001 * reach, "m")
+    times = np.linspace(0, seconds, int(np.ceil(seconds * max(rate, 40 * highest))) + 1)
+    d, d_rate = motion(pieces, times)
     path = _joints_along(np.asarray(q, dtype=np.float64), unit(direction), reach, highest)
     trajectory = JointTrajectory(times, path(d), path(d, 1) * d_rate[:, None])
-    _check_limits(trajectory, np.asarray(q), direction, piece.reach, highest)
+    _check_limits(trajectory, np.asarray(q), direction, size, highest)
     return trajectory
 
 

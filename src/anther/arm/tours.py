@@ -23,9 +23,7 @@ Tour = list[tuple[int, Array]]
 """(view, joints (7,)) in the order of the visits."""
 
 
-def shortest_tour(
-    free: Callable[[Array], bool], start: Array, choices: Sequence[Array], *, in_order: bool = False, seed: int = 0
-) -> Tour:
+def shortest_tour(free: Callable[[Array], bool], start: Array, choices: Sequence[Array], *, seed: int = 0) -> Tour:
     """Return the shortest tour found, a straight joint line that is not free taken to last `DETOUR` longer.
 
     Lines are checked only when a tour uses them, and the tour is improved with what that taught (Bohlin and Kavraki
@@ -35,7 +33,6 @@ def shortest_tour(
         free: whether the straight line between two rows of joints (2, 7) is free.
         start: (7,) joints the arm comes from.
         choices: per view the joints (C, 7) to choose from.
-        in_order: visit the views as they are given.
         seed: of the search for an order.
     """
     stops = np.concatenate([start[None], *choices])
@@ -45,7 +42,7 @@ def shortest_tour(
     order, found, checked = list(range(len(choices))), list[tuple[list[int], NDArray[Any]]](), set[tuple[int, int]]()
     for turn in range(ROUNDS):
         again = int(turn > 0)
-        order = order if in_order else shorter(order, cost, layers, TRIALS[again], HOT[again], rng)
+        order = shorter(order, cost, layers, TRIALS[again], HOT[again], rng)
         picks = best_choices(order, cost, layers)
         found.append((order, picks))
         lines = {(int(a), int(b)) for a, b in zip([0, *picks], picks, strict=False)} - checked

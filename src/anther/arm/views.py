@@ -167,15 +167,14 @@ def visit_views(
     *,
     start: ArrayLike = sawyer.READY,
     motion: MotionParams | None = None,
-    in_order: bool = False,
 ) -> Views:
-    """Return the chosen of the viewpoints with branches, and unless `in_order` in an order, that keep the motion short.
+    """Return the chosen of the viewpoints with branches and in an order that keep the motion short.
 
     The other arguments and what is raised are as in `plan_views`.
     """
     planner = _planner(region, boxes, start, motion)
     begin = np.asarray(start, dtype=np.float64)
-    return _visit(viewpoints, list(chosen), planner, begin, params, region, in_order=in_order)
+    return _visit(viewpoints, list(chosen), planner, begin, params, region)
 
 
 def capture_time(views: Views) -> float:
@@ -211,13 +210,11 @@ def _visit(
     start: Array,
     params: Params,
     region: Box,
-    *,
-    in_order: bool = False,
 ) -> Views:
     azimuth, elevation = viewpoints.azimuth, viewpoints.elevation
     more = _free_branches(viewpoints.T_world_cam[chosen], planner, viewpoints.T_flange_cam, MORE_SEEDS)
     choices = [q if len(q) else viewpoints.branches[i] for i, q in zip(chosen, more, strict=True)]
-    tour = shortest_tour(lambda line: planner.world.path_free(line, SEARCH_STEP), start, choices, in_order=in_order)
+    tour = shortest_tour(lambda line: planner.world.path_free(line, SEARCH_STEP), start, choices)
     kept, motions = _motions(planner, start, [(chosen[i], q) for i, q in tour])
     at = [i for i, _ in kept]
     joints = np.array([q for _, q in kept])

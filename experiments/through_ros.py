@@ -1,0 +1,142 @@
+"""A fake Sawyer behind a ROS 1 master: how evenly it is commanded, and how soon it stands when the driver is killed.
+
+    python tools/record.py experiments/through_ros.py
+
+The driver runs in a process of its own and follows a joint swing at 1.9 Hz, as a shake does, in trajectory mode at 100
+commands a second. The fake notes when each command arrives. Then, with as many busy processes beside it as there are
+cores, the same again; and KILLS times the driver is killed (SIGKILL) in full motion.
+
+It is the real protocol on one machine's loopback: neither a network nor an arm is in it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from fake_ros_master import FakeMaster
+from fake_sawyer import FakeSawyer
+
+from anther.arm import sawyer
+from anther.devices import JointTrajectory
+from anther.drivers.intera import types
+from anther.drivers.ros1 import Node
+from anther.drivers.sawyer_ros1 import Sawyer
+from anther.files import write_json
+from anther.geometry import Array
+
+FREQUENCY, AMPLITUDE = 1.9, 0.05  # Hz, rad of every joint: 0.6 rad/s
+STILL = 0.01  # rad/s
+PERIOD = 0.01  # s
+
+
+def swing(seconds: float) -> JointTrajectory:
+    """Return a swing about the neutral joints that begins and ends at rest."""
+    t = np.arange(0, seconds, 0.002)
+    share = np.clip(np.minimum(t, t[-1] - t) / 0.5, 0, 1)
+    q = AMPLITUDE * share**2 * (3 - 2 * share) * np.sin(2 * np.pi * FREQUENCY * t)
+    joints = sawyer.NEUTRAL + q[:, None] * np.ones(7)
+    return JointTrajectory(t, joints, np.gradient(joints, t, axis=0))
+
+
+def drive(master: str, seconds: float) -> None:
+    """Follow the swing: the driver's own process."""
+    with closing(Sawyer(Node(master, "/anther", types()), mode="trajectory")) as arm:
+        print("ready", flush=True)
+        arm.follow(swing(seconds))
+
+
+@contextmanager
+def driver(master: str, seconds: float) -> Iterator[subprocess.Popen[str]]:
+    """Run `drive` in a process of its own."""
+    words = [sys.executable, __file__, "--drive", master, "--seconds", str(seconds)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        yield process
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Keep so many cores busy."""
+    with ExitStack() as stack:
+        for _ in range(count):
+            process = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            stack.callback(process.kill)
+        yield
+
+
+def jitter(robot: FakeSawyer, master: str, seconds: float) -> Array:
+    """Return by how much each command's distance to the one before was off the period (N,) [s]."""
+    robot.heard.clear()
+    with driver(master, seconds) as process:
+        if process.wait() != 0:
+            raise SystemExit("the driver stopped on the way: see above.")
+    return np.abs(np.diff(robot.heard) - PERIOD)
+
+
+def stop_time(robot: FakeSawyer, master: str, after: float) -> float:
+    """Kill the driver so long after the motion began [s]; return how long the arm still moved [s]."""
+    robot.q, robot.v = sawyer.NEUTRAL.copy(), np.zeros(7)
+    with driver(master, 20.0) as process:
+        began = time.monotonic()
+        while time.monotonic() - began < 0.5 + after or np.abs(robot.v).max() < 0.2:
+            time.sleep(0.002)
+        process.kill()
+        killed = time.monotonic()
+        time.sleep(0.6)
+    times, speed = robot.speed()
+    return max(float(times[speed > STILL].max()) - killed, 0.0)
+
+
+def measure(kills: int, seconds: float) -> dict[str, Any]:
+    """Return the flat table of metrics."""
+    rng = np.random.default_rng(0)
+    master = FakeMaster()
+    with closing(FakeSawyer(master.uri, rate=100.0)) as robot:
+        alone = jitter(robot, master.uri, seconds)
+        with busy(os.cpu_count() or 1):
+            beside = jitter(robot, master.uri, seconds)
+        stops = [stop_time(robot, master.uri, float(rng.uniform(0, 1))) for _ in range(kills)]
+    master.stop()
+    return {
+        "commands": len(alone) + len(beside) + 2,
+        "jitter_alone_p999_ms": 1e3 * float(np.quantile(alone, 0.999)),
+        "jitter_p999_ms": 1e3 * float(np.quantile(beside, 0.999)),
+        "jitter_largest_ms": 1e3 * float(max(alone.max(), beside.max())),
+        "kills": kills,
+        "stop_median_ms": 1e3 * float(np.median(stops)),
+        "stop_ms": 1e3 * max(stops),
+    }
+
+
+def main() -> None:
+    """Measure, and write a flat table of metrics."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="3 kills and 5 s instead of 20 and 60 s")
+    parser.add_argument("--drive", help=argparse.SUPPRESS)
+    parser.add_argument("--seconds", type=float, default=60.0, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.drive:
+        drive(args.drive, args.seconds)
+        return
+    metrics = measure(3, 5.0) if args.quick else measure(20, args.seconds)
+    print(json.dumps(metrics, indent=2))
+    if args.json:
+        write_json(args.json, metrics)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,274 @@
+"""A cell file: which machines stand where, and what they may do. docs/real_robot.md has every key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther.arm import sawyer
+from anther.arm.outline import outline
+from anther.calibration.hand_eye import HandEye
+from anther.cells import parts
+from anther.cells.reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
+from anther.checks import check_range
+from anther.devices import SafetyLimits
+from anther.drivers.apart import ArmApart
+from anther.errors import bad_input
+from anther.geometry import Array, Box, transform_from_pose7
+
+__all__ = ["CellFile", "Limits", "Part", "Tool", "read_cell"]
+
+MODELLED = 0.005, 0.1
+"""A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """What is on the flange: plans are made for Rethink's gripper with narrow fingers and a D455 beside it.
+
+    Attributes:
+        tip: from the flange to the fingertips [m].
+        mass: of gripper, camera and bracket [kg].
+    """
+
+    tip: float = sawyer.TIP_Z
+    mass: float = sawyer.GRIPPER_MASS + sawyer.CAMERA_MASS
+
+    def __post_init__(self) -> None:
+        check_range("tip", self.tip, sawyer.TIP_Z - MODELLED[0], sawyer.TIP_Z + MODELLED[0], "m")
+        check_range("mass", self.mass, 0.0, sawyer.GRIPPER_MASS + sawyer.CAMERA_MASS + MODELLED[1], "kg")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What no command may exceed: see `devices.SafetyLimits`, whose defaults hold where nothing is said.
+
+    Attributes:
+        speed_ratio: of all speeds and accelerations of arm and flange; a shake is so much smaller too. Begin low.
+    """
+
+    speed_ratio: float = 0.1
+    flange_speed: float | None = None
+    contact_force: float | None = None
+    tracking: float | None = None
+    joint_margin: float | None = None
+    shake_speed: float | None = None
+    shake_acceleration: float | None = None
+    shake_duration: float | None = None
+    grip_force: float | None = None
+
+    def __post_init__(self) -> None:
+        check_range("speed_ratio", self.speed_ratio, 0.01, 1.0)
+
+    def given(self) -> dict[str, float]:
+        """Return those that were set, by their names in `SafetyLimits`."""
+        said = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "speed_ratio"}
+        return {name: value for name, value in said.items() if value is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class KeepOut:
+    """A box that no part of arm and tool may enter, world [m]."""
+
+    lower: Point
+    upper: Point
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        self.box  # noqa: B018 (it checks the corners)
+
+    @property
+    def box(self) -> Box:
+        """The same as a `Box`."""
+        return Box(np.array(self.lower), np.array(self.upper))
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One machine: its driver, and what the driver is told.
+
+    Attributes:
+        driver: a name that Anther knows, or "package.module:callable" of one's own.
+        make: builds it.
+        table: the driver's own keys.
+        keys: where it stands in the file.
+    """
+
+    driver: str
+    make: Callable[..., Any]
+    table: dict[str, Any]
+    keys: Keys
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellFile:
+    """A cell file that was read and checked; nothing is connected yet.
+
+    Attributes:
+        source: the file.
+        arm, gripper, wrist_camera, side_camera, shaker: the machines; the last two may be missing.
+        T_flange_cam: hand-eye calibration of the wrist camera.
+        T_world_side_camera: where the side camera stands; None without one.
+        tool, limits: see there.
+        workspace: where the plant stands.
+        region: what the views look at; nothing enters it while they are taken.
+        arm_space: where the flange may be.
+        keep_out: where nothing may be.
+    """
+
+    source: Source
+    arm: Part
+    gripper: Part
+    wrist_camera: Part
+    T_flange_cam: Array
+    workspace: Box
+    region: Box
+    arm_space: Box
+    keep_out: tuple[KeepOut, ...] = ()
+    side_camera: Part | None = None
+    T_world_side_camera: Array | None = None
+    shaker: Part | None = None
+    tool: Tool = field(default_factory=Tool)
+    limits: Limits = field(default_factory=Limits)
+
+    @property
+    def owner_name(self) -> str:
+        """What the lock of its arm is called: the same for every file with that arm."""
+        return f"{self.arm.driver} {self.arm.table.get('master', '')}".strip()
+
+    def connect(self, part: Part, **given: Any) -> Any:
+        """Return a part's driver, connected; nothing moves.
+
+        Args:
+            part: of this cell.
+            given: what the driver may want of the rest, such as the `arm`; it takes what it has arguments for.
+
+        Raises:
+            InputError: one of its keys is not possible.
+            MissingExtra, DeviceError: it cannot be had.
+        """
+        return built(self.source, part.keys, part.table, part.make, **self._given(part, given))
+
+    def arm_apart(self) -> ArmApart:
+        """Return the arm, connected in a process of its own, behind a guard of its own.
+
+        Raises:
+            AntherError: see `connect`.
+        """
+        given = self._given(self.arm, {})
+        options = fitted(self.source, self.arm.keys, self.arm.table, self.arm.make, given) | given
+        return ArmApart(self.arm.make, options, self.safety_limits())
+
+    def _given(self, part: Part, given: dict[str, Any]) -> dict[str, Any]:
+        rest = {"speed_ratio": self.limits.speed_ratio, "arm_master": self.arm.table.get("master", ""), **given}
+        return {name: value for name, value in rest.items() if parts.takes(part.make, name)}
+
+    def safety_limits(self) -> SafetyLimits:
+        """Return what no command may exceed.
+
+        Raises:
+            InputError: a limit is out of the range it may be set to.
+        """
+        ratio = self.limits.speed_ratio
+        said: dict[str, Any] = dict(self.limits.given())
+        said.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
+        with self.source.located(("limits",)):
+            return SafetyLimits(
+                forward=sawyer.forward,
+                outline=outline,
+                joint_lower=sawyer.LOWER,
+                joint_upper=sawyer.UPPER,
+                joint_speed=ratio * sawyer.VELOCITY,
+                joint_acceleration=ratio * sawyer.ACCELERATION,
+                workspace=self.arm_space,
+                keep_out=tuple(place.box for place in self.keep_out),
+                **said,
+            )
+
+
+def read_cell(path: Path | str) -> CellFile:
+    """Read and check a cell file.
+
+    Raises:
+        InputError: the first thing that is wrong, with its line.
+    """
+    source = read_toml(path)
+    table = dict(source.table)
+    known = ("arm", "gripper", "wrist_camera", "side_camera", "shaker", "tool", "workspace", "region", "arm_space",
+             "keep_out", "limits")  # fmt: skip
+    for key in table:
+        if key not in known:
+            raise source.error((key,), given=f"an unknown key '{key}'", allowed=", ".join(known), do="Remove it.")
+    for key in ("arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"):
+        if key not in table:
+            raise bad_input(
+                str(path), given=f"no [{key}]", allowed="a table of that name", do="docs/real_robot.md has one."
+            )
+    own, side = table["wrist_camera"], table.get("side_camera")
+    cell = CellFile(
+        source=source,
+        arm=_part(source, "arm", parts.ARMS),
+        gripper=_part(source, "gripper", parts.GRIPPERS),
+        T_flange_cam=_hand_eye(source, own),
+        wrist_camera=_part(source, "wrist_camera", parts.CAMERAS, besides=("T_flange_cam", "calibration")),
+        T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
+        side_camera=None if side is None else _part(source, "side_camera", parts.CAMERAS, besides=("T_world_cam",)),
+        shaker=_part(source, "shaker", parts.SHAKERS) if "shaker" in table else None,
+        tool=built(source, ("tool",), table.get("tool", {}), Tool),
+        limits=built(source, ("limits",), table.get("limits", {}), Limits),
+        workspace=checked(source, ("workspace",), table["workspace"], Box),
+        region=checked(source, ("region",), table["region"], Box),
+        arm_space=checked(source, ("arm_space",), table["arm_space"], Box),
+        keep_out=_keep_outs(source),
+    )
+    cell.safety_limits()
+    return cell
+
+
+def _part(source: Source, name: str, drivers: dict[str, Callable[..., Any]], besides: tuple[str, ...] = ()) -> Part:
+    table = source.table[name]
+    if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
+        choices = ", ".join(f'"{driver}"' for driver in drivers)
+        allowed = f'a table with driver = {choices} or "package.module:callable"'
+        raise source.error((name,), given="no driver", allowed=allowed, do="docs/real_robot.md has examples.")
+    driver, keys = table["driver"], (name, "driver")
+    make = drivers.get(driver)
+    if make is None:
+        if ":" not in driver:
+            allowed = ", ".join(f'"{known}"' for known in drivers) + ', "package.module:callable"'
+            raise source.error(keys, given=f'"{driver}"', allowed=allowed, do="Choose one.")
+        make = parts.own_driver(driver, source.where(keys), source.path.parent)
+    rest = {key: value for key, value in table.items() if key not in ("driver", *besides)}
+    fitted(source, (name,), rest, make, parts.GIVEN)
+    return Part(driver, make, rest, (name,))
+
+
+def _hand_eye(source: Source, table: dict[str, Any]) -> Array:
+    """Return T_flange_cam, from the file or from a calibration.json."""
+    if ("calibration" in table) == ("T_flange_cam" in table):
+        given = "both calibration and T_flange_cam" if "calibration" in table else "no calibration and no T_flange_cam"
+        do = "anther calibrate writes a calibration.json."
+        raise source.error(("wrist_camera",), given=given, allowed="one of the two", do=do)
+    if "T_flange_cam" in table:
+        return _pose(source, "wrist_camera", "T_flange_cam", table)
+    return HandEye.load(checked(source, ("wrist_camera", "calibration"), table["calibration"], Path)).T_flange_cam
+
+
+def _pose(source: Source, name: str, key: str, table: dict[str, Any]) -> Array:
+    if key not in table:
+        raise source.error((name,), given=f"no '{key}'", allowed="7 numbers: x y z [m] qx qy qz qw", do="Add it.")
+    numbers = checked(source, (name, key), table[key], Pose)
+    with source.located((name, key)):
+        return transform_from_pose7(np.array(numbers))
+
+
+def _keep_outs(source: Source) -> tuple[KeepOut, ...]:
+    tables = source.table.get("keep_out", [])
+    if not isinstance(tables, list):
+        do = "Write [[keep_out]] above each."
+        raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
+    return tuple(built(source, ("keep_out", str(i)), table, KeepOut) for i, table in enumerate(tables))

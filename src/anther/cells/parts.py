@@ -1,0 +1,114 @@
+"""The drivers a cell file can name. Their arguments are its keys; those in `GIVEN` come from the rest of the cell."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from anther.devices import Arm
+from anther.drivers.free_running import FreeRunningCamera
+from anther.drivers.intera import types
+from anther.drivers.realsense import open_realsense
+from anther.drivers.rethink_gripper import RethinkGripper
+from anther.drivers.robotiq import Name, Robotiq2F, open_line
+from anther.drivers.ros1 import Node
+from anther.drivers.sawyer_ros1 import Mode, Sawyer
+from anther.drivers.uvc import open_uvc
+from anther.drivers.voice_coil import VoiceCoil, open_port
+from anther.errors import InputError, bad_input
+from anther.geometry import Intrinsics
+
+GIVEN = ("arm", "speed_ratio", "arm_master")
+NAME = "/anther"
+GRIPPER_NAME = "/anther_gripper"
+
+
+def sawyer_ros1(
+    master: str, *, host: str = "", mode: Mode = "position", rate: float = 100.0, speed_ratio: float = 0.1
+) -> Sawyer:
+    """Return a Sawyer behind a ROS master, such as "http://sawyer.local:11311"; host: this machine's own address."""
+    node = Node(master, NAME, types(), host)
+    try:
+        return Sawyer(node, mode=mode, rate=rate, speed_ratio=speed_ratio)
+    except BaseException:
+        node.close()
+        raise
+
+
+def rethink(*, arm_master: str) -> RethinkGripper:
+    """Return the electric gripper of a Sawyer, behind the same master."""
+    if not arm_master:
+        raise InputError("gripper 'rethink': it is reached through a Sawyer's ROS master; the arm has none.")
+    node = Node(arm_master, GRIPPER_NAME, types())
+    try:
+        return RethinkGripper(node)
+    except BaseException:
+        node.close()
+        raise
+
+
+def robotiq_2f(
+    port: str,
+    *,
+    model: Name = "2f-85",
+    force: float | None = None,
+    speed: float | None = None,
+    counts: tuple[int, int] = (3, 230),
+) -> Robotiq2F:
+    """Return a Robotiq 2F at a serial port, or at "tcp://HOST:PORT"."""
+    return Robotiq2F(open_line(port), model=model, force=force, speed=speed, counts=counts)
+
+
+def voice_coil(port: str, *, arm: Arm) -> VoiceCoil:
+    """Return a motor in the gripper at a serial port."""
+    return VoiceCoil(open_port(port), arm)
+
+
+def realsense(
+    serial: str = "", *, width: int = 848, height: int = 480, rate: int = 30, preset: str = ""
+) -> FreeRunningCamera:
+    """Return a connected RealSense; serial: as printed on it, "" is the only one."""
+    return open_realsense(serial or None, size=(width, height), rate=rate, preset=preset or None)
+
+
+def uvc(
+    source: str, *, width: int, height: int, fx: float, fy: float, cx: float, cy: float, rate: float = 30.0,
+    latency: float = 0.0,
+) -> FreeRunningCamera:  # fmt: skip
+    """Return any camera that OpenCV opens, by number, address or file, with its intrinsics [px]."""
+    where = int(source) if source.isdigit() else source
+    return open_uvc(where, Intrinsics(width, height, fx, fy, cx, cy), rate=rate, latency=latency)
+
+
+ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1}
+GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
+CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
+SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}
+
+
+def own_driver(name: str, where: str, folder: Path) -> Callable[..., Any]:
+    """Return what "package.module:callable" names, installed or in a folder.
+
+    Raises:
+        InputError: there is no such thing.
+    """
+    module, _, callable_ = name.partition(":")
+    if str(folder.resolve()) not in sys.path:
+        sys.path.append(str(folder.resolve()))  # to stay: the arm's own process looks there too
+    try:
+        found = getattr(importlib.import_module(module), callable_)
+    except (ImportError, AttributeError, ValueError) as error:
+        do = "Is its package installed, and the name right?"
+        raise bad_input(where, given=f'"{name}" ({error})', allowed="a driver that Python finds", do=do) from error
+    if not callable(found):
+        raise bad_input(where, given=f'"{name}"', allowed="a class or function", do="Name what makes the driver.")
+    return found
+
+
+def takes(make: Callable[..., Any], argument: str) -> bool:
+    """Return whether a driver wants an argument."""
+    return argument in inspect.signature(make).parameters

@@ -1,0 +1,216 @@
+"""A cell's machines: check that all are there (nothing moves), enable them, or move one joint a little."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+if TYPE_CHECKING:
+    from anther.cells import CellFile, Part
+    from anther.devices import Arm, Camera, JointTrajectory
+
+FARTHEST = 10.0
+"""A jog goes no further than this [degrees]."""
+WATCHED = 1.0
+"""So long a camera is recorded to see its rate [s]."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: what to do with which cell. docs/real_robot.md has the file, and the first hour."""
+
+    action: Annotated[Literal["check", "enable", "jog"], tyro.conf.Positional]
+    """check: connect to each part and show what it sees; enable: switch motors on, after a released stop too, and let
+    the gripper find its ends; jog: move one joint a little, within all limits. The last two ask first."""
+    file: Annotated[Path, tyro.conf.Positional]
+    """The cell file."""
+    joint: int = 6
+    """Which joint to jog, from 0."""
+    by: float = 2.0
+    """How far [degrees]."""
+
+
+def run(args: Args) -> int:
+    """Do it; return 0, or 1 where a part is missing.
+
+    Raises:
+        AntherError: a bad file, a machine that does not answer, or a motion that the limits refuse.
+    """
+    from anther.cells import read_cell
+
+    file = read_cell(args.file)
+    if args.action == "check":
+        return check(file)
+    return enable(file) if args.action == "enable" else jog(file, args.joint, args.by)
+
+
+def check(file: CellFile) -> int:
+    """Connect to each part by itself and print what it sees, or what is missing; nothing moves."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from anther.cells.owner import owned
+    from anther.errors import AntherError
+
+    table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+        arm: Any = None
+
+        def look(name: str, part: Part | None, see: Callable[[Any], list[str]]) -> Any:
+            nonlocal missing
+            if part is None:
+                table.add_row(name, "-", "none in the file")
+                return None
+            try:
+                machine = file.connect(part, arm=arm)
+                stack.callback(getattr(machine, "close", lambda: None))
+                seen = see(machine)
+            except AntherError as error:
+                missing += 1
+                table.add_row(name, part.driver, f"MISSING: {error}")
+                return None
+            table.add_row(name, part.driver, "\n".join(seen))
+            return machine
+
+        arm = look("arm", file.arm, lambda machine: _arm_seen(machine, file))
+        look("gripper", file.gripper, _gripper_seen)
+        look("wrist camera", file.wrist_camera, _camera_seen)
+        look("side camera", file.side_camera, _camera_seen)
+        look("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"])
+    table.add_row("limits", "", "\n".join(_limits_words(file)))
+    Console(markup=False, highlight=False).print(table)
+    print("all parts are there; nothing was moved" if not missing else f"{missing} missing; nothing was moved")
+    return 0 if not missing else 1
+
+
+def enable(file: CellFile) -> int:
+    """Switch the arm's motors on and let the gripper find its ends, each after a yes."""
+    from anther.cells.owner import owned
+
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+        arm = file.connect(file.arm)
+        stack.callback(getattr(arm, "close", lambda: None))
+        if hasattr(arm, "enable") and agreed("Switch the arm's motors on? Nobody in its reach, the stop in your hand."):
+            arm.enable()
+            print("the arm is enabled and holds where it is")
+        gripper = file.connect(file.gripper, arm=arm)
+        stack.callback(getattr(gripper, "close", lambda: None))
+        if hasattr(gripper, "enable") and agreed(
+            "Open and close the gripper all the way? Nothing between its fingers."
+        ):
+            gripper.enable()
+            print(
+                "the gripper is enabled" + (f"; counts = {list(gripper.counts)}" if hasattr(gripper, "counts") else "")
+            )
+    return 0
+
+
+def jog(file: CellFile, joint: int, degrees: float) -> int:
+    """Move one joint a little and tell where it went, after a yes.
+
+    Raises:
+        StageFailure: the way is not free, or passes a limit; nothing moved.
+    """
+    from anther.cells.owner import owned
+    from anther.checks import check_range
+    from anther.safety import GuardedArm
+
+    check_range("by", abs(degrees), 0.01, FARTHEST, "degrees")
+    limits = file.safety_limits()
+    check_range("joint", joint, 0, len(limits.joint_lower) - 1)
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+        arm = file.connect(file.arm)
+        stack.callback(getattr(arm, "close", lambda: None))
+        guarded = GuardedArm(arm, limits)
+        motion = _small_motion(file, guarded, joint, np.deg2rad(degrees))
+        if not agreed(f"Move joint {joint} by {degrees:g} degrees in {motion.duration:.1f} s?"):
+            return 1
+        record = guarded.follow(motion)
+        gap = np.rad2deg(np.abs(record.commanded - record.measured).max())
+        went = np.rad2deg(guarded.joints() - motion.positions[0])
+        print(f"joint {joint} went {went[joint]:.3f} degrees; farthest behind {gap:.3f}; {len(record.times)} readings")
+    return 0
+
+
+def agreed(question: str) -> bool:
+    """Return whether a person types yes."""
+    try:
+        answer = input(f"{question} Type yes: ")
+    except EOFError:
+        answer = ""
+    if answer.strip().lower() != "yes":
+        print("not done")
+        return False
+    return True
+
+
+def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTrajectory:
+    """Return the motion of one joint [rad]; arm and tool touch neither themselves nor a keep-out box."""
+    from anther.arm.planner import Planner
+    from anther.commands.hardware_cell import motion_params
+    from anther.errors import StageFailure
+
+    boxes = [place.box for place in file.keep_out]
+    none = np.zeros((0, 3))
+    planner = Planner(none, none, boxes, space=file.arm_space, params=motion_params(file.limits.speed_ratio))
+    here = arm.joints()
+    there = here + way * np.eye(len(here))[joint]
+    if not planner.world.path_free(np.stack([here, there])):
+        raise StageFailure("collision", "the arm would touch itself or a keep-out box. Jog the other way.")
+    return planner.move(here, there)
+
+
+def _arm_seen(arm: Any, file: CellFile) -> list[str]:
+    from anther.arm import sawyer
+
+    q, limits = arm.joints(), file.safety_limits()
+    margin = np.rad2deg(np.minimum(q - limits.joint_lower, limits.joint_upper - q).min())
+    place = ", ".join(f"{x:.3f}" for x in sawyer.forward(q)[:3, 3])
+    inside = "inside" if limits.workspace.contains(sawyer.forward(q)[:3, 3]) else "OUTSIDE"
+    seen = [
+        "joints " + " ".join(f"{x:.3f}" for x in q) + f" rad; {margin:.0f} degrees from the nearest end",
+        f"flange at {place} m, {inside} its space",
+    ]
+    return seen + (arm.seen() if hasattr(arm, "seen") else [])
+
+
+def _gripper_seen(gripper: Any) -> list[str]:
+    state = gripper.state()
+    held = f"holds something with {state.force:.1f} N" if state.is_gripping else "holds nothing"
+    return [f"{1e3 * state.opening:.1f} of {1e3 * gripper.stroke:.1f} mm open, {held}"]
+
+
+def _camera_seen(camera: Camera) -> list[str]:
+    before = time.monotonic()
+    frame, lens = camera.read(), camera.intrinsics
+    took, late = time.monotonic() - before, time.monotonic() - frame.time
+    camera.start(30.0)
+    time.sleep(WATCHED)
+    frames = camera.stop()
+    rate = (len(frames) - 1) / (frames[-1].time - frames[0].time) if len(frames) > 1 else float("nan")
+    near = frame.depth[frame.depth > 0]
+    depth = f"depth in {len(near) / frame.depth.size:.0%} of it"
+    return [
+        f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; {depth}",
+        f"a frame after {1e3 * took:.0f} ms, {1e3 * late:.0f} ms old by its stamp; {rate:.1f} a second",
+    ]
+
+
+def _limits_words(file: CellFile) -> list[str]:
+    limits = file.safety_limits()
+    return [
+        f"speed ratio {file.limits.speed_ratio:g}: flange {limits.flange_speed:.2f} m/s, joints "
+        + " ".join(f"{v:.2f}" for v in limits.joint_speed)
+        + " rad/s",
+        f"contact {limits.contact_force:g} N, tracking {limits.tracking:g} rad, {len(file.keep_out)} keep-out boxes",
+    ]

@@ -1,0 +1,191 @@
+"""Say what is installed, what is missing and how to get it: versions, extras, GPU, compiled code, cameras, disk."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from packaging.requirements import Requirement
+
+LEAST_PYTHON = (3, 11)
+LEAST_DISK = 1e9
+"""Free space that a few trials take [bytes]: one is some 60 MB."""
+FOR = {
+    "cell": "trials: an arm that moves, simulated or real",
+    "view": "the 3-D viewer",
+    "segmentation": "masks by Grounding DINO, SAM 2 and SAM 3",
+    "bags": "RealSense and ROS bags, MCAP",
+    "realsense": "a RealSense camera",
+    "sawyer": "a Sawyer over ROS 1",
+    "gripper": "a Robotiq gripper",
+    "motor": "a motor in the gripper",
+    "cuda": "rods on a GPU",
+    "postgresql": "a history that several robots share",
+    "parquet": "history as Parquet",
+    "sweep": "many runs at once, on every core or a cluster",
+    "serve": "pages of the history",
+}
+"""Extra -> what it is for."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: how to print."""
+
+    json: bool = False
+    """Print the findings as JSON."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes:
+        what: its name.
+        state: "ok"; "absent", which only some commands need; or "wrong", without which Anther does not work.
+        found: what is there.
+        do: how to get it or mend it; empty where nothing is to be done.
+    """
+
+    what: str
+    state: Literal["ok", "absent", "wrong"]
+    found: str
+    do: str = ""
+
+
+def run(args: Args) -> int:
+    """Print the findings; return 1 if one of them is wrong."""
+    findings = list(examine())
+    if args.json:
+        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+    else:
+        for f in findings:
+            print(f"{f.state:8}{f.what:16}{f.found}" + (f"\n{'':24}{f.do}" if f.do else ""))
+    return int(any(finding.state == "wrong" for finding in findings))
+
+
+def examine() -> Iterator[Finding]:
+    """Look at everything; nothing is written but one temporary file, which is removed."""
+    yield _python()
+    required, extras = _requirements()
+    yield _packages(required)
+    for extra, needed in extras.items():
+        yield _extra(extra, needed)
+    yield _gpu()
+    yield _compiled()
+    yield _cameras()
+    yield _disk(Path.cwd())
+
+
+def _python() -> Finding:
+    found = f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+    if sys.version_info[:2] < LEAST_PYTHON:
+        return Finding("Python", "wrong", found, f"Anther needs Python {LEAST_PYTHON[0]}.{LEAST_PYTHON[1]} or newer.")
+    return Finding("Python", "ok", found)
+
+
+def _requirements() -> tuple[list[Requirement], dict[str, list[Requirement]]]:
+    """Return what Anther needs, and what each extra needs, as its installed metadata tells."""
+    try:
+        distribution = metadata.distribution("anther")
+    except metadata.PackageNotFoundError:
+        return [], {}
+    needs = [Requirement(text) for text in distribution.requires or ()]
+    names = distribution.metadata.get_all("Provides-Extra") or []
+    core = [need for need in needs if need.marker is None or need.marker.evaluate({"extra": ""})]
+    rest = [need for need in needs if need not in core]
+    return core, {x: [n for n in rest if n.marker is not None and n.marker.evaluate({"extra": x})] for x in names}
+
+
+def _lacking(needs: list[Requirement]) -> list[str]:
+    """Return which packages are missing or of another version than is needed."""
+    found = []
+    for need in needs:
+        try:
+            version = metadata.version(need.name)
+        except metadata.PackageNotFoundError:
+            found.append(need.name)
+            continue
+        if not need.specifier.contains(version, prereleases=True):
+            found.append(f"{need.name} {version} (needs {need.specifier})")
+    return found
+
+
+def _packages(needs: list[Requirement]) -> Finding:
+    from anther import __version__
+
+    if not needs:
+        return Finding("Anther", "wrong", f"{__version__}, not installed", "Install it: pip install anther")
+    lacking = _lacking(needs)
+    if lacking:
+        return Finding("Anther", "wrong", f"{__version__}, without {', '.join(lacking)}", "pip install anther")
+    return Finding("Anther", "ok", f"{__version__}, with all {len(needs)} packages it needs")
+
+
+def _extra(name: str, needs: list[Requirement]) -> Finding:
+    what, lacking = FOR.get(name, ""), _lacking(needs)
+    if lacking:
+        return Finding(
+            f"[{name}]", "absent", f"{what}: not installed: {', '.join(lacking)}", f"pip install 'anther[{name}]'"
+        )
+    return Finding(f"[{name}]", "ok", what)
+
+
+def _gpu() -> Finding:
+    if not Path("/proc/driver/nvidia/version").exists() and shutil.which("nvidia-smi") is None:
+        return Finding("GPU", "absent", "no NVIDIA driver; only --device cuda and network masks gain by one")
+    try:
+        from numba import cuda
+
+        if cuda.is_available():
+            return Finding("GPU", "ok", str(cuda.get_current_device().name))
+    except Exception as error:  # whatever driver and toolkit raise is what the user should read
+        return Finding(
+            "GPU", "absent", f"an NVIDIA driver, and numba cannot use it ({error})", "pip install 'anther[cuda]'"
+        )
+    return Finding("GPU", "absent", "an NVIDIA driver, and numba cannot use it", "pip install 'anther[cuda]'")
+
+
+def _compiled() -> Finding:
+    """Compiled code is kept in numba's folder: without one every first command of a process takes a minute."""
+    import anther
+
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(named) if named else Path(anther.__file__).parent / "__pycache__"
+    if named and Path(tempfile.gettempdir()) in folder.parents:
+        do = "Set NUMBA_CACHE_DIR to a folder of your own that stays."
+        return Finding("compiled code", "absent", f"kept in {folder}, which may not last", do)
+    if not named and not anther._may_write(folder):
+        return Finding("compiled code", "ok", "kept in your cache folder")
+    return Finding("compiled code", "ok", f"kept in {folder}")
+
+
+def _cameras() -> Finding:
+    """Name the video devices that Linux sees; a depth camera shows as several."""
+    devices = sorted(Path("/sys/class/video4linux").glob("video*/name"))
+    names = sorted({device.read_text(encoding="utf-8", errors="replace").strip() for device in devices})
+    if names:
+        return Finding("cameras", "ok", "; ".join(names))
+    return Finding("cameras", "absent", "none; recorded views need none")
+
+
+def _disk(folder: Path) -> Finding:
+    free = shutil.disk_usage(folder).free
+    found = f"{free / 1e9:.1f} GB free in {folder}"
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        return Finding("disk", "wrong", f"{folder}: {error.strerror}", "Go to a folder that you may write.")
+    if free < LEAST_DISK:
+        return Finding("disk", "wrong", found, f"Free some: {LEAST_DISK / 1e9:g} GB hold a few trials.")
+    return Finding("disk", "ok", found)

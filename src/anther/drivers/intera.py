@@ -1,0 +1,139 @@
+"""The messages of Rethink's Intera 5.3 that the drivers use, and its I/O devices. Facts: sawyer 5 (intera_common)."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from anther.devices import DeviceError
+from anther.drivers.ros1 import Node, typestore
+
+DEFINITIONS = {
+    "intera_core_msgs/msg/JointCommand": """
+        std_msgs/Header header
+        int32 mode
+        string[] names
+        float64[] position
+        float64[] velocity
+        float64[] acceleration
+        float64[] effort
+        int32 POSITION_MODE=1
+        int32 VELOCITY_MODE=2
+        int32 TORQUE_MODE=3
+        int32 TRAJECTORY_MODE=4""",
+    "intera_core_msgs/msg/RobotAssemblyState": """
+        bool homed
+        bool ready
+        bool enabled
+        bool stopped
+        bool error
+        bool lowVoltage
+        uint8 estop_button
+        uint8 ESTOP_BUTTON_UNPRESSED = 0
+        uint8 ESTOP_BUTTON_PRESSED   = 1
+        uint8 ESTOP_BUTTON_UNKNOWN   = 2
+        uint8 ESTOP_BUTTON_RELEASED  = 3
+        uint8 estop_source
+        uint8 ESTOP_SOURCE_NONE      = 0
+        uint8 ESTOP_SOURCE_USER      = 1
+        uint8 ESTOP_SOURCE_UNKNOWN   = 2
+        uint8 ESTOP_SOURCE_FAULT     = 3
+        uint8 ESTOP_SOURCE_ENGINE    = 4""",
+    "intera_core_msgs/msg/EndpointState": """
+        std_msgs/Header header
+        geometry_msgs/Pose pose
+        geometry_msgs/Twist twist
+        geometry_msgs/Wrench wrench
+        bool valid""",
+    "intera_core_msgs/msg/CollisionDetectionState": """
+        std_msgs/Header header
+        bool collision_state""",
+    "intera_core_msgs/msg/IOStatus": """
+        string tag
+        string DOWN      = down
+        string READY     = ready
+        string BUSY      = busy
+        string UNREADY   = unready
+        string ERROR     = error
+        string id
+        string detail""",
+    "intera_core_msgs/msg/IODataStatus": """
+        string name
+        string format
+        string data
+        intera_core_msgs/IOStatus status""",
+    "intera_core_msgs/msg/IOComponentStatus": """
+        string name
+        intera_core_msgs/IOStatus status""",
+    "intera_core_msgs/msg/IODeviceStatus": """
+        time time
+        intera_core_msgs/IOComponentStatus device
+        intera_core_msgs/IODataStatus[] ports
+        intera_core_msgs/IODataStatus[] signals
+        time[] commands
+        string[] responses""",
+    "intera_core_msgs/msg/IOComponentCommand": """
+        time time
+        string op
+        string args""",
+}
+"""Their check sums are the robot's own: the constants count too, in their order."""
+
+ACKNOWLEDGED, AGAIN = 2.0, 0.1
+"""A command to an I/O device is sent every `AGAIN` [s] until its status tells of it, for so long; as intera_sdk."""
+
+
+def types() -> Any:
+    """Return rosbags' store with these messages in it."""
+    return typestore(DEFINITIONS)
+
+
+class IoDevice:
+    """An I/O device of the robot, such as "robot/cuff" or "end_effector/right_gripper"."""
+
+    def __init__(self, node: Node, name: str, *, sleep: Callable[[float], None] = time.sleep) -> None:
+        """Begin to listen to it. There may be no such device: then it has no signals."""
+        self._node, self._name, self._sleep = node, name, sleep
+        self._signals: dict[str, tuple[str, Any]] = {}
+        self._done: set[tuple[int, int]] = set()
+        self._commands = node.publisher(f"/io/{name}/command", "intera_core_msgs/msg/IOComponentCommand")
+        node.subscribe(f"/io/{name}/state", "intera_core_msgs/msg/IODeviceStatus", self._hear)
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of its signals; none as long as nothing was heard of it."""
+        return tuple(self._signals)
+
+    def value(self, signal: str) -> Any:
+        """Return what a signal reads; None if there is none of that name."""
+        return self._signals.get(signal, ("", None))[1]
+
+    def set(self, signal: str, value: Any) -> None:
+        """Set a signal; return when the device says that it has done so.
+
+        Raises:
+            DeviceError: it has no such signal, or says nothing.
+        """
+        if signal not in self._signals:
+            known = ", ".join(self._signals) or "none: nothing was heard of it"
+            raise DeviceError(f"I/O device {self._name}: no signal '{signal}'; it has {known}.")
+        make, now = self._node.types.types, time.time_ns()
+        stamp = (now // 10**9, now % 10**9)
+        setting = {"format": {"type": self._signals[signal][0]}, "data": [value]}
+        command = make["intera_core_msgs/msg/IOComponentCommand"](
+            make["builtin_interfaces/msg/Time"](*stamp), "set", json.dumps({"signals": {signal: setting}})
+        )
+        for _ in range(round(ACKNOWLEDGED / AGAIN)):
+            self._commands.publish(command)
+            self._sleep(AGAIN)
+            if stamp in self._done:
+                return
+        raise DeviceError(f"I/O device {self._name} does not acknowledge {signal}. Is it attached, and its brake off?")
+
+    def _hear(self, message: Any) -> None:
+        self._done = {(t.sec, t.nanosec) for t in message.commands}
+        for signal in message.signals:
+            with suppress(ValueError, LookupError, TypeError):  # a signal that cannot be read keeps its last value
+                self._signals[signal.name] = (json.loads(signal.format)["type"], (json.loads(signal.data) or [None])[0])

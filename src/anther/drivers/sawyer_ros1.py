@@ -1,0 +1,358 @@
+"""A Rethink Sawyer over ROS 1, as a `devices.Arm`. Facts: sawyer 5; on metal it has not run (docs/real_robot.md)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from anther.arm import sawyer
+from anther.checks import check_range
+from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
+from anther.drivers.intera import IoDevice
+from anther.drivers.priority import quick_turns, served_first
+from anther.drivers.reference import Reference, braking
+from anther.drivers.ros1 import Node
+from anther.geometry import Array
+
+STALE = 0.05
+"""Joints read longer ago than this are not believed [s]."""
+SILENCE = 0.03
+"""The arm stops by itself when it hears no command for so long [s] (joint_command_timeout), and so does the driver when
+it could not give one."""
+SETTLE = 0.1
+"""The end of a motion is commanded for so long before it counts as over [s]."""
+WAITING = 5.0
+"""Something of a robot that is on is heard within this [s]."""
+DRIFT = 1e-4
+"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
+NEAR = 0.05
+"""An arm further than this from where it was sent is held where it is instead [rad]."""
+
+LIMB = "/robot/limb/right/"
+Mode = Literal["position", "trajectory"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """Joints (J,) [rad] read at `time` [s] on this machine's clock, by the robot's stamp."""
+
+    time: float
+    joints: Array
+
+
+class Readings:
+    """The joints as they come in, put in order by their names.
+
+    Attributes:
+        last: the newest; None before the first.
+        trouble: why what comes in cannot be used; empty while it can.
+        offset: the robot's clock is behind this machine's by so much, less the quickest message's way [s].
+        rate: readings a second, of the last hundred.
+    """
+
+    def __init__(self, names: Sequence[str], clock: Callable[[], float]) -> None:
+        self.last: Reading | None = None
+        self.trouble, self.offset, self.rate = "", float("nan"), float("nan")
+        self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
+
+    def hear(self, message: Any) -> None:
+        """Take a sensor_msgs/JointState; one of other joints only is passed over."""
+        arrival, stamp = self._clock(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        places = {name: i for i, name in enumerate(message.name)}
+        if not any(name in places for name in self._names):
+            return
+        missing = [name for name in self._names if name not in places]
+        if missing or len(places) != len(message.name) or len(message.position) != len(message.name):
+            told = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
+            self.trouble = f"joints: got {', '.join(message.name)}: {told}; allowed: {', '.join(self._names)}"
+            return
+        joints = np.array([message.position[places[name]] for name in self._names], dtype=float)
+        if not np.isfinite(joints).all():
+            self.trouble = f"joints: got {joints} rad"
+            return
+        self._set_clocks(arrival, stamp)
+        self.trouble = ""
+        if self.last is None or stamp + self.offset > self.last.time:
+            self.last = Reading(stamp + self.offset, joints)
+
+    def age(self) -> float:
+        """Return how old the newest is [s]; infinite before the first."""
+        return float("inf") if self.last is None else self._clock() - self.last.time
+
+    def _set_clocks(self, arrival: float, stamp: float) -> None:
+        passed = arrival - self._arrivals[-1] if self._arrivals else 0.0
+        lag = arrival - stamp
+        self.offset = lag if np.isnan(self.offset) else min(lag, self.offset + DRIFT * passed)
+        self._arrivals = [*self._arrivals[-99:], arrival]
+        if len(self._arrivals) > 1:
+            self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)
+
+
+class Sawyer:
+    """A Sawyer behind a ROS master, streamed to at `rate`. It must have been enabled, see `enable`.
+
+    In "position" mode the robot's own controller limits the speed and avoids self-collision: for bring-up. A shake
+    needs "trajectory" mode, in which it follows what it is told.
+
+    Attributes:
+        node: through which it is spoken to.
+        readings: of its joints.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        *,
+        names: Sequence[str] = sawyer.JOINTS,
+        acceleration: Array = sawyer.ACCELERATION,
+        mode: Mode = "position",
+        rate: float = 100.0,
+        speed_ratio: float = 0.1,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Connect. Nothing moves.
+
+        Args:
+            node: registered with the robot's master.
+            names: (J,) of the joints, in Anther's order.
+            acceleration: (J,) with which it brakes [rad/s^2].
+            mode: see the class.
+            rate: of the commands [1/s].
+            speed_ratio: of the robot's own controller, in position mode.
+            clock, sleep: [s]; the clock that readings are told on.
+
+        Raises:
+            DeviceError: it is not heard, or has other joints.
+        """
+        check_range("rate", rate, 50, 800, "commands a second")
+        check_range("speed ratio", speed_ratio, 0.01, 1)
+        self.node, self._names, self._acceleration, self._mode = node, tuple(names), acceleration, mode
+        self._period, self._clock, self._sleep = 1 / rate, clock, sleep
+        self.readings = Readings(names, clock)
+        self._state: Any = None
+        self._collided, self._force = False, (float("-inf"), float("nan"))
+        self._sent: tuple[Array, Array] | None = None
+        node.subscribe("/robot/joint_states", "sensor_msgs/msg/JointState", self.readings.hear)
+        node.subscribe("/robot/state", "intera_core_msgs/msg/RobotAssemblyState", self._hear_state)
+        node.subscribe(LIMB + "endpoint_state", "intera_core_msgs/msg/EndpointState", self._hear_force)
+        kind = "intera_core_msgs/msg/CollisionDetectionState"
+        node.subscribe(LIMB + "collision_detection_state", kind, self._hear_collision)
+        self._cuff = IoDevice(node, "robot/cuff", sleep=sleep)
+        self._commands = node.publisher(LIMB + "joint_command", "intera_core_msgs/msg/JointCommand")
+        self._enable = node.publisher("/robot/set_super_enable", "std_msgs/msg/Bool")
+        self._reset = node.publisher("/robot/set_super_reset", "std_msgs/msg/Empty")
+        ratio, silence = (
+            node.publisher(LIMB + topic, "std_msgs/msg/Float64", latch=True)
+            for topic in ("set_speed_ratio", "joint_command_timeout")
+        )
+        ratio.publish(self._make("std_msgs/msg/Float64", speed_ratio))
+        silence.publish(self._make("std_msgs/msg/Float64", SILENCE))
+        self._wait(lambda: self.readings.last is not None and self._state is not None, "is not heard")
+        self._check_names()
+        self._wait(lambda: self._commands.readers > 0, "does not listen to joint_command")
+        node.types.serialize_ros1(self._message(self.joints()), "intera_core_msgs/msg/JointCommand")  # slow at first
+
+    def joints(self) -> Array:
+        """Return the measured joint angles (J,) [rad].
+
+        Raises:
+            DeviceError: they are stale, or cannot be read.
+        """
+        reading, age = self.readings.last, self.readings.age()
+        if self.readings.trouble:
+            raise DeviceError(f"{self.readings.trouble}. Check the robot's description, and start anew.")
+        if reading is None or age > STALE:
+            given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * STALE:.0f} ms"
+            raise DeviceError(f"{given}. Check network, robot, and both clocks; then start anew.")
+        return reading.joints.copy()
+
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
+        """Follow a trajectory as `anther.devices.Arm` says; commands go on while `more` is thought about.
+
+        Raises:
+            DeviceError: the arm cannot move, is stopped, says nothing, or the commands came too late; it holds.
+        """
+        samples, reference = list[ArmSample](), Reference(trajectory, more)
+        try:
+            self.check_able()
+            with quick_turns(), served_first():
+                self._stream(reference, watch, samples)
+        except BaseException:
+            self.hold()
+            raise
+        finally:
+            reference.close()
+        return ArmRecord.of(samples)
+
+    def hold(self) -> None:
+        """Brake if it moves, and hold. What cannot move (stopped, not enabled, in somebody's hand) is left alone."""
+        try:
+            if self.cannot():
+                return
+            if self._sent is not None and np.any(self._sent[1]):
+                way = Reference(braking(*self._sent, self._acceleration))
+                begin = self._clock()
+                while (t := self._clock() - begin) < way.ends:
+                    self._command(*way.at(t))
+                    self._sleep(self._period)
+                self._rest(way.at(way.ends)[0])
+            elif self._sent is not None:
+                here, sent = self.joints(), self._sent[0]
+                self._rest(here if np.abs(sent - here).max() > NEAR else sent)
+        finally:
+            self._sent = None if self._sent is None else (self._sent[0], np.zeros(len(self._names)))
+
+    def cannot(self) -> str:
+        """Return why the arm cannot be moved now; empty if it can."""
+        state = self._state
+        if state is None:
+            return "its state is not known"
+        pressed = state.estop_button == state.ESTOP_BUTTON_PRESSED
+        reasons = {
+            "it is stopped: the stop button is pressed": pressed,
+            "it is stopped: look why, then reset and enable it with anther cell enable": state.stopped,
+            "it reports an error: look at its display": state.error,
+            "it is not enabled: anther cell enable does that": not state.enabled,
+            "its cuff is held by somebody": self._cuff.value("right_cuff"),
+            "it felt a collision: look what it touches": self._collided,
+            "nobody listens to joint_command: is the robot still on?": not self._commands.readers,
+        }
+        return next((why for why, holds in reasons.items() if holds), "")
+
+    def seen(self) -> list[str]:
+        """Return in words what is heard of the robot."""
+        why, r = self.cannot(), self.readings
+        return [
+            f"{r.rate:.0f} readings a second, the newest {1e3 * r.age():.0f} ms old; its clock is "
+            f"{-1e3 * (r.offset - self._clock() + time.time()):+.0f} ms ahead of this machine's",
+            f"commands: {self._mode}, {1 / self._period:g} a second; force {self._felt(self._clock()):.1f} N",
+            f"cannot move: {why}" if why else "ready to move",
+        ]
+
+    def check_able(self) -> None:
+        """Check that the arm can be moved and is heard.
+
+        Raises:
+            DeviceError: why not.
+        """
+        why = self.cannot()
+        if why:
+            raise DeviceError(f"the arm cannot move: {why}.")
+        self.joints()
+
+    def enable(self) -> None:
+        """Switch the motors on; after a stop that was released, reset it first. The arm holds where it is.
+
+        Raises:
+            DeviceError: the stop button is still pressed, or the robot does not obey.
+        """
+        if self._state.stopped or self._state.error:
+            if self._state.estop_button == self._state.ESTOP_BUTTON_PRESSED:
+                raise DeviceError(
+                    "the stop button is pressed. Look why; turn it until it comes out; then enable again."
+                )
+            empty = self._make("std_msgs/msg/Empty")
+            clear = lambda: not (self._state.stopped or self._state.error)  # noqa: E731
+            self._wait(clear, "does not reset", lambda: self._reset.publish(empty))
+        self._switch(True)
+        self._sent = None
+
+    def disable(self) -> None:
+        """Switch the motors off: the brakes hold the arm.
+
+        Raises:
+            DeviceError: the robot does not obey.
+        """
+        self._switch(False)
+
+    def close(self) -> None:
+        """Sign off from the master."""
+        self.node.close()
+
+    def _switch(self, on: bool) -> None:
+        says, what = self._make("std_msgs/msg/Bool", on), f"is not {'en' if on else 'dis'}abled"
+        self._wait(lambda: self._state.enabled == on, what, lambda: self._enable.publish(says))
+
+    def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
+        last = begin = due = self._clock()
+        seen = begin - STALE if self.readings.last is None else self.readings.last.time
+        while True:
+            now = self._clock()
+            if now - last > SILENCE:
+                late = f"{1e3 * (now - last):.0f} ms after the one before; allowed: {1e3 * SILENCE:.0f} ms"
+                raise DeviceError(f"a command came {late}. Let nothing else run on this machine.")
+            reference.look_ahead(now - begin)
+            self._command(*reference.at(now - begin))
+            last = now
+            self.check_able()
+            reading = self.readings.last
+            if reading is not None and reading.time > seen:
+                seen = reading.time
+                wanted = reference.at(seen - begin)[0]
+                samples.append(ArmSample(seen, wanted, reading.joints, self._felt(now)))
+                if watch:
+                    watch(samples[-1])
+            if reference.whole and now - begin >= reference.ends + SETTLE:
+                break
+            due = max(due + self._period, now)
+            self._sleep(max(due - self._clock(), 0))
+        self._rest(reference.at(reference.ends)[0])
+
+    def _command(self, q: Array, rate: Array, acceleration: Array) -> None:
+        self._commands.publish(self._message(q, rate, acceleration))
+        self._sent = (q, rate)
+
+    def _rest(self, q: Array) -> None:
+        """Command joints (J,) at which the arm then stays without being told again."""
+        self._commands.publish(self._message(q))
+        self._sent = (q, np.zeros(len(self._names)))
+
+    def _message(self, q: Array, rate: Array | None = None, acceleration: Array | None = None) -> Any:
+        follows = self._mode == "trajectory" and rate is not None
+        none, now = np.zeros(0), time.time_ns()
+        stamp = self._make("builtin_interfaces/msg/Time", now // 10**9, now % 10**9)
+        return self._make(
+            "intera_core_msgs/msg/JointCommand",
+            self._make("std_msgs/msg/Header", 0, stamp, ""),
+            4 if follows else 1,
+            list(self._names),
+            q,
+            rate if follows else none,
+            acceleration if follows else none,
+            none,
+        )
+
+    def _make(self, kind: str, *values: Any) -> Any:
+        return self.node.types.types[kind](*values)
+
+    def _hear_state(self, message: Any) -> None:
+        self._state = message
+
+    def _hear_collision(self, message: Any) -> None:
+        self._collided = bool(message.collision_state)
+
+    def _hear_force(self, message: Any) -> None:
+        f = message.wrench.force
+        self._force = (self._clock(), float(np.linalg.norm([f.x, f.y, f.z])))
+
+    def _felt(self, now: float) -> float:
+        return self._force[1] if now - self._force[0] < 2 * STALE else float("nan")
+
+    def _check_names(self) -> None:
+        told = self.node.parameter("/robot_config/right_config/joint_names")
+        if told is not None and set(told) != set(self._names):
+            given = f"joints: the robot has {', '.join(map(str, told))}; allowed: {', '.join(self._names)}"
+            raise DeviceError(f"{given}. This is not the arm that Anther's model describes.")
+
+    def _wait(self, done: Callable[[], bool], what: str, ask: Callable[[], None] = lambda: None) -> None:
+        until = time.monotonic() + WAITING
+        while not done():
+            if time.monotonic() > until:
+                raise DeviceError(f"the robot {what} within {WAITING:g} s. {self.readings.trouble or 'Is it on?'}")
+            ask()
+            time.sleep(0.05)

@@ -1,0 +1,223 @@
+"""Cell files: what they say, how they are wrong, who owns the arm; and the command that checks, enables and jogs."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_robotiq import FakeRobotiq
+from fake_ros_master import FakeMaster
+from fake_sawyer import FakeSawyer
+
+from anther.arm import sawyer
+from anther.cells import CellFile, parts, read_cell
+from anther.cells.owner import owned
+from anther.cli import main
+from anther.devices import DeviceError
+from anther.drivers import sawyer_ros1
+from anther.errors import AntherError, InputError
+
+EXAMPLE = (Path(__file__).parent / "cells" / "sawyer.toml").read_text()
+PAGE = Path(__file__).parents[1] / "docs" / "real_robot.md"
+
+Write = Callable[..., Path]
+Machines = tuple[Path, FakeSawyer, FakeRobotiq]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Write the example with some of its words replaced."""
+
+    def written(*changes: tuple[str, str]) -> Path:
+        text = EXAMPLE
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        (tmp_path / "cell.toml").write_text(text)
+        return tmp_path / "cell.toml"
+
+    return written
+
+
+def test_a_cell_file_says_what_stands_where_and_what_it_may(write: Write) -> None:
+    cell = read_cell(write())
+    assert isinstance(cell, CellFile)
+    assert (cell.arm.driver, cell.gripper.driver) == ("sawyer-ros1", "robotiq-2f")
+    assert cell.T_flange_cam == pytest.approx(sawyer.T_FLANGE_CAM, abs=1e-6)
+    assert cell.shaker is None
+    limits = cell.safety_limits()
+    assert limits.joint_speed == pytest.approx(0.3 * sawyer.VELOCITY)
+    assert limits.flange_speed == pytest.approx(0.45)
+    assert limits.contact_force == 20.0
+    assert [place.name for place in cell.keep_out] == ["bench"]
+    assert limits.keep_out[0].upper[2] == -0.48
+
+
+def test_the_manuals_example_is_a_cell_file(tmp_path: Path) -> None:
+    found = re.search(r"```toml\n(.+?)```", PAGE.read_text(), re.DOTALL)
+    assert found is not None
+    (tmp_path / "cell.toml").write_text(found[1])
+    (tmp_path / "my_cameras.py").write_text("from fake_robot import FakeCamera as Wrist, FakeCamera as Side")
+    cell = read_cell(tmp_path / "cell.toml")
+    assert cell.limits.speed_ratio == 0.1
+    assert cell.shaker is not None
+
+
+WRONG = [
+    ("mode = ", "moed = ", r"line 5: arm.moed: got an unknown key .moed.; allowed: .*Did you mean mode"),
+    ('"trajectory"', '"torque"', r'line 5: arm.mode: got "torque"; allowed: "position", "trajectory"'),
+    ("speed_ratio = 0.3", 'speed_ratio = "slow"', r'line 37: limits.speed_ratio: got "slow"; allowed: a number'),
+    ("speed_ratio = 0.3", "speed_ratio = 3", r"line 36: limits: speed_ratio: got 3; allowed: 0.01 <="),
+    ("contact_force = 20", "contact_force = 1e9", r"line 36: limits: contact_force: got 1e\+09 N"),
+    ("[gripper]", "[griper]", r"line 7: griper: got an unknown key .griper."),
+    ('[gripper]\ndriver = "robotiq-2f"\nport = "GRIPPER"\n', "", r"got no \[gripper\]"),
+    ('port = "GRIPPER"', "", r"line 7: gripper: got no 'port'; allowed: port = text in quotes"),
+    ('"robotiq-2f"', '"schunk"', r'line 8: gripper.driver: got "schunk"; allowed: "rethink", "robotiq-2f"'),
+    ('driver = "robotiq-2f"', "", r"line 7: gripper: got no driver"),
+    ("fake_robot:FakeCamera", "fake_robot:NoCamera", r"line 12: wrist_camera.driver: got .*that Python finds"),
+    ("T_flange_cam", "hand_eye", r"line 11: wrist_camera: got no calibration and no T_flange_cam"),
+    ("[0.09, 0.0, 0.03,", "[0.09, 0.0,", r"line 13: wrist_camera.T_flange_cam: .*allowed: 7 numbers"),
+    ("0.70710678, 0.70710678]", "0.0, 0.0]", r"line 13: wrist_camera.T_flange_cam: "),
+    ("T_world_cam", "T_cam", r"line 15: side_camera: got no 'T_world_cam'"),
+    ("lower = [0.32", "lower = [9.32", r"line 19: workspace: box: .*lower < upper"),
+    ("lower = [0.42", "lower = [9.42", r"keep_out.0: box: .*lower < upper"),
+    ("upper = [1.22, 0.55, -0.48]", 'upper = [1.22, 0.55, "a"]', r"line 34: keep_out.0.upper: .*3 numbers"),
+    ("[limits]", "[tool]\ntip = 0.2\n[limits]", r"tool: tip: got 0.2 m"),
+    ("[arm]", "[arm", r"no TOML: .*at line 2"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), WRONG)
+def test_what_is_wrong_in_it_is_told_with_its_line(write: Write, old: str, new: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_cell(write((old, new)))
+
+
+def test_an_own_driver_is_told_only_what_it_takes(write: Write) -> None:
+    with pytest.raises(InputError, match=r"wrist_camera.serial: got an unknown key 'serial'"):
+        read_cell(write(('FakeCamera"\nT_flange', 'FakeCamera"\nserial = "1"\nT_flange')))
+
+
+HOLDS = """
+import sys, time
+from pathlib import Path
+from anther.cells.owner import owned
+with owned("sawyer-ros1 http://r:11311", Path(sys.argv[1])):
+    print("owned", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_two_processes_cannot_own_one_arm(tmp_path: Path) -> None:
+    words = [sys.executable, "-c", HOLDS, str(tmp_path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "owned\n"
+        with (
+            pytest.raises(DeviceError, match=f"commanded by another process, number {other.pid}"),
+            owned("sawyer-ros1 http://r:11311", tmp_path),
+        ):
+            raise AssertionError
+        with owned("sawyer-ros1 http://other:11311", tmp_path):
+            pass
+        other.kill()
+        other.wait()
+    with owned("sawyer-ros1 http://r:11311", tmp_path):
+        pass
+
+
+@pytest.fixture
+def machines(write: Write, monkeypatch: pytest.MonkeyPatch) -> Iterator[Machines]:
+    """A cell file, and its fakes. Milliseconds are tested elsewhere: here this machine may be busy."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(sawyer_ros1, "STALE", 1.0)
+    monkeypatch.setattr(sawyer_ros1, "SILENCE", 1.0)
+    master = FakeMaster()
+    with closing(FakeSawyer(master.uri)) as arm, closing(FakeRobotiq()) as gripper:
+        yield write(("MASTER", master.uri), ("GRIPPER", f"tcp://127.0.0.1:{gripper.port}")), arm, gripper
+    master.stop()
+
+
+def test_check_shows_what_each_part_sees_and_moves_nothing(
+    machines: Machines, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, arm, gripper = machines
+    gripper.active = True
+    assert main(["cell", "check", str(file)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    for words in (
+        "readings a second",
+        "ready to move",
+        "holds nothing",
+        "8 x 6 px",
+        "speed ratio 0.3",
+        "nothing was moved",
+    ):
+        assert words in said
+    assert arm.heard == []
+    assert gripper.writes == []
+
+
+def test_check_says_what_is_missing_and_how_to_get_it(machines: Machines, capsys: pytest.CaptureFixture[str]) -> None:
+    file, arm, _ = machines
+    arm.enabled = False
+    assert main(["cell", "check", str(file)]) == 1
+    said = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
+    assert "not enabled: anther cell enable" in said
+    assert "MISSING: gripper: it is not activated. Then: anther cell enable." in said
+    assert "1 missing; nothing was moved" in said
+
+
+def test_check_without_a_robot(
+    write: Write, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    file = write(("MASTER", "http://127.0.0.1:1"), ("GRIPPER", "tcp://127.0.0.1:1"))
+    assert main(["cell", "check", str(file)]) == 1
+    said = re.sub(r"[\s│]+", " ", capsys.readouterr().out)
+    assert "no ROS master answers" in said
+    assert "gripper: nothing answers" in said
+
+
+def test_enable_and_jog_ask_first(
+    machines: Machines, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, arm, gripper = machines
+    arm.enabled, answers = False, iter(["no", "no", "yes", "yes", "no", "yes"])
+    monkeypatch.setattr("builtins.input", lambda _: next(answers))
+    assert main(["cell", "enable", str(file)]) == 0
+    assert not arm.enabled
+    assert gripper.writes == []
+    assert main(["cell", "enable", str(file)]) == 0
+    assert arm.enabled
+    assert "counts = [3, 228]" in capsys.readouterr().out
+    begin = arm.q.copy()
+    assert main(["cell", "jog", str(file), "--joint", "5", "--by", "3"]) == 1
+    assert arm.q == pytest.approx(begin)
+    assert main(["cell", "jog", str(file), "--joint", "5", "--by", "3"]) == 0
+    assert arm.q - begin == pytest.approx(np.deg2rad(3) * np.eye(7)[5], abs=1e-3)
+    assert "joint 5 went 3.0" in capsys.readouterr().out
+
+
+def test_a_jog_stays_within_the_limits(machines: Machines, capsys: pytest.CaptureFixture[str]) -> None:
+    file, arm, _ = machines
+    assert main(["cell", "jog", str(file), "--by", "30"]) == 2
+    assert main(["cell", "jog", str(file), "--joint", "7"]) == 2
+    arm.q = np.append(arm.q[:6], sawyer.UPPER[6] - 0.03)
+    assert main(["cell", "jog", str(file), "--joint", "6", "--by", "5"]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+    assert arm.heard == []
+
+
+def test_cameras_by_name_say_what_is_missing(tmp_path: Path) -> None:
+    lens = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}
+    with pytest.raises(AntherError, match=r"uvc|camera|source"):
+        parts.CAMERAS["uvc"](str(tmp_path / "none.mp4"), **lens)
+    with pytest.raises(AntherError, match=r"(?i)realsense"):
+        parts.CAMERAS["realsense"]("000000000000")
