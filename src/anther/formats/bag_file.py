@@ -1,4 +1,4 @@
-"""Open a ROS 1 bag (also RealSense's .bag), a ROS 2 bag folder or an MCAP file, whichever it is, in one way.
+"""Open a ROS 1 bag, a ROS 2 bag folder or its .db3 alone (RealSense's recordings), or an MCAP file, in one way.
 
 Needs the extra `anther[bags]`: rosbags reads bags and decodes messages, mcap reads MCAP files. Message types are the
 standard ones of ROS; definitions that a bag carries are not needed, which RealSense's own types would only spoil.
@@ -16,6 +16,7 @@ from typing import Any
 
 from anther.errors import InputError, MissingExtra, bad_input
 from anther.files import existing
+from anther.formats.bag_realsense import unpacked, without_unit
 
 INSTALL = "pip install 'anther[bags]'"
 _TFMESSAGE = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -46,7 +47,7 @@ class BagFile:
     """A bag of any kind, open for reading. Use it as a context manager.
 
     Args:
-        path: a .bag, an .mcap, or a folder with metadata.yaml (ROS 2).
+        path: a .bag, an .mcap, a .db3, or a folder with metadata.yaml (ROS 2).
 
     Attributes:
         path: as given.
@@ -113,7 +114,7 @@ class BagFile:
         store = self._stores[message.ros1]
         try:
             if message.ros1:
-                return store.deserialize_ros1(message.data, message.kind)
+                return store.deserialize_ros1(without_unit(message.topic, message.data), message.kind)
             return store.deserialize_cdr(message.data, message.kind)
         except Exception as error:
             raise self._unreadable(error) from error
@@ -122,8 +123,8 @@ class BagFile:
         from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
         from rosbags.rosbag2 import Reader as Reader2  # noqa: PLC0415
 
-        if self.path.suffix != ".bag" and not (self.path / "metadata.yaml").is_file():
-            allowed = ".bag, .mcap, or a ROS 2 bag folder with metadata.yaml"
+        if self.path.suffix not in (".bag", ".db3") and not (self.path / "metadata.yaml").is_file():
+            allowed = ".bag, .mcap, .db3, or a ROS 2 bag folder with metadata.yaml"
             raise bad_input(str(self.path), given="no bag", allowed=allowed, do="Name the bag itself.")
         self._reader = self._stack.enter_context((Reader1 if self.path.suffix == ".bag" else Reader2)(self.path))
         self.topics = {c.topic: _full(c.msgtype) for c in self._reader.connections}
@@ -148,7 +149,7 @@ class BagFile:
         ros1 = self.path.suffix == ".bag"
         connections = [c for c in self._reader.connections if c.topic in topics]
         for connection, time, data in self._reader.messages(connections=connections) if connections else ():
-            yield connection.topic, _full(connection.msgtype), time, bytes(data), ros1
+            yield connection.topic, _full(connection.msgtype), time, unpacked(bytes(data)), ros1
 
     def _unreadable(self, error: Exception) -> InputError:
         do = "Is it truncated, or not closed? `rosbag reindex` or `mcap recover` may repair it."

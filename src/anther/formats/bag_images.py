@@ -1,8 +1,10 @@
-"""Images and cameras as bags hold them: decoding, undistortion, and laying depth over colour. H x W pixels."""
+"""Images and cameras as bags hold them: decoding, undistortion. H x W pixels."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -11,16 +13,21 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array
 from anther.errors import bad_input
-from anther.geometry import Array, Intrinsics, transform_points
+from anther.formats.alignment import Maps, straightened, straightening
+from anther.formats.bag_realsense import unpacked
+from anther.geometry import Intrinsics
+from anther.images import is_intact
 
 _COLORS: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB),
     "bgra8": (4, cv2.COLOR_BGRA2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB), "8UC1": (1, cv2.COLOR_GRAY2RGB),
     "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2), "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "YUYV": (2, cv2.COLOR_YUV2RGB_YUY2), "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY), "UYVY": (2, cv2.COLOR_YUV2RGB_UYVY),
 }  # fmt: skip
 _MILLIMETRES = {"16UC1", "mono16"}
-_FORWARD = {"", "none", "plumb_bob", "rational_polynomial", "brown conrady"}
-_INVERSE = {"inverse brown conrady"}
+_COMPRESSED_DEPTH = "16UC1; compressedDepth"
+_PNG = b"\x89PNG"
+_ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,25 +37,20 @@ class BagCamera:
     Attributes:
         intrinsics: the pinhole camera without its distortion.
         frame: the optical frame's name.
-        maps: (H, W) column and row of the distorted image for every pixel of the straight one, or None.
+        maps: of its lens (`straightening`), or None.
     """
 
     intrinsics: Intrinsics
     frame: str
-    maps: tuple[NDArray[np.float32], NDArray[np.float32]] | None
+    maps: Maps | None
 
     def straighten(self, image: NDArray[Any], *, nearest: bool) -> NDArray[Any]:
         """Return the image freed of lens distortion; `nearest` for depth, which must not be mixed across edges."""
-        if self.maps is None:
-            return image
-        return cv2.remap(image, *self.maps, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR)
+        return straightened(image, self.maps, nearest=nearest)
 
 
 def camera_of(topic: str, info: Any) -> BagCamera:
     """Return the camera of a sensor_msgs/CameraInfo (ROS 1 or 2).
-
-    Distortion is Brown's (OpenCV's plumb_bob, rational_polynomial) or librealsense's "Inverse Brown Conrady", whose
-    polynomial maps distorted to straight coordinates (librealsense, doc/projection.md).
 
     Raises:
         InputError: no usable camera matrix, or an unknown distortion model.
@@ -56,7 +58,7 @@ def camera_of(topic: str, info: Any) -> BagCamera:
     K = np.array(check_array(f"{topic} K", getattr(info, "K", None) if hasattr(info, "K") else info.k, (9,)))
     D = np.array(check_array(f"{topic} D", info.D if hasattr(info, "D") else info.d, (None,)))
     intrinsics = Intrinsics(int(info.width), int(info.height), K[0], K[4], K[2], K[5])
-    maps = None if not D.any() else _maps(topic, intrinsics, D, str(info.distortion_model).strip().lower())
+    maps = straightening(topic, intrinsics, D, str(info.distortion_model))
     return BagCamera(intrinsics, str(info.header.frame_id), maps)
 
 
@@ -66,8 +68,11 @@ def colour_image(topic: str, message: Any) -> NDArray[np.uint8]:
     Raises:
         InputError: an unknown encoding or damaged data.
     """
+    if hasattr(message, "format") and "; zstd; " in message.format:
+        message = _raw(topic, message)
     if hasattr(message, "format"):
-        image = cv2.imdecode(np.asarray(message.data, np.uint8), cv2.IMREAD_COLOR)
+        data = np.asarray(message.data, np.uint8)
+        image = cv2.imdecode(data, cv2.IMREAD_COLOR) if is_intact(bytes(data)) else None
         if image is None:
             raise bad_input(topic, given=f"damaged {message.format}", allowed="JPEG or PNG", do="Record it anew.")
         return np.asarray(image[..., ::-1], dtype=np.uint8)
@@ -85,63 +90,52 @@ def depth_image(topic: str, message: Any, unit: float) -> NDArray[np.float32]:
 
     Args:
         topic: for messages.
-        message: 16UC1 or mono16 in steps of `unit`, or 32FC1 in metres (REP 118).
+        message: 16UC1, mono16 or a compressedDepth PNG in steps of `unit`, or 32FC1 in metres (REP 118).
         unit: of a 16-bit step [m].
 
     Raises:
         InputError: an unknown encoding.
     """
     encoding = getattr(message, "encoding", getattr(message, "format", "?"))
+    if encoding.startswith(_COMPRESSED_DEPTH):
+        return _depth_png(topic, message).astype(np.float32) * np.float32(unit)
     if encoding in _MILLIMETRES:
         return _pixels(topic, message, np.dtype(np.uint16), 1).astype(np.float32) * np.float32(unit)
     if encoding == "32FC1":
         depth = _pixels(topic, message, np.dtype(np.float32), 1)
         return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
     raise bad_input(
-        topic, given=f"encoding {encoding}", allowed="16UC1, mono16 or 32FC1", do="Name another depth topic."
+        topic,
+        given=f"encoding {encoding}",
+        allowed=f"16UC1, mono16, 32FC1 or {_COMPRESSED_DEPTH} png",
+        do="Name another depth topic.",
     )
 
 
-def laid_over(depth: NDArray[np.float32], of: Intrinsics, onto: Intrinsics, T_onto_of: Array) -> NDArray[np.float32]:
-    """Return the depth image as another camera would see it: every pixel's footprint, the nearest one in front.
-
-    Args:
-        depth: (H, W) z-depth [m] of camera `of`.
-        of: the depth camera.
-        onto: the colour camera.
-        T_onto_of: (4, 4) depth-camera to colour-camera coordinates.
-    """
-    points = transform_points(T_onto_of, of.back_project(depth))
-    points = points[points[:, 2] > 0]
-    pixels = onto.project(points)
-    half = 0.5 * np.array([onto.fx / of.fx, onto.fy / of.fy])
-    low = np.ceil(pixels - half - 1e-6).astype(np.int64)
-    high = np.floor(pixels + half - 1e-6).astype(np.int64)  # half-open, so that neighbours share no pixel
-    out = np.full(onto.height * onto.width, np.inf, dtype=np.float32)
-    for du in range(int(np.ceil(2 * half[0])) + 1):
-        for dv in range(int(np.ceil(2 * half[1])) + 1):
-            at = low + np.array([du, dv])
-            inside = np.all((at <= high) & (at >= 0) & (at < (onto.width, onto.height)), axis=1)
-            np.minimum.at(out, at[inside, 1] * onto.width + at[inside, 0], points[inside, 2].astype(np.float32))
-    out[np.isinf(out)] = 0
-    return out.reshape(onto.height, onto.width)
+def _depth_png(topic: str, message: Any) -> NDArray[np.uint16]:
+    """Return (H, W) of a compressedDepth image: a PNG behind a header that 16-bit depth does not need."""
+    data = bytes(message.data)
+    at = data.find(_PNG, 0, 64)
+    whole = at >= 0 and is_intact(data[at:])
+    image = cv2.imdecode(np.frombuffer(data[at:], np.uint8), cv2.IMREAD_UNCHANGED) if whole else None
+    if image is None or image.dtype != np.uint16 or image.ndim != 2:
+        raise bad_input(topic, given=f"damaged {message.format}", allowed="a 16-bit PNG", do="Record it anew.")
+    return np.asarray(image, dtype=np.uint16)
 
 
-def _maps(topic: str, camera: Intrinsics, D: Array, model: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    size = (camera.width, camera.height)
-    if model in _FORWARD:
-        across, down = cv2.initUndistortRectifyMap(camera.matrix, D, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
-        return np.asarray(across, np.float32), np.asarray(down, np.float32)
-    if model in _INVERSE:
-        u, v = np.meshgrid(np.arange(size[0], dtype=np.float64), np.arange(size[1], dtype=np.float64))
-        grid = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-        bent = cv2.undistortPoints(grid, camera.matrix, D, P=camera.matrix).reshape(size[1], size[0], 2)
-        return bent[..., 0].astype(np.float32), bent[..., 1].astype(np.float32)
-    raise bad_input(
-        topic,
-        given=f"distortion model '{model}'",
-        allowed="plumb_bob, rational_polynomial or (Inverse) Brown Conrady",
-        do="Record rectified images.",
+def _raw(topic: str, message: Any) -> SimpleNamespace:
+    """Return the raw image in librealsense's own compression, format "YUYV; zstd; 640x480 step=1280"."""
+    said = _ZSTD_FORMAT.fullmatch(message.format)
+    if said is None:
+        raise bad_input(topic, given=f"format {message.format}", allowed="YUYV; zstd; WxH step=N", do="Record it anew.")
+    width, height, step = (int(said[k]) for k in (2, 3, 4))
+    return SimpleNamespace(
+        encoding=said[1],
+        width=width,
+        height=height,
+        step=step,
+        is_bigendian=0,
+        data=np.frombuffer(unpacked(bytes(message.data)), np.uint8),
     )
 
 

@@ -1,7 +1,7 @@
 """Which topics of a bag hold colour, depth, cameras and poses, by the names that RealSense's and ROS's drivers use.
 
-RealSense's own recordings (librealsense, src/media/readme.md): /device_0/sensor_0/Depth_0/image/data with .../info/
-camera_info beside it and .../tf/0, the transform from a reference frame to the stream's; depth units as an option.
+RealSense's own recordings (librealsense, src/media/readme.md): /device_0/sensor_0/Depth_0/image/data, and beside it the
+camera, .../tf/N, the transform from a reference stream to this one, and the sensor's depth unit as an option.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 from anther.errors import bad_input
 from anther.formats.bag_file import BagFile
+from anther.formats.bag_realsense import shared_extrinsics, stream_of, units_of
 
 _ALIGNED = ("aligned_depth", "depth_registered", "depth_to_rgb", "depth_to_color")
 _POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 _FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+_TEXT = "std_msgs/msg/String"
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,9 +27,11 @@ class Topics:
     Attributes:
         color, depth: images.
         color_info, depth_info: their CameraInfo; the colour's where aligned depth has none of its own.
-        color_extrinsics, depth_extrinsics: RealSense's transforms from its reference frame, or "" where there are none.
+        color_extrinsics, depth_extrinsics: RealSense's transforms from one reference stream, or "".
+        color_times, depth_times: RealSense's texts with the frames' own times (.db3), or "".
         poses: topics with the poses: one of PoseStamped or TransformStamped, or those of tf.
-        unit: std_msgs/Float32 with the depth unit [m], or "".
+        unit: the depth unit [m], or "".
+        by_sdk: whether librealsense's recorder wrote the images: its frame names mean nothing.
     """
 
     color: str
@@ -36,13 +40,16 @@ class Topics:
     depth_info: str
     color_extrinsics: str
     depth_extrinsics: str
+    color_times: str
+    depth_times: str
     poses: tuple[str, ...]
     unit: str
+    by_sdk: bool
 
     def all(self) -> set[str]:
         """Return every topic that is there."""
-        small = (self.color_info, self.depth_info, self.color_extrinsics, self.depth_extrinsics, self.unit)
-        return {self.color, self.depth, *small, *self.poses} - {""}
+        cameras = {self.color_info, self.depth_info, self.color_extrinsics, self.depth_extrinsics, self.unit}
+        return {self.color, self.depth, self.color_times, self.depth_times, *cameras, *self.poses} - {""}
 
 
 def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | None) -> Topics:
@@ -52,7 +59,7 @@ def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | 
         InputError: a topic is missing, or several would do.
     """
     images = {t for t, kind in bag.topics.items() if kind in (_IMAGE, _COMPRESSED)}
-    raw = {t for t in images if bag.topics[t] == _IMAGE}
+    deep = {t for t in images if bag.topics[t] == _IMAGE or t.endswith("/compressedDepth")}
     color = _one(
         bag,
         "colour",
@@ -61,22 +68,32 @@ def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | 
         lambda t: "depth" not in t and ("color" in t or "rgb" in t),
         ("rect", "raw", "data"),
     )
-    depth = _one(bag, "depth", depth, raw, lambda t: "depth" in t, _ALIGNED)
+    depth = _one(bag, "depth", depth, deep, lambda t: "depth" in t, _ALIGNED)
     color_info = _camera_info(bag, color)
     if not color_info:
         raise _missing(bag, f"no camera info beside {color}", "sensor_msgs/CameraInfo", "Record it as well.")
     depth_info = _camera_info(bag, depth)
     if not depth_info and not any(word in depth.lower() for word in _ALIGNED):
         raise _missing(bag, f"no camera info beside {depth}", "sensor_msgs/CameraInfo", "Record it as well.")
+    by_sdk = bool(stream_of(color) or stream_of(depth))
+    unit = units_of(depth)
+    if stream_of(depth) and unit not in bag.topics:
+        raise _missing(
+            bag, f"no depth unit on {unit}", "RealSense's own recording", "Record it with the SDK's recorder."
+        )
+    color_extrinsics, depth_extrinsics = shared_extrinsics(set(bag.topics), color, depth) if by_sdk else ("", "")
     return Topics(
         color=color,
         depth=depth,
         color_info=color_info,
         depth_info=depth_info or color_info,
-        color_extrinsics=_beside(bag, color, "/image/data", "/tf/0"),
-        depth_extrinsics=_beside(bag, depth, "/image/data", "/tf/0"),
-        poses=_pose_topics(bag, pose),
-        unit=next((t for t in sorted(bag.topics) if t.endswith("Depth_Units/value")), ""),
+        color_extrinsics=color_extrinsics,
+        depth_extrinsics=depth_extrinsics,
+        color_times=_times(bag, color),
+        depth_times=_times(bag, depth),
+        poses=() if by_sdk and pose is None else _pose_topics(bag, pose),
+        unit=unit,
+        by_sdk=by_sdk,
     )
 
 
@@ -103,15 +120,16 @@ def _one(
 
 
 def _camera_info(bag: BagFile, image: str) -> str:
-    """Return the camera info in the image's own folder, or one or two above it (compressed/, RealSense's info/)."""
-    real = _beside(bag, image, "/image/data", "/info/camera_info")
-    folders = [image.rsplit("/", up)[0] for up in (1, 2)]
-    return real or next((f"{f}/camera_info" for f in folders if f"{f}/camera_info" in bag.topics), "")
+    """Return the camera info in the image's own folder, or one above it (compressed/); RealSense's in the stream's."""
+    stream = stream_of(image)
+    folders = (f"{stream}/info", stream) if stream else [image.rsplit("/", up)[0] for up in (1, 2)]
+    return next((f"{f}/camera_info" for f in folders if f"{f}/camera_info" in bag.topics), "")
 
 
-def _beside(bag: BagFile, topic: str, ending: str, other: str) -> str:
-    wanted = topic.removesuffix(ending) + other
-    return wanted if topic.endswith(ending) and wanted in bag.topics else ""
+def _times(bag: BagFile, image: str) -> str:
+    """Return RealSense's topic with the frames' own times; "" where the images' headers have them."""
+    times = stream_of(image) + "/image/metadata"
+    return times if stream_of(image) and bag.topics.get(times) == _TEXT else ""
 
 
 def _pose_topics(bag: BagFile, given: str | None) -> tuple[str, ...]:

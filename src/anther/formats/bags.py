@@ -1,7 +1,7 @@
-"""Views from a bag: RealSense .bag, ROS 1 .bag, ROS 2 folder or .mcap -> a `Capture`. V views.
+"""Views from a bag: RealSense .bag or .db3, ROS 1 .bag, ROS 2 folder or .mcap -> a `Capture`. V views.
 
 Depth frames lead; colour and pose are the ones nearest in time, within a stated tolerance. Depth that is not aligned to
-colour is laid over it (`bag_images.laid_over`). Topics are found by their names and types unless they are given.
+colour is laid over it (`alignment.laid_over`). Topics are found by their names and types unless they are given.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ import numpy as np
 from anther.capture import Capture
 from anther.checks import check_range
 from anther.errors import bad_input
+from anther.formats import bag_realsense
+from anther.formats.alignment import laid_over
 from anther.formats.bag_file import BagFile, Recorded
-from anther.formats.bag_images import BagCamera, camera_of, colour_image, depth_image, laid_over
+from anther.formats.bag_images import BagCamera, camera_of, colour_image, depth_image
 from anther.formats.bag_poses import (
     FrameTree,
     PoseSeries,
@@ -86,6 +88,7 @@ class _Contents:
     depth: list[float] = field(default_factory=list)
     infos: dict[str, BagCamera] = field(default_factory=dict)
     poses: list[tuple[float, Array]] = field(default_factory=list)
+    times: dict[str, list[float]] = field(default_factory=dict)
     frames: FrameTree = field(default_factory=FrameTree)
     extrinsics: dict[str, Array] = field(default_factory=dict)
     unit: float = 1e-3
@@ -103,7 +106,7 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
     """Return the views in a bag.
 
     Args:
-        path: a .bag (ROS 1, RealSense), an .mcap, or a ROS 2 bag folder.
+        path: a .bag (ROS 1, RealSense), an .mcap, a .db3 (RealSense, ROS 2), or a ROS 2 bag folder.
         options: see `BagOptions`.
 
     Raises:
@@ -139,7 +142,19 @@ def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
             held.depth.append(message.stamp)
         else:
             _keep(held, message, bag, topics)
+    held.color = _own_times(topics.color, held.color, held.times.get(topics.color_times))
+    held.depth = _own_times(topics.depth, held.depth, held.times.get(topics.depth_times))
     return held
+
+
+def _own_times(topic: str, stamps: list[float], times: list[float] | None) -> list[float]:
+    """Return the times of a topic's frames as RealSense tells them beside the images; else their stamps."""
+    if times is None:
+        return stamps
+    if len(times) != len(stamps):
+        given, allowed = f"{len(stamps)} frames and {len(times)} times of frames", "as many of both"
+        raise bad_input(topic, given=given, allowed=allowed, do="Was the recording stopped early? Record it anew.")
+    return times
 
 
 def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> None:
@@ -155,8 +170,22 @@ def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> N
             held.extrinsics[message.topic] = pose_matrix(value.translation, value.rotation)
         case "Float32":
             held.unit = float(value.data)
+        case "String":
+            _keep_text(held, message.topic, str(value.data), topics)
         case _:
             held.frames.add(value.transforms, static=message.topic.endswith("static"))
+
+
+def _keep_text(held: _Contents, topic: str, text: str, topics: Topics) -> None:
+    """Keep what RealSense says in its own words (.db3)."""
+    if topic in (topics.color_info, topics.depth_info):
+        held.infos.setdefault(topic, camera_of(topic, bag_realsense.camera_info(topic, text)))
+    elif topic in (topics.color_extrinsics, topics.depth_extrinsics):
+        held.extrinsics[topic] = bag_realsense.extrinsics(topic, text)
+    elif topic in (topics.color_times, topics.depth_times):
+        held.times.setdefault(topic, []).append(bag_realsense.frame_time(topic, text))
+    elif topic == topics.unit:
+        held.unit = bag_realsense.number(topic, text)
 
 
 def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, BagCamera, Array | None]:
@@ -170,16 +199,21 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
     ends = [held.extrinsics.get(topic) for topic in (topics.color_extrinsics, topics.depth_extrinsics)]
     if ends[0] is not None and ends[1] is not None:
         T_color_depth = ends[0] @ inverse(ends[1])
-    elif color.frame == depth.frame:
+    elif depth is color:
         T_color_depth = np.eye(4)
+    elif topics.by_sdk or not (color.frame and depth.frame):
+        T_color_depth = None  # librealsense names every frame "", "0" or after its version
     else:
         T_color_depth = held.frames.between(color.frame, depth.frame)
     if T_color_depth is None:
+        beside = f"{bag_realsense.stream_of(topics.depth)}/tf/N and the colour's" if topics.by_sdk else "/tf_static"
         raise bad_input(
             path,
             given=f"depth in frame '{depth.frame}', colour in '{color.frame}', and no fixed transform between them",
-            allowed="depth aligned to colour, or tf_static or RealSense extrinsics that join them",
-            do="Record aligned_depth_to_color (realsense2_camera: align_depth.enable:=true) or /tf_static.",
+            allowed=f"depth aligned to colour, or what joins them: {beside}",
+            do="Record both streams with the SDK's recorder."
+            if topics.by_sdk
+            else "Record aligned_depth_to_color (realsense2_camera: align_depth.enable:=true) or /tf_static.",
         )
     return color, depth, None if same and np.allclose(T_color_depth, np.eye(4), atol=1e-5) else T_color_depth
 

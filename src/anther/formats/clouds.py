@@ -55,9 +55,11 @@ def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
     _check_enough(path, finite)
     points = raw.points[finite]
     _check_size(path, points, units)
-    broken = int((~finite).sum())
-    notes = (f"{path.name}: {broken} of {len(finite)} points were NaN or infinite and dropped",) if broken else ()
-    return Cloud(points, colors=None if raw.colors is None else raw.colors[finite], notes=notes)
+    near = np.abs(points - np.median(points, axis=0)).max(axis=1) <= _LARGEST
+    kept = np.flatnonzero(finite)[near]
+    broken, why = len(finite) - len(kept), f"NaN, infinite or more than {_LARGEST:g} m away"
+    notes = (f"{path.name}: {broken} of {len(finite)} points were {why} and dropped",) if broken else ()
+    return Cloud(points[near], colors=None if raw.colors is None else raw.colors[kept], notes=notes)
 
 
 def _read(path: Path, plant: int | None) -> RawPoints:
