@@ -13,15 +13,13 @@ and twist (EI/GJ 12; sim/shaken_plant.py), with and without each feature.
 Keys of the --json file: <true|scanned>_<feature>_<band>_change_median, _change_p90 (of |without / with - 1|),
 _change_signed (median of without / with - 1), _error_median, _error_p90 (of |predicted / MuJoCo - 1|); the feature
 "full" has errors alone. <true|scanned>_plants, _flowers, and <feature>_stiffened: share of plants that would buckle
-without the feature and got a higher E. One JSON per plant is kept in --out, so that a run goes on where it stopped.
+without the feature and got a higher E. Plants go through a sweep in --out: what is done is not run again.
 """
 
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +28,13 @@ from ablated import CHANGES
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from swept import swept
 from vibration_models import PRIOR, Model, anther_model, perceive, scanned, true_model
 from vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIST, matched, stem_points
 
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
-from anther.files import read_json, replacing, write_json
+from anther.files import replacing, write_json
 from anther.geometry import Array
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
@@ -60,11 +58,10 @@ class Case:
     scan: bool
 
 
-def one_plant(case: Case, out: Path) -> dict[str, Any]:
-    """Return every model's gains (G, Q, F) and MuJoCo's; kept in `out` and not done again."""
-    file = out / f"{case.species}-{case.seed}{'-scanned' if case.scan else ''}.json"
-    if file.exists():
-        return read_json(file)
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return every model's gains (G, Q, F) and MuJoCo's of a plant (a `Case`), for a sweep."""
+    del folder
+    case = Case(**row)
     plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
     judges = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
     points = np.array([judge.point for judge in judges])
@@ -73,17 +70,15 @@ def one_plant(case: Case, out: Path) -> dict[str, Any]:
     if case.scan:
         model, seen, true = _scanned(case, plant)
         models["scanned"] = (model, seen, truth[:, :, true])
-    row: dict[str, Any] = {"case": f"{case.species} {case.seed}"}
+    found: dict[str, Any] = {}
     for name, (model, flowers, judged) in models.items():
-        row[name] = {"truth": judged, "full": model.response(points, DIRECTION, FREQUENCIES)[:, :, flowers]}
-        row[name]["stiffened"] = {}
+        found[name] = {"truth": judged, "full": model.response(points, DIRECTION, FREQUENCIES)[:, :, flowers]}
+        found[name]["stiffened"] = {}
         for feature, (_, change) in CHANGES.items():
             without = change(model)
-            row[name][feature] = without.response(points, DIRECTION, FREQUENCIES)[:, :, flowers]
-            row[name]["stiffened"][feature] = _stiffer(without, model)
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(file, row)
-    return read_json(file)
+            found[name][feature] = without.response(points, DIRECTION, FREQUENCIES)[:, :, flowers]
+            found[name]["stiffened"][feature] = _stiffer(without, model)
+    return found
 
 
 def _stiffer(without: Model, model: Model) -> bool:
@@ -192,13 +187,8 @@ def main() -> None:
     args = parser.parse_args()
     plants, scans = (1, 0) if args.quick else (args.plants, args.scanned)
     crops: tuple[Species, ...] = ("tomato", "pepper")
-    cases = [Case(species, args.seed + k, k < scans) for species in crops for k in range(plants)]
-    if args.jobs > 1:
-        with ProcessPoolExecutor(args.jobs) as pool:
-            rows = list(track(pool.map(partial(one_plant, out=args.out), cases), "plants", total=len(cases)))
-    else:
-        rows = [one_plant(case, args.out) for case in track(cases, "plants")]
-    found = metrics(rows)
+    cases = [asdict(Case(species, args.seed + k, k < scans)) for species in crops for k in range(plants)]
+    found = metrics(swept(one_plant, cases, args.out, args.jobs, lambda _: {}))
     for table in tables(found):
         Console().print(table)
     if args.json:

@@ -73,7 +73,7 @@ class Pieces:
     def __init__(self, plan: ShakePlan) -> None:
         own = np.arange(len(plan.tones.frequencies)) == 0
         probe = plan.amplitude / len(own)
-        self.reach, self.highest = 1.01 * plan.amplitude, float(plan.tones.frequencies.max())
+        self.reach, self.frame_rate = 1.01 * plan.amplitude, 2.2 * float(plan.tones.frequencies.max())
         self.steps: tuple[Step, ...] = ()
         self._tones, self._ramp = plan.tones.frequencies, 1 / float(plan.tones.frequencies.min())
         self._sizes = [probe + 0.0 * own, 0.5 * plan.amplitude * own, plan.amplitude * own, 0.0 * own]

@@ -8,7 +8,7 @@ arm as a watched one is (`fault_machines.Pieces`), or, one in twenty, the camera
 fifty kills the process with SIGKILL. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the
 time, the others the whole plant.
 
-What came of a fault is kept in OUT/NUMBER/outcome.json, and the script goes on where it was interrupted.
+Faults go through a sweep in OUT/faults, each in a process of its own: what is done is not done again.
 docs/safety.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never sees.
 """
 
@@ -20,18 +20,16 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 from fault_machines import ClockCamera, Kept, Pieces, left_behind
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from swept import swept
 
 from anther import pipeline
 from anther.arm import sawyer
@@ -298,15 +296,24 @@ def subset(capture: Capture, views: list[int]) -> Capture:
     return replace(capture, **{name: pick(getattr(capture, name)) for name in names})
 
 
-def one(case: Case, base: Path, out: Path) -> Outcome:
-    """Run one case in its own folder, or read back what came of it when it was run before."""
-    folder = out / f"{case.number:03d}"
-    file = folder / "outcome.json"
-    if not file.exists():
-        folder.mkdir(parents=True, exist_ok=True)
-        outcome = while_seeing(case, base, folder) if case.views else in_execution(case, base, folder)
-        write_json(file, {k: v for k, v in asdict(outcome).items() if k != "case"})
-    return Outcome(case, **read_json(file))
+def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Run one case in a process of its own, which Ctrl-C may strike, and return what came of it, for a sweep."""
+    words = ["--alone", str(row["number"]), "--seed", str(row["seed"]), "--base", row["base"], "--out", str(folder)]
+    done = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"exit {done.returncode}: {done.stderr[-400:]}")
+    return cast(dict[str, Any], read_json(folder / "outcome.json"))
+
+
+def crashed(why: str) -> dict[str, Any]:
+    """Return what stands for a case whose program crashed: none of the three is good."""
+    return {"unsafe": f"crashed: {why}", "record": "crashed", "continued": "crashed", "force": 0.0}
+
+
+def alone(case: Case, base: Path, folder: Path) -> None:
+    """Run one case in this process."""
+    outcome = while_seeing(case, base, folder) if case.views else in_execution(case, base, folder)
+    write_json(folder / "outcome.json", {k: v for k, v in asdict(outcome).items() if k != "case"})
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, float]:
@@ -344,6 +351,7 @@ def main() -> None:
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
     parser.add_argument("--out", type=Path, default=Path("runs/faults"))
     parser.add_argument("--base", type=Path, help="the stored run; by default OUT/base, made when missing")
+    parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--kill-at", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -351,15 +359,17 @@ def main() -> None:
     if args.worker is not None:
         worker(Fault(**json.loads(args.kill_at)), base, args.out)
         return
+    if args.alone is not None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background processes would ignore Ctrl-C
+        alone(draw(args.alone, args.seed), base, args.out)
+        return
     prepare(base)
     numbers = args.only or range(20 if args.quick else 200)
-    cases = [draw(number, args.seed) for number in numbers]
-    # spawned, not forked: a forked worker inherits OpenMP threads that are not there, and dies or waits for them;
-    # and a shell's background processes would ignore Ctrl-C
-    heed = (signal.signal, (signal.SIGINT, signal.default_int_handler))
-    with ProcessPoolExecutor(args.jobs, get_context("spawn"), *heed) as pool:
-        futures = [pool.submit(one, case, base, args.out) for case in cases]
-        metrics = summary([future.result() for future in track(futures, "faults")])
+    cases = [{"number": number, "seed": args.seed, "base": str(base.resolve())} for number in numbers]
+    rows = swept(one, cases, args.out / "faults", args.jobs, crashed)
+    drawn = [draw(number, args.seed) for number in numbers]
+    names = [field.name for field in fields(Outcome) if field.name != "case"]
+    metrics = summary([Outcome(case, **{n: row[n] for n in names}) for case, row in zip(drawn, rows, strict=True)])
     print(json.dumps(metrics, indent=2))
     if args.json:
         write_json(args.json, metrics)

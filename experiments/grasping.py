@@ -18,19 +18,17 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 from grasping_page import insert, report
 from grasping_pictures import sheet
 from grasping_table import metrics
-from grasping_trial import Case, one_trial
+from grasping_trial import PICTURE, Case, asked, crashed, one_trial
 from rich.console import Console
 from rich.markdown import Markdown
-from rich.progress import track
 from skeletons import TEN
+from swept import FOLDER, swept
 
 from anther.commands.simulated_cell import Species
 from anther.files import write_json
@@ -62,19 +60,19 @@ def _plant(word: str) -> tuple[Species, int]:
     raise SystemExit(f"--plants: got {word}; allowed: tomato-SEED or pepper-SEED, such as pepper-10.")
 
 
-def tiles(cases: Sequence[Case], rows: Sequence[dict[str, Any]], out: Path) -> list[tuple[Path, str, bool]]:
+def tiles(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> list[tuple[Path, str, bool]]:
     """Return picture, words and success of each trial, for `sheet`."""
     said = [
         f"{c.species[0]}{c.seed} {c.viewpoint} {row['ours']['failure'] or ''}"
         for c, row in zip(cases, rows, strict=True)
     ]
-    files = [case.file(out).with_suffix(".png") for case in cases]
+    files = [Path(row[FOLDER]) / PICTURE for row in rows]
     return list(zip(files, said, (row["ours"]["success"] for row in rows), strict=True))
 
 
-def draw(cases: Sequence[Case], rows: Sequence[dict[str, Any]], out: Path, figures: Path) -> None:
+def draw(cases: Sequence[Case], rows: Sequence[dict[str, Any]], figures: Path) -> None:
     """Write the contact sheet of the ten plants with 30 views, and one of every failure."""
-    all_tiles = tiles(cases, rows, out)
+    all_tiles = tiles(cases, rows)
     ten = [tile for case, tile in zip(cases, all_tiles, strict=True) if case.preset == "full" and case.seed < 1000]
     failed = [tile for tile in all_tiles if not tile[2]]
     for name, some in (("grasping", ten), ("grasping_failures", failed)):
@@ -100,9 +98,7 @@ def main() -> None:
     args = parser.parse_args()
     console = Console()
     cases = chosen(args)
-    with ProcessPoolExecutor(args.jobs) as pool:
-        results = pool.map(partial(one_trial, out=args.out, rule=not args.without_paper), cases)
-        rows = list(track(results, "trials", total=len(cases), console=console))
+    rows = swept(one_trial, asked(cases, rule=not args.without_paper), args.out, args.jobs, crashed)
     table = metrics(rows)
     text = report(rows, table)
     console.print(Markdown(text))
@@ -111,7 +107,7 @@ def main() -> None:
     if args.page:
         insert(args.page, text)
     if args.figures:
-        draw(cases, rows, args.out, args.figures)
+        draw(cases, rows, args.figures)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from grasping_pictures import portrait
 from grasping_table import as_counted
+from swept import failed
 
 from anther.arm.planner import Planner
 from anther.cloud import Cloud
@@ -19,7 +20,6 @@ from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, buil
 from anther.commands.trial_summary import summarise
 from anther.errors import StageFailure
 from anther.execution import EARLY, execute
-from anther.files import read_json, write_json
 from anther.grasp.paper import paper_grasp
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
@@ -36,6 +36,10 @@ LISTED = (
 )  # of a trial's summary; other lists, one number a flower, are left out
 USUAL = Params()
 LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
+
+
+PICTURE = "picture.png"
+"""In a trial's folder: what the camera saw, with the grasp."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +59,6 @@ class Case:
     def name(self) -> str:
         """The case in words that can name a file."""
         return f"{self.species}-{self.seed}-{self.viewpoint}"
-
-    def file(self, out: Path) -> Path:
-        """Where its result is kept; its picture lies beside it."""
-        return out / (self.preset if self.truth == "nominal" else f"{self.preset}, {self.truth}") / f"{self.name}.json"
 
     def build(self) -> SimulatedCell:
         """Return the case's cell."""
@@ -100,33 +100,35 @@ class Memory(Run):
             self.cpu[name] = self.cpu.get(name, 0.0) + time.process_time() - cpu
 
 
-def one_trial(case: Case, out: Path, rule: bool = True) -> dict[str, Any]:
-    """Return the row of a case, from --out when it was run before; a crash is reported, not kept.
+def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what became of a case (`asked`), for a sweep; its picture is written into the folder."""
+    case = {name: value for name, value in row.items() if name != "rule"}
+    return both(Case(**case), folder / PICTURE, row["rule"])
+
+
+def asked(cases: Iterable[Case], *, rule: bool) -> list[dict[str, Any]]:
+    """Return the cases as a sweep has them.
 
     Args:
-        case: the trial.
-        out: where its row is kept.
-        rule: also carry out the paper's own grasp, if the case has all views.
+        cases: the trials.
+        rule: also carry out the paper's own grasp, where a case has all views.
     """
-    file = case.file(out)
-    if not file.exists():
-        try:
-            row = both(case, file, rule)
-        except Exception as error:  # one trial's bug must not end a run of hours
-            crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
-            return {**asdict(case), "ours": crash, "paper": None, "first": True}
-        write_json(file, row)
-    return read_json(file)
+    return [asdict(case) | {"rule": rule} for case in cases]
+
+
+def crashed(reason: str) -> dict[str, Any]:
+    """Return what stands for a trial whose program crashed."""
+    return {"ours": failed(reason), "paper": None, "first": True}
 
 
 _begun: list[str] = []  # cases this process has run: what the first one compiles or loads is not counted
 
 
-def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
+def both(case: Case, picture: Path, rule: bool) -> dict[str, Any]:
     """Run Anther's trial and, with all views, the paper's grasp from the same perception; write the picture."""
     begin, first = time.process_time(), not _begun
     _begun.append(case.name)
-    run = Memory(file.parent)
+    run = Memory(picture.parent)
     cell = case.build()
     material = PEPPER if case.species == "pepper" else TOMATO
     ours, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
@@ -144,7 +146,7 @@ def both(case: Case, file: Path, rule: bool) -> dict[str, Any]:
     row["trial_cpu_s"] = time.process_time() - begin
     if "capture" in run.results:
         grasp = done.shake.grasp if done else next(iter(run.results.get("grasp", [])), None)
-        portrait(run.results["capture"], grasp, file.with_suffix(".png"))
+        portrait(run.results["capture"], grasp, picture)
     return row
 
 
@@ -163,7 +165,7 @@ class TimedPlanner:
     def __getattr__(self, name: str) -> Any:
         """Return a method of the planner, one that plans a motion with the clock around it."""
         method = getattr(self.planner, name)
-        if name not in ("move", "line", "shake"):
+        if name not in ("move", "line", "swing"):
             return method
         return lambda *args: self.run.timed("motions", lambda _: method(*args))
 

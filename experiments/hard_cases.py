@@ -24,7 +24,6 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -35,12 +34,12 @@ from grasping_page import EFFECTS, effect_cells, insert, rows_of
 from grasping_table import effects
 from grasping_trial import Memory, notes, performed, watched
 from hard_plants import denser, leaning, sway, swaying, two_stems
-from rich.progress import track
+from swept import failed, swept
 
 from anther.arm import sawyer
 from anther.capture import Capture
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, SimulatedCell, Species, build, grow, photograph
-from anther.files import read_json, write_json
+from anther.files import write_json
 from anther.geometry import Array
 from anther.pipeline import Params, pollinate
 from anther.plant import PEPPER, TOMATO
@@ -132,22 +131,15 @@ def cell_of(case: Case) -> tuple[SimulatedCell, float]:
     ), swayed
 
 
-def one_trial(case: Case, out: Path) -> dict[str, Any]:
-    """Return the row of a case, from --out when it was run before; a crash is reported, not kept."""
-    file = case.file(out)
-    if not file.exists():
-        try:
-            run = Memory(out)
-            cell, swayed = cell_of(case)
-            material = PEPPER if case.species == "pepper" else TOMATO
-            row, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
-            row |= {"sway_m": swayed, "attempts": run.tries["execution"], "notes": notes(run)}
-            row["beside_stem_m"] = None if done is None else beside_stem(cell.plant, done.shake.grasp.point)
-        except Exception as error:  # one trial's bug must not end all others
-            crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
-            return asdict(case) | crash
-        write_json(file, asdict(case) | row)
-    return read_json(file)
+def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what became of a case, for a sweep."""
+    case, run = Case(**row), Memory(folder)
+    cell, swayed = cell_of(case)
+    material = PEPPER if case.species == "pepper" else TOMATO
+    told, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
+    told |= {"sway_m": swayed, "attempts": run.tries["execution"], "notes": notes(run)}
+    told["beside_stem_m"] = None if done is None else beside_stem(cell.plant, done.shake.grasp.point)
+    return asdict(case) | told
 
 
 def beside_stem(plant: SimPlant, point: Array) -> float:
@@ -210,9 +202,7 @@ def main() -> None:
     args = parser.parse_args()
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
     cases = [Case(kind, species, seed) for kind in args.cases for species in get_args(Species) for seed in seeds]
-    with ProcessPoolExecutor(args.jobs) as pool:
-        results = pool.map(partial(one_trial, out=args.out), cases)
-        rows = list(track(results, "trials", total=len(cases)))
+    rows = swept(one_trial, map(asdict, cases), args.out, args.jobs, failed)
     text = report(rows)
     print(text)
     if args.page:

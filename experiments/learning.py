@@ -6,8 +6,8 @@ Each plant is seen in rendered views (preset fast), modelled, and its shake plan
 facts: sawyer 6); MuJoCo's plant is held at the grasp and shaken (`sim.shaken_plant`). What the camera would measure is
 drawn from the truth with the stated errors of `SEEN`. Arm "facts" begins every plant with the facts' prior. In the
 other, plants are visited twice: "crop", begun with what the history says of the crop, and "plant", begun with what the
-plant's first shake taught. The history is a real one, in SQLite. One JSON a plant is kept under --out, so that a run
-that was stopped goes on.
+plant's first shake taught. The history is a real one, in SQLite. A crop is one task of a sweep in --out, as each of
+its plants needs those before it; a crop that was done is not done again.
 
 Keys of the --json file: <crop>_<arm>_error, the mean |ln(true / predicted amplitude)| of a flower; _bias, its signed
 mean; _within, the share of flowers inside the predicted interval (0.9 is right); _freed, the share of pollen that
@@ -20,11 +20,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +31,9 @@ from grasping_trial import truth_of
 from learning_figure import draw
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
+from swept import swept
 
 from anther import cloud, masks, skeleton, stem
 from anther.commands.simulated_cell import (
@@ -49,7 +47,7 @@ from anther.commands.simulated_cell import (
     views_at,
 )
 from anther.errors import StageFailure
-from anther.files import read_json, replacing, write_json
+from anther.files import replacing, write_json
 from anther.flowers import find_flowers, flower_centres
 from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps
@@ -184,21 +182,14 @@ def shaken(scene: Scene, plan: ShakePlan) -> tuple[Array, float, float, float]:
     return done.amplitude, pollen_freed(jolt)[1], float(jolt.mean()), float(strain / limits.plant.stem_strain)
 
 
-def learn(
-    species: Species, seeds: Sequence[int], out: Path, console: Console, truth: str = "nominal"
-) -> list[list[Visit]]:
-    """Return the visits of each plant in turn; plants done already are read from `out`."""
-    history, rows = out / f"{species}.sqlite", []
-    history.unlink(missing_ok=True)
-    for number, seed in enumerate(track(seeds, species, console=console)):
-        kept, day = out / f"{species}-{seed}.json", BEGIN + timedelta(days=number)
-        if not kept.exists():
-            write_json(kept, [asdict(v) for v in visits(species, seed, history, day, truth)])
-        done = [Visit(**row) for row in read_json(kept)]
-        for hours, learner in enumerate(done[1:]):
-            record(species, seed, learner, history, day + timedelta(hours=hours))
-        rows.append(done)
-    return rows
+def one_crop(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the visits of each of a crop's plants in turn, and what is believed of the next, for a sweep."""
+    species, history = row["species"], folder / "history.sqlite"
+    plants = [
+        [asdict(v) for v in visits(species, seed, history, BEGIN + timedelta(days=number), row["truth"])]
+        for number, seed in enumerate(range(row["first"], row["first"] + row["plants"]))
+    ]
+    return {"visits": plants, "learned": asdict(starting_material(species, "the next", history).material)}
 
 
 def visits(species: Species, seed: int, history: Path, day: datetime, truth: str) -> list[Visit]:
@@ -214,7 +205,9 @@ def visits(species: Species, seed: int, history: Path, day: datetime, truth: str
     first = visit(scene, "crop", crop.material, crop.reason, rng)
     record(species, seed, first, history, day)
     own = starting_material(species, f"{seed}", history)
-    return [unlearned, first, visit(scene, "plant", own.material, own.reason, rng)]
+    second = visit(scene, "plant", own.material, own.reason, rng)
+    record(species, seed, second, history, day + timedelta(hours=1))
+    return [unlearned, first, second]
 
 
 def record(species: str, seed: int, done: Visit, history: Path, time: datetime) -> None:
@@ -277,27 +270,21 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
     crops = args.crops[:1] if args.quick else args.crops
-    seeds = range(args.seed, args.seed + (3 if args.quick else args.plants))
-    args.out.mkdir(parents=True, exist_ok=True)
-    console = Console()
-    with ProcessPoolExecutor(min(args.jobs, len(crops)), mp_context=get_context("spawn")) as pool:
-        done = dict(
-            zip(crops, pool.map(partial(_crop, seeds=seeds, out=args.out, truth=args.truth), crops), strict=True)
-        )
+    plants = 3 if args.quick else args.plants
+    cases = [{"species": crop, "first": args.seed, "plants": plants, "truth": args.truth} for crop in crops]
+    rows = swept(one_crop, cases, args.out, args.jobs, lambda why: {"crashed": why})
+    for row in (row for row in rows if "crashed" in row):
+        raise SystemExit(f"{row['species']} crashed: {row['crashed']}")
+    done = {row["species"]: [[Visit(**visit) for visit in plant] for plant in row["visits"]] for row in rows}
     found: dict[str, float] = {}
-    for species, rows in done.items():
-        belief = starting_material(species, "the next", args.out / f"{species}.sqlite").material
-        found |= metrics(species, rows, belief)
-    console.print(_table(found, crops))
+    for row in rows:
+        found |= metrics(row["species"], done[row["species"]], Material(**row["learned"]))
+    Console().print(_table(found, crops))
     if args.json:
         write_json(args.json, found)
     if args.figure:
         with replacing(args.figure) as temporary:
             draw(done).savefig(temporary, dpi=110)
-
-
-def _crop(species: Species, seeds: Sequence[int], out: Path, truth: str) -> list[list[Visit]]:
-    return learn(species, seeds, out, Console(), truth)
 
 
 def _table(found: dict[str, float], crops: Sequence[str]) -> Table:

@@ -6,7 +6,7 @@ Simulated plants are held at the middle of their stem and shaken (`sim.shaken_pl
 1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `oscillation.choose_rate`
 gives. Flowers are told to the stage where they truly are, give or take `PLACED`, as perception would. A flower counts
 as in sight if half of its petals' outline or more is seen from the camera at rest. `BLIND` are recordings in which a
-frame rate hides the shake: the stage must refuse them. One JSON a case is kept under --out.
+frame rate hides the shake: the stage must refuse them. Shakes go through a sweep in --out: what is done is kept.
 
 Keys: in_sight, flowers in the picture and not hidden; measured, how many of them; within, the share of those whose
 amplitude is right within 10 % or 0.3 mm; sideways_within, the same of its part across the line of sight;
@@ -19,24 +19,22 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from swept import swept
 
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
 from anther.devices import Frame
 from anther.errors import InputError
 from anther.execution import Params as ExecutionParams
-from anther.files import read_json, replacing, write_json
+from anther.files import replacing, write_json
 from anther.flowers import Flowers
 from anther.geometry import Array, inverse, transform_points
 from anther.oscillation import choose_rate, fit_swing
@@ -144,15 +142,12 @@ def _sideways(times: Array, path: Array, frequency: float) -> float:
         return float("nan")
 
 
-def case(job: tuple[Species, int, float, float, float], out: Path) -> list[Measured]:
-    """Return one shake's flowers: (species, seed, amplitude, frequency, rate); read from `out` if done before."""
-    species, seed, amplitude, frequency, rate = job
-    kept = out / f"{species}-{seed}-{1e3 * amplitude:g}mm-{frequency:g}hz-{rate:g}fps.json"
-    if not kept.exists():
-        plant = grow(species, seed, 0.0, USUAL_DISTANCE)
-        frames, done = film(plant, amplitude, frequency, rate, seed)
-        write_json(kept, [asdict(row) for row in judge(plant, frames, done, frequency, rate)])
-    return [Measured(**row) for row in read_json(kept)]
+def one_shake(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the flowers of one shake (species, seed, amplitude, frequency, rate), for a sweep."""
+    del folder
+    plant = grow(row["species"], row["seed"], 0.0, USUAL_DISTANCE)
+    frames, done = film(plant, row["amplitude"], row["frequency"], row["rate"], row["seed"])
+    return {"flowers": [asdict(one) for one in judge(plant, frames, done, row["frequency"], row["rate"])]}
 
 
 def summary(rows: Sequence[Measured]) -> dict[str, float]:
@@ -196,14 +191,17 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/response"), help="where each case is kept")
     parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     plants = [(s, args.seed + k) for k in range(1 if args.quick else args.plants) for s in CROPS]
     plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
     jobs = [(*p, a, f, choose_rate(f, ExecutionParams().rates)) for p in plants for a, f in shakes]
     hidden = [(*p, *b) for p in plants[:1] for b in BLIND]
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
-        done = list(track(pool.map(partial(case, out=args.out), jobs + hidden), "shakes", len(jobs + hidden)))
-    rows, blind = ([row for rows in part for row in rows] for part in (done[: len(jobs)], done[len(jobs) :]))
+    names = ("species", "seed", "amplitude", "frequency", "rate")
+    cases = [dict(zip(names, job, strict=True)) for job in jobs + hidden]
+    done = swept(one_shake, cases, args.out, args.jobs, lambda _: {"flowers": []})
+    rows, blind = (
+        [Measured(**flower) for one in part for flower in one["flowers"]]
+        for part in (done[: len(jobs)], done[len(jobs) :])
+    )
     found = metrics(rows, blind)
     Console().print(_table(found))
     if args.json:

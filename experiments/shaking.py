@@ -18,8 +18,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -28,14 +27,13 @@ import numpy as np
 import shaking_table
 from grasping_page import insert
 from grasping_trial import Memory, performed, truth_of
-from rich.console import Console
-from rich.progress import track
+from swept import failed, swept
 from vibration_plant import matched
 
 from anther.arm.planner import Planner
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
 from anther.execution import execute
-from anther.files import read_json, write_json
+from anther.files import write_json
 from anther.grasp.paper import paper_grasp
 from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
@@ -64,10 +62,6 @@ class Case:
     way: str
     truth: str = "wide"
 
-    def file(self, out: Path) -> Path:
-        """Where its row is kept."""
-        return out / self.truth / self.way / f"{self.species}-{self.seed}.json"
-
 
 class Brief(Memory):
     """A run in memory that measures no response after the shake: nothing is learned from it here."""
@@ -77,31 +71,40 @@ class Brief(Memory):
         return None if name == "response" else super().stage(name, load, compute, save)
 
 
-def one(case: Case, out: Path) -> dict[str, Any]:
-    """Return the row of a case, from --out when it was run before; a crash is reported, not kept."""
-    file = case.file(out)
-    if not file.exists():
-        try:
-            earlier = ended_with(case, out) if case.way == "again" else None
-            row = shaken(case, file, earlier)
-        except Exception as error:  # one trial's bug must not end a run of hours
-            crash = {"success": False, "failure": "crashed", "message": f"{type(error).__name__}: {error}"}
-            return {**asdict(case), **crash}
-        write_json(file, row)
-    return read_json(file)
+def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what became of a case (`asked`), for a sweep."""
+    case = Case(**{name: value for name, value in row.items() if name != "earlier"})
+    before = row["earlier"]
+    earlier = None if before is None else EarlierShake(**before | {"direction": np.array(before["direction"])})
+    return shaken(case, folder, earlier)
 
 
-def ended_with(case: Case, out: Path) -> EarlierShake | None:
-    """Return what the first visit to a plant ended with; None where no flower was measured or it failed."""
-    row = one(replace(case, way="escalated"), out)
+def rows_of(cases: Sequence[Case], out: Path, jobs: int) -> list[dict[str, Any]]:
+    """Return the rows of the cases: the second visits last, since they begin as the first ones ended."""
+    first = [asdict(case) | {"earlier": None} for case in cases if case.way != "again"]
+    rows = swept(one, first, out, jobs, failed)
+    ended = {(row["species"], row["seed"], row["truth"]): ended_with(row) for row in rows if row["way"] == "escalated"}
+    second = [
+        asdict(case) | {"earlier": ended.get((case.species, case.seed, case.truth))}
+        for case in cases
+        if case.way == "again"
+    ]
+    return rows + (swept(one, second, out, jobs, failed) if second else [])
+
+
+def ended_with(row: dict[str, Any]) -> dict[str, Any] | None:
+    """Return what a visit ended with (`EarlierShake`); None where no flower was measured or it failed."""
     if not row["success"] or row.get("step_flower_acceleration_median_ms2") is None:
         return None
-    return EarlierShake(
-        row["grasp_arc_length_m"], np.array(row["direction"]), row["shake_frequency_hz"], row["shake_amplitude_m"]
-    )
+    return {
+        "arc_length": row["grasp_arc_length_m"],
+        "direction": row["direction"],
+        "frequency": row["shake_frequency_hz"],
+        "amplitude": row["shake_amplitude_m"],
+    }
 
 
-def shaken(case: Case, file: Path, earlier: EarlierShake | None = None) -> dict[str, Any]:
+def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dict[str, Any]:
     """Run one trial and return what became of it."""
     cell = build(
         case.species,
@@ -112,7 +115,7 @@ def shaken(case: Case, file: Path, earlier: EarlierShake | None = None) -> dict[
         actuator="gripper" if case.way == "motor" else "arm",
         visit=int(case.way == "again"),
     )
-    run, material = Brief(file.parent), PEPPER if case.species == "pepper" else TOMATO
+    run, material = Brief(folder), PEPPER if case.species == "pepper" else TOMATO
     params = replace(Params(), escalate=case.way != "plan", actuator="gripper" if case.way == "motor" else "arm")
     ways: dict[str, Callable[[], Done]] = {"paper": lambda: by_the_paper(cell, run, material)}
     row, done = performed(
@@ -169,10 +172,7 @@ def main() -> None:
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     plants = [(SPECIES[k % 2], first + k // 2) for k in range(2 if args.quick else args.plants)]
     cases = [Case(species, seed, way, args.truth) for species, seed in plants for way in args.ways]
-    cases.sort(key=lambda case: case.way == "again")  # it needs the first visit
-    with ProcessPoolExecutor(args.jobs) as pool:
-        done = pool.map(one, cases, [args.out] * len(cases))
-        rows = list(track(done, "shakes", total=len(cases), console=Console()))
+    rows = rows_of(cases, args.out, args.jobs)
     text = shaking_table.report(rows)
     print(text)
     if args.page:

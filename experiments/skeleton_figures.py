@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from skeleton_truth import AXIS, NEAR, Score
 
 from anther.cloud import Cloud
-from anther.commands.simulated_cell import USUAL_DISTANCE, grow
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow
 from anther.pictures.plant import draw_side
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
@@ -22,12 +22,12 @@ FRONT = (1, 2, 0)
 Which = tuple[Any, int]
 
 
-def draw_ten(plants: list[Which], out: Path) -> Figure:
-    """Return the plants side by side: cloud, skeleton by organ, main stem; true stem and branches dashed."""
+def draw_ten(plants: list[tuple[Species, int, Path]]) -> Figure:
+    """Return the plants (species, seed, folder with what was found) side by side: cloud, skeleton by organ, main stem;
+    true stem and branches dashed."""
     figure = Figure(figsize=(15, 7.5), layout="constrained")
     plots = figure.subplots(2, (len(plants) + 1) // 2, sharey=True)
-    for (species, seed), plot in zip(plants, plots.flat, strict=False):
-        folder = out / f"{species}-{seed}"
+    for (species, seed, folder), plot in zip(plants, plots.flat, strict=False):
         cloud, skeleton = Cloud.load(folder / "cloud.ply"), Skeleton.load(folder / "skeleton.npz")
         draw_side(plot, FRONT, cloud, skeleton, Stem.load(folder / "stem.npz"))
         _draw_truth(plot, grow(species, seed, 0.0, USUAL_DISTANCE))

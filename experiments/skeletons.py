@@ -4,8 +4,8 @@
 
 Ten plants (two tomatoes, eight peppers, as in the paper) and 100 further ones (50 of each species), none of which was
 looked at while parameters were chosen. Each is seen in 30 views that the Sawyer reaches, 1280 x 720, with the depth
-noise of a D455, arm pose noise (0.2 deg, 1.5 mm per axis) and a hand-eye error (0.2 deg, 1 mm). Finished plants are
-kept in --out and not run again. `skeleton_truth.py` says how a plant is judged.
+noise of a D455, arm pose noise (0.2 deg, 1.5 mm per axis) and a hand-eye error (0.2 deg, 1 mm). Plants go through a
+sweep in --out: what is done is not run again. `skeleton_truth.py` says how a plant is judged.
 
 Keys of the --json file: those of `skeleton_truth.pooled` for all plants together, and with the prefixes tomato_,
 pepper_, ten_ (the ten plants), hundred_ for parts; seconds_median (perception alone), failed (share of plants without
@@ -16,24 +16,22 @@ from __future__ import annotations
 
 import argparse
 import time
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from skeleton_figures import draw_spread, draw_ten
 from skeleton_truth import Score, pooled, score, visible_flowers
+from swept import FOLDER, swept
 
 from anther import cloud, flowers, masks, skeleton, stem
 from anther.arm.views import Params as ViewParams
 from anther.capture import Capture
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.errors import AntherError
-from anther.files import read_json, write_json
+from anther.files import write_json
 from anther.sim.capture import CaptureTruth
 from anther.sim.plant import SimPlant
 
@@ -69,33 +67,28 @@ def take(species: Species, seed: int, views: int = VIEWS) -> tuple[SimPlant, Cap
     return plant, *photograph(plant, planned.joints, seed)
 
 
-def one_plant(which: tuple[Species, int], out: Path) -> dict[str, Any]:
-    """Return one plant's score as plain lists, from --out when it was run before."""
-    species, seed = which
-    file = out / f"{species}-{seed}.json"
-    if not file.exists():
-        plant, capture, truth = take(species, seed)
-        begin = time.perf_counter()
-        try:
-            labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace)
-            points = cloud.fuse(capture, labels, layout(USUAL_DISTANCE).workspace)
-            tree = skeleton.skeletonize(points)
-            main = stem.find_stem(tree, flowers_at=flowers.flower_centres(points))
-            found = flowers.find_flowers(points, tree, main)
-        except AntherError as error:
-            write_json(file, {"failure": str(error)})
-        else:
-            seconds = time.perf_counter() - begin
-            result = score(plant, visible_flowers(plant, truth, capture.intrinsics), tree, main, found)
-            if which in TEN:
-                keep(out / file.stem, points, tree, main)
-            write_json(file, {**as_lists(result), "seconds": seconds, "notes": [*points.notes, *tree.notes]})
-    return read_json(file)
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return one plant's score as plain lists, for a sweep."""
+    species, seed = row["species"], row["seed"]
+    plant, capture, truth = take(species, seed)
+    begin = time.perf_counter()
+    try:
+        labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace)
+        points = cloud.fuse(capture, labels, layout(USUAL_DISTANCE).workspace)
+        tree = skeleton.skeletonize(points)
+        main = stem.find_stem(tree, flowers_at=flowers.flower_centres(points))
+        found = flowers.find_flowers(points, tree, main)
+    except AntherError as error:
+        return {"failure": str(error)}
+    seconds = time.perf_counter() - begin
+    result = score(plant, visible_flowers(plant, truth, capture.intrinsics), tree, main, found)
+    if (species, seed) in TEN:
+        keep(folder, points, tree, main)
+    return {**as_lists(result), "seconds": seconds, "notes": [*points.notes, *tree.notes]}
 
 
 def keep(folder: Path, points: cloud.Cloud, tree: skeleton.Skeleton, main: stem.Stem) -> None:
     """Save what the picture of the ten plants shows."""
-    folder.mkdir(exist_ok=True)
     points.save(folder / "cloud.ply")
     tree.save(folder / "skeleton.npz")
     main.save(folder / "stem.npz")
@@ -155,13 +148,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/skeletons"), help="where finished plants are kept")
     parser.add_argument("--figures", type=Path, help="write skeletons.png and skeletons_spread.png into this folder")
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     console = Console()
     chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED[: args.further]]
     chosen = [(species, seed + args.seed) for species, seed in chosen]
-    with ProcessPoolExecutor(args.jobs) as pool:
-        results = pool.map(partial(one_plant, out=args.out), chosen)
-        rows = dict(zip(chosen, track(results, "plants", total=len(chosen), console=console), strict=True))
+    cases = [{"species": species, "seed": seed} for species, seed in chosen]
+    rows = dict(zip(chosen, swept(one_plant, cases, args.out, args.jobs, lambda why: {"failure": why}), strict=True))
     table = metrics(rows)
     show(table, console)
     for (species, seed), row in rows.items():
@@ -172,7 +163,9 @@ def main() -> None:
         write_json(args.json, table)
     if args.figures:
         scores = {which: as_score(row) for which, row in rows.items() if "failure" not in row}
-        draw_ten([which for which in scores if which in TEN], args.out).savefig(args.figures / "skeletons.png", dpi=90)
+        draw_ten([(*which, Path(rows[which][FOLDER])) for which in scores if which in TEN]).savefig(
+            args.figures / "skeletons.png", dpi=90
+        )
         draw_spread(scores).savefig(args.figures / "skeletons_spread.png", dpi=90)
 
 

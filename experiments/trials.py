@@ -2,8 +2,9 @@
 
     python experiments/trials.py --json docs/results/trials.json
 
-Each trial is one `anther trial` in its own process; finished ones are kept in --out and not run again. In the --json
-file success_SPECIES is the share held and unharmed, and `grasping_table.effects` says what became of the flowers.
+Each trial is one `anther trial` in its own process; they go through a sweep in --out: what is done is not run again.
+In the --json file success_SPECIES is the share held and unharmed, and `grasping_table.effects` says what became of the
+flowers.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import argparse
 import json
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,8 @@ import numpy as np
 from grasping_page import EFFECTS, effect_cells
 from grasping_table import as_counted, effects
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
+from swept import failed, swept
 
 from anther.files import read_json, write_json
 
@@ -29,23 +29,17 @@ SHOWN = ("harm_probability_mean", "flower_acceleration_median_ms2", "flower_acce
 """Of `EFFECTS`, for a line a trial."""
 
 
-def one_trial(species: str, seed: int, viewpoint: float, out: Path) -> dict[str, Any]:
-    """Run one trial unless it is there already, and return its trial.json with the stage times."""
-    folder = out / f"{species}-{seed}-{viewpoint:g}"
-    if not (folder / "trial.json").exists():
-        words = ["trial", "--plant", species, "--seed", str(seed), "--viewpoint", str(viewpoint), "--out", str(folder)]
-        words += ["--overwrite", "--history", str(out / "history.sqlite"), "--material", "facts"]
-        command = [sys.executable, "-m", "anther.cli", *words]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        (out / f"{folder.name}.log").write_text(done.stdout + done.stderr)
-        if not (folder / "trial.json").exists():
-            return {
-                "success": False,
-                "failure": "crashed",
-                "message": done.stderr.strip().splitlines()[-1:],
-                "seconds": {},
-            }
-    return {**as_counted(read_json(folder / "trial.json")), "seconds": read_json(folder / "timing.json")}
+def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Run one trial as a command in a process of its own; return its trial.json with the stage times, for a sweep."""
+    run = folder / "run"
+    words = ["trial", "--plant", row["species"], "--seed", str(row["seed"]), "--viewpoint", "0", "--out", str(run)]
+    words += ["--history", str(folder / "history.sqlite"), "--material", "facts"]
+    done = subprocess.run([sys.executable, "-m", "anther.cli", *words], capture_output=True, text=True, check=False)
+    (folder / "log").write_text(done.stdout + done.stderr)
+    if not (run / "trial.json").exists():
+        said = done.stderr.strip().splitlines()[-1:]
+        return {"success": False, "failure": "crashed", "message": said, "seconds": {}}
+    return {**as_counted(read_json(run / "trial.json")), "seconds": read_json(run / "timing.json")}
 
 
 def one_row(trial: dict[str, Any]) -> dict[str, float | None]:
@@ -107,12 +101,10 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/trials"))
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
     seeds = range(args.seed, args.seed + (2 if args.quick else 5))
-    todo = [(species, seed) for species in ("tomato", "pepper") for seed in seeds]
-    with ThreadPoolExecutor(args.jobs) as pool:
-        futures = [pool.submit(one_trial, species, seed, 0.0, args.out) for species, seed in todo]
-        rows = [(*what, future.result()) for what, future in track(list(zip(todo, futures, strict=True)), "trials")]
+    cases = [{"species": species, "seed": seed} for species in ("tomato", "pepper") for seed in seeds]
+    done = swept(one_trial, cases, args.out, args.jobs, lambda why: failed(why) | {"seconds": {}})
+    rows = [(row["species"], row["seed"], row) for row in done]
     show(rows)
     metrics = {
         f"success_{species}": sum(t["success"] for s, _, t in rows if s == species) / len(seeds)

@@ -9,20 +9,20 @@ should do: (a) the paper's, (b) Anther's with what is known of the crop, (c) Ant
 the side camera's noisy frames. Further models, with the plant's own geometry or material, tell where the error comes
 from. Predictions are linear; docs/vibration_accuracy.md says how far that is from the nonlinear solver.
 
-Every plant ends in one JSON in --out and is not done again. `vibration_table.py` says what the keys of --json are.
+Plants go through a sweep in --out: what is done is not done again. `vibration_table.py` says what the keys of --json
+are.
 """
 
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
 
 from grasping_page import insert
 from rich.console import Console
 from rich.markdown import Markdown
-from rich.progress import track
+from swept import swept
 from vibration_figures import draw
 from vibration_plant import FAST_FREQUENCIES, PAPER_FREQUENCIES, Case, one_plant
 from vibration_table import metrics, report
@@ -70,9 +70,8 @@ def main() -> None:
     parser.add_argument("--page", type=Path, help="write the tables into this docs page")
     args = parser.parse_args()
     console, cases = Console(), chosen(args)
-    with ProcessPoolExecutor(args.jobs) as pool:
-        results = pool.map(partial(one_plant, out=args.out), cases)
-        rows = list(track(results, "plants", total=len(cases), console=console))
+    told = map(asdict, cases)
+    rows = swept(one_plant, told, args.out, args.jobs, lambda reason: {"lost": f"crashed: {reason}"})
     lost = [row["lost"] for row in rows if "lost" in row]
     rows = [row for row in rows if "lost" not in row]
     text = "\n\n".join([report(rows), *(f"Left out: {why}" for why in lost)])

@@ -20,7 +20,6 @@ from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, gro
 from anther.devices import Frame
 from anther.elastic_rod import Drive
 from anther.errors import StageFailure
-from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.identification import Felt, Observed, Refinement, refine
@@ -38,7 +37,6 @@ from anther.vibration.limits import sawyer_limit
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import PADS, grip_rows, pad_nodes
 from anther.vibration.verification import steadily_shaken
-from anther.vibration.waveforms import SINE
 
 HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Grips, in shares of the main stem's length."""
@@ -96,23 +94,19 @@ class Case:
         return f"{self.species}-{self.seed}"
 
 
-def one_plant(case: Case, out: Path) -> dict[str, Any]:
-    """Return what is found for one plant, or why it was lost; kept in `out` and not done again."""
-    file = out / f"{case.name}.json"
-    if file.exists():
-        return read_json(file)
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what is found for one plant (a `Case`), or why it was lost, for a sweep."""
+    del folder
+    case = Case(**row)
     plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
     box = layout(USUAL_DISTANCE).workspace
     scene = Scene.of_plant(plant)
     views = views_at(USUAL_DISTANCE, PRESETS["full"])
     seen = perceive(photograph(scene, views.joints, case.seed)[0], box)
     try:
-        row = judged(case, plant, scene, seen)
+        return judged(case, plant, scene, seen)
     except StageFailure as failure:
-        row = {"lost": f"{case.name}: {failure}"}
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(file, row)
-    return row
+        return {"lost": f"{case.name}: {failure}"}
 
 
 def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, Any]:
@@ -227,7 +221,7 @@ def probed(
         done = shaken.steady(PROBE_AMPLITUDE, f)
         answer = measure_response(filmed(scene, shaken, done, pose, seed), intrinsics, pose, seen.flowers, f)
         expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([f]))[0, 0]
-        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "waveform": SINE, "pads": PADS}
+        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "pads": PADS}
         place, predicted = SimpleNamespace(point=grip.point), PROBE_AMPLITUDE * expected
         shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=predicted, **facts))
         true = np.full(len(expected), np.nan)

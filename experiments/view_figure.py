@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 SHOWN = ("stem_error_median_mm", "stem_error_p95_mm", "recall_5mm", "flower_recall")
 CHOICES = {
     "fixed": ("evenly spread", "C0", "o-"),
-    "next_best": ("next best", "C1", "s-"),
     "narrow": ("evenly spread within 75°", "C2", "^-"),
 }
 

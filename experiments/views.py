@@ -1,26 +1,23 @@
-"""Number of views against quality: evenly spread views, next-best views, and the narrow views of the preset `fast`.
+"""Number of views against quality: evenly spread views, and the narrow views of the preset `fast`.
 
     python experiments/views.py --json docs/results/views.json --figure docs/pictures/views.png
 
 Some plants of each species, seeds 0 up. Of each, a pool of reachable views is taken once (1280 x 720, D455
 depth noise, arm and hand-eye errors), and all choices are made from it:
 - fixed: n views, each the farthest in direction from those before it, as `anther trial` takes them;
-- narrow: the same among the directions that `anther trial --preset fast` allows;
-- next_best: the first three of the fixed ones, then always the view of the pool that shows most unseen volume around
-  the stem as known so far (`anther.next_view`). The stem is found anew after 3, 5, 8 and 12 views.
+- narrow: the same among the directions that `anther trial --preset fast` allows.
 `skeleton_truth.py` says how plants are judged; visible flowers are those that any view of the pool shows. Finished
 plants are kept in --out and not run again.
 
 Keys of the --json file: CHOICE_COUNT_METRIC, the mean over the plants, and with _sd the standard deviation between
-plants. capture_s: motion by the planner's trajectories and stops; perception_s: processor time of masks to flowers, of
-the last views alone; gain_s: processor time of one choice of the next view.
+plants. capture_s: motion by the planner's trajectories and stops; perception_s: processor time of masks to flowers.
 """
 
 from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,13 +38,12 @@ from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, gro
 from anther.errors import AntherError
 from anther.files import read_json, write_json
 from anther.flowers import Flowers
-from anther.next_view import expected_new_volume
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
-POOL, FIRST = 60, 3
-COUNTS = {"fixed": (5, 8, 12, 20, 30), "narrow": (8, 10, 12), "next_best": (5, 8, 12, 20)}
+POOL = 60
+COUNTS = {"fixed": (5, 8, 12, 20, 30), "narrow": (8, 10, 12)}
 SPECIES: tuple[Species, ...] = ("tomato", "pepper")
 METRICS = {
     "stem_error_median_mm": "stem error, median [mm]",
@@ -125,32 +121,6 @@ def prefixes(name: str, pool: Pool, order: list[int], counts: tuple[int, ...]) -
     }
 
 
-def next_best(pool: Pool, counts: tuple[int, ...]) -> dict[str, dict[str, Any]]:
-    """Choose views one by one by the unseen volume they are expected to show; judge at every count."""
-    views, rows, seconds = list(range(FIRST)), {}, []
-    seen = perceive(pool.capture.select(views))
-    while len(views) < max(counts):
-        begin = time.process_time()
-        views.append(_next(pool, seen, views))
-        seconds.append(time.process_time() - begin)
-        if len(views) in counts:
-            seen = perceive(pool.capture.select(views))
-            chosen = {"views": list(views), "gain_s": float(np.mean(seconds))}
-            rows[f"next_best_{len(views)}"] = {**judged(pool, seen), **chosen}
-    return rows
-
-
-def _next(pool: Pool, seen: Seen, views: list[int]) -> int:
-    """Return the view of the pool to take next; poses are as registered with the stem, else the arm's own."""
-    assert seen.cloud.T_world_cam is not None
-    capture, registered = pool.capture.select(views), seen.cloud.T_world_cam
-    poses = np.concatenate([registered, capture.T_world_cam[len(registered) :]])
-    rest = [i for i in range(POOL) if i not in views]
-    stem_nodes = seen.tree.nodes[seen.main.node_ids]
-    gain = expected_new_volume(replace(capture, T_world_cam=poses), stem_nodes, pool.capture.T_world_cam[rest])
-    return rest[int(np.argmax(gain))]
-
-
 def one_plant(species: Species, seed: int, viewpoints: Viewpoints, counts: dict[str, Any], out: Path) -> Any:
     """Return the rows of one plant, from --out when it was run before; "views" are numbers of viewpoints."""
     file = out / f"{species}-{seed}.json"
@@ -160,24 +130,21 @@ def one_plant(species: Species, seed: int, viewpoints: Viewpoints, counts: dict[
         pool = take_pool(grow(species, seed, 0.0, USUAL_DISTANCE), seed, viewpoints, chosen)
         rows = prefixes("fixed", pool, list(range(POOL)), counts["fixed"])
         rows |= prefixes("narrow", pool, [chosen.index(i) for i in narrow], counts["narrow"])
-        rows |= next_best(pool, counts["next_best"])
-        for name, row in rows.items():
+        for row in rows.values():
             row["views"] = [chosen[i] for i in row["views"]]
-            if name.startswith("next_best"):
-                row["capture_s"] = _capture_seconds(viewpoints, row["views"], in_order=True)
         write_json(file, rows)
     return read_json(file)
 
 
-def _capture_seconds(viewpoints: Viewpoints, chosen: list[int], *, in_order: bool = False) -> float:
-    return capture_time(visit_views(viewpoints, chosen, PLACE.region, PLACE.solids, in_order=in_order))
+def _capture_seconds(viewpoints: Viewpoints, chosen: list[int]) -> float:
+    return capture_time(visit_views(viewpoints, chosen, PLACE.region, PLACE.solids))
 
 
 def metrics(plants: list[dict[str, dict[str, Any]]]) -> dict[str, float]:
     """Return means and standard deviations over the plants."""
     table: dict[str, float] = {}
     for choice in plants[0]:
-        for name in [*METRICS, "gain_s"]:
+        for name in METRICS:
             values = [rows[choice][name] for rows in plants if name in rows.get(choice, {})]
             if values:
                 table[f"{choice}_{name}"] = float(np.mean(values))
@@ -211,14 +178,14 @@ def main() -> None:
     plants: list[tuple[Species, int]] = [
         (species, k) for k in range(1 if args.quick else args.each) for species in SPECIES
     ]
-    first = viewpoints.spread(FIRST)
+    first = viewpoints.spread(3)
     perceive(take_pool(grow("tomato", 10, 0.0, USUAL_DISTANCE), 10, viewpoints, first).capture)  # compiles the kernels
     for species, seed in track(plants, "plants", console=console):
         try:
             rows.append(one_plant(species, seed + args.seed, viewpoints, counts, args.out))
         except AntherError as error:
             console.print(f"{species} {seed}: {error}")
-    for name in [name for name in rows[0] if "capture_s" not in rows[0][name]]:
+    for name in rows[0]:
         seconds = _capture_seconds(viewpoints, rows[0][name]["views"])
         for row in rows:
             row[name]["capture_s"] = seconds

@@ -29,7 +29,6 @@ from anther.commands.simulated_cell import (
 )
 from anther.devices import Frame
 from anther.errors import StageFailure
-from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.identification import Felt, Observed, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import PlantModel
@@ -46,7 +45,6 @@ from anther.vibration import ShakePlan
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import PADS, grip_rows, pad_nodes
 from anther.vibration.search import Version, flower_motion
-from anther.vibration.waveforms import SINE
 
 HEIGHTS = (0.3, 0.45, 0.65)
 """Grips, in shares of the main stem's length."""
@@ -78,21 +76,14 @@ class Case:
     seed: int
     truth: str = "wide"
 
-    def file(self, out: Path) -> Path:
-        """Where its row is kept."""
-        return out / self.truth / f"{self.species}-{self.seed}.json"
 
-
-def one_plant(case: Case, out: Path) -> dict[str, Any]:
-    """Return what is found for one plant, or why it was lost; kept in `out` and not done again."""
-    file = case.file(out)
-    if not file.exists():
-        try:
-            row = predicted(case)
-        except StageFailure as failure:
-            row = {"species": case.species, "seed": case.seed, "lost": str(failure)}
-        write_json(file, row)
-    return read_json(file)
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what is found for one plant (a `Case`), or why it was lost, for a sweep."""
+    del folder
+    try:
+        return predicted(Case(**row))
+    except StageFailure as failure:
+        return {"species": row["species"], "seed": row["seed"], "lost": str(failure)}
 
 
 @lru_cache(maxsize=4)
@@ -169,7 +160,7 @@ def _probe(
     answer = measure_response(frames, intrinsics, pose, seen.flowers, frequency, stem=beside)
     where = pad_nodes(model, grip_rows(model, grip.point[None]))
     linear = semi_major(flower_motion(Version(model), where, DIRECTION, np.array([frequency]))[0, 0])
-    facts = {"direction": DIRECTION, "amplitude": amplitude, "frequency": frequency, "waveform": SINE, "pads": PADS}
+    facts = {"direction": DIRECTION, "amplitude": amplitude, "frequency": frequency, "pads": PADS}
     place = SimpleNamespace(point=grip.point)
     shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=amplitude * linear, **facts))
     return Observed.of(shake, answer, _felt(grip, amplitude, frequency, grip.plant.seed))

@@ -13,7 +13,9 @@ grasping     whole trials with the preset `fast`, judged as held, unharmed and f
 Both are also run with a nominal truth, and with one group of assumptions at a time drawn wide, ranked by what it
 changes: the assumption at the top is the one that would ruin the result.
 
-Every plant and trial ends in one JSON in --out and is not run again. Keys of --json: those of `wide_table.metrics` and
+Plants and trials go through sweeps in --out (docs/sweep.md): what is done is not run again.
+
+Keys of --json: those of `wide_table.metrics` and
 `wide_grasping.metrics` for everything drawn (the latter as grasp_<key>), grasp_400_wide, second_judge_error_max, and
 for one group at a time <key>__<group>.
 """
@@ -21,22 +23,17 @@ for one group at a time <key>__<group>.
 from __future__ import annotations
 
 import argparse
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from multiprocessing import Value
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import wide_grasping
 import wide_table
 from grasping_page import insert
-from grasping_trial import one_trial
+from grasping_trial import asked, crashed, one_trial
 from rich.console import Console
 from rich.markdown import Markdown
-from rich.progress import track
 from rich.table import Table
+from swept import swept
 from wide_plant import Case, one_plant
 
 from anther.files import read_json, write_json
@@ -50,17 +47,20 @@ PREDICTED = ("error_other_tomato", "error_other_pepper", "error_held_seen", "cov
 GRASPED = ("harm_probability_mean", "success", "flower_acceleration_median_ms2", "moved_share")
 
 
-def predictions(args: argparse.Namespace, pool: ProcessPoolExecutor) -> dict[str, dict[str, float]]:
+def predictions(args: argparse.Namespace) -> dict[str, dict[str, float]]:
     """Return the metrics of the predictions by truth."""
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     out = {}
     for truth, plants in _truths(args.plants, args.perturbed):
-        cases = [Case(wide_grasping.SPECIES[k % 2], first + k // 2, truth) for k in range(plants)]
-        out[truth] = wide_table.metrics(_run(partial(one_plant, out=args.out), cases, pool, f"predicted, {truth}"))
+        cases = [asdict(Case(wide_grasping.SPECIES[k % 2], first + k // 2, truth)) for k in range(plants)]
+        rows = swept(
+            one_plant, cases, args.out / "prediction", args.jobs, lambda reason: {"lost": f"crashed: {reason}"}
+        )
+        out[truth] = wide_table.metrics(rows)
     return out
 
 
-def grasps(args: argparse.Namespace, pool: ProcessPoolExecutor) -> tuple[dict[str, dict[str, float]], list[str]]:
+def grasps(args: argparse.Namespace) -> tuple[dict[str, dict[str, float]], list[str]]:
     """Return the metrics of the trials by truth, and what failed where everything was drawn."""
     out, failed = {}, []
     groups = wide_grasping.GROUPS if args.perturbed_trials else ()
@@ -68,7 +68,7 @@ def grasps(args: argparse.Namespace, pool: ProcessPoolExecutor) -> tuple[dict[st
         if not trials:
             continue
         cases = wide_grasping.cases(trials, args.seed, "fast", truth)
-        rows = _run(partial(one_trial, out=args.out, rule=False), cases, pool, f"trials, {truth}")
+        rows = swept(one_trial, asked(cases, rule=False), args.out / "grasping", args.jobs, crashed)
         out[truth] = wide_grasping.metrics(rows)
         failed += wide_grasping.failures(rows) if truth == "wide" else []
     return out, failed
@@ -76,12 +76,6 @@ def grasps(args: argparse.Namespace, pool: ProcessPoolExecutor) -> tuple[dict[st
 
 def _truths(plants: int, perturbed: int) -> list[tuple[str, int]]:
     return [("wide", plants), *((name, perturbed) for name in ("nominal", *WIDE) if perturbed)]
-
-
-def _run(
-    one: Callable[[Any], dict[str, Any]], cases: Sequence[Any], pool: ProcessPoolExecutor, title: str
-) -> list[dict[str, Any]]:
-    return list(track(pool.map(one, cases), title, total=len(cases), console=Console()))
 
 
 def flat(predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, float]]) -> dict[str, float]:
@@ -121,15 +115,6 @@ def markdown(table: Table) -> str:
     return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
-def _one_core(turn: Any) -> None:
-    """Keep a worker to one core, each to another: its own threads would only wait for each other."""
-    if hasattr(os, "sched_setaffinity"):
-        cores = sorted(os.sched_getaffinity(0))
-        with turn.get_lock():
-            os.sched_setaffinity(0, {cores[turn.value % len(cores)]})
-            turn.value += 1
-
-
 def main() -> None:
     """Run what is not there yet, print the tables, write --json and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -148,9 +133,8 @@ def main() -> None:
     args = parser.parse_args()
     if args.quick:
         args.plants, args.perturbed, args.trials, args.perturbed_trials = 4, 0, 4, 0
-    with ProcessPoolExecutor(args.jobs, initializer=_one_core, initargs=(Value("i", 0),)) as pool:
-        predicted = predictions(args, pool) if "prediction" in args.part else {}
-        grasped, failed = grasps(args, pool) if "grasping" in args.part else ({}, [])
+    predicted = predictions(args) if "prediction" in args.part else {}
+    grasped, failed = grasps(args) if "grasping" in args.part else ({}, [])
     text = report(predicted, grasped, failed)
     Console().print(Markdown(text))
     if args.json:

@@ -1,16 +1,13 @@
-"""Trial history: what is written is read back, by several processes at once, after a kill, and from older files."""
+"""Trial history: what is written is read back, by several processes at once, and after a kill."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import shutil
 import signal
 import sqlite3
-import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
@@ -20,25 +17,30 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sqlalchemy import create_engine, inspect
+from postgresql_server import Server
 
 from anther.errors import InputError, MissingExtra
 from anther.plant import Material
 from anther.store import (
     GraspRecord,
+    Job,
     Outcome,
     ShakeRecord,
     TrialRecord,
+    add_jobs,
     add_missing,
     find_plants,
     find_visit,
+    note_jobs,
+    read_jobs,
     read_outcomes,
+    read_sweeps,
     read_trials,
     record_outcome,
     record_trial,
     shown,
 )
-from anther.store.tables import Base
+from anther.store.database import _engine
 
 KILLS = int(os.environ.get("ANTHER_KILLS", "4"))
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -59,67 +61,6 @@ def full(plant: str = "seed 3", minutes: int = 0) -> TrialRecord:
         run="runs/7",
         time=NOON + timedelta(minutes=minutes),
     )
-
-
-class Server:
-    """A PostgreSQL server of the tests' own, in a temporary folder, reached by a socket in it."""
-
-    def __init__(self, binaries: Path, user: list[str]) -> None:
-        self._as = user
-        self.folder = Path(self._run("mktemp", "-d", "/tmp/anther-postgresql-XXXXXX").strip())
-        self._control = (str(binaries / "pg_ctl"), "-w", "-D", str(self.folder / "data"))
-        self._run(str(binaries / "initdb"), "-D", str(self.folder / "data"), "-U", "anther", "-A", "trust", "-N")
-        self.start()
-
-    def _run(self, *words: str) -> str:
-        return subprocess.run([*self._as, *words], check=True, stdout=subprocess.PIPE, text=True, cwd="/").stdout
-
-    def start(self) -> None:
-        options = f"-c listen_addresses='' -c unix_socket_directories={self.folder}"
-        options += " -c recovery_init_sync_method=syncfs"  # else every file is flushed by itself, which takes seconds
-        log = str(self.folder / "log")
-        subprocess.run([*self._as, *self._control, "-o", options, "-l", log, "start"], check=True, cwd="/",
-                       stdout=subprocess.DEVNULL)  # fmt: skip
-
-    def crash(self) -> None:
-        """Stop without writing anything more: what counts is what was flushed at every commit."""
-        self._run(*self._control, "-m", "immediate", "stop")
-
-    def address(self) -> str:
-        return f"postgresql://anther:secret@/postgres?host={self.folder}"
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
-    """A real server, where its programs are installed."""
-    pytest.importorskip("psycopg", reason="psycopg is not installed: pip install 'anther[postgresql]'")
-    folders = [*sorted(Path("/usr/lib/postgresql").glob("*/bin")), Path(shutil.which("initdb") or "/none").parent]
-    binaries = next((folder for folder in folders if (folder / "initdb").exists()), None)
-    if binaries is None:
-        pytest.skip("no PostgreSQL programs (initdb, pg_ctl): apt install postgresql")
-    user = []
-    if os.geteuid() == 0:  # PostgreSQL does not run as root
-        if subprocess.run(["runuser", "-u", "postgres", "true"], capture_output=True, check=False).returncode:
-            pytest.skip("running as root, and PostgreSQL needs another user: there is no user postgres")
-        user = ["runuser", "-u", "postgres", "--"]
-    running = Server(binaries, user)
-    yield running
-    running.crash()
-    shutil.rmtree(running.folder)
-
-
-@pytest.fixture(params=["sqlite", "postgresql"])
-def where(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """A new history: a SQLite file, or a schema of a real PostgreSQL server."""
-    if request.param == "sqlite":
-        return str(tmp_path / "deep" / "history.sqlite")
-    server: Server = request.getfixturevalue("server")
-    name = f"t{time.monotonic_ns()}"
-    admin = create_engine(server.address().replace("://", "+psycopg://"))
-    with admin.begin() as connection:
-        connection.exec_driver_sql(f"CREATE SCHEMA {name}")
-    admin.dispose()
-    return server.address() + f"&options=-csearch_path%3D{name}"
 
 
 def test_round_trip(where: str) -> None:
@@ -166,6 +107,14 @@ def test_a_history_that_is_not_there_is_empty_and_not_made(tmp_path: Path) -> No
     assert not (tmp_path / "missing.sqlite").exists()
 
 
+def test_a_path_is_of_the_folder_that_is_current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        record_trial(full(plant=name), "runs/history.sqlite")
+        assert [t.plant for t in read_trials("runs/history.sqlite")] == [name]
+
+
 def test_outcomes(where: str) -> None:
     visit = record_trial(full(), where)
     days = [date(2026, 6, 1), date(2026, 6, 8)]
@@ -199,7 +148,7 @@ def test_a_record_survives_as_json_and_is_added_once(where: str) -> None:
 def write_on(where: str, name: str, count: int, pipe: int) -> None:
     """Record trials of three plants; report each one's number once it is recorded."""
     for k in range(count):
-        record = TrialRecord("tomato", f"{name} {k % 3}", True, shake=ShakeRecord(8.0, 1e-3))
+        record = TrialRecord("tomato", f"{name} {k % 3}", True, shake=ShakeRecord(8.0, 1e-3), robot=f"{os.getpid()}")
         number = record_trial(replace(record, predicted_amplitude=(1e-3, 2e-3, 3e-3, 4e-3, 5e-3)), where)
         os.write(pipe, f"{number}\n".encode())
 
@@ -264,80 +213,23 @@ def test_a_crashed_server_loses_nothing(server: Server) -> None:
     assert [t.id for t in read_trials(where, plant="crash")] == numbers
 
 
-OLD_TABLE = """
-CREATE TABLE trials (id INTEGER NOT NULL, time VARCHAR NOT NULL, species VARCHAR NOT NULL, plant VARCHAR NOT NULL,
-  success BOOLEAN NOT NULL, failure VARCHAR, run VARCHAR, grasp JSON NOT NULL, shake JSON NOT NULL,
-  predicted_amplitude JSON NOT NULL, measured_amplitude JSON NOT NULL, material JSON, PRIMARY KEY (id));
-CREATE INDEX ix_trials_time ON trials (time)
-"""
-OLD_INSERT = "INSERT INTO trials VALUES (?, ?, 'tomato', ?, ?, ?, 'runs/x', ?, ?, ?, ?, ?)"
-
-
-def old_history(path: Path) -> None:
-    """A file of version 0, whose rows are those that its program wrote."""
-    with sqlite3.connect(path) as connection:
-        connection.executescript(OLD_TABLE)
-        grasp, shake = '{"pose7": [0.6, 0, -0.1, 0, 0, 0, 1], "arc_length_m": 0.14}', '{"amplitude_m": 4e-4, '
-        shake += '"frequency_hz": 9.8, "direction": [0, 1, 0]}'
-        material = '{"youngs": 9e8, "density": 1050.0, "damping_ratio": 0.05, "youngs_spread": 0.4, "of_later": 1}'
-        time_ = "2026-11-21T17:19:43.150547+00:00"
-        rows = [
-            (4, time_, "simulated 0", 1, None, grasp, shake, "[0.001, 0.002]", "[0.001, null]", material),
-            (9, time_, "simulated 0", 0, "no_stem_found", '{"pose7": null, "arc_length_m": null}',
-             '{"amplitude_m": null, "frequency_hz": null, "direction": null}', "[]", "[]", "null"),
-        ]  # fmt: skip
-        connection.executemany(OLD_INSERT, rows)
-
-
-def test_an_old_file_is_brought_up_to_date(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    old_history(path)
-    first, second = read_trials(path)
-    assert (first.id, second.id) == (4, 9)
-    assert first.time == datetime(2026, 11, 21, 17, 19, 43, 150547, tzinfo=UTC)
-    assert first.grasp == GraspRecord(arc_length=0.14, pose7=(0.6, 0, -0.1, 0, 0, 0, 1))
-    assert first.shake == ShakeRecord(9.8, 4e-4, direction=(0, 1, 0))
-    assert first.predicted_amplitude == (1e-3, 2e-3)
-    assert np.isnan(first.measured_amplitude[1])
-    assert first.material == Material(youngs=9e8, youngs_spread=0.4)
-    assert (second.failure, second.grasp, second.shake, second.material) == ("no_stem_found", None, None, None)
-    assert record_trial(full(), path) == 10
-    assert len(read_trials(path)) == 3
-    with sqlite3.connect(path) as connection:
-        assert connection.execute("SELECT count(*) FROM trials_version_0").fetchone() == (2,)
-        assert connection.execute("SELECT count(*) FROM trials").fetchone() == (3,)
-        with pytest.raises(sqlite3.OperationalError, match="view"):  # a program of version 0 is told, not ignored
-            connection.execute(OLD_INSERT, (11, "t", "p", 1, None, "{}", "{}", "[]", "[]", None))
-
-
-def test_processes_bring_an_old_file_up_to_date_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    old_history(path)
-    assert len(numbers_of([writer(str(path), name, 2) for name in "abc"])) == 6
-    assert len(read_trials(path)) == 2 + 6
-
-
-def test_the_tables_are_those_of_the_classes(where: str) -> None:
+def test_jobs_of_a_sweep(where: str) -> None:
+    assert read_sweeps(where) == []
+    jobs = [Job(f"k{n}", {"seed": n}) for n in range(3)]
+    named = {"uid": "u", "folder": "runs/night", "function": "trial"}
+    add_jobs(jobs[:2], where, **named)
+    done = replace(jobs[1], state="done", tries=2, result={"success": True}, seconds=1.5, reason="its worker died")
+    note_jobs([done], where, uid="u")
+    add_jobs(jobs, where, **named)  # what is noted stays
+    add_jobs(jobs, where, uid="v", folder="runs/other", function="trial")
+    assert read_jobs(where, "u") == [jobs[0], done, jobs[2]]
+    assert read_jobs(where, "none") == []
+    first, second = read_sweeps(where)
+    assert (first.uid, first.folder, first.function, first.jobs) == (*named.values(), {"waiting": 2, "done": 1})
+    assert first.last is not None
+    assert first.last >= first.began
+    assert (second.jobs, second.last) == ({"waiting": 3}, None)
     record_trial(full(), where)
-    url = where.replace("postgresql://", "postgresql+psycopg://") if "://" in where else f"sqlite:///{where}"
-    engine = create_engine(url)
-    there = inspect(engine)
-    for table in Base.metadata.sorted_tables:
-        columns = {c["name"]: c["nullable"] for c in there.get_columns(table.name)}
-        columns["id"] = False  # SQLite says that a primary key may be null
-        assert columns == {c.name: c.nullable for c in table.columns}, table.name
-        indexed = {tuple(i["column_names"]) for i in there.get_indexes(table.name)}
-        assert {tuple(i.columns.keys()) for i in table.indexes} <= indexed, table.name
-    engine.dispose()
-
-
-def test_a_newer_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "h.sqlite"
-    record_trial(full(), path)
-    with sqlite3.connect(path) as connection:
-        connection.execute("UPDATE schema_version SET version = 99")
-    with pytest.raises(InputError, match="newer Anther"):
-        read_trials(path)
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
@@ -366,9 +258,11 @@ def test_locked_and_full_are_told_apart(tmp_path: Path, monkeypatch: pytest.Monk
         connection.execute("PRAGMA max_page_count=1")
 
     monkeypatch.setattr("anther.store.database._configure_sqlite", no_more_pages)
+    _engine.cache_clear()
     with pytest.raises(InputError, match="free some space"):
-        record_trial(replace(full(), run="x" * 100_000), path)
+        record_trial(replace(full(minutes=1), run="x" * 100_000), path)
     monkeypatch.undo()
+    _engine.cache_clear()
     assert all(t.flowers == 2 for t in read_trials(path))
 
 

@@ -1,8 +1,9 @@
 """Trial history: every visit to a plant and what became of it, in a database that several programs may write at once.
 
-`record_trial`, `record_outcome` write, `read_trials`, `read_outcomes` read, `export` makes tables for other programs,
-and `starting_material` says what is believed of a plant before it is shaken: its own last belief, else what the crop
-taught; `earlier_shake` with which shake to begin.
+`record_trial`, `record_outcome`, `record_note` write, `read_trials`, `read_outcomes` read, `merge` takes in another
+history, `export` makes tables for other programs, and `starting_material` says what is believed of a plant before it is
+shaken: its own last belief, else what the crop taught; `earlier_shake` with which shake to begin. `overview` has what
+pages show.
 """
 
 from anther.store.beliefs import (
@@ -13,15 +14,20 @@ from anther.store.beliefs import (
     hierarchical_normal,
     starting_material,
 )
-from anther.store.database import DEFAULT, PATIENCE, shown
+from anther.store.database import DEFAULT, PATIENCE, reading, shown
 from anther.store.export import TABLES, export
+from anther.store.jobs import Job, SweepRecord, add_jobs, note_jobs, read_jobs, read_sweeps
+from anther.store.merge import Merged, merge
 from anther.store.records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
 from anther.store.trials import (
     add_missing,
+    count_trials,
+    each_trial,
     find_plants,
     find_visit,
     read_outcomes,
     read_trials,
+    record_note,
     record_outcome,
     record_trial,
 )
@@ -32,20 +38,32 @@ __all__ = [
     "TABLES",
     "Belief",
     "GraspRecord",
+    "Job",
+    "Merged",
     "Outcome",
     "ShakeRecord",
+    "SweepRecord",
     "TrialRecord",
+    "add_jobs",
     "add_missing",
+    "count_trials",
     "crop_prior",
+    "each_trial",
     "earlier_shake",
     "export",
     "facts_prior",
     "find_plants",
     "find_visit",
     "hierarchical_normal",
+    "merge",
+    "note_jobs",
+    "read_jobs",
     "read_outcomes",
     "read_record",
+    "read_sweeps",
     "read_trials",
+    "reading",
+    "record_note",
     "record_outcome",
     "record_trial",
     "shown",

@@ -8,16 +8,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from sqlalchemy import exists, func, select
+from sqlalchemy.orm import Session
 
 from anther.checks import check_array, check_range
 from anther.geometry import Array
 from anther.plant import LEARNED, PEPPER, TOMATO, Material
-from anther.store.database import DEFAULT
-from anther.store.records import TrialRecord
-from anther.store.trials import read_trials
-from anther.vibration import SINE, EarlierShake
+from anther.store.database import DEFAULT, reading
+from anther.store.evidence import Sums, summed, told
+from anther.store.records import TrialRecord, material_of
+from anther.store.tables import Grasp, Plant, Response, Shake, Visit
+from anther.vibration import EarlierShake
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}
 """What is believed of a crop before any plant of it was measured; each says its sources."""
@@ -29,8 +33,9 @@ mean. An estimate of ours: no study of the spread between plants was found (fact
 WORTH = 4.0
 """Plants that the facts' spread between plants is worth (degrees of freedom). An estimate of ours: few."""
 
-LEAST = 0.05
-"""A trial teaches a quantity if it adds this share of the precision there was; less is noise of the ensemble [-]."""
+MOST_PLANTS = 200
+"""A crop's prior is learned from the plants that taught last, at most so many: with 200 the error of their mean adds
+0.3 % to the spread of the next plant, and reading them takes milliseconds however long the history is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,27 +66,28 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     Only trials that succeeded teach: of a plant held by a leaf, say, the model that learned was wrong. A plant that was
     shaken, and whose flowers taught something, has its last belief, but for the gain, which is the crop's: what a
     plant's flowers do beyond the model at one frequency says little a fifth away from it, and nothing two fifths away
-    (correlations 0.35 and 0.05, docs/learning.md). The belief is not widened with time: no rate at which stems stiffen
-    was found (facts: pollination, "Not found"); the reason says how old it is. Another plant has the crop's prior,
-    learned from all plants of the crop in the history (`crop_prior`), which is the facts' prior as long as nothing was
-    learned.
+    (correlations 0.35 and 0.05, docs/learning.md). Last is what the robots' clocks say is last. The belief is not
+    widened with time: no rate at which stems stiffen was found (facts: pollination, "Not found"); the reason says how
+    old it is. Another plant has the crop's prior, learned from the `MOST_PLANTS` plants that taught last
+    (`crop_prior`), which is the facts' prior as long as nothing was learned.
 
     Raises:
         InputError: the history cannot be read.
     """
-    trials = [t for t in read_trials(where, species=species, result="success") if t.taught]
-    own = [t for t in trials if t.plant == plant]
-    facts, trials = facts_prior(species), [t for t in trials if t.believed is not None]
-    crop, count = crop_prior(trials, facts), len({t.plant for t in trials})
-    if own and own[-1].material is not None:
-        last = own[-1]
-        reason = f"{plant}'s own, learned in {_count(len(own), 'trial')}, the last on {last.time:%Y-%m-%d %H:%M} UTC"
-        material = own[-1].material.changed(response_gain=crop.response_gain, response_spread=crop.response_spread)
-        return Belief(material, "plant", 1, f"{reason} (visit {last.id})")
-    if not count:
+    facts = facts_prior(species)
+    with reading(where) as session:
+        own, count = (None, 0) if session is None else _own(session, species, plant)
+        others = [] if session is None else _taught(session, species)
+    crop = _prior(others, facts)
+    if own is not None and own.material_after is not None:
+        reason = f"{plant}'s own, learned in {_count(count, 'trial')}, the last on {own.time:%Y-%m-%d %H:%M} UTC"
+        last = material_of(own.material_after) or facts
+        material = last.changed(response_gain=crop.response_gain, response_spread=crop.response_spread)
+        return Belief(material, "plant", 1, f"{reason} (visit {own.id})")
+    if not others:
         known = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
         return Belief(facts, "facts", 0, f"the facts' prior of {known}; no plant has taught anything yet")
-    return Belief(crop, "crop", count, f"learned from {_count(count, f'other {species} plant')}")
+    return Belief(crop, "crop", len(others), f"learned from {_count(len(others), f'other {species} plant')}")
 
 
 def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> EarlierShake | None:
@@ -90,39 +96,69 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
     Raises:
         InputError: the history cannot be read.
     """
-    for trial in reversed(read_trials(where, species=species, plant=plant, result="success")):
-        grasp, shake = trial.grasp, trial.shake
-        if not trial.measured or grasp is None or shake is None:
-            continue
-        if grasp.arc_length is not None and shake.direction is not None and shake.waveform == str(SINE):
-            return EarlierShake(grasp.arc_length, np.array(shake.direction), shake.frequency, shake.amplitude)
-    return None
+    query = _visits_of(select(Grasp.arc_length_m, Shake), species, plant)
+    query = query.join(Grasp, Grasp.visit_id == Visit.id).join(Shake, Shake.visit_id == Visit.id)
+    query = query.where(
+        Grasp.arc_length_m.is_not(None),
+        Shake.direction.is_not(None),
+        Shake.waveform == "sine",
+        exists().where(Response.visit_id == Visit.id, Response.measured_amplitude_m.is_not(None)),
+    )
+    with reading(where) as session:
+        found: Any = None if session is None else session.execute(query.limit(1)).first()
+        if found is None:
+            return None
+        height, shake = found
+        direction = check_array("shake direction", shake.direction, (3,))
+        return EarlierShake(height, direction, shake.frequency_hz, shake.amplitude_m)
+
+
+def _visits_of(query: Any, species: str, plant: str) -> Any:
+    """Ask a query of the successful visits to a plant, the last one first."""
+    number = select(Plant.id).where(Plant.species == species, Plant.label == plant).scalar_subquery()
+    query = query.select_from(Visit).where(Visit.plant_id == number, Visit.success)
+    return query.order_by(Visit.time.desc(), Visit.id.desc())
+
+
+def _own(session: Session, species: str, plant: str) -> tuple[Any, int]:
+    """Return the last visit that taught something of the plant itself, or None, and how many did."""
+    number = func.count().over()
+    query = _visits_of(select(Visit.id, Visit.time, Visit.material_after, number), species, plant).where(Visit.taught)
+    found: Any = session.execute(query.limit(1)).first()
+    return (None, 0) if found is None else (found, found[3])
+
+
+def _taught(session: Session, species: str) -> list[Sums]:
+    """Return what each of the plants of the crop that taught last did teach."""
+    query = select(Plant.learned).where(Plant.species == species, Plant.taught.is_not(None))
+    return list(session.scalars(query.order_by(Plant.taught.desc()).limit(MOST_PLANTS)))
 
 
 def crop_prior(trials: Sequence[TrialRecord], facts: Material) -> Material:
     """Return what to believe of a new plant of the crop, from the trials of others.
 
-    What one trial says of a quantity, apart from what was believed before it, is the quotient of the normal belief
-    after and the one before: precision d = 1/s_after^2 - 1/s_before^2 and mean y = (m_after/s_after^2 -
-    m_before/s_before^2)/d. Without this division the prior would be counted once a plant. Trials of one plant are
-    combined (precisions add), and the plants by `hierarchical_normal`. A trial whose belief before it was not kept
-    (histories of version 0) is left out.
+    Trials of one plant are combined (`evidence`), and the plants by `hierarchical_normal`. A trial whose belief before
+    it was not kept is left out.
 
     Args:
         trials: of one crop, each with the material learned.
         facts: the crop's prior before any of them.
     """
+    plants: dict[str, list[Sums]] = {}
+    for trial in trials:
+        if trial.material is not None and trial.believed is not None:
+            plants.setdefault(trial.plant, []).append(told(trial.believed, trial.material))
+    return _prior([summed(parts) for parts in plants.values()], facts)
+
+
+def _prior(plants: Sequence[Sums], facts: Material) -> Material:
     learned = {}
     for value, spread in LEARNED.items():
-        plants: dict[str, list[tuple[float, float]]] = {}
-        for trial in trials:
-            if trial.material is not None and trial.believed is not None:
-                told = _evidence(trial.believed, trial.material, value, spread)
-                plants.setdefault(trial.plant, []).extend([] if told is None else [told])
-        pooled = np.array([_pooled(told) for told in plants.values() if told])
-        if len(pooled):
+        sums = np.array([plant[value] for plant in plants if value in plant])
+        if len(sums):
             centre = float(np.log(getattr(facts, value)))
-            mean, deviation = hierarchical_normal(pooled[:, 0], pooled[:, 1], centre, getattr(facts, spread))
+            precision, weighted = sums.T
+            mean, deviation = hierarchical_normal(weighted / precision, precision**-0.5, centre, getattr(facts, spread))
             learned |= {value: float(np.exp(mean)), spread: deviation}
     return facts.changed(**learned)
 
@@ -164,22 +200,6 @@ def hierarchical_normal(measured: Array, error: Array, centre: float, spread: fl
     weight /= weight.sum()
     mean = float(weight @ mu)
     return mean, float(np.sqrt(weight @ (1 / precision + tau2 + (mu - mean) ** 2)))
-
-
-def _evidence(before: Material, after: Material, value: str, spread: str) -> tuple[float, float] | None:
-    """Return (mean, precision) of what the trial itself says of ln value; None where it says nothing."""
-    old, new = getattr(before, spread), getattr(after, spread)
-    if new <= 0 or old <= 0 or 1 / new**2 < (1 + LEAST) / old**2:
-        return None
-    precision = 1 / new**2 - 1 / old**2
-    mean = (np.log(getattr(after, value)) / new**2 - np.log(getattr(before, value)) / old**2) / precision
-    return float(mean), float(precision)
-
-
-def _pooled(told: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return (mean, standard deviation) of one plant's trials together."""
-    precision = sum(p for _, p in told)
-    return sum(mean * p for mean, p in told) / precision, precision**-0.5
 
 
 def _count(number: int, what: str) -> str:

@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from sqlalchemy.pool import NullPool
 
 from anther.errors import AntherError, InputError, MissingExtra, bad_input
 from anther.files import understood
-from anther.store.migrations import STEPS, migrate, version
+from anther.store.migrations import HEAD, migrate, version
 
 DEFAULT = Path("runs/history.sqlite")
 PATIENCE = 30.0
@@ -28,6 +28,8 @@ INSTALL = "pip install 'anther[postgresql]'"
 @contextmanager
 def reading(where: Path | str) -> Iterator[Session | None]:
     """Yield a session that reads the history, brought to the newest version; None when there is no such file.
+
+    The database itself refuses it to write. Readers never wait for writers, nor writers for readers.
 
     Raises:
         InputError: no history of Anther's, or it cannot be reached.
@@ -91,20 +93,28 @@ def _refused(what: str, given: str, do: str) -> InputError:
 
 @contextmanager
 def _opened(url: URL, *, write: bool) -> Iterator[Session]:
-    engine = None
     try:
-        engine = _engine(url)
-        with _cells_understood(url):
-            _bring_up_to_date(engine)
+        engine = _engine(_anchored(url), PATIENCE)
         with Session(engine.execution_options(write=write), expire_on_commit=False) as session:
+            with _cells_understood(url):
+                if version(session.connection()) != HEAD:
+                    session.rollback()
+                    with engine.execution_options(write=True).begin() as connection:
+                        migrate(connection)
             yield session
     except (SQLAlchemyError, OSError) as error:
         if isinstance(error, AntherError):
             raise
         raise _explained(url, error) from error
-    finally:
-        if engine is not None:
-            engine.dispose()
+
+
+def _anchored(url: URL) -> URL:
+    """Return the address with a SQLite file's whole path, its folder made: an engine outlives a change of folder."""
+    if url.drivername != "sqlite" or not url.database:
+        return url
+    path = Path(url.database).absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return url.set(database=str(path))
 
 
 def _cells_understood(url: URL) -> AbstractContextManager[None]:
@@ -117,18 +127,20 @@ def _place(url: URL) -> str:
     return str(url.database) if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
 
 
-def _engine(url: URL) -> Engine:
+@cache
+def _engine(url: URL, patience: float) -> Engine:
+    """Return the database's engine. It keeps what SQL was compiled, half of the time of a query, and no connection."""
     write = partial(json.dumps, allow_nan=False)
     if url.drivername != "sqlite":
-        options = f"{url.query.get('options', '')} -c lock_timeout={PATIENCE:.0f}s"  # added to those of the address
+        options = f"{url.query.get('options', '')} -c lock_timeout={patience:.0f}s"  # added to those of the address
         arguments = {"connect_timeout": 10, "options": options}
         try:
-            return create_engine(url, poolclass=NullPool, connect_args=arguments, json_serializer=write)
+            engine = create_engine(url, poolclass=NullPool, connect_args=arguments, json_serializer=write)
         except ImportError as error:
             raise MissingExtra(f"history: PostgreSQL needs psycopg. Install it with: {INSTALL}") from error
-    if url.database:
-        Path(url.database).parent.mkdir(parents=True, exist_ok=True)
-    engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": PATIENCE}, json_serializer=write)
+        event.listen(engine, "begin", _begin_postgresql)
+        return engine
+    engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": patience}, json_serializer=write)
     event.listen(engine, "connect", _configure_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
@@ -154,15 +166,13 @@ def _configure_sqlite(connection: Any, _: Any) -> None:
 def _begin_sqlite(connection: Any) -> None:
     """A writer takes its lock at once: two that had both read first could not both go on, whatever their patience."""
     write = connection.get_execution_options().get("write", False)
+    connection.exec_driver_sql(f"PRAGMA query_only={'OFF' if write else 'ON'}")
     connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
 
 
-def _bring_up_to_date(engine: Engine) -> None:
-    with engine.connect() as connection:
-        if version(connection) == len(STEPS):
-            return
-    with engine.execution_options(write=True).begin() as connection:
-        migrate(connection)
+def _begin_postgresql(connection: Any) -> None:
+    if not connection.get_execution_options().get("write", False):
+        connection.exec_driver_sql("SET TRANSACTION READ ONLY")
 
 
 def _explained(url: URL, error: Exception) -> InputError:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from datetime import date, datetime
 from pathlib import Path
@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from anther.errors import MissingExtra, bad_input
-from anther.files import replacing
+from anther.errors import bad_input
+from anther.formats.tables import write_table
 from anther.store.records import Outcome, TrialRecord
-
-INSTALL = "pip install 'anther[parquet]'"
 
 _VISIT = {"visit": int, "time": datetime, "species": str, "plant": str}
 TABLES: dict[str, dict[str, type]] = {
@@ -24,6 +22,8 @@ TABLES: dict[str, dict[str, type]] = {
         "success": bool,
         "failure": str,
         "run": str,
+        "robot": str,
+        "acceleration_mean_ms2": float,
         "grasp_arc_length_m": float,
         "grasp_stem_diameter_m": float,
         "grasp_confidence": float,
@@ -64,8 +64,10 @@ TABLES: dict[str, dict[str, type]] = {
 """Table -> column -> type. "visits": one line a visit; "flowers": one a flower and visit; "outcomes": one a count."""
 
 
-def export(path: Path, table: str, trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> int:
+def export(path: Path, table: str, trials: Iterable[TrialRecord], outcomes: Iterable[Outcome]) -> int:
     """Write one of `TABLES` to a .csv or .parquet, whole or not at all, and return how many lines it has.
+
+    The trials are taken one after another, so that an iterator of more than the memory holds is written as well.
 
     Raises:
         InputError: unknown table or suffix.
@@ -73,56 +75,24 @@ def export(path: Path, table: str, trials: Sequence[TrialRecord], outcomes: Sequ
     """
     if table not in TABLES:
         raise bad_input("table", given=f"'{table}'", allowed=", ".join(TABLES), do="Choose one.")
-    if path.suffix not in (".csv", ".parquet"):
-        raise bad_input("export", given=str(path), allowed="a name that ends in .csv or .parquet", do="Choose one.")
     if table == "outcomes":
-        lines = [{**asdict(o), "outcome": o.id} for o in outcomes]
+        lines: Iterator[dict[str, Any]] = ({**asdict(o), "outcome": o.id} for o in outcomes)
     elif table == "flowers":
-        lines = [line for trial in trials for line in _flowers(trial)]
+        lines = (line for trial in trials for line in _flowers(trial))
     else:
-        lines = [_visit(trial) for trial in trials]
+        lines = (_visit(trial) for trial in trials)
     columns = TABLES[table]
-    lines = [{name: _plain(line.get(name)) for name in columns} for line in lines]
-    with replacing(path) as temporary:
-        (_csv if path.suffix == ".csv" else _parquet)(temporary, columns, lines)
-    return len(lines)
-
-
-def _csv(path: Path, columns: dict[str, type], lines: list[dict[str, Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(columns))
-        writer.writeheader()
-        writer.writerows({name: _cell(v) for name, v in line.items()} for line in lines)
-
-
-def _cell(value: Any) -> Any:
-    """Return what a CSV cell holds: a text that a spreadsheet would take for a formula begins with an apostrophe."""
-    if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r")):
-        return f"'{value}"
-    return value.isoformat() if isinstance(value, date) else value
-
-
-def _parquet(path: Path, columns: dict[str, type], lines: list[dict[str, Any]]) -> None:
-    try:
-        import pyarrow as pa  # noqa: PLC0415 # pyright: ignore[reportMissingImports]
-        from pyarrow import parquet  # noqa: PLC0415 # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise MissingExtra(f"Parquet needs pyarrow. Install it with: {INSTALL}") from error
-    kinds = {
-        int: pa.int64(),
-        float: pa.float64(),
-        str: pa.string(),
-        bool: pa.bool_(),
-        date: pa.date32(),
-        datetime: pa.timestamp("us", tz="UTC"),
-    }
-    schema = pa.schema([(name, kinds[kind]) for name, kind in columns.items()])
-    parquet.write_table(pa.Table.from_pylist(lines, schema=schema), path)
+    count = itertools.count()
+    lines = ({name: _plain(line.get(name)) for name in columns} for line, _ in zip(lines, count, strict=False))
+    write_table(path, columns, lines)
+    return next(count)
 
 
 def _visit(trial: TrialRecord) -> dict[str, Any]:
     grasp, shake, before, after = trial.grasp, trial.shake, trial.believed, trial.material
-    line = _of(trial) | {"success": trial.success, "failure": trial.failure, "run": trial.run}
+    line = _of(trial) | {"success": trial.success, "failure": trial.failure, "run": trial.run, "robot": trial.robot}
+    felt = trial.accelerations()
+    line["acceleration_mean_ms2"] = None if felt is None else float(felt.mean())
     if grasp is not None:
         line |= {f"grasp_{name}_m": getattr(grasp, name) for name in ("arc_length", "stem_diameter")}
         line |= {"grasp_confidence": grasp.confidence, "organ_grasped": grasp.organ}

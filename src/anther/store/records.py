@@ -12,6 +12,7 @@ import numpy as np
 from anther.checks import check_array, check_range
 from anther.errors import bad_input
 from anther.files import read_object, understood
+from anther.geometry import Array
 from anther.plant import Material
 
 MOTIONS = (
@@ -89,7 +90,8 @@ class TrialRecord:
         believed: of the plant's material before the shake.
         material: what was believed of it afterwards. None if unknown.
         run: its run folder, or None.
-        time: when it began.
+        robot: which one visited; "" if it is not known.
+        time: when it began, by the robot's clock. Plant, robot and time name a visit in every history it is in.
         id: the visit's number, given by the history; None before it is recorded.
     """
 
@@ -107,12 +109,15 @@ class TrialRecord:
     believed: Material | None = None
     material: Material | None = None
     run: str | None = None
+    robot: str = ""
     time: datetime = field(default_factory=lambda: datetime.now(UTC))
     id: int | None = None
 
     def __post_init__(self) -> None:
         _labels(self.species, self.plant)
-        _of_type(self, success=bool, failure=str | None, run=str | None)
+        _of_type(self, success=bool, failure=str | None, run=str | None, robot=str)
+        if len(self.robot) > 200:
+            raise bad_input("robot", given=f"{len(self.robot)} characters", allowed="up to 200", do="Name it briefly.")
         if self.time.tzinfo is None:
             raise bad_input("trial time", given="a time without zone", allowed="a time with zone", do="Use UTC.")
         counts = {len(getattr(self, name)) for name in MOTIONS} - {0}
@@ -137,6 +142,22 @@ class TrialRecord:
     def motions(self) -> dict[str, tuple[float, ...]]:
         """Return name of `MOTIONS` -> (F,) values, NaN where unknown."""
         return {name: getattr(self, name) or (float("nan"),) * self.flowers for name in MOTIONS}
+
+    def accelerations(self) -> Array | None:
+        """Return each flower's peak acceleration (F,) [m/s2], as measured, else as predicted; None if it is not known.
+
+        A visit whose shake never began gave nothing; one that failed and was not measured may have given anything.
+        """
+        if self.shake is None or not (self.success or self.measured):
+            return None
+        motions = {name: np.array(values) for name, values in self.motions().items()}
+        square = (2 * np.pi * self.shake.frequency) ** 2
+        best = np.full(self.flowers, np.nan)
+        for kind in ("measured", "predicted"):
+            for values in (motions[f"{kind}_acceleration"], square * motions[f"{kind}_amplitude"]):
+                best = np.where(np.isfinite(best), best, values)
+        known = best[np.isfinite(best)]
+        return known if len(known) else None
 
     def plain(self) -> dict[str, Any]:
         """Return the record as JSON can hold it; `TrialRecord.of` reads it back."""
@@ -180,6 +201,7 @@ class Outcome:
         date: of the count.
         visit: the one visit it belongs to; None: all visits of the plant since its previous count.
         note: anything.
+        recorded: when it was entered; of two counts of the same plant, visit and day, the later entered holds.
         id: given by the history.
     """
 
@@ -190,6 +212,7 @@ class Outcome:
     date: date
     visit: int | None = None
     note: str = ""
+    recorded: datetime = field(default_factory=lambda: datetime.now(UTC))
     id: int | None = None
 
     def __post_init__(self) -> None:

@@ -1,8 +1,10 @@
 """The tables of the trial history, for SQLAlchemy. Units are in the names of the columns.
 
 One plant has many visits; a visit has at most one grasp and one shake, a response of every flower, and links to its run
-folder; outcomes belong to a plant, and to one of its visits where the grower says so. The tables themselves are made by
-`migrations`, which a test holds equal to these classes.
+folder; outcomes belong to a plant, and to one of its visits where the grower says so. A sweep has many jobs, which
+have no visits. The tables themselves are made by `migrations`, which a test holds equal to these classes. Visits,
+responses, outcomes and notes are never changed; what a plant taught is a sum over its visits, kept beside it because a
+crop's would take minutes to add up.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 from datetime import UTC, date, datetime
 from typing import Any
 
-from sqlalchemy import JSON, DateTime, Double, ForeignKey, Text, TypeDecorator, UniqueConstraint
+from sqlalchemy import JSON, DateTime, Double, ForeignKey, Index, Text, TypeDecorator, UniqueConstraint, false
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
 
 
@@ -41,23 +43,35 @@ class Base(DeclarativeBase):
 
 
 class Plant(Base):
-    """A plant, known by its species and label."""
+    """A plant, known by its species and label; `learned`: quantity -> sums over its visits (`evidence.summed`)."""
 
     __tablename__ = "plants"
-    __table_args__ = (UniqueConstraint("species", "label"),)
+    __table_args__ = (UniqueConstraint("species", "label"), Index("ix_plants_taught", "species", "taught"))
     id: Mapped[int] = mapped_column(primary_key=True)
     species: Mapped[str]
     label: Mapped[str]
+    taught: Mapped[datetime | None]
+    learned: Mapped[Any] = mapped_column(nullable=True)
 
 
 class Visit(Base):
-    """One trial at a plant. The materials are `plant.Material` as JSON, so that a new property needs no new column."""
+    """One trial at a plant. The materials are `plant.Material` as JSON, so that a new property needs no new column.
+
+    Plant, time (by the robot's own clock) and robot name a visit in every history it is in.
+    """
 
     __tablename__ = "visits"
+    __table_args__ = (
+        Index("ix_visits_plant", "plant_id", "time", "robot", unique=True),
+        Index("ix_visits_time", "time", "robot", "success", "failure", "acceleration_ms2"),  # trends read it alone
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
-    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"), index=True)
-    time: Mapped[datetime] = mapped_column(index=True)
+    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
+    robot: Mapped[str] = mapped_column(server_default="")
+    time: Mapped[datetime]
     success: Mapped[bool]
+    taught: Mapped[bool] = mapped_column(server_default=false())
+    acceleration_ms2: Mapped[float | None]
     failure: Mapped[str | None]
     run: Mapped[str | None]
     material_before: Mapped[Any] = mapped_column(nullable=True)
@@ -113,8 +127,9 @@ class FruitSet(Base):
     """How many flowers of a plant set fruit, as the grower counted; nothing is ever overwritten."""
 
     __tablename__ = "outcomes"
+    __table_args__ = (Index("ix_outcomes_plant", "plant_id", "recorded"),)
     id: Mapped[int] = mapped_column(primary_key=True)
-    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"), index=True)
+    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
     visit_id: Mapped[int | None] = mapped_column(ForeignKey("visits.id"))
     date: Mapped[date]
     flowers: Mapped[int]
@@ -122,3 +137,42 @@ class FruitSet(Base):
     note: Mapped[str]
     recorded: Mapped[datetime]
     plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
+
+
+class Sweep(Base):
+    """Many runs of one function over the rows of a table (`anther.sweep`); `uid` is kept in its folder too."""
+
+    __tablename__ = "sweeps"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    uid: Mapped[str] = mapped_column(unique=True)
+    folder: Mapped[str]
+    function: Mapped[str]
+    began: Mapped[datetime]
+
+
+class SweepJob(Base):
+    """One row of a sweep's table and what became of it; `row` and `result` are JSON objects."""
+
+    __tablename__ = "sweep_jobs"
+    __table_args__ = (UniqueConstraint("sweep_id", "key"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweeps.id"))
+    key: Mapped[str]
+    row: Mapped[Any]
+    state: Mapped[str]
+    tries: Mapped[int]
+    reason: Mapped[str | None]
+    result: Mapped[Any] = mapped_column(nullable=True)
+    seconds: Mapped[float | None]
+    ended: Mapped[datetime | None]
+
+
+class Note(Base):
+    """What somebody wrote about a visit afterwards."""
+
+    __tablename__ = "notes"
+    __table_args__ = (Index("ix_notes_visit", "visit_id", "recorded"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"))
+    recorded: Mapped[datetime]
+    text: Mapped[str]

@@ -1,0 +1,177 @@
+"""What a page shows of a history, however long it is: every question reads a part of an index, never all visits.
+
+All take a session of `reading`. A day is UTC's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, time, timedelta
+from typing import Any, NamedTuple
+
+from sqlalchemy import Integer, cast, func, inspect, select, text, tuple_
+from sqlalchemy.orm import Session
+
+from anther.store.tables import FruitSet, Note, Plant, Shake, Visit
+
+PAGE = 50
+"""Visits of a page."""
+
+
+class Tally(NamedTuple):
+    """Visits that have something in common.
+
+    Attributes:
+        name: what: a day, a robot, a kind of failure.
+        visits: how many.
+        good: how many of them held the plant and did not harm it.
+        acceleration: mean over the visits of what their flowers felt [m/s2]; None where it is not known.
+        last: the last one's time.
+    """
+
+    name: Any
+    visits: int
+    good: int
+    acceleration: float | None
+    last: datetime
+
+
+@dataclass(frozen=True, slots=True)
+class SweepTally:
+    """A sweep at a glance: jobs by state."""
+
+    folder: str
+    function: str
+    began: datetime
+    jobs: dict[str, int]
+
+
+_TALLY = (
+    func.count(),
+    func.sum(cast(Visit.success, Integer)),
+    func.avg(Visit.acceleration_ms2),
+    func.max(Visit.time),
+)
+
+
+def days(session: Session, since: date, until: date) -> list[Tally]:
+    """Return the visits of each of some days that has any.
+
+    One question a day: the index holds a day's visits side by side, while grouping by day would sort them all.
+    """
+    found = []
+    for k in range((until - since).days + 1):
+        day = since + timedelta(days=k)
+        row = session.execute(_between(select(*_TALLY), day, day)).one()
+        if row[0]:
+            found.append(Tally(day, *row))
+    return found
+
+
+def robots(session: Session, since: date, until: date) -> list[Tally]:
+    """Return the visits of each robot on some days, by the robots' names."""
+    query = _between(select(Visit.robot, *_TALLY), since, until).group_by(Visit.robot).order_by(Visit.robot)
+    return [Tally(*row) for row in session.execute(query)]
+
+
+def failures(session: Session, since: date, until: date) -> list[Tally]:
+    """Return the visits that failed on some days by the kind of failure, "" where none was named, most first."""
+    kind = func.coalesce(Visit.failure, "")
+    query = _between(select(kind, *_TALLY), since, until).where(Visit.success.is_(False)).group_by(kind)
+    return [Tally(*row) for row in session.execute(query.order_by(func.count().desc(), kind))]
+
+
+def _between(query: Any, since: date, until: date) -> Any:
+    begin, end = (datetime.combine(day, time(), UTC) for day in (since, until + timedelta(days=1)))
+    return query.where(Visit.time >= begin, Visit.time < end)
+
+
+def visits(
+    session: Session,
+    *,
+    day: date | None = None,
+    plant: int | None = None,
+    result: str | None = None,
+    before: int | None = None,
+) -> Sequence[Any]:
+    """Return at most PAGE + 1 visits, the last one first: one more than is shown says that there are more.
+
+    Each has id, time, robot, success, failure, acceleration_ms2, species, label, plant_id, and amplitude_m,
+    frequency_hz, duration_s of its shake.
+
+    Args:
+        session: that reads.
+        day, plant: only of this day, of the plant with this number.
+        result: only "success" or "failure".
+        before: only those before the visit with this number.
+    """
+    columns = (Visit.id, Visit.time, Visit.robot, Visit.success, Visit.failure, Visit.acceleration_ms2, Visit.plant_id)
+    query = select(*columns, Plant.species, Plant.label, Shake.amplitude_m, Shake.frequency_hz, Shake.duration_s)
+    query = query.join(Plant, Plant.id == Visit.plant_id).outerjoin(Shake, Shake.visit_id == Visit.id)
+    if day is not None:
+        query = _between(query, day, day)
+    if plant is not None:
+        query = query.where(Visit.plant_id == plant)
+    if result is not None:
+        query = query.where(Visit.success.is_(result == "success"))
+    if before is not None:
+        moment = session.scalar(select(Visit.time).where(Visit.id == before))
+        query = query.where(tuple_(Visit.time, Visit.id) < (moment, before))
+    return session.execute(query.order_by(Visit.time.desc(), Visit.id.desc()).limit(PAGE + 1)).all()
+
+
+def last_day(session: Session, before: date) -> date | None:
+    """Return the last day up to `before` with a visit, or None."""
+    query = _between(select(Visit.time), date(1970, 1, 1), before).order_by(Visit.time.desc()).limit(1)
+    moment = session.scalar(query)
+    return None if moment is None else moment.date()
+
+
+def plants(session: Session, part: str, most: int = PAGE) -> Sequence[Any]:
+    """Return id, species, label of the plants whose label contains a text."""
+    found = Plant.label.icontains(part, autoescape=True)
+    query = select(Plant.id, Plant.species, Plant.label).where(found).order_by(Plant.label, Plant.species)
+    return session.execute(query.limit(most)).all()
+
+
+def plant(session: Session, number: int) -> Plant | None:
+    """Return the plant with this number, or None."""
+    return session.get(Plant, number)
+
+
+def counts(session: Session, number: int) -> Sequence[FruitSet]:
+    """Return the counts of fruit set of a plant, the last one first."""
+    query = select(FruitSet).where(FruitSet.plant_id == number).order_by(FruitSet.date.desc(), FruitSet.recorded.desc())
+    return session.scalars(query).all()
+
+
+def last_run(session: Session, number: int) -> Any:
+    """Return id and run of the last visit to a plant that has a run folder, or None."""
+    query = select(Visit.id, Visit.run, Visit.time).where(Visit.plant_id == number, Visit.run.is_not(None))
+    return session.execute(query.order_by(Visit.time.desc()).limit(1)).first()
+
+
+def visit(session: Session, number: int) -> Visit:
+    """Return the visit with this number, which is there."""
+    return session.get_one(Visit, number)
+
+
+def notes(session: Session, visit: int) -> Sequence[Note]:
+    """Return the notes on a visit, the first one first."""
+    return session.scalars(select(Note).where(Note.visit_id == visit).order_by(Note.recorded)).all()
+
+
+def sweeps(session: Session) -> list[SweepTally]:
+    """Return the sweeps whose jobs this history keeps, the last one first; none where it keeps none."""
+    if not inspect(session.connection()).has_table("sweeps"):
+        return []
+    query = "SELECT s.id, s.folder, s.function, s.began, j.state, count(j.id) FROM sweeps s "
+    query += "LEFT JOIN sweep_jobs j ON j.sweep_id = s.id GROUP BY s.id, s.folder, s.function, s.began, j.state"
+    found: dict[int, SweepTally] = {}
+    for number, folder, function, began, state, count in session.execute(text(query)):
+        moment = datetime.fromisoformat(began) if isinstance(began, str) else began
+        sweep = found.setdefault(number, SweepTally(folder, function, moment, {}))
+        if state is not None:
+            sweep.jobs[state] = count
+    return [found[number] for number in sorted(found, reverse=True)]

@@ -1,0 +1,161 @@
+"""One function over many rows: on the cores of this machine or on a cluster, going on after whatever is killed.
+
+`run` hands every row and an empty folder to the function, once, and returns what became of each; `read_table` reads the
+rows of a CSV file, `export` writes results as Parquet. docs/sweep.md says what is kept where.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from anther.checks import check_range
+from anther.errors import InputError, bad_input
+from anther.files import json_text, understood
+from anther.store import Job, add_jobs, note_jobs, read_jobs
+from anther.sweep.parquet import export
+from anther.sweep.places import Place, place
+from anther.sweep.progress import Progress
+from anther.sweep.running import carry_out
+from anther.sweep.table import read_table
+from anther.sweep.working import Function, Order, forget_tries, versions
+
+__all__ = ["Function", "Job", "export", "read", "read_table", "run"]
+
+SWEEP = "sweep.json"
+
+
+def run(
+    function: Function,
+    rows: Iterable[Mapping[str, Any]],
+    folder: Path | str,
+    *,
+    name: str | None = None,
+    history: Path | str | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    tries: int = 3,
+    deaths: int = 10,
+    again: bool = False,
+    quiet: bool = False,
+) -> list[Job]:
+    """Run a function on every row that was not finished before, and return what became of each, in the rows' order.
+
+    Args:
+        function: takes a row and an empty folder; returns a mapping that JSON can hold, or None. Workers must be able
+            to import it.
+        rows: names and values that JSON can hold; no two alike.
+        folder: a folder that all workers see, or an address such as s3://bucket/name.
+        name: of the function, for people; a folder keeps to one.
+        history: where the jobs are noted; by default history.sqlite in the folder.
+        workers: processes on this machine, of one thread each; by default one a core.
+        scheduler: run on a cluster instead: the address of its dask scheduler.
+        tries: how often a row whose function raises is begun before it is set aside.
+        deaths: how many workers may die under a row before it is set aside. More than `tries`: workers die of other
+            causes too.
+        again: try once more what was set aside.
+        quiet: draw no progress.
+
+    Raises:
+        InputError: rows, folder, history or scheduler that cannot be used, workers with other versions, a full disk.
+            What was finished is kept, and the same call goes on.
+        MissingExtra: dask.distributed is not installed.
+    """
+    check_range("workers", workers or 1, 1, 1024)
+    check_range("tries", tries, 1, 1000)
+    check_range("deaths", deaths, 1, 1000)
+    name = name or f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', 'function')}"
+    jobs = _jobs(rows)
+    where = place(folder)
+    noted_in = _history(folder, history)
+    uid = _uid(where, folder, name)
+    add_jobs(jobs.values(), noted_in, uid=uid, folder=str(folder), function=name)
+    jobs |= {job.key: job for job in read_jobs(noted_in, uid) if job.key in jobs}
+    for job in jobs.values():
+        if again and job.state == "poison":
+            forget_tries(str(folder), job.key)
+            jobs[job.key] = replace(job, state="waiting", tries=0, reason=None)
+    order = Order(function, _absolute(folder), uid, tries, deaths, versions(), pinned=scheduler is None)
+    with Progress(jobs.values(), quiet=quiet) as progress:
+        waiting = [job for job in jobs.values() if job.state == "waiting"]
+        for batch in carry_out(waiting, order, workers=workers, scheduler=scheduler):
+            note_jobs(batch, noted_in, uid=uid)
+            jobs |= {job.key: job for job in batch}
+            progress.ended(batch)
+    return list(jobs.values())
+
+
+def read(folder: Path | str, *, history: Path | str | None = None) -> list[Job]:
+    """Return what became of every row that a sweep was ever given, also while it runs.
+
+    Raises:
+        InputError: no sweep there, or its history cannot be read.
+    """
+    found = place(folder).read(SWEEP)
+    if found is None:
+        raise bad_input(
+            "folder", given=f"{folder}, where no sweep is", allowed="a sweep's folder", do="Check the path."
+        )
+    with understood(f"{folder}/{SWEEP}"):
+        return read_jobs(_history(folder, history), json.loads(found)["uid"])
+
+
+def _jobs(rows: Iterable[Mapping[str, Any]]) -> dict[str, Job]:
+    """Return the jobs of rows by their keys."""
+    jobs: dict[str, Job] = {}
+    for number, given in enumerate(rows, 1):
+        try:
+            row = json.loads(json_text(dict(given)))
+        except (TypeError, ValueError) as error:
+            raise bad_input(
+                f"row {number}", given=str(error), allowed="names with numbers, texts, lists", do="Convert it."
+            ) from error
+        key = hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()[:16]
+        if key in jobs:
+            raise bad_input(
+                f"row {number}",
+                given="the same as an earlier row",
+                allowed="rows that differ",
+                do="Remove it, or tell them apart by a seed.",
+            )
+        jobs[key] = Job(key, row)
+    return jobs
+
+
+def _history(folder: Path | str, history: Path | str | None) -> Path | str:
+    if history is not None:
+        return history
+    if "://" in str(folder):
+        raise bad_input(
+            "history",
+            given=f"none, for a sweep in {folder}",
+            allowed="a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE",
+            do="A store holds no database: name one.",
+        )
+    return Path(folder) / "history.sqlite"
+
+
+def _uid(where: Place, folder: Path | str, function: str) -> str:
+    """Return the identity of the sweep in a folder; a new folder becomes one."""
+    found = where.read(SWEEP)
+    if found is None:
+        known = {"uid": uuid4().hex, "function": function, "began": datetime.now(UTC).isoformat(timespec="seconds")}
+        where.write(SWEEP, json_text(known | versions()).encode())
+        return known["uid"]
+    with understood(f"{folder}/{SWEEP}"):
+        known = json.loads(found)
+        uid, before = str(known["uid"]), known["function"]
+    if before != function:
+        raise InputError(f"{folder}: holds a sweep of {before}, not of {function}. Choose another folder.")
+    return uid
+
+
+def _absolute(folder: Path | str) -> str:
+    """Workers have other current folders."""
+    return str(folder) if "://" in str(folder) else str(Path(folder).absolute())
