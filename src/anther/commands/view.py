@@ -17,6 +17,8 @@ class Args:
     """Run folder, e.g. runs/demo."""
     html: Path | None = None
     """Write the scene to this HTML file instead of opening a viewer."""
+    exaggeration: float = 5.0
+    """By how much motions are shown larger [-]; in the live viewer a slider."""
     port: int = 8080
     """TCP port of the live viewer."""
 
@@ -28,9 +30,10 @@ def run(args: Args) -> None:
     from anther.results import read_run
 
     check_range("port", args.port, 1, 65535)
+    check_range("exaggeration", args.exaggeration, 0, 1000)
     results = read_run(args.run)
     if args.html is None:
-        viewer.serve(results, args.port)
+        viewer.serve(results, args.port, exaggeration=args.exaggeration)
     else:
-        viewer.write_html(args.html, results)
+        viewer.write_html(args.html, results, exaggeration=args.exaggeration)
         print(f"scene: {args.html}")

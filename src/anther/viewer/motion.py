@@ -1,0 +1,119 @@
+"""What moved while a plant was shaken: the arm as it read itself, the plant by its model, the flowers as filmed.
+
+T times, N rod nodes, F flowers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.arm import sawyer
+from anther.elastic_rod.motion import Drive
+from anther.elastic_rod.response import steady_motion
+from anther.execution import Trial
+from anther.geometry import Array
+from anther.plant import PlantModel
+from anther.results import RunResults
+from anther.vibration import ShakePlan
+from anther.vibration.pads import grip_rows, pad_nodes
+
+RATE = 30.0
+"""Pictures a second of play."""
+PICTURES = 10
+"""Of a period at least: a shake that is faster than `RATE` allows is sampled more often and so plays slower."""
+AROUND = 1.0
+"""Periods to either side from which the grip's swing at one moment is fitted."""
+GAP = 0.12
+"""A flower is not drawn between two sightings that are further apart [s]."""
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A shake in time.
+
+    Attributes:
+        times: (T,) from its begin [s].
+        joints: (T, 7) as the arm read them [rad].
+        opening: of the gripper [m].
+        nodes: (T, N, 3) displacement of the plant model's nodes that follows from how the grip moved [m].
+        flowers: (T, F, 3) where the camera found the flowers, world [m]; NaN where it did not.
+    """
+
+    times: Array
+    joints: Array
+    opening: float
+    nodes: Array
+    flowers: Array
+
+
+def motion_of(results: RunResults) -> Motion | None:
+    """Return what moved in a run's shake; None where nothing was shaken or the plant's model is missing."""
+    trial, plant, shake = results.trial, results.plant, results.shaken
+    if trial is None or plant is None or shake is None or len(trial.shake_times) < 10:
+        return None
+    begin, end = float(trial.shake_times[0]), float(trial.shake_times[-1])
+    frequency = trial.steps[-1].frequencies[0] if trial.steps else shake.frequency
+    times = np.arange(begin, end, 1 / max(RATE, PICTURES * frequency))
+    joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
+    opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
+    return Motion(times - begin, joints, opening, _swayed(plant, shake, trial, times), _filmed(results, times))
+
+
+def _swayed(plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
+    """Return (T, N, 3) what the rods do as linear theory says, to the grip's own swing at each step's frequencies."""
+    along = (sawyer.forward(trial.measured)[:, :3, :3] @ sawyer.T_FLANGE_GRASP[:3, 3]) @ shake.direction
+    along += sawyer.forward(trial.measured)[:, :3, 3] @ shake.direction
+    grip = pad_nodes(plant, grip_rows(plant, shake.grasp.point[None]), shake.pads.width)[0]
+    moved = np.zeros((len(times), len(plant.rods.nodes), 3))
+    ends = [step.end for step in trial.steps[:-1]] + [np.inf]
+    tones = [step.frequencies for step in trial.steps] or [(shake.frequency,)]
+    first = -np.inf
+    for frequencies, last in zip(tones, ends, strict=True):
+        now = (times >= first) & (times < last)
+        swings = _swing(trial.shake_times, along, np.array(frequencies), times[now], (first, last))
+        for frequency, swing in zip(frequencies, swings.T, strict=True):
+            drive = Drive(int(grip[0]), shake.direction, 1.0, frequency, also=tuple(int(k) for k in grip[1:]))
+            answer = steady_motion(plant.rods_at(frequency), plant.clamp, drive, springs=shake.pads.springs)
+            turned = swing * np.exp(2j * np.pi * frequency * times[now])
+            moved[now] += np.imag(turned[:, None, None] * answer.motion[:, :3])
+        first = last
+    return moved
+
+
+def _swing(read: Array, along: Array, frequencies: Array, times: Array, within: tuple[float, float]) -> ComplexArray:
+    """Return (T, K) phasors of the grip's motion: of one tone about each time, of several over the whole step."""
+    many = len(frequencies) > 1
+    out = np.zeros((len(times), len(frequencies)), dtype=np.complex128)
+    for i, time in enumerate(times):
+        if many and i:
+            out[i] = out[0]
+            continue
+        half = AROUND / float(frequencies.min())
+        near = (read >= within[0]) & (read < within[1]) if many else np.abs(read - time) <= half
+        phase = 2 * np.pi * read[near, None] * frequencies
+        basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones(near.sum())])
+        parts = np.linalg.lstsq(basis, along[near], rcond=None)[0]
+        out[i] = parts[: len(frequencies)] + 1j * parts[len(frequencies) : -1]
+    return out
+
+
+def _filmed(results: RunResults, times: Array) -> Array:
+    """Return (T, F, 3) the flowers' tracks at the times; NaN where they were lost."""
+    response = results.response
+    if response is None or not len(response.times):
+        return np.full((len(times), 0, 3), np.nan)
+    out = np.full((len(times), response.tracks.shape[1], 3), np.nan)
+    for f in range(out.shape[1]):
+        seen = np.isfinite(response.tracks[:, f]).all(axis=1)
+        if seen.sum() < 2:
+            continue
+        when, where = response.times[seen], response.tracks[seen, f]
+        after = np.clip(np.searchsorted(when, times), 1, len(when) - 1)
+        near = (times >= when[0]) & (times <= when[-1]) & (when[after] - when[after - 1] <= GAP)
+        out[near, f] = np.column_stack([np.interp(times[near], when, axis) for axis in where.T])
+    return out
