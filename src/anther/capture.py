@@ -48,7 +48,7 @@ class Capture:
         intrinsics: of every view.
         T_world_cam: (V, 4, 4) camera poses as the robot believes them.
         rgb: (V, H, W, 3) uint8, or None for a depth-only sensor.
-        joints: (V, 7) arm joint angles [rad] of each view, or None.
+        joints: (V, J) arm joint angles [rad] of each view, or None.
     """
 
     depth: NDArray[Any]
@@ -70,7 +70,7 @@ class Capture:
         if self.rgb is not None:
             object.__setattr__(self, "rgb", check_array("rgb", self.rgb, (views, *size, 3), dtype="uint8"))
         if self.joints is not None:
-            object.__setattr__(self, "joints", check_array("joints", self.joints, (views, 7)))
+            object.__setattr__(self, "joints", check_array("joints", self.joints, (views, None)))
 
     @property
     def views(self) -> int:
@@ -311,7 +311,7 @@ def _read_pose(view: int, frame: dict[str, Any]) -> Array:
 
 
 def _joints_array(joints: list[Any]) -> Array:
-    return check_array("joints of the frames", joints, (len(joints), 7))
+    return check_array("joints of the frames", joints, (len(joints), None))
 
 
 def _read_depth(

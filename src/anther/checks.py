@@ -33,7 +33,7 @@ def check_array(
     """
     wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
     try:
-        array = np.asarray(value, dtype=dtype)
+        array = _cast(np.asarray(value), np.dtype(dtype))
     except (TypeError, ValueError) as error:
         raise bad_input(
             name, given=type(value).__name__, allowed=f"numbers of shape {wanted}", do=str(error)
@@ -49,6 +49,15 @@ def check_array(
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def _cast(given: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Return the array in a dtype, unless numpy would drop imaginary parts or make up integers."""
+    if given.dtype.kind == "c" and dtype.kind != "c":
+        raise TypeError("Complex numbers.")
+    if dtype.kind in "iu" and given.dtype.kind == "f" and not np.isfinite(given).all():
+        raise ValueError("NaN or infinite where integers are wanted.")
+    return np.asarray(given, dtype=dtype)
 
 
 def check_range(name: str, value: float, lower: float, upper: float, unit: str = "") -> float:

@@ -12,9 +12,12 @@ from threading import current_thread, main_thread
 from types import ModuleType
 
 COMMANDS = {
-    "trial": "see, grasp and shake one plant in the simulated cell, measure it, write a report",
+    "trial": "see, grasp and shake one plant, in the simulated cell or a real one, measure it, write a report",
+    "sweep": "many trials or reconstructions from a table, on all cores or a cluster; goes on after any stop",
+    "cell": "a real robot's cell: check its parts, enable them, jog a joint",
     "reconstruct": "RGB-D views of a plant -> cloud, skeleton, main stem, flowers, grasp",
     "skeletonize": "point cloud -> skeleton, main stem, grasp",
+    "traits": "a folder of point clouds -> a table of traits: stem, internodes, leaves, angles; goes on after a stop",
     "plan": "choose the shake for a skeleton or run and explain it: limits, runner-up, every flower, response map",
     "shake": "shake a skeleton with the elastic-rod model; print the flower's motion",
     "respond": "map how flowers answer shakes of a skeleton or run, over grip height and frequency",
@@ -23,10 +26,13 @@ COMMANDS = {
     "history": "list the trials, filter them, export them as CSV or Parquet",
     "outcome": "record how many flowers of a plant or visit set fruit",
     "fruit-set": "what the counts of fruit set teach of the dose-response, and what they do not",
+    "serve": "pages of the history for a browser or a phone: today, failures, trends, robots, plants; read-only",
     "view": "open a run in the 3-D viewer, or write it to one HTML file",
     "export": "a run's skeleton -> PLY, SWC, GraphML, MTG (OpenAlea) or glTF, by the file's suffix",
     "import-capture": "COLMAP, RealSense or ROS bags, MCAP -> a capture folder; fused PLY -> a cloud",
     "convert-kinect": "Kinect turntable frames -> a capture folder",
+    "samples": "write small sample inputs for the commands above",
+    "doctor": "what is installed, what is missing and how to get it",
 }
 
 
@@ -65,14 +71,17 @@ def _terminated_as_interrupted() -> Iterator[None]:
 def _run(name: str, words: list[str]) -> int:
     import tyro
 
-    from anther.errors import AntherError
+    from anther.errors import AntherError, missing_extra
 
-    command = _module(name)
     try:
+        command = _module(name)
         args = tyro.cli(command.Args, prog=f"anther {name}", description=command.__doc__, args=words)
         return int(command.run(args) or 0)
-    except AntherError as error:
-        print(f"anther {name}: {error}", file=sys.stderr)
+    except (AntherError, ModuleNotFoundError) as error:
+        told = missing_extra(error) if isinstance(error, ModuleNotFoundError) else error
+        if told is None:
+            raise
+        print(f"anther {name}: {told}", file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"anther {name}: not enough memory ({error}). Give a smaller cloud or capture.", file=sys.stderr)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 FailureKind = Literal[
     "no_plant_found",
@@ -46,9 +46,21 @@ class StageFailure(AntherError):
         super().__init__(message)
         self.kind: FailureKind = kind
 
-    def __reduce__(self) -> tuple[type[StageFailure], tuple[FailureKind, str]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Pickle with both arguments: a failure in a worker process reaches the one that waits for it."""
         return type(self), (self.kind, str(self))
+
+
+EXTRA_OF = dict.fromkeys(("embreex", "mujoco", "pinocchio", "coal", "roboplan"), "cell") | {"viser": "view"}
+"""Module -> the extra that brings it, of those that whole rooms cannot do without."""
+
+
+def missing_extra(error: ModuleNotFoundError) -> MissingExtra | None:
+    """Return what says how to get the module that an import did not find; None where no extra brings it."""
+    module = (error.name or "").partition(".")[0]
+    if module not in EXTRA_OF:
+        return None
+    return MissingExtra(f"this needs {module}, which is not installed. Run: pip install 'anther[{EXTRA_OF[module]}]'")
 
 
 def bad_input(what: str, *, given: object, allowed: str, do: str) -> InputError:

@@ -52,8 +52,7 @@ class Prior:
     """What is believed before any count: normal, (mean, standard deviation) each.
 
     Attributes:
-        unshaken: logit of p0. Greenhouse tomatoes without bees or vibration set 30.2 % (Morandin 2001, bruising level
-        0)
+        unshaken: logit of p0. Greenhouse tomatoes without bees or vibration set 30.2 % (Morandin 2001, no bruise)
             and 65.7 % (Al-Attal 2003); bagged habanero 25 % (facts: pollination 1c).
         gain: logit of g. (set - p0) / (1 - p0) was 0.73-1 with bumblebees and 0.32 with a vibrator on tomato, 0.72 for
             one visit on habanero (the same sources).
@@ -226,7 +225,7 @@ def counts_of(trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> tup
     """
     counts, lost = [], 0
     for outcome in outcomes:
-        shakes = [_accelerations(t) for t in _visits_of(outcome, trials, outcomes) if t.shake is not None]
+        shakes = [t.accelerations() for t in _visits_of(outcome, trials, outcomes) if t.shake is not None]
         known = [a for a in shakes if a is not None]
         if len(known) == len(shakes):
             counts.append(Count(outcome.flowers, outcome.fruit, tuple(known)))
@@ -242,20 +241,6 @@ def _visits_of(outcome: Outcome, trials: Sequence[TrialRecord], outcomes: Sequen
     previous = max((o.date for o in others if o.date < outcome.date), default=date.min)
     mine = [t for t in trials if (t.species, t.plant) == (outcome.species, outcome.plant)]
     return [t for t in mine if previous < t.time.date() <= outcome.date]
-
-
-def _accelerations(trial: TrialRecord) -> Array | None:
-    """Return each flower's peak acceleration (F,) in a visit [m/s2]; None if it is not known."""
-    if trial.shake is None or not (trial.success or trial.measured):
-        return None
-    motions = {name: np.array(values) for name, values in trial.motions().items()}
-    square = (2 * np.pi * trial.shake.frequency) ** 2
-    best = np.full(trial.flowers, np.nan)
-    for kind in ("measured", "predicted"):
-        for values in (motions[f"{kind}_acceleration"], square * motions[f"{kind}_amplitude"]):
-            best = np.where(np.isfinite(best), best, values)
-    known = best[np.isfinite(best)]
-    return known if len(known) else None
 
 
 def _freed(count: Count, half: Array, exponent: Array) -> Array:

@@ -31,7 +31,7 @@ def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None
     if size is not None and stated is not None and stated != size:  # before it is decoded: that may take gigabytes
         raise _other_size(path, stated, size)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if _is_intact(data) else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if is_intact(data) else None
     except cv2.error as error:
         given, allowed = (
             " ".join(f"what OpenCV refuses ({error})".split()),
@@ -66,7 +66,7 @@ def _stated_size(data: bytes) -> tuple[int, int] | None:
     return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
 
 
-def _is_intact(data: bytes) -> bool:
+def is_intact(data: bytes) -> bool:
     """Return whether a PNG's chunks are whole (decoders fill a truncated image silently) or a JPEG has its end.
 
     Of other images only the decoder can tell.

@@ -37,7 +37,7 @@ def check_trajectory(
 
     Args:
         trajectory: about to be commanded.
-        present: (7,) measured joints [rad].
+        present: (J,) measured joints [rad].
         limits: what is allowed.
         joined: whether it follows another without a stop; then it need not begin at rest, but where that ends.
         goes_on: whether another may follow; then it need not end at rest.
@@ -45,6 +45,11 @@ def check_trajectory(
     Raises:
         StageFailure: limits_exceeded, with the value, what is allowed and what to do.
     """
+    joints, arm = trajectory.positions.shape[1], len(limits.joint_lower)
+    if joints != arm:
+        raise StageFailure(
+            "limits_exceeded", f"path: got {joints} joints; allowed: the arm's {arm}. Plan for this arm."
+        )
     demand("length of the motion", trajectory.duration, LONGEST, "s", "Plan shorter motions.")
     gap = float(np.abs(trajectory.positions[0] - present).max())
     allowed = JUMP if joined else limits.start_tolerance
@@ -64,7 +69,7 @@ def check_trajectory(
 
 
 def _check_joints(trajectory: JointTrajectory, times: Array, limits: SafetyLimits) -> tuple[Array, Array]:
-    """Check range, speed and acceleration; return joints and rates, both (T, 7), at (T,) times."""
+    """Check range, speed and acceleration; return joints and rates, both (T, J), at (T,) times."""
     curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
     q, rates, m = curve(times), curve(times, 1), limits.joint_margin
     beyond = np.maximum(limits.joint_lower + m - q, q - (limits.joint_upper - m)).max(axis=0)

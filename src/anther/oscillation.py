@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.signal import hilbert
 
 from anther.checks import check_array, check_range
 from anther.errors import bad_input
@@ -126,19 +125,6 @@ def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1
     return float(found.x)
 
 
-def envelope_amplitude(times: Array, path: Array) -> float:
-    """Return the paper's metric [m]: the median Hilbert envelope of the detrended path along its main direction.
-
-    Args:
-        times: (T,) evenly spaced [s], many to a period.
-        path: (T, 3) [m] without NaN.
-    """
-    x = path - _line(times, path)
-    main = np.linalg.svd(x, full_matrices=False)[2][0]
-    analytic: Any = hilbert(x @ main)
-    return float(np.median(np.abs(analytic)))
-
-
 def alias(frequency: float, rate: float) -> float:
     """Return the frequency [Hz], between 0 and rate/2, at which `frequency` [Hz] shows up at a sampling `rate` [Hz]."""
     return abs(frequency - rate * round(frequency / rate))
@@ -165,7 +151,3 @@ def _basis(t: Array, span: tuple[float, float], frequency: float, slow: int) -> 
     along = 2 * (t - span[0]) / max(span[1] - span[0], 1e-9) - 1
     slow_part: Array = np.polynomial.legendre.legvander(along, slow - 1).astype(np.float64)
     return np.column_stack([np.cos(phase), np.sin(phase), slow_part])
-
-
-def _line(times: Array, path: Array) -> Any:
-    return np.column_stack([np.polynomial.Polynomial.fit(times, x, 1)(times) for x in path.T]).astype(np.float64)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
 from anther.capture import Capture
 from anther.cloud import Cloud
+from anther.cloud.disagreement import likely_cause
 from anther.devices import Robot, SafetyLimits
 from anther.early_reach import Arrive, early_reach
-from anther.errors import FailureKind, StageFailure
+from anther.errors import FailureKind, InputError, StageFailure
 from anther.escalation import Escalation, foresee, watch_points
 from anther.execution import Trial
 from anther.flowers import Flowers
@@ -67,7 +69,7 @@ class MotionPlanner(execution.Planner, Protocol):
         ...
 
     def shake_limit(self, q: Array, direction: Array, frequencies: Array) -> Array:
-        """Return the largest amplitude (Q,) [m] the arm manages about joints (7,) [rad]."""
+        """Return the largest amplitude (Q,) [m] the arm manages about joints (J,) [rad]."""
         ...
 
 
@@ -135,10 +137,11 @@ def perceive(
         StageFailure: no plant or no stem was found.
     """
     find_masks = find_masks or (lambda views, box, _: masks.segment(views, box, params.masks))
-    labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
-    fused = run.stage(
-        "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
-    )
+    with _cause_named(capture):
+        labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
+        fused = run.stage(
+            "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
+        )
     tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
     centres = flowers.flower_centres(fused, params.flowers)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
@@ -148,6 +151,21 @@ def perceive(
         lambda _: flowers.find_flowers(fused, tree, main, params.flowers, centres=centres),
     )
     return Seen(labels, fused, tree, main, found)
+
+
+@contextmanager
+def _cause_named(capture: Capture) -> Iterator[None]:
+    """Add to a failure to find the plant what is probably wrong with the views."""
+    try:
+        yield
+    except StageFailure as failure:
+        if failure.kind == "no_plant_found" and (cause := likely_cause(capture)):
+            raise StageFailure(failure.kind, f"{failure} {cause}") from failure
+        raise
+    except InputError as error:
+        if cause := likely_cause(capture):
+            raise InputError(f"{error} {cause}") from error
+        raise
 
 
 def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params) -> list[Grasp]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -17,32 +17,9 @@ from anther.pictures import report as figures
 from anther.pictures.steps import draw_steps
 from anther.plant import LEARNED, Material
 from anther.response import Response
-from anther.results import RunResults, watched_words
+from anther.results import FILM, RunResults, watched_words
+from anther.style import STYLE
 from anther.vibration import like_breeze
-
-STYLE = """
-:root { --ink:#1d2a22; --soft:#5d6b62; --line:#dfe6e1; --leaf:#2f7d4f; --bad:#b3402e;
-  --paper:#ffffff; --ground:#f4f7f5 }
-* { box-sizing:border-box } body { margin:0; background:var(--ground); color:var(--ink);
-  font:16px/1.5 system-ui,"Segoe UI",Roboto,"Helvetica Neue",sans-serif }
-main { max-width:1080px; margin:0 auto; padding:32px 24px 64px }
-h1 { font-size:28px; margin:0 0 4px } h2 { font-size:20px; margin:0 0 12px } p { margin:0 0 12px }
-.soft { color:var(--soft) } section { background:var(--paper); border:1px solid var(--line); border-radius:10px;
-  padding:20px 24px; margin-top:20px } img { width:100%; height:auto; display:block; border-radius:6px }
-table { border-collapse:collapse; width:100%; font-variant-numeric:tabular-nums } th,td { text-align:left;
-  padding:6px 12px 6px 0; border-bottom:1px solid var(--line); vertical-align:top }
-th { font-weight:600; color:var(--soft) }
-td.n, th.n { text-align:right } tr:last-child td { border-bottom:0 }
-.verdict { border-left:8px solid var(--leaf) } .verdict.bad { border-left-color:var(--bad) }
-.facts { display:grid; grid-template-columns:repeat(auto-fit,minmax(150px,1fr)); gap:16px; margin-top:12px }
-.facts b { display:block; font-size:22px; font-weight:600 } .facts span { color:var(--soft); font-size:14px }
-.answers { display:grid; grid-template-columns:repeat(auto-fit,minmax(240px,1fr)); gap:16px }
-.answer b { display:block; font-size:26px } .answer span { color:var(--soft); font-size:14px }
-b.yes { color:var(--leaf) } b.no { color:var(--bad) }
-.bar { display:flex; height:26px; border-radius:6px; overflow:hidden; margin-bottom:14px } .bar i { display:block }
-.key { display:inline-block; width:10px; height:10px; border-radius:2px; margin-right:8px }
-li { margin-bottom:4px } footer { margin-top:28px; color:var(--soft); font-size:14px }
-"""
 
 SPREADS = {"youngs": "youngs_spread"} | {name: spread for name, spread in LEARNED.items() if name != "scanned_youngs"}
 """Attribute of `plant.Material` -> its spread."""
@@ -51,6 +28,10 @@ PALETTE = (
     "#2f7d4f", "#6fae7b", "#b7cf8b", "#e3c567", "#d98f4e", "#b3594a", "#8a5a83", "#5b6fa8", "#4f97a6", "#8fa39a",
     "#c4b59d", "#7a7a7a",
 )  # fmt: skip
+
+
+SHOWN = 5
+"""Grasps that are listed, besides the one that was carried out."""
 
 
 def write_report(path: Path, results: RunResults) -> None:
@@ -96,14 +77,21 @@ def _image(draw: Callable[[], Any], alt: str) -> str:
     return f"<img alt='{escape(alt)}' src='data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}'>"
 
 
-def _table(header: list[str], rows: list[list[str]], text_columns: int = 1) -> str:
-    """Rows of text; the first `text_columns` and a last column "Why" or "Then" are aligned left, the others right."""
+def _table(header: list[str], rows: list[list[str]], text_columns: int = 1, chosen: int | None = None) -> str:
+    """Rows of text; the first `text_columns` and a last column "Why" or "Then" are aligned left, the others right.
+
+    The row `chosen` is marked.
+    """
     align = ["" if i < text_columns or name in ("Why", "Then") else " class=n" for i, name in enumerate(header)]
     head = "".join(f"<th{a}>{escape(h)}</th>" for a, h in zip(align, header, strict=True))
     body = "".join(
-        "<tr>" + "".join(f"<td{a}>{escape(c)}</td>" for a, c in zip(align, row, strict=True)) + "</tr>" for row in rows
+        f"<tr{' class=chosen' if i == chosen else ''}>"
+        + "".join(f"<td{a}>{escape(c)}</td>" for a, c in zip(align, row, strict=True))
+        + "</tr>"
+        for i, row in enumerate(rows)
     )
-    return f"<table><tr>{head}</tr>{body}</table>"
+    least = 110 * len(header)  # px; narrower screens scroll the table, not the page
+    return f"<div class=wide><table style='min-width:{least}px'><tr>{head}</tr>{body}</table></div>"
 
 
 def _verdict(results: RunResults) -> str:
@@ -161,9 +149,10 @@ def _plant(results: RunResults) -> str:
 def _grasp(results: RunResults) -> str:
     if not results.grasps:
         return ""
+    held = None if results.shaken is None else results.shaken.grasp_index
     rows = [
         [
-            f"{rank + 1}",
+            f"{rank + 1}{' (carried out)' if rank == held else ''}",
             f"{g.arc_length:.3f} m",
             f"{1000 * g.stem_diameter:.1f} mm",
             f"{1000 * g.clearance:.0f} mm",
@@ -171,9 +160,11 @@ def _grasp(results: RunResults) -> str:
             " ".join(f"{x:.3f}" for x in g.pose7),
             g.reason,
         ]
-        for rank, g in enumerate(results.grasps[:5])
+        for rank, g in enumerate(results.grasps)
+        if rank < SHOWN or rank == held
     ]
-    return _table(["Rank", "Height along stem", "Stem diameter", "Clearance", "Confidence", "Flange pose", "Why"], rows)
+    header = ["Rank", "Height along stem", "Stem diameter", "Clearance", "Confidence", "Flange pose", "Why"]
+    return _table(header, rows, chosen=None if held is None else min(held, SHOWN))
 
 
 def _shake(results: RunResults) -> str:
@@ -240,8 +231,33 @@ def _motion(results: RunResults) -> str:
     felt = np.where(response.visible, response.acceleration_peak, shake.predicted_acceleration)
     text = f"<p>{held.sum()} of {response.visible.sum()} measured amplitudes lie within the predicted interval.</p>"
     text += f"<p>{escape(worth(felt, results.crop or ''))}</p>"
+    text += _beside(results, felt)
     header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
-    return text + picture + _table(header, rows)
+    return text + picture + _film(results) + _table(header, rows)
+
+
+def _beside(results: RunResults, said: Any) -> str:
+    """Return the median flower as predicted, measured and, in simulation, as it truly moved."""
+    shake, response, summary = results.shaken, results.response, results.summary or {}
+    assert shake is not None
+    assert response is not None
+    seen = response.acceleration_peak[response.visible]
+    cells = {
+        "Predicted": _number(float(np.median(shake.predicted_acceleration))),
+        f"Measured ({len(seen)} of {len(said)} flowers)": _number(float(np.median(seen))) if len(seen) else "nothing",
+    }
+    true = summary.get("true_flower_acceleration_median_ms2")
+    if true is not None:
+        cells["True (simulated; all flowers)"] = _number(float(true))
+    return _table(["Median flower", *cells], [["peak acceleration", *cells.values()]])
+
+
+def _film(results: RunResults) -> str:
+    film = results.folder / FILM
+    if not film.is_file():
+        return ""
+    told = base64.b64encode(film.read_bytes()).decode()
+    return f"<p><img class=film alt='the end of the shake, at half its speed' src='data:image/gif;base64,{told}'></p>"
 
 
 def _measured(response: Response, flower: int) -> str:
@@ -315,5 +331,16 @@ def _timing(results: RunResults) -> str:
 
 
 def _parameters(results: RunResults) -> str:
-    rows = [[str(k), str(v)] for k, v in results.params.items()]
-    return _table(["Parameter", "Value"], rows, text_columns=2) if rows else ""
+    rows = [[name, str(value)] for name, value in _flat(results.params)]
+    if not rows:
+        return ""
+    return f"<details><summary>{len(rows)} values</summary>{_table(['Parameter', 'Value'], rows, 2)}</details>"
+
+
+def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (dotted name, value) of nested parameters."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value

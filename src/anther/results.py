@@ -16,6 +16,7 @@ from anther.files import existing, read_object
 from anther.flowers import Flowers
 from anther.grasp import Grasp, load_grasps
 from anther.masks import Masks
+from anther.plant import PlantModel
 from anther.response import Response
 from anther.runs import FILES
 from anther.skeleton import Skeleton
@@ -24,8 +25,8 @@ from anther.stem.confidence import doubt
 from anther.store.records import TrialRecord, read_record
 from anther.vibration import Crop, ShakePlan
 
-EXECUTED, SUMMARY = "09_executed_shake.json", "trial.json"
-"""The shake as it was carried out; the trial in numbers."""
+EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
+"""The shake as it was carried out; its end, as the side camera saw it; the trial in numbers."""
 
 
 class Answer(NamedTuple):
@@ -70,6 +71,7 @@ class RunResults:
     stem: Stem | None = None
     flowers: Flowers | None = None
     grasps: tuple[Grasp, ...] = ()
+    plant: PlantModel | None = None
     shake: ShakePlan | None = None
     executed: ShakePlan | None = None
     trial: Trial | None = None
@@ -81,7 +83,8 @@ class RunResults:
         """What the report is called."""
         if self.summary is None:
             return f"reconstruction of {Path(str(self.params.get('capture', self.folder))).name}"
-        return f"{self.params.get('plant', 'plant')}, seed {self.params.get('seed', '?')}"
+        label = self.params.get("label")
+        return f"{self.params.get('plant', 'plant')}, {label or 'seed ' + str(self.params.get('seed', '?'))}"
 
     @property
     def subtitle(self) -> str:
@@ -199,7 +202,7 @@ def read_run(folder: Path | str) -> RunResults:
         )
     kinds: dict[str, Any] = {
         "capture": Capture, "masks": Masks, "cloud": Cloud, "skeleton": Skeleton, "stem": Stem, "flowers": Flowers,
-        "shake plan": ShakePlan, "response": Response, "execution": Trial,
+        "plant model": PlantModel, "shake plan": ShakePlan, "response": Response, "execution": Trial,
     }  # fmt: skip
     found = {
         {"execution": "trial"}.get(stage, stage.split()[0]): kind.load(folder / FILES[stage])

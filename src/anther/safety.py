@@ -68,14 +68,14 @@ class GuardedArm:
         self._lost = ""
 
     def joints(self) -> Array:
-        """Return the measured joint angles (7,) [rad].
+        """Return the measured joint angles (J,) [rad].
 
         Raises:
             DeviceError: the reading is not finite, or not where the arm was last sent: it is stale, or the arm was
                 moved by hand.
         """
         try:
-            q = check_array("measured joints", self._arm.joints(), (7,))
+            q = check_array("measured joints", self._arm.joints(), self._limits.joint_lower.shape)
         except InputError as error:
             raise DeviceError(f"{error} The arm does not tell where it is.") from error
         if self._expected is not None:

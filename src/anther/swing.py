@@ -1,7 +1,8 @@
-"""A swing: how the pads are moved to and fro along one line, in pieces that join without a stop. K tones."""
+"""A swing: how the pads are moved to and fro along one line, in pieces that join without a stop. K tones, T samples."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import ArrayLike
 from anther.checks import check_array, check_range
 from anther.errors import bad_input
 from anther.geometry import Array
+
+RAMP_PERIODS = 3
+"""A whole shake rises and falls smoothly within this many periods; our choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,3 +84,32 @@ class Swing:
         phase = omega * (self.begin + t)
         displacement, rate = size * np.sin(phase), growth * np.sin(phase) + size * omega * np.cos(phase)
         return displacement.sum(axis=1), rate.sum(axis=1)
+
+
+def whole_shake(amplitude: float, frequency: float, duration: float) -> tuple[Swing, Swing]:
+    """Return the two pieces of a shake that nobody watches: it rises and is steady, then falls to rest.
+
+    Args:
+        amplitude: half of peak to peak [m].
+        frequency: [Hz].
+        duration: of the whole motion, rise and fall included: two periods or more [s].
+
+    Raises:
+        InputError: a number out of range.
+    """
+    check_range("shake amplitude", amplitude, 1e-6, 0.2, "m")
+    check_range("shake frequency", frequency, 0.1, 50, "Hz")
+    check_range("shake duration", duration, 2 / frequency, 60, "s")
+    ramp = min(RAMP_PERIODS / frequency, duration / 2)
+    rise = Swing.first(frequency, amplitude, duration - ramp, ramp)
+    return rise, rise.then(0.0, ramp, ramp)
+
+
+def motion(pieces: Sequence[Swing], times: ArrayLike) -> tuple[Array, Array]:
+    """Return displacement (T,) [m] and its rate (T,) [m/s] of joined pieces, (T,) times after the first began [s]."""
+    t = np.asarray(times, dtype=np.float64)
+    begins = np.cumsum([0.0, *(piece.seconds for piece in pieces[:-1])])
+    under_way = np.maximum(np.searchsorted(begins, t, side="right") - 1, 0)
+    moved = [piece.motion(t - begin) for piece, begin in zip(pieces, begins, strict=True)]
+    displacement, rate = np.take_along_axis(np.array(moved), under_way[None, None], axis=0)[0]
+    return displacement, rate

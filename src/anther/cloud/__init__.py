@@ -21,6 +21,7 @@ from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_parameters, check_range, check_transform
 from anther.cloud import registration
 from anther.cloud.clusters import attached_points
+from anther.cloud.disagreement import disagreement
 from anther.cloud.fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
 from anther.cloud.pixels import pixel_normals, supported_pixels
 from anther.cloud.plausibility import cloud_doubts, coverage_doubts, refuse_ground, view_doubts
@@ -99,6 +100,8 @@ class Cloud:
             registration; NaN where too little is seen to tell; None without registration.
         view_used: (V,) bool, false for views left out because the others contradict their pose; None if imported.
         footprint: median width of a pixel at the plant [m]; None if imported.
+        seen_through: share of what views judge of each other's points that they see through, 0..1, where that is more
+            than right captures have (`disagreement.py`); else 0.
     """
 
     points: Array
@@ -111,6 +114,7 @@ class Cloud:
     view_agreement: Array | None = None
     view_used: NDArray[np.bool_] | None = None
     footprint: float | None = None
+    seen_through: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.points)
@@ -146,6 +150,7 @@ class Cloud:
             view_agreement=self.view_agreement,
             view_used=self.view_used,
             footprint=self.footprint,
+            seen_through=self.seen_through,
         )
 
     @classmethod
@@ -169,6 +174,7 @@ class Cloud:
                 view_agreement=rest.get("view_agreement"),
                 view_used=rest.get("view_used"),
                 footprint=float(rest["footprint"]) if "footprint" in rest else None,
+                seen_through=float(rest.get("seen_through", 0.0)),
             )
 
 
@@ -207,6 +213,7 @@ def fuse(
     _require(len(fused.points), params, "points within the workspace")
     used = np.ones(capture.views, dtype=bool) if found is None else found.used
     seen = [capture.depth[v] for v in np.flatnonzero(used)]
+    doubts, through = disagreement(capture, [p.points for p in pixels], poses, used, params.seen_through)
     fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used], params.seen_through))
     report()
     refuse_ground(fused.points, box)
@@ -226,10 +233,11 @@ def fuse(
         fused.labels,
         obstacles,
         poses,
-        (*(found.notes if found else ()), *notes),
+        (*doubts, *(found.notes if found else ()), *notes),
         view_agreement=None if found is None else found.agreement,
         view_used=used,
         footprint=float(np.median(np.concatenate([p.points[:, 2] for p in pixels]))) / capture.intrinsics.fx,
+        seen_through=through,
     )
 
 

@@ -132,6 +132,18 @@ def agreeing_points(
     return balance >= 0
 
 
+def balances(
+    points: Array, depth: NDArray[Any], intrinsics: Intrinsics, T_world_cam: Array, seen_through: float
+) -> NDArray[np.int64]:
+    """Return what one view says of points (N, 3): 1 supports, -1 contradicts, 0 nothing; see `agreeing_points`."""
+    k = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
+    balance = np.zeros(len(points), dtype=np.int64)
+    _add_agreement(
+        np.ascontiguousarray(points), depth, k, np.ascontiguousarray(inverse(T_world_cam)), seen_through, balance
+    )
+    return balance
+
+
 @numba.njit(nogil=True, cache=True)
 def _add_agreement(points, depth, k, T, seen_through, balance):
     height, width = depth.shape

@@ -32,13 +32,6 @@ class Estimate:
     reach: float = 0.0
 
 
-def replaced(at: Estimate, view: int, pose: Array) -> Estimate:
-    """Return the estimate with another pose (4, 4) of one view."""
-    poses = at.poses.copy()
-    poses[view] = pose
-    return Estimate(poses, at.reach)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """Thinned points of all views in their camera frames.

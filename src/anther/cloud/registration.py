@@ -1,24 +1,23 @@
 """Joint registration of all views with a kinematic prior.
 
-Sequential ICP drifts on plants (facts: perception, 2.4-5.4 mm against 3.6 mm for the arm's own poses). Here every
-view may move a little: all views' corrections are found together (`joint.py`) on robust distances between neighbouring
-points of different views (`matching.py`), held back by what is known of the arm and the hand-eye calibration. Views
-that the others contradict are placed anew or left out (`wrong_views.py`). Dimensions: V views, N points, P pairs.
+View by view to those before, ICP drifts on plants (facts: perception, 2.4-5.4 mm against 3.6 mm for the arm's own
+poses). Here every view may move a little: all views' corrections are found together (`joint.py`) on robust distances
+between neighbouring points of different views (`matching.py`), held back by what is known of the arm and the hand-eye
+calibration. Views that the others contradict are placed anew or left out (`wrong_views.py`).
+Dimensions: V views, N points, P pairs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_parameters, check_range
 from anther.cloud import joint
-from anther.cloud.matching import Estimate, Sample, match, plane_distances, replaced
-from anther.cloud.sequential import chain
-from anther.cloud.wrong_views import agreement, placed_anew
+from anther.cloud.matching import Estimate, Sample, match, plane_distances
+from anther.cloud.wrong_views import agreement, mended
 from anther.geometry import Array
 
 ATTENUATION = 1 / 3
@@ -28,49 +27,49 @@ variables). Measured on simulated captures: 1.4 px are estimated as 0.41 to 0.50
 UNEXPLAINED = 1.75
 """A view that moved this many times farther than the arm's error explains, and than the median view, is named."""
 
+REACH_SIGMA = 0.003
+"""Prior of the reach of the camera's matching window [rad]; 2 px of a D455."""
+
+POINTS_PER_VIEW = 1500
+"""At most this many points of each view are matched, drawn evenly: thirty views then take seconds."""
+
+SOURCE_SHARE, HELD_OUT_SHARE = 0.4, 0.2
+"""Share of these points for which neighbours are looked up in each round, and share that judges the result and takes no
+part in it."""
+
+NORMAL_ANGLE = float(np.deg2rad(25))
+"""Matched points' normals differ by at most this [rad]; it keeps the two sides of a stem apart."""
+
+POINT_SIGMA = 0.0015
+"""Distance scale of the matches [m]; also the Welsch scale in the last round."""
+
+LEAST_GAIN = 0.02
+"""The held-out distance must fall at least by this share, else the arm's own poses are kept."""
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
     """How far the views may move and how their points are matched.
 
     Attributes:
-        method: "joint", or for comparison the paper's sequential way: "ICP", "PLANE_ICP" or "GICP" view by view.
         rotation_sigma, translation_sigma: standard deviation of one view's pose error, per axis [rad], [m]
             (facts: perception, 0.2 deg and 1.5 mm).
         hand_eye_rotation_sigma, hand_eye_translation_sigma: of the error common to all views, in the camera frame.
-        reach_sigma: of the reach of the camera's matching window [rad]; 2 px of a D455.
         voxel: views are thinned to this spacing for matching [m].
-        points_per_view: at most this many points of each view are matched, drawn evenly.
         neighbours: candidates looked up for each point among all views' points.
         match_distances: greatest distance of a match [m], one per round; the map is rebuilt in each.
-        source_share: share of these points for which neighbours are looked up in each round.
-        normal_angle: matched points' normals differ by at most this [rad]; it keeps the two sides of a stem apart.
-        point_sigma: distance scale of the matches [m]; also the Welsch scale in the last round.
         points_per_constraint: neighbouring residuals are alike; this many count as one independent measurement.
-        held_out_share: share of the points that judges the result and takes no part in it.
-        least_gain: the held-out distance must fall at least by this share, else the arm's own poses are kept.
-        least_agreement: a view is contradicted when its agreement (see `Registration`) is below this share of the
-            median view's.
-        search: how far around its given place such a view is looked for [m].
+        search: how far around its given place a view that the others contradict is looked for [m].
     """
 
-    method: Literal["joint", "ICP", "PLANE_ICP", "GICP"] = "joint"
     rotation_sigma: float = float(np.deg2rad(0.2))
     translation_sigma: float = 0.0015
     hand_eye_rotation_sigma: float = float(np.deg2rad(0.2))
     hand_eye_translation_sigma: float = 0.001
-    reach_sigma: float = 0.003
     voxel: float = 0.004
-    points_per_view: int = 1500
     neighbours: int = 12
     match_distances: tuple[float, ...] = (0.012, 0.009, 0.007, 0.006, 0.005)
-    source_share: float = 0.4
-    normal_angle: float = float(np.deg2rad(25))
-    point_sigma: float = 0.0015
     points_per_constraint: float = 8.0
-    held_out_share: float = 0.2
-    least_gain: float = 0.02
-    least_agreement: float = 0.7
     search: float = 0.04
 
     def __post_init__(self) -> None:
@@ -78,9 +77,8 @@ class Params:
         check_range("registration rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
         check_range("registration translation sigma", self.translation_sigma, 1e-6, 1, "m")
         check_range("registration voxel", self.voxel, 1e-4, 0.1, "m")
-        for name in ("hand_eye_rotation_sigma", "hand_eye_translation_sigma", "reach_sigma", "point_sigma"):
+        for name in ("hand_eye_rotation_sigma", "hand_eye_translation_sigma"):
             check_range(name, getattr(self, name), 1e-6, 1)
-        check_range("points_per_view", self.points_per_view, 10, 1e5)
         check_range("neighbours", self.neighbours, 1, 100)
         check_range("number of match_distances", len(self.match_distances), 1, 100)
         check_range("points_per_constraint", self.points_per_constraint, 1e-3, 1e6)
@@ -122,11 +120,11 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
     """
     params = params or Params()
     given = np.array(T_world_cam)
-    sample = Sample.of(points_cam, params.voxel, params.points_per_view)
+    sample = Sample.of(points_cam, params.voxel, POINTS_PER_VIEW)
     if len(np.unique(sample.view)) < 2:
         return _declined(given, "fewer than two views show the plant")
     draw = np.random.default_rng(0).random(len(sample.view))
-    held_out, source = draw < params.held_out_share, draw > 1 - params.source_share
+    held_out, source = draw < HELD_OUT_SHARE, draw > 1 - SOURCE_SHARE
     found = _aligned(sample, given, source, params)
     if found is None:
         return _declined(given, "the views share no surface")
@@ -152,26 +150,18 @@ def _without_contradictions(
     Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
     then about its new one.
     """
-    views, start, used = range(len(given)), given.copy(), np.ones(len(given), dtype=bool)
-    agrees = agreement(sample, found, views)
-    least = params.least_agreement * np.nanmedian(agrees) if np.isfinite(agrees).any() else 0.0
-    wrong = np.flatnonzero(agrees < least)
-    for view in wrong:
-        others = sample.only(~np.isin(sample.view, np.setdiff1d(wrong, view)))
-        pose = placed_anew(others, found, int(view), params.search)
-        used[view] = agreement(others, replaced(found, int(view), pose), [int(view)])[0] >= least
-        start[view] = pose if used[view] else given[view]
-    placed = Estimate(found.poses.copy(), found.reach)
-    placed.poses[wrong] = start[wrong]
+    mend = mended(sample, given, found, params.search)
+    used, agrees, placed = mend.used, mend.agreement, Estimate(mend.poses, found.reach)
     moved = _moved(sample, given, placed)
     far = used & (moved > UNEXPLAINED * max(_expected(sample, params), float(np.median(moved))))
-    start[far] = placed.poses[far]
-    if len(wrong) > 0 or far.any():
-        kept = used[sample.view]
-        found = _refined(sample.only(kept), placed, start, source[kept], params)
+    anew = mend.wrong | far
+    if anew.any():
+        start, kept = np.where(anew[:, None, None], placed.poses, given), used[sample.view]
+        last = params.match_distances[-2:]
+        found = _jointly(sample.only(kept), placed, start, source[kept], last, params, reach_fixed=True) or placed
         found.poses[~used] = given[~used]
-    if len(wrong) > 0:
-        agrees = agreement(sample, found, views)
+    if mend.wrong.any():
+        agrees = agreement(sample, found, range(len(given)))
     return _Checked(found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far))
 
 
@@ -203,8 +193,6 @@ def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np
 
 def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
     """Return the estimate, or None where views share no surface."""
-    if params.method != "joint":
-        return Estimate(chain(sample, given, params.method, params.match_distances[0]))
     half = (len(params.match_distances) + 1) // 2
     first, last = params.match_distances[:half], params.match_distances[half:]
     at = _jointly(sample, Estimate(given), given, source, first, params, reach_fixed=False)
@@ -212,14 +200,6 @@ def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Pa
         return None
     at = Estimate(at.poses, max(0.0, at.reach) / ATTENUATION)
     return _jointly(sample, at, given, source, last, params, reach_fixed=True)
-
-
-def _refined(sample: Sample, at: Estimate, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate:
-    """Return the joint estimate from a start that is nearly right; the sequential ways have nothing to refine."""
-    if params.method != "joint":
-        return at
-    last = params.match_distances[-2:]
-    return _jointly(sample, at, given, source, last, params, reach_fixed=True) or at
 
 
 def _jointly(
@@ -237,21 +217,21 @@ def _jointly(
         len(given),
         (params.rotation_sigma, params.translation_sigma),
         (params.hand_eye_rotation_sigma, params.hand_eye_translation_sigma),
-        params.reach_sigma,
+        REACH_SIGMA,
     )
-    weight = 1 / (params.point_sigma**2 * params.points_per_constraint)
+    weight = 1 / (POINT_SIGMA**2 * params.points_per_constraint)
     for distance in distances:
         pairs = _match(sample, at, source, distance, params)
         if len(pairs) == 0:
             return None
-        problem = joint.Problem(sample, pairs, given, information, max(params.point_sigma, distance / 3), weight)
+        problem = joint.Problem(sample, pairs, given, information, max(POINT_SIGMA, distance / 3), weight)
         for _ in range(2):
             at = joint.step(problem, at, reach_fixed=reach_fixed)
     return at
 
 
 def _match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float, params: Params) -> NDArray[np.int64]:
-    return match(sample, at, use, neighbours=params.neighbours, distance=distance, angle=params.normal_angle)
+    return match(sample, at, use, neighbours=params.neighbours, distance=distance, angle=NORMAL_ANGLE)
 
 
 def _declined(given: Array, why: str) -> Registration:
@@ -266,7 +246,7 @@ def _judged(
     """Return the registration, or the arm's poses where held-out points disagree no less than under them."""
     found, judges = checked.found, held_out & checked.used[sample.view]
     before, after = (_disagreement(sample, Estimate(T, found.reach), judges, params) for T in (given, found.poses))
-    if after < (1 - params.least_gain) * before:
+    if after < (1 - LEAST_GAIN) * before:
         return Registration(
             found.poses, True, before, after, found.reach, checked.agreement, checked.used, checked.notes
         )  # fmt: skip

@@ -34,12 +34,15 @@ def run(args: Args) -> None:
     """Fit and print; draw when asked to.
 
     Raises:
-        InputError: a history that cannot be read.
+        InputError: a history that cannot be read, or a figure that is no .png.
     """
+    from anther.errors import bad_input
     from anther.files import replacing
     from anther.fruit_set import PRIORS, counts_of, fit
     from anther.store import read_outcomes, read_trials
 
+    if args.figure is not None and args.figure.suffix.lower() != ".png":
+        raise bad_input("figure", given=str(args.figure), allowed="a name that ends in .png", do="Name it so.")
     outcomes = read_outcomes(args.history, species=args.species)
     counts, left_out = counts_of(read_trials(args.history, species=args.species), outcomes)
     learned = fit(counts, PRIORS.get(args.species, PRIORS["pepper"]))

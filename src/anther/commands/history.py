@@ -1,4 +1,4 @@
-"""List the trial history, export it as CSV or Parquet, or add a run that could not be recorded when it ended."""
+"""List the trial history, export it as CSV or Parquet, or add what was recorded elsewhere: a run, another history."""
 
 from __future__ import annotations
 
@@ -42,6 +42,8 @@ class Args:
     """Which table to export: a line a visit, a line a flower and visit, or the counts of fruit set."""
     add: tuple[Path, ...] = ()
     """Run folders whose trial is not in the history yet, because it could not be reached."""
+    merge: tuple[Path, ...] = ()
+    """Histories of robots that were offline: what the history lacks of them is added. Doing it again adds nothing."""
 
 
 def run(args: Args) -> None:
@@ -50,25 +52,20 @@ def run(args: Args) -> None:
     Raises:
         InputError: a history, folder or option that cannot be used.
     """
-    from anther.store import export, read_outcomes, read_trials
+    from anther.store import count_trials, each_trial, export, read_outcomes, read_trials
 
     kinds = ("success", "failure", *get_args(FailureKind))
     if args.result is not None and args.result not in kinds:
         raise bad_input("result", given=f"'{args.result}'", allowed=", ".join(kinds), do="Choose one.")
-    if args.add:
+    if args.add or args.merge:
         return _add(args)
-    trials = read_trials(
-        args.history,
-        species=args.species,
-        plant=args.plant,
-        since=args.since,
-        until=args.until,
-        result=args.result,
-    )
+    names = ("species", "plant", "since", "until", "result")
+    which = {name: getattr(args, name) for name in names}
     outcomes = [o for o in read_outcomes(args.history, species=args.species, plant=args.plant) if _in_time(args, o)]
     if args.export is None:
-        return _list(args, trials, outcomes)
-    count = export(args.export, args.table, trials, outcomes)
+        trials = read_trials(args.history, **which, last=max(args.last, 0))
+        return _list(args, trials, count_trials(args.history, **which), outcomes)
+    count = export(args.export, args.table, each_trial(args.history, **which), outcomes)
     return print(f"{args.export}: {count} {args.table}")
 
 
@@ -78,24 +75,28 @@ def _in_time(args: Args, outcome: Outcome) -> bool:
 
 def _add(args: Args) -> None:
     from anther.commands.visit_record import add_run
+    from anther.store import merge
 
     for folder in args.add:
         number = add_run(folder, args.history)
         print(f"{folder}: " + ("is in the history already" if number is None else f"visit {number}"))
+    for source in args.merge:
+        merged = merge(source, args.history)
+        print(f"{source}: {merged.new} visits, counts and notes added, {merged.known} were there already")
 
 
-def _list(args: Args, trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> None:
+def _list(args: Args, trials: Sequence[TrialRecord], count: int, outcomes: Sequence[Outcome]) -> None:
     from rich.console import Console
 
     from anther.store import shown
 
     console = Console(markup=False)  # labels are the user's own: "[/bed]" is no markup
-    if not trials and not outcomes:
+    if not count and not outcomes:
         return console.print(f"{shown(args.history)}: no trial or outcome, or none that fits.")
     if trials:
-        console.print(_trials(trials[-args.last :]))
-    if len(trials) > args.last:
-        console.print(f"... and {len(trials) - args.last} earlier (--last).")
+        console.print(_trials(trials))
+    if count > len(trials):
+        console.print(f"... and {count - len(trials)} earlier (--last).")
     if outcomes:
         console.print(_outcomes(outcomes[-args.last :]))
     for species in sorted({t.species for t in trials}):

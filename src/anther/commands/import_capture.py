@@ -21,7 +21,7 @@ class Args:
     """Attributes: what to import, where to, and what the source does not tell."""
 
     source: Annotated[Path, tyro.conf.Positional]
-    """COLMAP workspace or model folder, fused .ply, .bag, .mcap, or ROS 2 bag folder."""
+    """COLMAP workspace or model folder, fused .ply, .bag, .mcap, .db3, or ROS 2 bag folder."""
     out: Annotated[Path, tyro.conf.Positional]
     """Capture folder to write; a .ply for clouds (fused .ply, or a COLMAP model without depth maps)."""
     scale: float | None = None
@@ -52,14 +52,14 @@ def run(args: Args) -> None:
         raise bad_input(
             str(source),
             given=f"a '{source.suffix}' file",
-            allowed="a COLMAP folder, .ply, .bag, .mcap, or a ROS 2 bag folder",
+            allowed="a COLMAP folder, .ply, .bag, .mcap, .db3, or a ROS 2 bag folder",
             do="Kinect turntables: `anther convert-kinect`. Other clouds: `anther skeletonize` reads them.",
         )
 
 
 def is_bag(source: Path) -> bool:
     """Return whether a path is a bag by its suffix, or a folder with a ROS 2 bag's metadata.yaml."""
-    return source.suffix.lower() in {".bag", ".mcap"} or (source / "metadata.yaml").is_file()
+    return source.suffix.lower() in {".bag", ".mcap", ".db3"} or (source / "metadata.yaml").is_file()
 
 
 def _write_bag(args: Args) -> None:

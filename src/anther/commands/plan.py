@@ -12,7 +12,6 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from anther.arm.planner import shake_limit
 from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.commands.run_folder import PARAMS
@@ -32,7 +31,6 @@ from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem, find_stem
 from anther.vibration import (
-    WAVEFORMS,
     Actuator,
     ArmShaker,
     Crop,
@@ -79,8 +77,6 @@ class Args:
     """What three flowers of four feel, or mean flower amplitude as in the paper; by default what --params says."""
     actuator: Literal["arm", "gripper"] = "arm"
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
-    waveforms: Literal["sine", "all"] = "sine"
-    """Only sines, or also sweeps and bursts. Response and learning can follow a sine only."""
     shake: Preset | None = None
     """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says. 'paper' is
     the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept and slip is not prevented."""
@@ -122,6 +118,8 @@ def arm_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
     """Return what the arm manages at the grasp's joints, or by the Sawyer's table where no arm was asked."""
     if grasp.joints is None:
         return sawyer_limit(grasp, direction, frequencies)
+    from anther.arm.planner import shake_limit  # needs the extra `cell`
+
     return shake_limit(grasp.joints, direction, frequencies)
 
 
@@ -129,8 +127,7 @@ ACTUATORS: dict[str, Actuator] = {"arm": ArmShaker(arm_limit), "gripper": Vibrat
 
 
 def _params(args: Args) -> Params:
-    given = {"objective": args.objective, "lowest": args.lowest, "highest": args.highest}
-    given |= {"frequencies": args.frequencies, "waveforms": WAVEFORMS if args.waveforms == "all" else None}
+    given = {name: getattr(args, name) for name in ("objective", "lowest", "highest", "frequencies")}
     params = args.params if args.shake is None else with_preset(args.shake, args.params)
     return replace(params, **{name: value for name, value in given.items() if value is not None})
 
@@ -212,7 +209,6 @@ def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
         "amplitude": plan.amplitude,
         "frequency": plan.frequency,
         "duration": plan.duration,
-        "waveform": str(plan.waveform),
         "score": plan.score,
         "flowers": [{"amplitude": a, "interval": i.tolist(), "acceleration": s} for a, i, s in flowers],
         "limits": [

@@ -192,12 +192,27 @@ def summary(plant: RodPlant, response: GripResponse, flowers: NDArray[Any]) -> d
         "flower_acceleration_least_m_s2": float(there.min()),
         "flower_acceleration_most_m_s2": float(there.max()),
         "flower_amplitude_ratio_mean": float(response.ratio[q, g].mean()),
+        "limits_passed": limits_passed(response),
+        "notes": list(plant.notes),
         "natural_frequencies_hz": hertz.tolist(),
         "damping_ratios": ratios.tolist(),
         "flower_nodes": plant.numbers[flowers].tolist(),
         "grips": len(response.grips),
         "nodes": len(plant.rods.nodes),
     }
+
+
+def limits_passed(response: GripResponse) -> list[str]:
+    """Return which of the limits that `anther plan` keeps the best cell passes; what the plant bears is not asked."""
+    q, g = response.best
+    limits, hertz, amplitude = ShakeParams(), response.frequencies[q], response.amplitude[q]
+    values = (
+        ("a flower's acceleration", float(response.acceleration[q, g].max()), limits.flower_acceleration, "m/s²"),
+        ("speed of the grip", float(2 * np.pi * hertz * amplitude), limits.most_speed, "m/s"),
+        ("amplitude of the grip", float(amplitude), limits.most_amplitude, "m"),
+    )
+    passed = ((name, value, most, unit) for name, value, most, unit in values if value > most * (1 + 1e-9))
+    return [f"{name} {value:.3g} {unit}, more than {most:g}" for name, value, most, unit in passed]
 
 
 def natural_modes(plant: RodPlant) -> tuple[Array, Array]:
@@ -265,3 +280,8 @@ def _print(args: Args, result: dict[str, Any]) -> None:
     if args.out is not None:
         table.add_row("written", str(args.out))
     Console(markup=False).print(table)
+    print("This is linear theory: whether stem and leaves bear the shake is not asked here. anther plan asks.")
+    for limit in result["limits_passed"]:
+        print(f"warning: beyond a limit that Anther keeps: {limit}")
+    for note in result["notes"]:
+        print(f"note: {note}")

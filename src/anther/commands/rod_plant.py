@@ -17,6 +17,7 @@ from anther.formats.skeletons import SkeletonFile, read_skeleton
 from anther.geometry import Array
 from anther.identification import read_material
 from anther.plant import Material, PlantModel
+from anther.plant import Params as PlantParams
 from anther.runs import FILES
 
 YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
@@ -70,6 +71,8 @@ class RodPlant:
         damping_ratio: share of critical damping [-].
         stem_nodes: (S,) main stem, root first; None where it is still to be found.
         flower_nodes: (F,) may be empty.
+        youngs_given: whether anybody said how stiff it is; if not, a plant that buckles is taken to be stiffer.
+        notes: what the user should know.
     """
 
     rods: Rods
@@ -78,6 +81,8 @@ class RodPlant:
     damping_ratio: float
     stem_nodes: NDArray[Any] | None
     flower_nodes: NDArray[Any]
+    youngs_given: bool = True
+    notes: tuple[str, ...] = ()
 
     def node(self, number: int) -> int:
         """Return the index of the node that the user calls `number`.
@@ -135,7 +140,8 @@ def _of_skeleton(options: PlantOptions) -> RodPlant:
         bend_over_twist=_given(options.bend_over_twist, BEND_OVER_TWIST),
     )
     zeta = _given(options.damping_ratio, DAMPING_RATIO)
-    return RodPlant(rods, Clamp.root(rods), source.numbers, zeta, None, np.zeros(0, np.int64))
+    nowhere = np.zeros(0, np.int64)
+    return RodPlant(rods, Clamp.root(rods), source.numbers, zeta, None, nowhere, options.youngs is not None)
 
 
 def _of_run(options: PlantOptions) -> RodPlant:
@@ -171,12 +177,17 @@ def _given(value: float | None, otherwise: float) -> float:
 def hanging(plant: RodPlant, name: object) -> RodPlant:
     """Return the plant with the natural shape for which its scanned shape hangs still under gravity.
 
+    A real plant stands: where nobody gave Young's modulus and the usual one is too small, it is raised as
+    `build_plant` does, and a note says so.
+
     Raises:
         StageFailure: it would buckle under its own weight; the message tells the stiffness that would hold it.
     """
     if not stands(plant.rods, plant.clamp):
         factor = least_stiffness(plant.rods, plant.clamp)
         youngs, grams = np.asarray(plant.rods.youngs)[1], 1e3 * plant.rods.node_mass.sum()
+        if factor is not None and not plant.youngs_given:
+            return hanging(_stiffened(plant, factor), name)
         enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
         raise StageFailure(
             "no_convergence",
@@ -185,6 +196,18 @@ def hanging(plant: RodPlant, name: object) -> RodPlant:
             "Give --youngs, --radius, --least-radius or --density other values, or hold more of it with --clamp-below.",
         )
     return replace(plant, rods=with_gravity_equilibrium(plant.rods, plant.clamp))
+
+
+def _stiffened(plant: RodPlant, least: float) -> RodPlant:
+    """Return the plant with a margin over the factor on Young's modulus at which it just stands."""
+    before, factor = float(np.asarray(plant.rods.youngs)[1]), PlantParams().margin * least
+    note = (
+        f"Young's modulus was not given; raised from {before / 1e6:.3g} to {factor * before / 1e6:.3g} MPa: below "
+        f"{least * before / 1e6:.3g} MPa the plant would buckle under its own weight. That much is often a sign of "
+        "radii too small: see --least-radius, --youngs."
+    )
+    rods = replace(plant.rods, youngs=factor * np.asarray(plant.rods.youngs))
+    return replace(plant, rods=rods, youngs_given=True, notes=(*plant.notes, note))
 
 
 def held_nodes(plant: RodPlant, grip: int, pads: float) -> tuple[int, ...]:

@@ -16,14 +16,24 @@ from typing import TYPE_CHECKING, Any
 from anther.commands.visit_record import FILE as VISIT
 from anther.errors import bad_input
 from anther.files import made_folder, read_object, write_json
-from anther.results import EXECUTED, SUMMARY
+from anther.results import EXECUTED, FILM, SUMMARY
 from anther.runs import FILES, PROGRESS, Run
 
 if TYPE_CHECKING:
     from anther.results import RunResults
 
 PARAMS, TIMING = "00_params.json", "timing.json"
-WRITTEN = {PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, *FILES.values(), FILES["cloud"].replace(".ply", ".npz")}
+WRITTEN = {
+    PARAMS,
+    TIMING,
+    PROGRESS,
+    EXECUTED,
+    SUMMARY,
+    VISIT,
+    FILM,
+    *FILES.values(),
+    FILES["cloud"].replace(".ply", ".npz"),
+}
 """What a run writes into its folder; a cloud's other arrays lie beside its .ply."""
 LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "embreex", "small_gicp", "scikit-image")
 

@@ -102,7 +102,7 @@ def run(args: Args) -> None:
         with replacing(args.out / "shake.png") as temporary:
             figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
             figure.savefig(temporary, dpi=110)
-    print(json.dumps(asdict(motion), indent=2) if args.json else _text(args, motion))
+    print(json.dumps(asdict(motion), indent=2) if args.json else _text(args, motion, plant.notes))
 
 
 def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:
@@ -149,7 +149,7 @@ def vibration(displacement: Any, dt: float) -> tuple[float, float]:
     return float(np.median(envelope)), float(np.fft.rfftfreq(padded, dt)[np.argmax(spectrum)])
 
 
-def _text(args: Args, motion: Motion) -> str:
+def _text(args: Args, motion: Motion, notes: tuple[str, ...]) -> str:
     ratio = "" if motion.amplitude_ratio is None else f", {motion.amplitude_ratio:.3f} of the shake"
     lines = [
         f"flower node {args.flower}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"
@@ -158,5 +158,6 @@ def _text(args: Args, motion: Motion) -> str:
         + (f" and moment {motion.grip_moment_peak_nm:.3g} N m" if args.pads else ""),
         f"first natural frequency, not gripped: {motion.first_frequency_hz:.3f} Hz",
         f"{motion.newton_iterations} Newton iterations, {motion.split_steps} split steps",
+        *(f"note: {note}" for note in notes),
     ]
     return "\n".join(lines if args.out is None else [*lines, f"written: {args.out}"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +21,7 @@ from anther.grasp import Grasp, plan_grasps, save_grasps
 from anther.grasp import Params as GraspParams
 from anther.pictures.plant import draw_plant
 from anther.skeleton import Params, Skeleton, skeletonize
+from anther.stem import Params as StemParams
 from anther.stem import Stem, find_stem
 
 
@@ -42,6 +43,10 @@ class Args:
     """Print the result as JSON."""
     params: Params = field(default_factory=Params)
     """How the cloud becomes a skeleton."""
+    stem: StemParams = field(default_factory=StemParams)
+    """How the main stem is found."""
+    grasp: GraspParams = field(default_factory=GraspParams)
+    """Gripper and grasp."""
 
 
 def run(args: Args) -> None:
@@ -49,8 +54,8 @@ def run(args: Args) -> None:
     cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
     begin = time.perf_counter()
     skeleton = skeletonize(cloud, args.params)
-    stem = find_stem(skeleton, flowers_at=flower_centres(cloud))
-    grasps, notes = best_grasps(stem, skeleton, cloud)
+    stem = find_stem(skeleton, args.stem, flowers_at=flower_centres(cloud))
+    grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)
     seconds = time.perf_counter() - begin
     if args.out is not None:
         write_results(args.out, cloud, skeleton, stem, grasps)
@@ -58,17 +63,20 @@ def run(args: Args) -> None:
     print(json.dumps(result, indent=2, default=_plain) if args.json else _text(result))
 
 
-def best_grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> tuple[list[Grasp], tuple[str, ...]]:
+def best_grasps(
+    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: GraspParams | None = None
+) -> tuple[list[Grasp], tuple[str, ...]]:
     """Return (grasps, notes): those of our gripper, or of one scaled to the plant where ours does not fit.
 
     A tree's trunk is too thick for a gripper made for tomato stems; where to take it is still worth knowing.
     """
+    params = params or GraspParams()
     try:
-        return plan_grasps(stem, skeleton, cloud), ()
+        return plan_grasps(stem, skeleton, cloud, params), ()
     except StageFailure as failure:
         if failure.kind != "no_grasp_found":
             raise
-        grasps = plan_grasps(stem, skeleton, cloud, GraspParams(fit_gripper=False))
+        grasps = plan_grasps(stem, skeleton, cloud, replace(params, fit_gripper=False))
         return grasps, (f"the gripper does not fit this plant ({failure})",)
 
 

@@ -1,8 +1,11 @@
-"""See, grasp and shake one plant in the simulated cell, measure how its flowers answer, and write a report."""
+"""See, grasp and shake one plant, simulated or real, measure how its flowers answer, and write a report."""
 
 from __future__ import annotations
 
+import platform
 import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,14 +16,16 @@ from anther.pipeline import Params
 from anther.vibration import Preset, with_preset
 
 if TYPE_CHECKING:
+    from anther.arm.views import Params as ViewParams
+    from anther.commands.hardware_cell import HardwareCell
     from anther.commands.simulated_cell import SimulatedCell
     from anther.pipeline import Done
     from anther.sim.judge import Verdict
     from anther.store import Belief, TrialRecord
     from anther.vibration import EarlierShake
 
-
-SAME = ("plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
+SIMULATED = "simulated"
+SAME = ("cell", "label", "plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
 """Arguments that make the plant and how it is seen: a run cannot be gone on with as another's."""
 
 
@@ -30,6 +35,11 @@ class Args:
 
     plant: Literal["tomato", "pepper"] = "tomato"
     """Species of the simulated plant."""
+    cell: str = "simulated"
+    """Which cell: 'simulated', or a cell file of a real one (docs/real_robot.md). Of a real one nobody knows the truth:
+    seed, viewpoint, distance and truth say nothing, and the verdict is what the gripper felt."""
+    label: str = ""
+    """Name of a real plant, for its history."""
     seed: int = 0
     """Which plant; all noise comes from it too."""
     viewpoint: float = 0.0
@@ -52,6 +62,8 @@ class Args:
     """Replace the results of an earlier run in the same folder."""
     history: str = "runs/history.sqlite"
     """Trial history to learn from and to add this trial to: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
+    robot: str = field(default_factory=platform.node)
+    """Name of this robot in the history; by default the computer's."""
     truth: Literal["nominal", "wide"] = "nominal"
     """What is true of plant, air, pads, arm and camera: as usual, or drawn from the seed wider than any stage believes.
     It is for judging: no stage is told."""
@@ -83,8 +95,9 @@ def run(args: Args) -> int:
     from anther.commands.visit_record import remember
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
+    from anther.pictures.film import save_film
     from anther.pipeline import pollinate
-    from anther.results import EXECUTED, SUMMARY
+    from anther.results import EXECUTED, FILM, SUMMARY
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
     from anther.store import shown
 
@@ -92,7 +105,7 @@ def run(args: Args) -> int:
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
     check_range("views", 3 if args.views is None else args.views, 3, 200)
     check_range("distance", args.distance, 0.3, 3.0, "m")
-    out = args.out or Path("runs") / f"{args.plant}-{args.seed}-{args.viewpoint:g}"
+    out = args.out or Path("runs") / _folder(args)
     if args.restart_from == WHERE_IT_STOPPED and stage_under_way(out) in ("response", "report"):
         args = replace(args, restart_from="execution")
     if args.restart_from in ("response", "report"):
@@ -107,12 +120,16 @@ def run(args: Args) -> int:
     belief, earlier, began = _belief(args), _earlier(args), datetime.now(UTC)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
     cell = done = verdict = failure = None
-    with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=SAME) as run:
+    with (
+        ExitStack() as machines,
+        open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=SAME) as run,
+    ):
         try:
-            cell = run.timed("cell", lambda _: _build(args))
+            cell = run.timed("cell", lambda _: machines.enter_context(_cell(args)))
             done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks, earlier)
             done.shake.save(run.folder / EXECUTED)
-            verdict = run.timed("judge", lambda _: _judge(cell, done))
+            save_film(run.folder / FILM, done.trial.frames)
+            verdict = None if cell.world is None else run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
         summary = summarise(cell, done, verdict, failure, args.params)
@@ -144,18 +161,42 @@ def _params(args: Args) -> Params:
     return replace(args.params, vibration=vibration, escalate=watch and vibration.keeps_limits, actuator=actuator)
 
 
-def _build(args: Args) -> SimulatedCell:
-    from anther.commands.simulated_cell import PRESETS, build
-    from anther.sim.truth import NOMINAL, draw
+def _folder(args: Args) -> str:
+    if args.cell == SIMULATED:
+        return f"{args.plant}-{args.seed}-{args.viewpoint:g}"
+    return f"{args.label or args.plant}-{datetime.now(UTC):%Y%m%d-%H%M%S}".replace("/", "-")
+
+
+@contextmanager
+def _cell(args: Args) -> Iterator[SimulatedCell | HardwareCell]:
+    """Give the simulated cell, or a real one whose machines are connected for the block."""
+    if args.cell == SIMULATED:
+        yield _build(args)
+        return
+    from anther.cells import read_cell
+    from anther.commands.hardware_cell import hardware_cell
+
+    with hardware_cell(read_cell(args.cell), _views(args)) as cell:
+        yield cell
+
+
+def _views(args: Args) -> ViewParams:
+    from anther.commands.simulated_cell import PRESETS
 
     views = PRESETS[args.preset]
-    views = views if args.views is None else replace(views, count=args.views)
+    return views if args.views is None else replace(views, count=args.views)
+
+
+def _build(args: Args) -> SimulatedCell:
+    from anther.commands.simulated_cell import build
+    from anther.sim.truth import NOMINAL, draw
+
     truth = draw(args.seed) if args.truth == "wide" else NOMINAL
     return build(
         args.plant,
         args.seed,
         args.viewpoint,
-        views,
+        _views(args),
         distance=args.distance,
         truth=truth,
         actuator=args.params.actuator,
@@ -178,6 +219,8 @@ def _earlier(args: Args) -> EarlierShake | None:
 
 
 def _label(args: Args) -> str:
+    if args.cell != SIMULATED:
+        return args.label or Path(args.cell).stem
     return f"simulated {args.seed}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
 
 
@@ -196,6 +239,6 @@ def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], don
     from anther.commands.visit_record import with_what_was_done
     from anther.store import TrialRecord
 
-    result = {"success": bool(summary["held"] and summary["unharmed"]), "failure": summary["failure"]}
-    record = TrialRecord(args.plant, _label(args), **result, run=str(out), time=began)
+    result = {"success": bool(summary["held"] and summary["unharmed"] is not False), "failure": summary["failure"]}
+    record = TrialRecord(args.plant, _label(args), **result, run=str(out), robot=args.robot, time=began)
     return record if done is None else with_what_was_done(record, done, summary["organ_grasped"])

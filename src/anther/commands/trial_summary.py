@@ -16,6 +16,7 @@ from anther.results import watched_words
 from anther.safety import stem_stress
 
 if TYPE_CHECKING:
+    from anther.commands.hardware_cell import HardwareCell
     from anther.commands.simulated_cell import SimulatedCell
     from anther.errors import StageFailure
     from anther.pipeline import Done, Params
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def summarise(
-    cell: SimulatedCell | None,
+    cell: SimulatedCell | HardwareCell | None,
     done: Done | None,
     verdict: Verdict | None,
     failure: StageFailure | None,
@@ -32,7 +33,8 @@ def summarise(
 ) -> dict[str, Any]:
     """Return trial.json: flat but for the steps, units in the names, null for what was not reached or measured.
 
-    The verdict has three parts, all by the simulator's truth: held, unharmed, flowers_moved; success is all three.
+    The verdict has three parts, all by the simulator's truth: held, unharmed, flowers_moved; success is all three. Of a
+    real plant only the first is known, by what the gripper felt before and after the shake.
     """
     return {
         **_verdict(done, verdict, failure),
@@ -42,7 +44,7 @@ def summarise(
         **_held(cell, done),
         **_true(verdict),
         "simulated_capture_seconds": None if cell is None else cell.capture_seconds,
-        "simulated_execution_seconds": None if cell is None else cell.world.time,
+        "simulated_execution_seconds": None if cell is None or cell.world is None else cell.world.time,
     }
 
 
@@ -60,6 +62,11 @@ LOADS = {
 
 
 def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure | None) -> dict[str, Any]:
+    if done is not None and verdict is None and failure is None:
+        trial = done.trial
+        held = trial.finished and bool(len(trial.gripper) > 1 and trial.gripper[:2, 2].all())
+        parts = {"success": held, "held": held, "unharmed": None, "flowers_moved": None, "organ_grasped": None}
+        return parts | {"failure": trial.failure, "message": trial.stop_reason}
     if done is None or verdict is None:
         kind, message = (None, None) if failure is None else (failure.kind, str(failure))
         parts = {"success": False, "held": False, "unharmed": None, "flowers_moved": None}
@@ -105,7 +112,7 @@ NOTHING_SEEN = "Nothing is in sight"
 """How a watched shake begins to say that the plan alone is carried out."""
 
 
-def _watched(cell: SimulatedCell | None, done: Done | None, params: Params) -> dict[str, Any]:
+def _watched(cell: SimulatedCell | HardwareCell | None, done: Done | None, params: Params) -> dict[str, Any]:
     """How the shake was raised, step by step, and what ended it; or why the plan alone was carried out."""
     if cell is None or done is None or not len(done.trial.shake_times):
         return {}
@@ -126,7 +133,7 @@ def _watched(cell: SimulatedCell | None, done: Done | None, params: Params) -> d
     }
 
 
-def _alone(cell: SimulatedCell, steps: Sequence[Step], params: Params) -> str | None:
+def _alone(cell: SimulatedCell | HardwareCell, steps: Sequence[Step], params: Params) -> str | None:
     """Return why the plan alone was carried out; None if the shake was raised."""
     if steps:
         return "nothing was in the side camera's sight" if steps[0].decided.startswith(NOTHING_SEEN) else None
@@ -168,7 +175,7 @@ def _measured(done: Done | None) -> dict[str, Any]:
     }
 
 
-def _held(cell: SimulatedCell | None, done: Done | None) -> dict[str, Any]:
+def _held(cell: SimulatedCell | HardwareCell | None, done: Done | None) -> dict[str, Any]:
     """What the gripper felt after closing."""
     if cell is None or done is None or len(done.trial.gripper) == 0:
         return {}

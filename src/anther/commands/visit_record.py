@@ -34,7 +34,7 @@ def with_what_was_done(record: TrialRecord, done: Done, organ: str | None) -> Tr
         frequency=plan.frequency,
         amplitude=plan.amplitude,
         duration=float(shaken[-1] - shaken[0]) if len(shaken) else 0.0,
-        waveform=str(plan.waveform),
+        waveform="sine",
         direction=tuple(plan.direction.tolist()),
     )
     return replace(

@@ -2,13 +2,13 @@
 
 `Rods` (geometry and material), `Clamp` and `Drive` (what is held and moved), then `simulate` for nonlinear motion
 (`simulate_many` on all cores), `frequency_response` and `response_map` for small vibrations, `natural_frequencies` for
-modes and their damping ratios.
+modes and their damping ratios, `base_response` for a shaking table.
 """
 
 from anther.elastic_rod.equilibrium import equilibrium, with_gravity_equilibrium
 from anther.elastic_rod.modes import Modes, natural_frequencies
 from anther.elastic_rod.motion import Clamp, Drive, Motion, SampledDrive
-from anther.elastic_rod.response import frequency_response, response_map
+from anther.elastic_rod.response import base_response, frequency_response, response_map
 from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
 from anther.elastic_rod.scenarios import Scenario, simulate_many
 from anther.elastic_rod.simulation import Trajectory, simulate
@@ -28,6 +28,7 @@ __all__ = [
     "SampledDrive",
     "Scenario",
     "Trajectory",
+    "base_response",
     "equilibrium",
     "frequency_response",
     "least_stiffness",

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from anther.checks import check_array, check_range, check_room
 from anther.elastic_rod.assembly import new_blocks
 from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
-from anther.elastic_rod.linear import Linear, linearise, set_dynamic
+from anther.elastic_rod.linear import Linear, linearise, product, set_dynamic
 from anther.elastic_rod.model import Model
 from anther.elastic_rod.motion import Clamp, Drive, unit_direction
 from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.tree_solver import factor, solve_columns
+from anther.elastic_rod.tree_solver import factor, solve, solve_columns
 from anther.elastic_rod.vectors import compiled
 from anther.errors import bad_input
 
@@ -59,7 +59,7 @@ class Steady(NamedTuple):
 def frequency_response(
     rods: Rods,
     clamp: Clamp,
-    grip_node: int,
+    grip_node: int | ArrayLike,
     direction: ArrayLike,
     frequencies: ArrayLike,
     *,
@@ -68,7 +68,8 @@ def frequency_response(
 ) -> ComplexArray:
     """Return (Q, N, 3) displacement of every node per metre of grip displacement, at (Q,) frequencies [Hz].
 
-    The grip node's three coordinates follow exp(i w t) along `direction` (3,); the others answer linearly about the
+    The grip is one node or the nodes between the pads, which move as one body (`driven_response`). A grip node's three
+    coordinates follow exp(i w t) along `direction` (3,); the others answer linearly about the
     equilibrium under gravity. The modulus is the amplitude ratio, the argument the phase lead [rad]. Times i w it is
     the velocity, times -w^2 the acceleration.
 
@@ -79,7 +80,54 @@ def frequency_response(
     everything = np.arange(len(rods.nodes))
     axis = check_array("direction", direction, (3,))[None]
     options: Any = {"observe": everything, "gravity": gravity, "loss_factor": loss_factor}
-    return response_map(rods, clamp, [grip_node], axis, frequencies, **options)[:, 0, 0]
+    return response_map(rods, clamp, [np.atleast_1d(grip_node)], axis, frequencies, **options)[:, 0, 0]
+
+
+def base_response(
+    rods: Rods,
+    clamp: Clamp,
+    direction: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    gravity: ArrayLike = GRAVITY,
+    loss_factor: float = 0.0,
+) -> ComplexArray:
+    """Return (Q, N, 3) displacement of every node per metre of base displacement, at (Q,) frequencies [Hz].
+
+    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn. What the
+    rods do relative to it answers their own inertia and the still air's drag: of u = d + w with the base's motion d,
+    (K + i w C - w^2 M) w = w^2 M d - i w C_air d.
+
+    Args:
+        rods: the rods.
+        clamp: what moves with the base.
+        direction: (3,) of its motion.
+        frequencies: (Q,) [Hz].
+        gravity: (3,) [m/s^2].
+        loss_factor: see `driven_response`.
+
+    Raises:
+        InputError: a frequency out of range, a direction of no length, nothing clamped.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    hertz = _hertz(frequencies)
+    check_range("loss_factor", loss_factor, 0, 10)
+    if not len(clamp.nodes):
+        raise bad_input("clamp", given="no node", allowed="the nodes that move with the base", do="Use Clamp.root.")
+    system = linearise(rods, clamp, gravity, loss_factor)
+    carried = np.zeros((len(rods.nodes), 4))
+    carried[:, :3] = unit_direction(direction)
+    inertia = product(system.model, system.mass, carried[..., None])[..., 0]
+    air = system.model.drag[:, None] * carried
+    out = np.empty((len(hertz), len(rods.nodes), 3), np.complex128)
+    dynamic = new_blocks(len(system.free), np.complex128)
+    for q, omega in enumerate(2 * np.pi * hertz):
+        set_dynamic(system, float(omega), dynamic)
+        factor(system.model, dynamic)
+        relative = np.where(system.free, omega**2 * inertia - 1j * omega * air, 0)
+        solve(system.model, dynamic, relative)
+        out[q] = (carried + relative)[:, :3]
+    return out
 
 
 def response_map(
@@ -136,9 +184,7 @@ def driven_response(
     """
     pads = [np.atleast_1d(np.asarray(pad)) for pad in grip_nodes]
     gripped, seen = _node_list("grip node", np.concatenate(pads), rods), _node_list("observed node", observe, rods)
-    hertz = check_array("frequencies", frequencies, (None,))
-    for value in hertz:
-        check_range("frequency", value, 0, 1e5, "Hz")
+    hertz = _hertz(frequencies)
     check_range("loss_factor", loss_factor, 0, 10)
     units = np.stack([unit_direction(d) for d in np.atleast_2d(np.asarray(directions, dtype=np.float64))])
     clamp.free(rods, [int(grip) for grip in gripped])
@@ -176,6 +222,13 @@ def steady_motion(
     taken = grasped(receptance[:, :, held], body, drive.direction[None], springs)
     motion = taken.forces[0, :, 0] @ receptance[0]
     return Steady(drive.amplitude * motion.reshape(-1, 4), drive.amplitude * taken.pads[0, :, 0])
+
+
+def _hertz(frequencies: ArrayLike) -> Array:
+    hertz = check_array("frequencies", frequencies, (None,))
+    for value in hertz:
+        check_range("frequency", value, 0, 1e5, "Hz")
+    return hertz
 
 
 def _receptances(system: Linear, loads: NDArray[Any], wanted: NDArray[Any], omegas: Array) -> ComplexArray:

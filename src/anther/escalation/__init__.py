@@ -49,7 +49,7 @@ class Params:
     most: float = 60.0
     probe: float = 1.4
     look: float = 0.4
-    raised: float = 1.5
+    raised: float = 2.0
     hold: float = 1.2
     most_seconds: float = 12.0
     points: int = 60
@@ -122,7 +122,7 @@ class Escalation:
         flowers: (F, 3) at rest, world [m].
         points: (P, 3) the plant's other points, those of `foresee`.
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
-        middle: joints (R, 7) -> (R, 3) place of the grip by the arm's own readings, world [m]; None: a motor moves the
+        middle: joints (R, J) -> (R, 3) place of the grip by the arm's own readings, world [m]; None: a motor moves the
             pads, and as it was told.
         limits: of plant and grip.
         params: see `Params`.

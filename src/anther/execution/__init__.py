@@ -29,8 +29,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
-from anther.swing import Swing
-from anther.vibration.waveforms import Waveform
+from anther.swing import Swing, whole_shake
 
 __all__ = ["EARLY", "PHASES", "Params", "Planner", "Progress", "Shake", "Step", "Trial", "Watched", "execute"]
 
@@ -45,8 +44,7 @@ class Shake(Protocol):
 
     Attributes:
         grasp: where to hold; it must have arm joints.
-        direction, amplitude, frequency, duration: (3,) unit, world; of the flange [m]; of a sweep the first [Hz]; [s].
-        waveform: shape in time.
+        direction, amplitude, frequency, duration: (3,) unit, world; of the flange [m]; [Hz]; of the whole motion [s].
         press: how hard the pads are to press the stem [N].
     """
 
@@ -61,8 +59,6 @@ class Shake(Protocol):
     @property
     def duration(self) -> float: ...
     @property
-    def waveform(self) -> Waveform: ...
-    @property
     def press(self) -> float: ...
 
 
@@ -70,21 +66,15 @@ class Planner(Protocol):
     """What execution asks of an arm's motion planner. Every trajectory keeps the arm's own limits."""
 
     def move(self, q_from: Array, q_to: Array) -> JointTrajectory:
-        """Return a collision-free path between joint angles (7,) [rad]."""
+        """Return a collision-free path between joint angles (J,) [rad]."""
         ...
 
     def line(self, q_from: Array, T_world_to: Array, speed: float) -> JointTrajectory:
-        """Return a straight flange line to a pose (4, 4) at `speed` [m/s], starting at joints (7,) [rad]."""
+        """Return a straight flange line to a pose (4, 4) at `speed` [m/s], starting at joints (J,) [rad]."""
         ...
 
-    def shake(
-        self, q: Array, direction: Array, amplitude: float, frequency: float, duration: float, waveform: Waveform
-    ) -> JointTrajectory:
-        """Return a flange shake about joints (7,): unit direction (3,), [m], [Hz], [s], shape."""
-        ...
-
-    def swing(self, q: Array, direction: Array, piece: Swing, reach: float) -> JointTrajectory:
-        """Return one piece of a flange shake about joints (7,) whose pieces all keep within `reach` [m]."""
+    def swing(self, q: Array, direction: Array, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
+        """Return joined pieces of a flange shake about joints (J,) that all keep within `reach` [m]."""
         ...
 
 
@@ -153,7 +143,7 @@ def execute(
             with work.phase(EARLY):
                 work.note(arrive())
         if work.robot.motor is None:
-            check_shake(shake.amplitude, shake.frequency * shake.waveform.ratio, shake.duration, limits)
+            check_shake(shake.amplitude, shake.frequency, shake.duration, limits)
         _forward(work)
         _back(work)
     except (Exception, KeyboardInterrupt) as error:
@@ -246,7 +236,8 @@ def _forward(work: _Work) -> None:
         p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
         shake = JointTrajectory.standstill(grasp.joints, 1.0)
         if work.robot.motor is None:
-            shake = work.planner.shake(grasp.joints, p.direction, p.amplitude, p.frequency, p.duration, p.waveform)
+            pieces = whole_shake(p.amplitude, p.frequency, p.duration)
+            shake = work.planner.swing(grasp.joints, p.direction, pieces, p.amplitude)
         work.robot.gripper.move(work.opening)
     with work.phase("reach"):
         if np.abs(arm.joints() - outward.positions[-1]).max() > THERE:
@@ -289,7 +280,7 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
         for amplitude, frequency in zip(piece.amplitudes, piece.frequencies, strict=True):
             if amplitude > 0:
                 check_shake(amplitude, frequency, piece.begin + piece.seconds, work.limits)
-        return work.planner.swing(rest, plan.direction, piece, watched.reach)
+        return work.planner.swing(rest, plan.direction, [piece], watched.reach)
 
     def more() -> Swing | None:
         if done[-1].stops:

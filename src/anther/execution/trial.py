@@ -70,7 +70,7 @@ class Trial:
         phase_times: (P, 2) begin and end of each [s], on the robot's clock. Only the arm tells the time: a phase of the
             gripper fills what lies between two motions.
         shake_times: (T,) [s], on the robot's clock; empty if it never shook; of a shake cut short what was read of it.
-        commanded, measured: (T, 7) joints during the shake [rad].
+        commanded, measured: (T, J) joints during the shake [rad].
         felt: (R, 2) when the arm told during the shake how large a force the world exerts on it [s], and that force
             [N]; NaN if it cannot tell.
         gripper: (G, 3) opening [m], force [N] and held after closing, after the shake and after release.
@@ -99,8 +99,8 @@ class Trial:
         shapes: dict[str, tuple[int | None, ...]] = {
             "phase_times": (len(self.phases), 2),
             "shake_times": (n,),
-            "commanded": (n, 7),
-            "measured": (n, 7),
+            "commanded": (n, None),
+            "measured": (n, None),
             "gripper": (None, 3),
             "frame_times": (None,),
         }

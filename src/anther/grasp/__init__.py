@@ -68,7 +68,7 @@ class Grasp:
             negative when it brushes leaves.
         score: higher is better; comparable within one ranked list only.
         reason: why it ranks where it does, for people.
-        joints: (7,) arm joints at the grasp [rad], or None when no arm was asked.
+        joints: (J,) arm joints at the grasp [rad], or None when no arm was asked.
         confidence: probability that it is the main stem that closes between the fingers (pepper: below the first fork;
             docs/confidence.md), or None when the skeleton's confidence is unknown.
         opening: between the pads on the way in and out [m].
@@ -94,7 +94,7 @@ class Grasp:
         for name in ("point", "tangent", "approach"):
             object.__setattr__(self, name, check_array(name, getattr(self, name), (3,)))
         if self.joints is not None:
-            object.__setattr__(self, "joints", check_array("joints", self.joints, (7,)))
+            object.__setattr__(self, "joints", check_array("joints", self.joints, (None,)))
         check_range("grasp arc length", self.arc_length, 0, 20, "m")
         if self.confidence is not None:
             check_range("grasp confidence", self.confidence, 0, 1)
@@ -122,7 +122,7 @@ class Reach(Protocol):
     """What grasp planning asks of an arm."""
 
     def __call__(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
-        """Return joints (7,) at the grasp if both poses and the line between them can be reached, else None."""
+        """Return joints (J,) at the grasp if both poses and the line between them can be reached, else None."""
         ...
 
 
@@ -222,11 +222,11 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     with ThreadPoolExecutor() as pool:
         met = Clearance.of(list(pool.map(lambda shape: clearance(poses, around, *shape, touch=params.touch), open_)))
     candidates = candidates.opened(openings)
-    refusals = _refusals(candidates, met, params)
+    confidence = place_confidence(stem, skeleton, candidates.arc_length)
+    refusals = _refusals(candidates, met, confidence, params)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
     costs["near or above a fork"] = 10.0 * np.clip(1 - below / NEAR_FORK, 0, 1)
-    confidence = place_confidence(stem, skeleton, candidates.arc_length)
     if confidence is not None:
         costs["perhaps not the main stem"] = 6.0 * (1 - confidence)
     if toward_base:
@@ -241,9 +241,11 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     return _Ranking(candidates, met, costs, order, fell, confidence, _squeezed(candidates, met))
 
 
-def _refusals(c: Candidates, met: Clearance, params: Params) -> dict[str, NDArray[np.bool_]]:
+def _refusals(c: Candidates, met: Clearance, confidence: Array | None, params: Params) -> dict[str, NDArray[np.bool_]]:
     """Return per criterion which candidates (C,) can never be taken."""
+    doubtful = np.zeros(len(c.station), dtype=bool) if confidence is None else confidence < 0.5
     return {
+        "probably not the main stem": doubtful,
         "thicker than the stroke": 2 * c.radius > params.gripper.stroke - params.stroke_margin,
         "would hit pot or bench": met.distance[:, OBSTACLE] < params.obstacle_clearance,
         "would hit the stem": met.distance[:, STEM] < params.stem_clearance,

@@ -137,11 +137,6 @@ def paper_edge(stem: Stem) -> tuple[float, float]:
     return float(joints[longest]), float(joints[longest + 1])
 
 
-def paper_grasp_arc(stem: Stem) -> float:
-    """Return the arc length [m] of the paper's grasp point: the midpoint of the core stem's longest edge (P12)."""
-    return sum(paper_edge(stem)) / 2
-
-
 def paper_approach(tangent: Array, branches: Array) -> Array:
     """Return the paper's approach direction n* = argmin over unit n perpendicular to v of max_j |n . b_j| (P13).
 

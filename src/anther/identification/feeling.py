@@ -32,11 +32,9 @@ def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> F
 
     Args:
         trial: that has shaken.
-        shake: what it was to do; only of a sine something is told.
-        forward: joints (T, 7) [rad] -> flange poses (T, 4, 4) in the world.
+        shake: what it was to do.
+        forward: joints (T, J) [rad] -> flange poses (T, 4, 4) in the world.
     """
-    if shake.waveform.kind != "sine":
-        return NOTHING_FELT
     moving = _steady(trial.shake_times, trial)
     times, joints = trial.shake_times[moving], trial.measured[moving]
     if len(times) < LEAST:

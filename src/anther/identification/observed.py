@@ -114,4 +114,4 @@ class Observed:
         """Why it teaches nothing; empty when it does."""
         if not np.any(self.seen | self.faint) and not np.isfinite(self.felt.force) and not len(self.beside.points):
             return "no flower's motion was measurable"
-        return "" if self.shake.waveform.kind == "sine" else f"a {self.shake.waveform} has no one frequency"
+        return ""

@@ -34,6 +34,9 @@ SCHEMA = 1
 GROUND_BORDER = 0.6
 """A patch without depth is no plant if its border with the ground is longer than this share of that with the plant."""
 
+LEAST_PIXELS = 200
+"""With fewer plant pixels in all views together there is no plant."""
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -43,61 +46,29 @@ class Params:
         voxel: edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts:
             perception) so that views agree.
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
-        green_share, petal_share: least share of votes that makes a cell green, or petal.
-        petal_cover, petal_views: a petal cell has at least this share of the pixels that one view has on a cell's
-            face, in all views together, and from so many views.
-        yellow_saturation: least saturation of yellow petals, 0..1.
-        white_saturation: greatest saturation of white petals, 0..1.
-        yellow_gain, white_gain: least brightness of petals, relative to bright leaves.
+        petal_views: a petal cell is seen as petal from at least so many views.
         flower_extent: greatest extent of a flower cluster (a truss) [m].
-        flower_distance: a flower comes at least this close to green cells [m].
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
-        bare_ground_radius: the same for the soil without colour, when leaves could be mistaken for it [m].
         ground_margin: what lies less than this above the ground is ground [m].
         rim_height: a pot's rim stands at most this much above its soil [m].
         attach_distance: a part that is not green belongs to the plant if it comes this close to green ones [m].
-        brown_extent: greatest second extent of such a part [m]: stems and fruits are slender, walls are not.
-        petal_contrast: where the light holds no green, petals are at least this much brighter than leaves.
-        least_part: flowers are looked for beside green parts of at least this many cells.
-        least_shade: without depth, what is darker than this share of lit leaves is not looked at.
-        least_patch, petal_patch: without depth, least share of the image that a green patch has, greatest share that a
-            petal patch has.
-        least_pixels: with fewer plant pixels in all views together there is no plant.
     """
 
     voxel: float = 0.005
     green: float = 0.10
-    green_share: float = 0.25
-    petal_share: float = 0.35
-    petal_cover: float = 0.4
     petal_views: int = 3
-    yellow_saturation: float = 0.45
-    white_saturation: float = 0.25
-    yellow_gain: float = 0.5
-    white_gain: float = 0.9
     flower_extent: float = 0.12
-    flower_distance: float = 0.02
     ground_radius: float = 0.035
-    bare_ground_radius: float = 0.06
     ground_margin: float = 0.008
     rim_height: float = 0.05
     attach_distance: float = 0.012
-    brown_extent: float = 0.08
-    petal_contrast: float = 2.0
-    least_part: int = 20
-    least_shade: float = 0.25
-    least_patch: float = 2e-5
-    petal_patch: float = 1e-3
-    least_pixels: int = 200
 
     def __post_init__(self) -> None:
         check_parameters(self)
         check_range("mask voxel", self.voxel, 0.001, 0.05, "m")
         check_range("excess green threshold", self.green, 0, 1)
-        for name in ("ground_radius", "bare_ground_radius"):
-            check_range(name, getattr(self, name), self.voxel, 1, "m")
-        for name in ("flower_distance", "attach_distance"):
-            check_range(name, getattr(self, name), 0, 0.2, "m")
+        check_range("ground_radius", self.ground_radius, self.voxel, 1, "m")
+        check_range("attach_distance", self.attach_distance, 0, 0.2, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +126,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
 
     each_view(label_view, capture.views)
     lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
-    _require_plant(labels, params, f"Is the plant within x, y, z = {lower} .. {lower + size} m?")
+    _require_plant(labels, f"Is the plant within x, y, z = {lower} .. {lower + size} m?")
     return Masks(labels, seen.source)
 
 
@@ -209,20 +180,19 @@ def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
         rule = green_rule(light, params)
 
         def label_image(view: int) -> None:
-            labels[view] = labels_of_image(images[view], rule, light.leaf, params)
+            labels[view] = labels_of_image(images[view], rule, light.leaf)
 
         each_view(label_image, len(images))
-    _require_plant(labels, params, "Is it green, and the light not that of red grow lamps?")
+    _require_plant(labels, "Is it green, and the light not that of red grow lamps?")
     return Masks(labels, "colour")
 
 
-def _require_plant(labels: NDArray[Any], params: Params, question: str) -> None:
+def _require_plant(labels: NDArray[Any], question: str) -> None:
     found = int((labels > 0).sum())
-    if found < params.least_pixels:
+    if found < LEAST_PIXELS:
         raise StageFailure(
             "no_plant_found",
-            f"masks: {found} plant pixels in {len(labels)} views; at least {params.least_pixels} are needed. "
-            f"{question}",
+            f"masks: {found} plant pixels in {len(labels)} views; at least {LEAST_PIXELS} are needed. {question}",
         )
 
 

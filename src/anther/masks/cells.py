@@ -28,6 +28,21 @@ from anther.masks.voting import (
 if TYPE_CHECKING:
     from anther.masks import Params
 
+GREEN_SHARE, PETAL_SHARE = 0.25, 0.35
+"""Least share of votes that makes a cell green, or petal."""
+
+PETAL_COVER = 0.4
+"""A petal cell has at least this share of the pixels that one view has on a cell's face, in all views together."""
+
+FLOWER_DISTANCE = 0.02
+"""A flower comes at least this close to green cells [m]."""
+
+BROWN_EXTENT = 0.08
+"""Greatest second extent of a part that is not green [m]: stems and fruits are slender, walls are not."""
+
+LEAST_PART = 20
+"""Flowers are looked for beside green parts of at least this many cells."""
+
 
 def kinds(seen: Survey, capture: Capture, params: Params) -> NDArray[np.uint8]:
     """Return what each cell is, (X, Y, Z) uint8: see `voting.EMPTY` and what follows."""
@@ -48,7 +63,7 @@ def _enough_petals(capture: Capture, grid: Grid, params: Params) -> tuple[float,
     centre = grid.lower + np.multiply(grid.shape, grid.voxel) / 2
     distance = float(np.median(np.linalg.norm(capture.T_world_cam[:, :3, 3] - centre, axis=1)))
     pixels = (grid.voxel * capture.intrinsics.fx / max(distance, grid.voxel)) ** 2
-    return params.petal_cover * pixels, min(params.petal_views, capture.views)
+    return PETAL_COVER * pixels, min(params.petal_views, capture.views)
 
 
 def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: int) -> NDArray[np.uint8]:
@@ -62,7 +77,7 @@ def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: in
         grid.ravel()[at] = part
         return grid
 
-    likely = votes[GREEN - 1] >= np.maximum(2, params.green_share * total)
+    likely = votes[GREEN - 1] >= np.maximum(2, GREEN_SHARE * total)
     foot = seen.foot(grid_of(likely), params).ravel()[at]
     green = likely & (~below | foot)
     free = ~below & ~rim
@@ -70,15 +85,15 @@ def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: in
         free &= ~stake_cells(grid_of(free & (votes[GREEN - 1] <= 0.1 * total)), params.voxel).ravel()[at]
     petal_votes = votes[YELLOW - 1].astype(np.int32) + votes[WHITE - 1]
     seen_often = (petal_votes >= least_votes) & (votes[PETAL_VIEWS] >= least_views)
-    petals = free & seen_often & (petal_votes >= params.petal_share * total)
-    leaves = _large_parts(grid_of(green & ~petals), params.least_part)
+    petals = free & seen_often & (petal_votes >= PETAL_SHARE * total)
+    leaves = _large_parts(grid_of(green & ~petals), LEAST_PART)
     flowers = _parts_near(
-        grid_of(petals), leaves, distance=params.flower_distance, extent=params.flower_extent, axis=0,
+        grid_of(petals), leaves, distance=FLOWER_DISTANCE, extent=params.flower_extent, axis=0,
         voxel=params.voxel,
     )  # fmt: skip
     brown = _parts_near(
         grid_of(free & ~green & ~flowers.ravel()[at]), grid_of(green), distance=params.attach_distance,
-        extent=params.brown_extent, axis=1, voxel=params.voxel,
+        extent=BROWN_EXTENT, axis=1, voxel=params.voxel,
     )  # fmt: skip
     cells = np.where(seen.below | seen.rim, np.uint8(GROUND), np.uint8(EMPTY))
     cells.ravel()[at[green]] = GREEN_CELL

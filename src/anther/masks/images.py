@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,27 +10,30 @@ from numpy.typing import NDArray
 
 from anther.masks.light import GREEN, WHITE, YELLOW, ColourRule
 
-if TYPE_CHECKING:
-    from anther.masks import Params
-
 _BESIDE = 5  # how close to green a petal comes [px]
 
+LEAST_SHADE = 0.25
+"""What is darker than this share of lit leaves is not looked at."""
 
-def labels_of_image(rgb: NDArray[Any], rule: ColourRule, leaf: float, params: Params) -> NDArray[np.uint8]:
+LEAST_PATCH, PETAL_PATCH = 2e-5, 1e-3
+"""Least share of the image that a green patch has, and greatest that a petal patch has."""
+
+
+def labels_of_image(rgb: NDArray[Any], rule: ColourRule, leaf: float) -> NDArray[np.uint8]:
     """Return the labels (H, W) uint8 of one image (H, W, 3): 0 background, 1 plant, 2 flower.
 
     What is much darker than lit leaves (brightness `leaf`) has no trustworthy colour: a black cloth in a JPEG is green
-    in places. Green patches smaller than `params.least_patch` of the image are noise. Small patches that touch green
+    in places. Green patches smaller than `LEAST_PATCH` of the image are noise. Small patches that touch green
     are petals if they are white; yellow ones are plant, because pods and young leaves are as yellow.
     """
     image = cv2.medianBlur(rgb, 3)
     classes = rule.classes(image)
-    lit = image.max(axis=2) >= params.least_shade * leaf
-    green = _patches((classes == GREEN) & lit, least=params.least_patch * classes.size)
+    lit = image.max(axis=2) >= LEAST_SHADE * leaf
+    green = _patches((classes == GREEN) & lit, least=LEAST_PATCH * classes.size)
     window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_BESIDE, _BESIDE))
     near = cv2.dilate(green.astype(np.uint8), window) > 0
     yellow, white = (
-        _patches(classes == colour, most=params.petal_patch * classes.size, touching=near) for colour in (YELLOW, WHITE)
+        _patches(classes == colour, most=PETAL_PATCH * classes.size, touching=near) for colour in (YELLOW, WHITE)
     )
     return np.where(white, 2, green | yellow).astype(np.uint8)
 

@@ -30,6 +30,15 @@ _NO_GREEN = 0.5  # least green of the light relative to its strongest channel
 _LEAF_SHADE = 0.25  # darker than this share of the brightest green: a black cloth, or too deep in shade to count
 _SMOOTHING = 1.5  # of learned densities [steps]
 
+YELLOW_SATURATION, WHITE_SATURATION = 0.45, 0.25
+"""Least saturation of yellow petals and greatest of white ones, 0..1."""
+
+YELLOW_GAIN, WHITE_GAIN = 0.5, 0.9
+"""Least brightness of petals, relative to bright leaves."""
+
+PETAL_CONTRAST = 2.0
+"""Where the light holds no green, petals are at least this much brighter than leaves."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColourRule:
@@ -97,17 +106,17 @@ def green_rule(light: Light, params: Params) -> ColourRule:
     colour = np.stack([r, g, b], axis=-1)
     high, total = colour.max(axis=-1), colour.sum(axis=-1)
     saturation = (high - colour.min(axis=-1)) / high
-    yellow_value = np.clip(params.yellow_gain * light.leaf, 20, 200)
-    white_value = np.clip(params.white_gain * light.leaf, 40, 220)
+    yellow_value = np.clip(YELLOW_GAIN * light.leaf, 20, 200)
+    white_value = np.clip(WHITE_GAIN * light.leaf, 40, 220)
     table = np.where(_excess_green(colour) >= params.green, GREEN, OTHER)
-    table[(saturation <= params.white_saturation) & (high >= white_value)] = WHITE
+    table[(saturation <= WHITE_SATURATION) & (high >= white_value)] = WHITE
     yellow = (r >= 0.9 * g) & (g >= 0.58 * r) & (high >= yellow_value)
-    table[(saturation >= params.yellow_saturation) & yellow] = YELLOW
+    table[(saturation >= YELLOW_SATURATION) & yellow] = YELLOW
     table[total < _DARK] = OTHER
     return ColourRule(table.astype(np.uint8), _alike(light.leaf))
 
 
-def learned_rule(plant: NDArray[Any], rest: NDArray[Any], params: Params) -> ColourRule:
+def learned_rule(plant: NDArray[Any], rest: NDArray[Any]) -> ColourRule:
     """Return the rule for light without green, from colours (n, 3), (m, 3) uint8 of pixels that are surely either.
 
     GREEN is what is likelier on the plant than elsewhere; WHITE (a petal) what outshines the leaves.
@@ -117,7 +126,7 @@ def learned_rule(plant: NDArray[Any], rest: NDArray[Any], params: Params) -> Col
     level = np.arange(STEPS) * (256 / STEPS) + (256 / STEPS - 1) / 2
     high = np.maximum.reduce(np.meshgrid(level, level, level, indexing="ij"))
     table = np.where(likelier, GREEN, OTHER)
-    table[high >= params.petal_contrast * leaf] = WHITE
+    table[high >= PETAL_CONTRAST * leaf] = WHITE
     return ColourRule(table.astype(np.uint8), _alike(leaf), learned=True)
 
 

@@ -27,6 +27,9 @@ _THREADS = 2  # each votes in a grid of its own
 _MOST_BYTES = 2.5e9  # of the votes, the sums and masks of all cells together
 _COARSE = 3  # step of the pixels that the colours are learned from
 
+BARE_GROUND_RADIUS = 0.06
+"""`Params.ground_radius` for the soil without colour, when leaves could be mistaken for it [m]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
@@ -69,7 +72,7 @@ def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
     classes, votes = _votes(capture, grid, cameras, rule)
     total = votes[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
     if rule is None or rule.learned:
-        below, rim = _ground(total >= 2, params, params.bare_ground_radius, rings=False)
+        below, rim = _ground(total >= 2, params, BARE_GROUND_RADIUS, rings=False)
     else:
         bare = (total >= 5) & (votes[GREEN - 1] <= 0.1 * total)
         below, rim = _ground(bare, params, params.ground_radius, rings=True)
@@ -121,7 +124,7 @@ def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:
         rest = ((depth[view] > 0) & (plant == 0)).astype(np.uint8)
         for colours, part in zip(sure, (plant, rest), strict=True):
             colours.append(rgb[view][cv2.erode(part, window) > 0])
-    return learned_rule(np.concatenate(sure[0]), np.concatenate(sure[1]), params)
+    return learned_rule(np.concatenate(sure[0]), np.concatenate(sure[1]))
 
 
 def _ground(

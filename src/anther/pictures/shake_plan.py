@@ -20,9 +20,8 @@ def draw_plan(plan: ShakePlan) -> Figure:
     draw_response_map(figure, figure.add_subplot(grid[0, :]), plan)
     _draw_limits(figure.add_subplot(grid[1, 0]), plan)
     _draw_flowers(figure.add_subplot(grid[1, 1]), plan)
-    shape = "" if plan.waveform.kind == "sine" else f", {plan.waveform}"
     figure.suptitle(
-        f"{1e3 * plan.amplitude:.2g} mm at {plan.frequency:.3g} Hz{shape}, {plan.duration:.2g} s, held "
+        f"{1e3 * plan.amplitude:.2g} mm at {plan.frequency:.3g} Hz, {plan.duration:.2g} s, held "
         f"{100 * plan.grasp.arc_length:.0f} cm up the stem",
         x=0.01,
         ha="left",

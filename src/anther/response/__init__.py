@@ -20,7 +20,7 @@ from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import find_frequency, fit_swing
 from anther.response.beside import StemMotion, StemNear, measure_stem, stem_near
 from anther.response.following import Followed, Remarks, follow_flowers, without_outliers
-from anther.response.params import Params
+from anther.response.params import LEAST_SPREAD, RELATIVE_RESIDUAL, RESIDUAL_PIXELS, SEEN_SHARE, Params
 
 __all__ = ["Params", "Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
@@ -192,32 +192,49 @@ _NUMBERS = tuple(name for name in _Motion._fields if name != "direction")
 _UNSEEN = _Motion(np.full(3, np.nan), *[float("nan")] * len(_NUMBERS))
 
 
+LEAST_ERROR, RELATIVE_ERROR = 0.0003, 0.1
+"""An amplitude whose standard deviation is larger than both the former [m] and the latter's share of it counts as not
+measured."""
+
+LEAST_PIXELS = 0.2
+"""Swings smaller than this in the image are not measured [px]."""
+
+SIGNIFICANCE = 3.0
+"""Nor are those smaller than this many standard deviations."""
+
+MEMBER_SPREAD = 0.15
+"""`Params.spread` of flowers that may be mixed up."""
+
+DEPTHLESS = 0.2
+"""Standard deviation of the whole amplitude relative to its sideways part, where depth is not sure."""
+
+
 def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion | str:
     """Return the motion of a flower, or why it is not measured."""
-    lost = f"lost in more than {1 - params.seen_share:.0%} of the frames. Move the side camera"
-    least = max(params.seen_share * len(times), 8)
+    lost = f"lost in more than {1 - SEEN_SHARE:.0%} of the frames. Move the side camera"
+    least = max(SEEN_SHARE * len(times), 8)
     if np.isfinite(one.track[:, 0]).sum() < least:
         return lost
     try:
         own = without_outliers(times, one.track, hint, params.outlier)
-        clean, unseen = _without_noisy_depth(times, own, hint, one.deep, params)
+        clean, unseen = _without_noisy_depth(times, own, hint, one.deep)
         swing = fit_swing(times, clean, hint)
     except InputError as error:
         return f"could not be measured: {error}"
     if np.isfinite(clean[:, 0]).sum() < least:
         return lost
     amplitude, noise = swing.amplitude, swing.amplitude_std
-    limit = max(params.significance * noise, params.least_pixels * one.pixel)
+    limit = max(SIGNIFICANCE * noise, LEAST_PIXELS * one.pixel)
     sideways = float(np.linalg.norm(np.nanstd(clean - swing.at(times), axis=0)[:2]))
-    jumps = sideways > max(params.residual_pixels * one.pixel, params.relative_residual * amplitude)
-    if jumps or noise > max(params.least_error, params.relative_error * amplitude):
+    jumps = sideways > max(RESIDUAL_PIXELS * one.pixel, RELATIVE_RESIDUAL * amplitude)
+    if jumps or noise > max(LEAST_ERROR, RELATIVE_ERROR * amplitude):
         return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
     if amplitude < limit:
         return _UNSEEN._replace(at_most=limit)
     weight = 1 / np.maximum(swing.axis_std, 0.3 * swing.axis_std.max())  # the surer an axis, the more it tells
     frequency, span = find_frequency(times, clean * weight, hint), float(np.ptp(times))
-    usual = amplitude * (params.member_spread if one.mixed else params.spread)
-    spread = float(np.linalg.norm([noise, params.least_spread, usual, np.hypot(amplitude, unseen) - amplitude]))
+    usual = amplitude * (MEMBER_SPREAD if one.mixed else params.spread)
+    spread = float(np.linalg.norm([noise, LEAST_SPREAD, usual, np.hypot(amplitude, unseen) - amplitude]))
     return _Motion(
         direction=swing.direction,
         amplitude=amplitude,
@@ -231,7 +248,7 @@ def _motion(times: Array, one: Followed, hint: float, params: Params) -> _Motion
     )
 
 
-def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool, params: Params) -> tuple[Array, float]:
+def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool) -> tuple[Array, float]:
     """Return the track (T, 3), without motion in depth where that is only noise, and how large it may have been [m].
 
     Without it the flower is where its rays pass the plane of its median depth: its motion across the line of sight.
@@ -239,10 +256,10 @@ def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool, pa
     flat = track * (np.nanmedian(track[:, 2]) / track[:, 2:])
     swing, across = fit_swing(times, track, hint), fit_swing(times, flat, hint).amplitude
     size, noise = float(np.linalg.norm(swing.coefficients[:2, 2])), float(swing.axis_std[2])
-    sure = deep and noise <= max(params.least_error, params.relative_error * across)
-    if sure and size >= params.significance * noise:
+    sure = deep and noise <= max(LEAST_ERROR, RELATIVE_ERROR * across)
+    if sure and size >= SIGNIFICANCE * noise:
         return track, 0.0
-    unseen = params.significance * noise if sure else across * np.sqrt((1 + params.depthless) ** 2 - 1)
+    unseen = SIGNIFICANCE * noise if sure else across * np.sqrt((1 + DEPTHLESS) ** 2 - 1)
     return flat, float(unseen)
 
 

@@ -19,7 +19,15 @@ from anther.errors import InputError
 from anther.flower_tracking import smoothed
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import fit_swing
-from anther.response.params import Params
+from anther.response.params import (
+    DEPTH_GATE,
+    DEPTH_REACH,
+    LEAST_SPREAD,
+    RELATIVE_RESIDUAL,
+    RESIDUAL_PIXELS,
+    SEEN_SHARE,
+    Params,
+)
 
 NEAREST, FARTHEST = 0.015, 0.06
 """Between these distances from the grasp along the stem [m]: beyond the pads, and where the grip still rules."""
@@ -104,7 +112,7 @@ def measure_stem(
     images, times = [smoothed(frame) for frame in frames], np.array([frame.time for frame in frames])
     rows = list[tuple[Array, Array, complex, float]]()
     for point, place, way, radius in zip(near.points, places, ways, near.radii, strict=True):
-        if place[2] <= params.depth_gate:
+        if place[2] <= DEPTH_GATE:
             continue
         strip = _strip(intrinsics, place, way, float(radius), params)
         if strip is None:
@@ -167,7 +175,7 @@ def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float, para
 def _followed(frames: Sequence[Frame], images: Sequence[NDArray[Any]], strip: _Strip, params: Params) -> Array | None:
     """Return how far across the stem stands in each frame (T,) [px], NaN where lost; None where it is not seen."""
     gap = np.abs(strip.cut(frames[0].depth, 0.0, cv2.INTER_NEAREST) - strip.depth)
-    start = _stem_in((gap < params.depth_reach).mean(axis=0) > 0.5, strip)
+    start = _stem_in((gap < DEPTH_REACH).mean(axis=0) > 0.5, strip)
     if start is None:
         return None
     half, reach = int(np.ceil(strip.radius)) + MARGIN, int(np.ceil(params.reach / strip.metres))
@@ -218,7 +226,7 @@ def _middle(strip: NDArray[Any], half: int) -> NDArray[Any]:
 
 def _swing(times: Array, moved: Array, hint: float, pixel: float, params: Params) -> tuple[complex, float] | None:
     """Return the phasor of a motion (T,) [m] and its deviation; None where it is not a swing that can be told."""
-    if np.isfinite(moved).sum() < max(params.seen_share * len(times), 8):
+    if np.isfinite(moved).sum() < max(SEEN_SHARE * len(times), 8):
         return None
     path = np.column_stack([moved, 0 * moved, 0 * moved])
     try:
@@ -228,10 +236,8 @@ def _swing(times: Array, moved: Array, hint: float, pixel: float, params: Params
     except InputError:
         return None
     spread = float(np.nanstd((path - swing.at(times))[:, 0]))
-    if spread > max(params.residual_pixels * pixel, params.relative_residual * swing.amplitude):
+    if spread > max(RESIDUAL_PIXELS * pixel, RELATIVE_RESIDUAL * swing.amplitude):
         return None
     cosine, sine = swing.coefficients[:2, 0]
     phasor = complex(sine, cosine) * np.exp(-2j * np.pi * hint * swing.span[0])
-    return complex(phasor), float(
-        np.linalg.norm([swing.amplitude_std, params.least_spread, params.spread * abs(phasor)])
-    )
+    return complex(phasor), float(np.linalg.norm([swing.amplitude_std, LEAST_SPREAD, params.spread * abs(phasor)]))

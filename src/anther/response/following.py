@@ -28,7 +28,22 @@ from anther.flower_tracking import (
 from anther.geometry import Array, Intrinsics
 from anther.oscillation import fit_swing
 from anther.response.depth import depth_along
-from anther.response.params import Params
+from anther.response.params import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, Params
+
+FLOWER_RADIUS = 0.007
+"""Of a flower [m]."""
+
+CROWD = 2.0
+"""Flowers closer than this many flower radii are looked for where they should be, not where the petals' middle is."""
+
+OWN_LIKENESS = 0.4
+"""`Params.likeness` for the flower without its surroundings: what differs more is partly hidden."""
+
+OWN_DEPTH = 0.02
+"""Readings further than this from a flower's depth at rest are not counted when its depth is measured [m]."""
+
+DEPTH_SHARE = 0.8
+"""Of the frames in which depth must be sure; else only the sideways motion is measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,16 +82,16 @@ def follow_flowers(
         params: see `Params`.
     """
     everyone = np.arange(len(rest))
-    if not len(rest) or rest[:, 2].min() <= params.depth_gate:
+    if not len(rest) or rest[:, 2].min() <= DEPTH_GATE:
         return [], [], [("not in front of the side camera", everyone)]
     begin = _begin(frames, intrinsics, rest, params)
     inside = np.all((begin.pixels >= 0) & (begin.pixels < [intrinsics.width, intrinsics.height]), axis=1)
-    shown = np.array([patch.cover >= params.least_cover for patch in begin.own])
+    shown = np.array([patch.cover >= LEAST_COVER for patch in begin.own])
     mixed = _overlapping(begin.pixels, params.overlap * begin.radius, np.flatnonzero(inside & shown))
     found = []
     for k in np.flatnonzero(inside & shown):
         path = _path(frames, begin, int(k), hint, params)
-        deep, depth = _depth(frames, begin.own[k], path, hint, float(rest[k, 2]), params)
+        deep, depth = _depth(frames, begin.own[k], path, hint, float(rest[k, 2]))
         lifted = _lifted(intrinsics, path + begin.pixels[k] - begin.own[k].centre, depth)
         found.append(Followed(int(k), lifted, rest[k, 2] / intrinsics.fx, deep, any(k in group for group in mixed)))
     hidden = np.flatnonzero(inside & ~shown)
@@ -106,21 +121,21 @@ class _Begin(NamedTuple):
 def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params: Params) -> _Begin:
     """Begin where the flowers stand most like at rest: there neighbours are told apart most surely."""
     pixels, per_metre = intrinsics.project(rest), intrinsics.fx / rest[:, 2]
-    gate = rest[:, 2].min() - params.depth_gate, rest[:, 2].max() + params.depth_gate
+    gate = rest[:, 2].min() - DEPTH_GATE, rest[:, 2].max() + DEPTH_GATE
     petals = [petal_weight(frame, *gate) for frame in frames]
     alike = [flower_weight(frame, w, *gate) for frame, w in zip(frames, petals, strict=True)]
     fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in alike]
     first = int(np.argmax([fit for fit, _ in fits]))
-    radius = params.flower_radius * per_metre
+    radius = FLOWER_RADIUS * per_metre
     pixels = pixels + fits[first][1]
-    crowd = np.concatenate([np.zeros(0, int), *_overlapping(pixels, params.crowd * radius, np.arange(len(pixels)))])
+    crowd = np.concatenate([np.zeros(0, int), *_overlapping(pixels, CROWD * radius, np.arange(len(pixels)))])
     for k in np.setdiff1d(np.arange(len(pixels)), crowd):  # in a crowd the petals' centre is that of the crowd
         pixels[k] = _settled(petals[first], pixels[k], float(radius[k]))
     images = [smoothed(frame) for frame in frames]
 
     def patches(size: float) -> list[Patch]:
         return [
-            cut_patch(frames[first], images[first], petals[first], pixel, size * r, z, size * params.depth_reach)
+            cut_patch(frames[first], images[first], petals[first], pixel, size * r, z, size * DEPTH_REACH)
             for pixel, r, z in zip(pixels, radius, rest[:, 2], strict=True)
         ]
 
@@ -144,7 +159,7 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float, params: P
     The flower with its surroundings is followed from frame to frame, on and back, as that is not mistaken for a
     neighbour; then the flower alone is looked for near the swing that fits best.
     """
-    reach = int(np.ceil(params.reach / params.flower_radius * begin.radius[k]))
+    reach = int(np.ceil(params.reach / FLOWER_RADIUS * begin.radius[k]))
     ways = begin.images[begin.frame :], begin.images[begin.frame :: -1]
     onward, back = (follow(way, begin.wide[k], reach=reach, worst=params.likeness) for way in ways)
     path, times = np.concatenate([back[:0:-1], onward]), np.array([frame.time for frame in frames])
@@ -154,16 +169,14 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float, params: P
             swing = fit_swing(times, without_outliers(times, flat, hint, params.outlier), hint)
         except InputError:
             return path
-        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], params.near, params.own_likeness)
+        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], params.near, OWN_LIKENESS)
     return path
 
 
-def _depth(
-    frames: Sequence[Frame], patch: Patch, path: Array, hint: float, rest: float, params: Params
-) -> tuple[bool, Array]:
+def _depth(frames: Sequence[Frame], patch: Patch, path: Array, hint: float, rest: float) -> tuple[bool, Array]:
     """Return whether a flower's depth is sure along its path (T, 2), and that depth (T,) [m], or `rest` where not."""
-    depth = depth_along(frames, patch, path, hint, rest, params.own_depth)
-    sure = bool(np.isfinite(depth).mean() >= params.depth_share * np.isfinite(path[:, 0]).mean() > 0)
+    depth = depth_along(frames, patch, path, hint, rest, OWN_DEPTH)
+    sure = bool(np.isfinite(depth).mean() >= DEPTH_SHARE * np.isfinite(path[:, 0]).mean() > 0)
     return sure, depth if sure else np.full(len(frames), rest)
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from anther.devices import Frame
 from anther.flower_tracking import Image, Patch, seek, smoothed
 from anther.geometry import Array, Intrinsics, inverse, transform_points
-from anther.response.following import placed
-from anther.response.params import Params
+from anther.response.following import OWN_LIKENESS, placed
+from anther.response.params import DEPTH_GATE, LEAST_COVER, Params
 from anther.vibration.observables import ComplexArray
 
 DEFAULTS = Params()
@@ -85,10 +85,10 @@ def sight(
     inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = inside & (rest[:, 2] > NEAR) & _own_depth(frame.depth, pixels, rest[:, 2], inside)
     count, alone, gain = len(flowers), list[Patch](), _gain(frame)
-    if count and rest[:count, 2].min() > params.depth_gate:
+    if count and rest[:count, 2].min() > DEPTH_GATE:
         pixels[:count], alone = placed(frame, intrinsics, rest[:count], params)
         alone = [patch._replace(image=patch.image * gain) for patch in alone]
-        shown[:count] = inside[:count] & np.array([patch.cover >= params.least_cover for patch in alone])
+        shown[:count] = inside[:count] & np.array([patch.cover >= LEAST_COVER for patch in alone])
     return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, shown, tuple(alone))
 
 
@@ -169,11 +169,11 @@ def _flower_path(
         ways = [at.pixels[k] + scale * swing for scale in SCALES] + ways
     best, worth = np.full_like(path, np.nan), 0.0
     for way in ways:
-        found = seek(images, own, way - shift, SEEK, DEFAULTS.own_likeness) + shift
+        found = seek(images, own, way - shift, SEEK, OWN_LIKENESS) + shift
         fitted = _fitted(basis, found)
         if fitted is None:
             continue
-        found = seek(images, own, basis @ fitted[0] - shift, DEFAULTS.near, DEFAULTS.own_likeness) + shift
+        found = seek(images, own, basis @ fitted[0] - shift, DEFAULTS.near, OWN_LIKENESS) + shift
         sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted[1])
         if sure > worth:
             best, worth = found, sure

@@ -109,8 +109,8 @@ def capture_views(
 
     Args:
         plant: what is looked at.
-        joints: (V, 7) arm joint angles [rad].
-        forward: joint angles (7,) -> T_world_flange (4, 4).
+        joints: (V, J) arm joint angles [rad].
+        forward: joint angles (J,) -> T_world_flange (4, 4).
         T_flange_cam_true: where the camera is on the flange.
         T_flange_cam_believed: what calibration says, see `perturbed_hand_eye`.
         rng: source of all errors; the same state gives the same capture.
@@ -119,7 +119,7 @@ def capture_views(
         progress: called after each view.
     """
     errors = errors or CameraErrors()
-    joints = check_array("joints", joints, (None, 7))
+    joints = check_array("joints", joints, (None, None))
     T_true = check_transform("T_flange_cam_true", T_flange_cam_true)
     T_believed = check_transform("T_flange_cam_believed", T_flange_cam_believed)
     flange = np.stack([forward(q) for q in joints])

@@ -62,18 +62,6 @@ class DepthNoise:
         check_range("depth noise thin", self.thin, 0, 15, "px")
 
 
-def sigma_depth(z: float, intrinsics: Intrinsics, params: DepthNoise | None = None) -> float:
-    """Return the standard deviation [m] of the depth z [m]: z^2 s / (f B) (facts: perception)."""
-    params = params or DepthNoise()
-    return z * z * params.subpixel / (intrinsics.fx * params.baseline)
-
-
-def minimum_range(intrinsics: Intrinsics, params: DepthNoise | None = None) -> float:
-    """Return the smallest depth [m] that is measured: f B / max_disparity (facts: perception)."""
-    params = params or DepthNoise()
-    return intrinsics.fx * params.baseline / params.max_disparity
-
-
 def noisy_depth(
     depth: NDArray[Any], intrinsics: Intrinsics, rng: np.random.Generator, params: DepthNoise | None = None
 ) -> NDArray[np.float32]:

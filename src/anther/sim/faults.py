@@ -85,7 +85,7 @@ class FaultyArm:
         self._frozen: Array | None = None
 
     def joints(self) -> Array:
-        """Return the measured joints (7,) [rad]; stale ones are those of the moment they froze."""
+        """Return the measured joints (J,) [rad]; stale ones are those of the moment they froze."""
         return self._arm.joints() if self._frozen is None else self._frozen
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:

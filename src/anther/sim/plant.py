@@ -203,19 +203,6 @@ class SimPlant:
         radii = np.concatenate([self.radius_start[k[:1]], self.radius_end[k]])
         return points, radii, np.concatenate([[0.0], np.cumsum(self.length[k])])
 
-    def centrelines(self, organ: Organ) -> list[Array]:
-        """Return one polyline (n, 3) [m] for every unbroken run of segments of one organ, base first."""
-        lines: dict[int, list[Array]] = {}
-        run: dict[int, int] = {}
-        continued: set[int] = set()
-        for k in np.flatnonzero(self.organ == organ).tolist():
-            parent = int(self.parent[k])
-            goes_on = parent in run and parent not in continued
-            run[k] = run[parent] if goes_on else k
-            continued.add(parent)
-            lines.setdefault(run[k], [self.start[k]]).append(self.end[k])
-        return [np.array(line) for line in lines.values()]
-
     def posed_vertices(self, T_world_rest: ArrayLike) -> Array:
         """Return the mesh vertices (Nv, 3) [m] when each segment has moved rigidly from rest.
 

@@ -99,18 +99,6 @@ class Scene:
             setting=setting,
         )
 
-    def with_object(self, vertices: ArrayLike, faces: NDArray[Any], colour: ArrayLike) -> Scene:
-        """Return the scene with one more thing in it, of one sRGB colour, such as a gripper; labelled BENCH."""
-        v = np.asarray(vertices, dtype=np.float64)
-        return Scene(
-            np.vstack([self.vertices, v]),
-            np.vstack([self.faces, np.asarray(faces) + len(self.vertices)]),
-            np.concatenate([self.face_organ, np.full(len(faces), Organ.BENCH, dtype=np.uint8)]),
-            np.vstack([self.vertex_color, np.tile(np.asarray(colour, dtype=np.uint8), (len(v), 1))]),
-            ambient=np.vstack([self._ambient, np.full((len(v), 2), 0.7 * shading.SKY_LIGHT, dtype=np.float32)]),
-            setting=self.setting,
-        )
-
     def moved(self, vertices: ArrayLike) -> Scene:
         """Return the scene with its first n vertices at `vertices` (n, 3) [m]: the plant's, from `posed_vertices`."""
         new = self.vertices.copy()

@@ -227,6 +227,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
         notes = (*notes, f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil")
     flatness = coarse.flatness[nearest(curves.nodes, coarse.nodes)[1]]
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
+    confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
     return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness)
 
 

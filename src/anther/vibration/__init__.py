@@ -1,6 +1,6 @@
 """Vibration: which grasp to hold, and in which direction, how fast and how far to shake it (P24).
 
-F flowers, G grip heights, Q frequencies, D directions, M scenarios, W waveforms.
+F flowers, G grip heights, Q frequencies, D directions, M scenarios.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from anther.elastic_rod.motion import Drive
 from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
 from anther.grasp import Grasp
@@ -33,17 +34,16 @@ from anther.vibration.choice import (
 )
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.pads import PADS, Pads
-from anther.vibration.params import FLOWER_SPREAD, WAVEFORMS, Params, Preset, with_preset
+from anther.vibration.params import FLOWER_SPREAD, Params, Preset, with_preset
 from anther.vibration.plant_limits import PRESETS, PlantLimits
 from anther.vibration.search import Gains, gains, scenarios
 from anther.vibration.shake_plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
-from anther.vibration.verification import Shake, Shaken, verified
-from anther.vibration.waveforms import SINE, Waveform, mix
+from anther.vibration.verification import Shaken, verified
 
 __all__ = [
-    "PADS", "PRESETS", "SINE", "WAVEFORMS", "Actuator", "ArmShaker", "Crop", "EarlierShake", "Pads", "Params",
-    "PlantLimits", "Preset", "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper", "Waveform", "like_breeze",
-    "plan_shake", "sawyer_limit", "with_preset",
+    "PADS", "PRESETS", "Actuator", "ArmShaker", "Crop", "EarlierShake", "Pads", "Params", "PlantLimits", "Preset",
+    "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper", "like_breeze", "plan_shake", "sawyer_limit",
+    "with_preset",
 ]  # fmt: skip
 
 
@@ -62,7 +62,7 @@ def plan_shake(
     pressing: Pressing = PRESSING,
     earlier: EarlierShake | None = None,
 ) -> ShakePlan:
-    """Choose grasp, direction, frequency, waveform and amplitude, and predict what every flower will do.
+    """Choose grasp, direction, frequency and amplitude, and predict what every flower will do.
 
     Linear theory (complex tree solves about the gravity equilibrium) gives the response of every flower to a shake of
     one metre at every grip, direction and frequency, for the plant as believed and for `Params.draws` scenarios drawn
@@ -94,21 +94,21 @@ def plan_shake(
     response = gains(versions, grips.nodes, grips.directions, frequencies)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     found = search(response, grips, grasps, frequencies, actuator=actuator, least=least, params=params)
-    if not np.any(found.score[:, :, : len(grasps)] >= 0):
+    if not np.any(found.score[:, : len(grasps)] >= 0):
         raise _nothing_allowed(found, len(grasps), least, actuator)
     again = None if earlier is None else as_earlier(found, grips, len(grasps), earlier)
     found, earlier = (found, None) if again is None else (again, earlier)
     found, at, done = _best_that_holds(plant, grips, response, found, len(grasps), least, params)
-    other = _runner_up(found, at, params, len(grasps))
+    other = _runner_up(found, at, len(grasps))
+    q, g, d = at
     score = float(found.score[at])
     return ShakePlan(
-        grasp_index=at[2],
-        grasp=grasps[at[2]],
-        direction=done.shake.direction,
+        grasp_index=g,
+        grasp=grasps[g],
+        direction=grips.directions[g, d],
         amplitude=done.shake.amplitude,
         frequency=done.shake.frequency,
-        duration=done.shake.duration,
-        waveform=done.shake.waveform,
+        duration=float(found.duration[q]),
         press=press(done.limits, params.least_press),
         predicted_amplitude=done.amplitude,
         predicted_amplitude_interval=done.amplitude[:, None] * done.spread,
@@ -117,7 +117,7 @@ def plan_shake(
         score=score,
         limits=done.limits,
         runner_up=other,
-        reason=_reason(done, other, float(grips.arc_length[at[2]]), score, params),
+        reason=_reason(done, other, float(grips.arc_length[g]), score, params),
         response_map=_map(grips, response, found, len(grasps), least),
         tones=tones_at(found, response, at, least, earlier),
         pads=params.pads,
@@ -145,9 +145,9 @@ def _frequencies(actuator: Actuator, params: Params) -> Array:
 
 def _nothing_allowed(found: Search, grasps: int, least: float, actuator: Actuator) -> StageFailure:
     """Say how far from allowed the nearest shake is, and by which limit."""
-    size = found.amplitude[:, :, :grasps]
-    w, q, g, d = np.unravel_index(int(np.argmax(size)), size.shape)
-    at = (int(w), int(q), int(g), int(d))
+    size = found.amplitude[:, :grasps]
+    q, g, d = np.unravel_index(int(np.argmax(size)), size.shape)
+    at = (int(q), int(g), int(d))
     return StageFailure(
         "limits_exceeded",
         f"no shake of {1e3 * least:.2g} mm or more is allowed at any grasp, direction and frequency of the"
@@ -159,7 +159,7 @@ def _nothing_allowed(found: Search, grasps: int, least: float, actuator: Actuato
 class _Checked(NamedTuple):
     """A shake after the nonlinear solver has seen it."""
 
-    shake: Shake
+    shake: Drive
     amplitude: Array  # (F,) [m]
     acceleration: Array  # (F,) [m/s2]
     spread: Array  # (F, 2) over the scenarios, relative
@@ -183,12 +183,12 @@ def _best_that_holds(
             break
         done = _check(plant, grips, response, found, at, least, params)
         kept = done.shake.amplitude / found.amplitude[at]
-        near = np.abs(np.log(found.frequencies / found.frequencies[at[1]])) < NEAR
+        near = np.abs(np.log(found.frequencies / found.frequencies[at[0]])) < NEAR
         if done.shake.amplitude < least:
             refused, kept = closest(done.limits), -np.inf
         else:
             checked[at] = float(linear[at] * kept), done
-        alike = (at[0], near, at[2])
+        alike = (near, at[1])
         found.score[alike] = np.minimum(found.score[alike], np.maximum(linear[alike] * kept, -1))
         for place, (score, _) in checked.items():
             found.score[place] = score
@@ -206,16 +206,12 @@ def _check(
     plant: PlantModel, grips: Grips, response: Gains, found: Search, at: Place, least: float, params: Params
 ) -> _Checked:
     """Simulate one shake of the search, and put together what linear theory and the simulation say of it."""
-    w, q, g, d = at
+    q, g, d = at
     held, *also = (int(node) for node in grips.nodes[g])
-    size, duration, waveform = float(found.amplitude[at]), float(found.duration[q]), params.waveforms[w]
-    asked = Shake(held, tuple(also), grips.directions[g, d], size, float(found.frequencies[q]), duration, waveform)
-    pieces = mix(waveform, found.frequencies, q, duration)
-    assert pieces is not None
-    steady = np.swapaxes(response.flower[:, :, g, d], 0, 1)  # (Q, M, F)
-    gain = pieces.of(steady).max(axis=0)
-    jolt = pieces.of((2 * np.pi * found.frequencies[:, None, None]) ** 2 * steady).max(axis=0)
-    linear = Shaken(size * gain[0], size * jolt[0], {})
+    size, frequency = float(found.amplitude[at]), float(found.frequencies[q])
+    asked = Drive(held, grips.directions[g, d], size, frequency, 0, tuple(also))
+    gain = response.flower[:, q, g, d]  # (M, F)
+    linear = Shaken(size * gain[0], size * (2 * np.pi * frequency) ** 2 * gain[0], {})
     shake, done, notes = _verified(plant, asked, linear, least, checked_limits(found, at, params), params)
     span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
     spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)
@@ -224,8 +220,8 @@ def _check(
 
 
 def _verified(
-    plant: PlantModel, asked: Shake, linear: Shaken, least: float, limits: dict[str, float], params: Params
-) -> tuple[Shake, Shaken, tuple[str, ...]]:
+    plant: PlantModel, asked: Drive, linear: Shaken, least: float, limits: dict[str, float], params: Params
+) -> tuple[Drive, Shaken, tuple[str, ...]]:
     """Return the shake and what it does by the nonlinear solver, and what the user should know about it."""
     try:
         shake, done, notes = verified(plant, asked, limits, least, springs=params.pads.springs)
@@ -233,12 +229,12 @@ def _verified(
         return asked, linear, (f"shake: not verified by the nonlinear solver, prediction is linear ({failure})",)
     expected = linear.amplitude * shake.amplitude / asked.amplitude
     largest = float(np.max(np.abs(done.amplitude - expected) / np.maximum(expected, 1e-9)))
-    if asked.waveform.kind == "sine" and largest > 0.25:
+    if largest > 0.25:
         notes += (f"shake: a flower's nonlinear amplitude differs from the linear one by {100 * largest:.0f} %.",)
     return shake, done, notes
 
 
-def _limits(found: Search, at: Place, shake: Shake, done: Shaken, params: Params) -> list[LimitRow]:
+def _limits(found: Search, at: Place, shake: Drive, done: Shaken, params: Params) -> list[LimitRow]:
     """Return the table of limits: of the plant, what its loads pass with the probability `Params.risk`.
 
     Where the nonlinear solver says more than linear theory of the plant as believed, it is more by that.
@@ -249,16 +245,16 @@ def _limits(found: Search, at: Place, shake: Shake, done: Shaken, params: Params
         believed = float(found.amplitude[at] * found.believed[name][at]) * scale
         more = max(done.peaks.get(name, 0.0) / believed, 1.0) if believed > 0 else 1.0
         rows.append((name, value * scale * more, limit, value * scale * more / limit))
-    return [*rows, ("duration [s]", shake.duration, params.most_duration, shake.duration / params.most_duration)]
+    duration = float(found.duration[at[0]])
+    return [*rows, ("duration [s]", duration, params.most_duration, duration / params.most_duration)]
 
 
-def _runner_up(found: Search, at: Place, params: Params, grasps: int) -> RunnerUp | None:
+def _runner_up(found: Search, at: Place, grasps: int) -> RunnerUp | None:
     other = best(found, np.arange(grasps), avoid=at)
     if found.score[other] <= 0 or other == at:
         return None
-    w, q, g, _ = other
-    size, score = float(found.amplitude[other]), float(found.score[other])
-    return RunnerUp(g, float(found.frequencies[q]), size, score, str(params.waveforms[w]))
+    q, g, _ = other
+    return RunnerUp(g, float(found.frequencies[q]), float(found.amplitude[other]), float(found.score[other]))
 
 
 def _reason(done: _Checked, other: RunnerUp | None, arc_length: float, score: float, params: Params) -> str:
@@ -267,30 +263,28 @@ def _reason(done: _Checked, other: RunnerUp | None, arc_length: float, score: fl
         goal = f"the highest mean flower amplitude ({1e3 * score:.3g} mm)"
     else:
         goal = f"the most that three flowers of four should feel ({score:.3g} m/s2)"
-    form = "" if shake.waveform == SINE else f" as a {shake.waveform}"
     text = (
         f"Held {100 * arc_length:.0f} cm up the stem with {press(done.limits, params.least_press):.2g} N and shaken"
-        f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz{form}, the flowers should move"
+        f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz, the flowers should move"
         f" {1e3 * np.median(done.amplitude):.2g} mm (median)"
-        f" with {np.median(done.acceleration):.3g} m/s2. Of all grasps, directions, frequencies and waveforms compared"
+        f" with {np.median(done.acceleration):.3g} m/s2. Of all grasps, directions and frequencies compared"
         f" this gives {goal}, over {params.draws} further drawings of the plant's stiffness and damping."
         f" {closest(done.limits[:-1], kept=params.keeps_limits)}"
     )
     if other is None:
         return text
-    form = "" if other.waveform == "sine" else f", {other.waveform},"
     return text + (
-        f" Runner-up: grasp {other.grasp_index + 1} at {other.frequency:.3g} Hz{form} with"
+        f" Runner-up: grasp {other.grasp_index + 1} at {other.frequency:.3g} Hz with"
         f" {1e3 * other.amplitude:.2g} mm ({other.score:.3g})."
     )
 
 
 def _map(grips: Grips, response: Gains, found: Search, grasps: int, least: float) -> ResponseMap:
-    """Return the best direction's response to the first waveform at the map's heights, else at the grasps."""
+    """Return the best direction's response at the map's heights, else at the grasps."""
     rows = np.arange(grasps, len(grips.nodes)) if len(grips.nodes) > grasps else np.arange(grasps)
     rows = rows[np.argsort(grips.arc_length[rows], kind="stable")]
     mean = response.flower.mean(axis=(0, -1))[:, rows]
-    size = found.amplitude[0][:, rows]
+    size = found.amplitude[:, rows]
     acceleration = np.where(size < least, 0, mean * size * (2 * np.pi * found.frequencies[:, None, None]) ** 2)
     at = acceleration.argmax(axis=2)[..., None]
     pick = [np.take_along_axis(values, at, axis=2)[..., 0].T for values in (acceleration, mean, size)]

@@ -1,6 +1,6 @@
-"""Which shake of all: the largest that every limit allows, for each waveform, frequency, grip and direction.
+"""Which shake of all: the largest that every limit allows, for each frequency, grip and direction.
 
-F flowers, G grips, D directions, Q frequencies, M scenarios, W waveforms.
+F flowers, G grips, D directions, Q frequencies, M scenarios.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from anther.vibration.params import LOAD_ERROR, Params
 from anther.vibration.search import Gains
 from anther.vibration.shake_plan import EarlierShake, Tones
 from anther.vibration.verification import PEAKS
-from anther.vibration.waveforms import Mix, mix
 
-Place = tuple[int, int, int, int]
-"""(w, q, g, d): one shake of the search."""
+Place = tuple[int, int, int]
+"""(q, g, d): one shake of the search."""
 
 
 PRESS = "force of the pads, against slip [N]"
@@ -44,13 +43,13 @@ class Grips(NamedTuple):
 
 
 class Search(NamedTuple):
-    """The search space, all (W, Q, G, D) but `bounds` and `duration`."""
+    """The search space, all (Q, G, D) but `bounds` and `duration`."""
 
     frequencies: Array  # (Q,) [Hz]
     duration: Array  # (Q,) [s]
-    amplitude: Array  # largest allowed [m]; 0 where the waveform would leave the frequencies
+    amplitude: Array  # largest allowed [m]
     score: Array  # of the objective; -1 where less than the least amplitude is allowed
-    bounds: dict[str, tuple[Array, Array]]  # name -> (value per metre of amplitude (W, Q, G, D), its limit (G or 1, 1))
+    bounds: dict[str, tuple[Array, Array]]  # name -> (value per metre of amplitude (Q, G, D), its limit (G or 1, 1))
     believed: dict[str, Array]  # the same of the plant as believed: what its values are without the margin
 
 
@@ -143,29 +142,20 @@ def search(
     for (name, limit), kind in zip(plant_limits(params).items(), LOAD_ERROR, strict=False):
         per_metre[name] = Bound(getattr(response, kind), limit, LOAD_ERROR[kind])
 
+    bounds = {
+        name: (margined(bound.values, bound.error, params.risk), np.atleast_2d(bound.limit))
+        for name, bound in per_metre.items()
+    }
+    kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
+    amplitude = np.min([limit / np.maximum(value, 1e-12) for value, limit in kept], axis=0)
+    score = np.where(amplitude < least, -1.0, _worth(response.flower, acceleration, amplitude, params))
     duration = np.clip(5 / frequencies, params.duration, params.most_duration)
-    shape = (len(params.waveforms), *most.shape)
-    amplitude, score = np.zeros(shape), np.full(shape, -1.0)
-    bounds = {name: (np.zeros(shape), np.atleast_2d(bound.limit)) for name, bound in per_metre.items()}
-    believed = {name: np.zeros(shape) for name in per_metre}
-    for w, waveform in enumerate(params.waveforms):
-        for q in range(len(frequencies)):
-            pieces = mix(waveform, frequencies, q, float(duration[q]))
-            if pieces is None:
-                continue
-            for name, bound in per_metre.items():
-                worst = pieces.of(np.swapaxes(bound.values, 0, 1)).max(axis=0)  # (M or 1, G, D)
-                bounds[name][0][w, q], believed[name][w, q] = margined(worst, bound.error, params.risk), worst[0]
-            kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
-            room = [limit / np.maximum(value[w, q], 1e-12) for value, limit in kept]
-            amplitude[w, q] = np.min(room, axis=0)
-            worth = _worth(pieces, response.flower, acceleration, amplitude[w, q], params)
-            score[w, q] = np.where(amplitude[w, q] < least, -1.0, worth)
+    believed = {name: bound.values[0] for name, bound in per_metre.items()}
     return Search(frequencies, duration, amplitude, score, bounds, believed)
 
 
 def margined(values: Array, error: tuple[float, float] | None, risk: float) -> Array:
-    """Return (G, D) what a lognormal load of which scenarios have values (M, G, D) passes with probability `risk`."""
+    """Return (...) what a lognormal load of which scenarios have values (M, ...) passes with probability `risk`."""
     if error is None:
         return values.mean(axis=0)
     median, spread = error
@@ -178,32 +168,28 @@ ROBUST = 0.25
 What pollen or fruit that is worth is not well enough known to choose by (`anther.fruit_set`)."""
 
 
-def _worth(pieces: Mix, flower: Array, acceleration: Array, amplitude: Array, params: Params) -> Array:
-    """Return (G, D) what the objective is worth at amplitudes (G, D): [m/s2] or [m]."""
+def _worth(flower: Array, acceleration: Array, amplitude: Array, params: Params) -> Array:
+    """Return (Q, G, D) what the objective is worth at amplitudes (Q, G, D): [m/s2] or [m].
 
-    def over_time(values: Array) -> Array:
-        """Return (K, M, G, D, F) of values (M, Q, G, D, F)."""
-        return pieces.of(np.swapaxes(values, 0, 1))
-
+    Motion and acceleration of the flowers are those per metre of amplitude, (M, Q, G, D, F).
+    """
     if params.objective == "amplitude":
-        return (amplitude[..., None] * over_time(flower).max(axis=0)).mean(axis=(0, -1))
-    share = pieces.seconds / np.sum(pieces.seconds)
-    felt = np.sqrt(np.tensordot(share, over_time(acceleration) ** 2, axes=1))  # (M, G, D, F)
-    return amplitude * np.quantile(felt, ROBUST, axis=(0, -1))
+        return amplitude * flower.mean(axis=(0, -1))
+    return amplitude * np.quantile(acceleration, ROBUST, axis=(0, -1))
 
 
 def best(found: Search, rows: NDArray[Any], *, avoid: Place | None = None) -> Place:
-    """Return (w, q, g, d) of the highest score among the grips `rows`.
+    """Return (q, g, d) of the highest score among the grips `rows`.
 
     With `avoid`, only shakes at another grip or a fifth or more away in frequency count.
     """
-    score = found.score[:, :, rows].copy()
+    score = found.score[:, rows].copy()
     if avoid is not None:
-        ratio = found.frequencies / found.frequencies[avoid[1]]
+        ratio = found.frequencies / found.frequencies[avoid[0]]
         same = np.flatnonzero((ratio > 0.8) & (ratio < 1.25))
-        score[:, same, list(rows).index(avoid[2])] = -1
-    w, q, g, d = np.unravel_index(int(np.argmax(score)), score.shape)
-    return int(w), int(q), int(rows[g]), int(d)
+        score[same, list(rows).index(avoid[1])] = -1
+    q, g, d = np.unravel_index(int(np.argmax(score)), score.shape)
+    return int(q), int(rows[g]), int(d)
 
 
 OF_THE_MACHINE = 3
@@ -219,12 +205,12 @@ def tones_at(found: Search, response: Gains, at: Place, least: float, earlier: E
 
     Of an earlier visit it is that visit's alone, as large as it was there.
     """
-    _, q, g, d = at
+    q, g, d = at
     bounds = list(found.bounds.values())[:OF_THE_MACHINE]
-    reach = np.min([(limit / np.maximum(value[0], 1e-12))[:, g, d] for value, limit in bounds], axis=0)
+    reach = np.min([(limit / np.maximum(value, 1e-12))[:, g, d] for value, limit in bounds], axis=0)
     if earlier is not None:
         return Tones(found.frequencies[[q]], np.minimum(earlier.amplitude, reach[[q]]), reach[[q]])
-    size = found.amplitude[0, :, g, d]
+    size = found.amplitude[:, g, d]
     moved = (2 * np.pi * found.frequencies) ** 2 * size * response.flower[:, :, g, d].mean(axis=(0, -1))
     chosen = [q]
     for k in np.argsort(-moved, kind="stable"):
@@ -247,7 +233,7 @@ def as_earlier(found: Search, grips: Grips, grasps: int, earlier: EarlierShake) 
         return None
     for g in rows:
         d = int(np.abs(grips.directions[g] @ earlier.direction).argmax())
-        score[0, q, g, d] = found.score[0, q, g, d]
+        score[q, g, d] = found.score[q, g, d]
     return found._replace(score=score) if np.any(score >= 0) else None
 
 

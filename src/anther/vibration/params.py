@@ -9,7 +9,6 @@ from anther.checks import check_range
 from anther.errors import bad_input
 from anther.vibration.pads import PADS, Pads
 from anther.vibration.plant_limits import DEFAULT, PRESETS, PlantLimits
-from anther.vibration.waveforms import SINE, Waveform
 
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
@@ -38,8 +37,6 @@ class Params:
     Attributes:
         objective: "acceleration": of the flowers, see `choice.ROBUST`; "amplitude": their mean amplitude, as in the
             paper.
-        waveforms: that are compared: `WAVEFORMS` has a sine, two sweeps and a burst. Response and learning need one
-            frequency, so only a sine by default.
         lowest, highest: frequencies searched [Hz]; None: the actuator's band.
         frequencies: how many, evenly on a logarithmic scale.
         directions: how many, over half a turn of the horizontal plane.
@@ -65,7 +62,6 @@ class Params:
     """
 
     objective: Literal["acceleration", "amplitude"] = "acceleration"
-    waveforms: tuple[Waveform, ...] = (SINE,)
     lowest: float | None = None
     highest: float | None = None
     frequencies: int = 40
@@ -92,8 +88,6 @@ class Params:
             raise bad_input(
                 "objective", given=f"'{self.objective}'", allowed="acceleration or amplitude", do="Choose one."
             )
-        if not self.waveforms:
-            raise bad_input("waveforms", given="none", allowed="one or more", do="Add a sine.")
         for name in ("lowest", "highest"):
             if getattr(self, name) is not None:
                 check_range(f"{name} frequency", getattr(self, name), 0.05, 500, "Hz")
@@ -107,7 +101,7 @@ class Params:
         check_range("arm_share", self.arm_share, 0.01, 1)
         if self.least_amplitude is not None:
             check_range("least_amplitude", self.least_amplitude, 1e-7, self.most_amplitude, "m")
-        for name in ("most_speed", "least_press", "pad_friction"):
+        for name in ("most_speed", "least_press", "pad_friction", "flower_acceleration"):
             check_range(name, getattr(self, name), 1e-9, 1e6)
         check_range("most_duration", self.most_duration, 0.1, 60, "s")
         check_range("duration", self.duration, 0.1, self.most_duration, "s")
@@ -122,8 +116,3 @@ the plant."""
 def with_preset(name: Preset, params: Params = Params()) -> Params:
     """Return the parameters of a preset: those of `PRESETS` say what the plant may bear, "paper" keeps no limit."""
     return replace(params, **PAPER) if name == "paper" else replace(params, plant=PRESETS[name])
-
-
-WAVEFORMS = (SINE, Waveform("sweep", ratio=1.25), Waveform("sweep", ratio=1.6), Waveform("burst", cycles=8))
-"""Those worth comparing: a sine trusts one frequency, the others hedge against a resonance that is not where the plant
-as believed has it."""

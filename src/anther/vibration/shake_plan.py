@@ -13,9 +13,9 @@ from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import Grasp, grasp_of, grasp_row
 from anther.vibration.pads import PADS, Pads
-from anther.vibration.waveforms import Waveform
 
-SCHEMA = 5
+SCHEMA = 6
+"""Of the files written; one of schema 5, which told a waveform, is read where that is a sine."""
 
 LimitRow = tuple[str, float, float, float]
 """(name, value, limit, share of the limit that is used)."""
@@ -94,31 +94,27 @@ class RunnerUp:
         grasp_index: into the ranked grasps.
         frequency, amplitude: [Hz], [m].
         score: of the objective, perhaps not checked by the nonlinear solver; the plan's own is `ShakePlan.score`.
-        waveform: in words.
     """
 
     grasp_index: int
     frequency: float
     amplitude: float
     score: float
-    waveform: str = "sine"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShakePlan:
-    """One shake: hold `grasp`, move it along `direction` as `waveform` says, and what that does.
+    """One shake: hold `grasp`, move it to and fro along `direction` in a sine, and what that does.
 
     Attributes:
         grasp_index: into the ranked grasps it was chosen from.
         grasp: the grasp itself.
         direction: (3,) unit vector, world.
         amplitude: half of peak to peak [m].
-        frequency: of a sweep the first [Hz].
-        duration: of the whole motion [s].
-        waveform: its shape in time; the displacement is `waveform.motion(t, amplitude, frequency, duration)`.
+        frequency: [Hz].
+        duration: of the whole motion, `anther.swing.whole_shake` [s].
         press: how hard the pads are to press the stem [N].
-        predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path; of a sweep or burst the
-            largest distance from rest [m].
+        predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path [m].
         predicted_amplitude_interval: (F, 2) nine flowers in ten stay between, by the spreads of the material, of
             the gain, and of one flower about its plant [m].
         predicted_acceleration: (F,) peak [m/s2].
@@ -141,7 +137,6 @@ class ShakePlan:
     amplitude: float
     frequency: float
     duration: float
-    waveform: Waveform
     press: float
     predicted_amplitude: Array
     predicted_amplitude_interval: Array
@@ -173,7 +168,6 @@ class ShakePlan:
         row: dict[str, Any] = {"kind": "shake plan", "schema": SCHEMA}
         row |= {name: getattr(self, name) for name in _SAVED}
         row["grasp"] = grasp_row(self.grasp)
-        row["waveform"] = asdict(self.waveform)
         row["pads"] = asdict(self.pads)
         row["runner_up"] = None if self.runner_up is None else asdict(self.runner_up)
         row["response_map"] = {name: getattr(self.response_map, name) for name in ResponseMap.__dataclass_fields__}
@@ -185,15 +179,16 @@ class ShakePlan:
         """Read what `save` wrote.
 
         Raises:
-            InputError: missing, not JSON, or not a shake plan of this schema.
+            InputError: missing, not JSON, not a shake plan of this schema, or an earlier one that is no sine.
         """
         row = read_json(path)
+        if isinstance(row, dict) and (row.get("kind"), row.get("schema")) == ("shake plan", 5):
+            row = _without_waveforms(path, row)
         if not isinstance(row, dict) or (row.get("kind"), row.get("schema")) != ("shake plan", SCHEMA):
             raise bad_input(str(path), given="another file", allowed=f"a shake plan, schema {SCHEMA}", do="Plan again.")
         try:
             return cls(
                 grasp=grasp_of(row["grasp"]),
-                waveform=Waveform(**row["waveform"]),
                 runner_up=None if row["runner_up"] is None else RunnerUp(**row["runner_up"]),
                 response_map=ResponseMap(**row["response_map"]),
                 tones=Tones(**row["tones"]),
@@ -206,7 +201,18 @@ class ShakePlan:
             ) from error
 
 
-_NESTED = ("grasp", "waveform", "runner_up", "response_map", "tones", "pads")
+def _without_waveforms(path: Path | str, row: dict[str, Any]) -> dict[str, Any]:
+    """Return a plan of schema 5 as one of this schema."""
+    form, other = row.get("waveform"), row.get("runner_up")
+    kind = form.get("kind") if isinstance(form, dict) else form
+    if kind != "sine":
+        raise bad_input(str(path), given=f"the plan of a {kind}", allowed="the plan of a sine", do="Plan again.")
+    if isinstance(other, dict):
+        row["runner_up"] = {name: value for name, value in other.items() if name != "waveform"}
+    return row | {"schema": SCHEMA}
+
+
+_NESTED = ("grasp", "runner_up", "response_map", "tones", "pads")
 _SAVED = tuple(name for name in ShakePlan.__dataclass_fields__ if name not in _NESTED)
 _SHAPES: dict[str, tuple[int | None, ...]] = {
     "direction": (3,),

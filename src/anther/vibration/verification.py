@@ -3,41 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from anther.elastic_rod.grip import RIGID, Rocking, Springs
 from anther.elastic_rod.moments import strain_changes
-from anther.elastic_rod.motion import Drive, SampledDrive, Straight
-from anther.elastic_rod.response import driven_response, steady_motion
-from anther.elastic_rod.rods import Array, Rods
+from anther.elastic_rod.motion import Drive
+from anther.elastic_rod.response import steady_motion
+from anther.elastic_rod.rods import Array
 from anther.elastic_rod.simulation import Trajectory, simulate
 from anther.plant import PlantModel
 from anther.vibration.observables import Observables, observables, semi_major
-from anther.vibration.waveforms import Waveform
 
 TRIES = 3
 """How often a shake that passes a limit is made smaller and simulated again."""
 
 STEPS, PERIODS = 24, 3
-"""Of a sine that is simulated: steps a period, and periods, of which the last counts."""
+"""Steps a period of the simulation, and periods, of which the last counts."""
 
 TOLERANCE = 1e-5
 """Accepted residual force [N], a hundredth of a flower's weight; 1e-9 changes no result by 1e-5 of itself."""
-
-
-PAD_BAND = 2.0
-"""Up to so many times a shake's highest frequency its pads give; what a shake has above that, they follow rigidly."""
 
 
 class Shaken(NamedTuple):
     """What the nonlinear solver says.
 
     Attributes:
-        amplitude: (F,) of each flower, the semi-major axis in steady shaking, or the largest excursion [m].
+        amplitude: (F,) of each flower, the semi-major axis in steady shaking [m].
         acceleration: (F,) peak [m/s2].
         peaks: largest value of each limited quantity over the time, by the limits' names.
     """
@@ -47,39 +41,14 @@ class Shaken(NamedTuple):
     peaks: dict[str, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shake(Straight):
-    """The planned motion of the grip, as the arm will do it.
-
-    Attributes:
-        node, also: the nodes between the pads.
-        direction: (3,) unit.
-        amplitude, frequency, duration: [m], [Hz], [s].
-        waveform: its shape.
-    """
-
-    node: int
-    also: tuple[int, ...]
-    direction: Array
-    amplitude: float
-    frequency: float
-    duration: float
-    waveform: Waveform
-
-    def displacement(self, times: ArrayLike) -> Array:
-        """Return (T, 3) displacements [m] at (T,) times [s]."""
-        along = self.waveform.motion(times, self.amplitude, self.frequency, self.duration)[0]
-        return along[..., None] * self.direction
-
-
 def verified(
-    plant: PlantModel, shake: Shake, limits: Mapping[str, float], least: float = 0.0, *, springs: Springs = RIGID
-) -> tuple[Shake, Shaken, tuple[str, ...]]:
+    plant: PlantModel, shake: Drive, limits: Mapping[str, float], least: float = 0.0, *, springs: Springs = RIGID
+) -> tuple[Drive, Shaken, tuple[str, ...]]:
     """Return the shake, made smaller where the nonlinear solver says a limit is passed, what it does, and notes.
 
     Args:
         plant: as believed.
-        shake: chosen by linear theory.
+        shake: chosen by linear theory, without a ramp.
         limits: largest value allowed of each of `PEAKS`.
         least: a shake that must be smaller than this is of no use and not simulated any more [m].
         springs: between gripper and pads.
@@ -89,7 +58,7 @@ def verified(
     """
     asked, binding = shake.amplitude, ""
     for _ in range(TRIES):
-        done = shaken(plant, shake, springs)
+        done = steadily_shaken(plant, shake, springs)
         name, worst = max(((n, done.peaks[n] / limit) for n, limit in limits.items()), key=lambda row: row[1])
         if worst <= 1:
             break
@@ -97,48 +66,11 @@ def verified(
         if shake.amplitude < least:
             break
     else:
-        done = shaken(plant, shake, springs)
+        done = steadily_shaken(plant, shake, springs)
     if not binding:
         return shake, done, ()
     less = f"{1e3 * asked:.2g} to {1e3 * shake.amplitude:.2g} mm"
     return shake, done, (f"shake: made smaller, from {less}, because the nonlinear solver passes a limit ({binding}).",)
-
-
-def shaken(plant: PlantModel, shake: Shake, springs: Springs = RIGID) -> Shaken:
-    """Return what the plant does. A sine is simulated until it is steady, other waveforms as a whole.
-
-    Pads on springs move as linear theory says, and the nonlinear plant with them.
-    """
-    if shake.waveform.kind == "sine":
-        drive = Drive(shake.node, shake.direction, shake.amplitude, shake.frequency, 0, shake.also)
-        return steadily_shaken(plant, drive, springs)
-    highest = shake.frequency * shake.waveform.ratio
-    dt = min(1 / (30 * highest), 0.004)
-    rods = plant.rods_at(np.sqrt(shake.frequency * highest))
-    drive = shake if springs == RIGID else _pads_in(rods, plant, shake, springs, highest, dt)
-    path = simulate(rods, plant.clamp, drive, shake.duration, dt, start="scanned", tolerance=TOLERANCE)
-    seen = observables(plant)
-    vectors = _vectors(plant, seen, path, shake.node, drive.rotation(path.times))
-    jolts = np.diff(vectors, 2, axis=0) / dt**2
-    swing, jolt = (np.linalg.norm(x[:, seen.flowers], axis=2).max(axis=0) for x in (vectors, jolts))
-    return Shaken(swing, jolt, _peaks(seen, vectors, jolts))
-
-
-def _pads_in(rods: Rods, plant: PlantModel, shake: Shake, springs: Springs, highest: float, dt: float) -> SampledDrive:
-    """Return the motion of pads on springs in a shake that is no sine: its spectrum times theirs."""
-    times: Array = dt * np.arange(
-        2 * int(np.ceil(shake.duration / dt)), dtype=np.float64
-    )  # as long again at rest: what goes on does not wrap
-    spectrum = np.fft.rfft(shake.displacement(times) @ shake.direction)
-    frequencies = np.fft.rfftfreq(len(times), dt)
-    low = frequencies <= PAD_BAND * highest
-    options: Any = {"observe": [shake.node], "springs": springs}
-    answer = driven_response(rods, plant.clamp, [shake.nodes], shake.direction[None], frequencies[low], **options)
-    share = np.tile(np.concatenate([shake.direction, np.zeros(3)]).astype(np.complex128), (len(frequencies), 1))
-    share[low] = answer.pads[:, 0, 0]
-    moved = np.fft.irfft(spectrum[:, None] * share, len(times), axis=0)
-    moved -= moved[0]
-    return SampledDrive(shake.node, times, moved[:, :3], shake.also, moved[:, 3:])
 
 
 def steadily_shaken(plant: PlantModel, drive: Drive, springs: Springs = RIGID) -> Shaken:

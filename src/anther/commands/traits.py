@@ -1,0 +1,184 @@
+"""A folder of point clouds -> tables of plants and limbs, a picture of every plant; goes on after a stop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from anther.errors import AntherError, bad_input
+from anther.files import existing, made_folder, read_object, replacing, write_json
+from anther.flowers import flower_centres
+from anther.formats.clouds import read_cloud
+from anther.formats.points import Axis, Units
+from anther.formats.tables import write_table
+from anther.pictures.plant import draw_plant
+from anther.skeleton import Params, skeletonize
+from anther.stem import Params as StemParams
+from anther.stem import find_stem
+from anther.traits import LEVELS, Limb, Traits, measure
+
+SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".npz")
+COUNTED = ("branch", "truss", "leaf")
+COLUMNS: dict[str, type] = {
+    "plant": str,
+    "plant_height_m": float,
+    "stem_length_m": float,
+    "stem_lean_deg": float,
+    **{f"stem_radius_{share}_m": float for share in LEVELS},
+    "internodes": int,
+    "internode_median_m": float,
+    **{f"{organ}_count": int for organ in COUNTED},
+    "leaf_angle_median_deg": float,
+    "total_length_m": float,
+    "points": int,
+    "stem_confidence": float,
+    "notes": str,
+    "failure": str,
+}
+"""Of plants: one line each. stem_radius_50_m is that half-way up."""
+LIMB_COLUMNS = {"plant": str, **dict.fromkeys(Limb._fields, float), "organ": str}
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: the clouds, what their numbers mean, and where the tables go."""
+
+    clouds: Annotated[Path, tyro.conf.Positional]
+    """Folder of point clouds (.ply, .pcd, .xyz, .txt, .csv, .asc, .npz), one plant each; its subfolders too."""
+    out: Path
+    """Folder for the tables and, by plant, picture and numbers. What is there already is not measured again."""
+    units: Units | None = None
+    """Units of the files; by default what a file states, else metres."""
+    up: Axis | None = None
+    """Axis that points up in the files; by default what a file states, else z."""
+    parquet: bool = False
+    """Write plants.parquet and limbs.parquet instead of CSV."""
+    again: bool = False
+    """Measure all plants again."""
+    params: Params = field(default_factory=Params)
+    """How a cloud becomes a skeleton."""
+    stem: StemParams = field(default_factory=StemParams)
+    """How the main stem is found."""
+
+
+def run(args: Args) -> int:
+    """Measure what is not measured yet, write the tables; return 1 if a plant could not be measured.
+
+    Raises:
+        InputError: no such folder, no cloud in it.
+        MissingExtra: Parquet without pyarrow.
+    """
+    folder = existing(args.clouds)
+    own = args.out.resolve()  # may lie among the clouds, and holds .csv and .npz
+    found = sorted(
+        path
+        for path in folder.rglob("*")
+        if path.suffix.lower() in SUFFIXES and path.is_file() and not path.resolve().is_relative_to(own)
+    )
+    if not folder.is_dir() or not found:
+        allowed = f"a folder with clouds: {', '.join(SUFFIXES)}"
+        raise bad_input(str(folder), given="none in it", allowed=allowed, do="For one cloud: `anther skeletonize`.")
+    made_folder(args.out)
+    console, rows = Console(), list[dict[str, Any]]()
+    for path in found:
+        name = str(path.relative_to(folder))
+        rows.append(_measured(args, path, name))
+        console.print(escape(_line(rows[-1])), highlight=False)
+    suffix = "parquet" if args.parquet else "csv"
+    limbs = ({"plant": row["plant"]} | limb for row in rows for limb in row["limbs"])
+    write_table(args.out / f"plants.{suffix}", COLUMNS, ({n: row.get(n) for n in COLUMNS} for row in rows))
+    write_table(args.out / f"limbs.{suffix}", LIMB_COLUMNS, limbs)
+    _print(console, rows, args.out / f"plants.{suffix}")
+    return int(any(row["failure"] for row in rows))
+
+
+def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
+    """Return what is known of one plant, measured now unless that was done before with these options and this file."""
+    place = args.out / "plants" / name.replace("/", "__")
+    kept = place / "traits.json"
+    asked = {
+        "size": path.stat().st_size,
+        "changed": path.stat().st_mtime,
+        "options": repr((args.units, args.up, args.params, args.stem)),
+    }
+    if kept.is_file() and not args.again:
+        before = read_object(kept)
+        if before.get("of") == asked and isinstance(before.get("row"), dict):
+            return before["row"]
+    try:
+        row = _row(args, path, place) | {"plant": name, "failure": ""}
+    except AntherError as error:
+        row = {"plant": name, "failure": str(error), "limbs": []}
+    write_json(kept, {"of": asked, "row": row})
+    return row
+
+
+def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
+    cloud = read_cloud(path, args.units, args.up)
+    skeleton = skeletonize(cloud, args.params)
+    stem = find_stem(skeleton, args.stem, flowers_at=flower_centres(cloud))
+    traits = measure(skeleton, stem)
+    skeleton.save(place / "skeleton.npz")
+    stem.save(place / "stem.npz")
+    with replacing(place / "overview.png") as temporary:
+        draw_plant(cloud, skeleton, stem).savefig(temporary, dpi=110)
+    notes = "; ".join((*cloud.notes, *skeleton.notes, *stem.notes))
+    return flat(traits) | {
+        "points": len(cloud.points),
+        "notes": notes,
+        "limbs": [limb._asdict() for limb in traits.limbs],
+    }
+
+
+def flat(traits: Traits) -> dict[str, Any]:
+    """Return the traits as a line of the table: `COLUMNS` but for the file's own."""
+    angles = [limb.angle_deg for limb in traits.limbs if limb.organ == "leaf"]
+    return {
+        "plant_height_m": traits.plant_height_m,
+        "stem_length_m": traits.stem_length_m,
+        "stem_lean_deg": traits.stem_lean_deg,
+        **{f"stem_radius_{share}_m": float(r) for share, r in zip(LEVELS, traits.radius_m, strict=True)},
+        "internodes": len(traits.internode_m),
+        "internode_median_m": float(np.median(traits.internode_m)) if len(traits.internode_m) else None,
+        **{f"{organ}_count": traits.count(organ) for organ in COUNTED},
+        "leaf_angle_median_deg": float(np.median(angles)) if angles else None,
+        "total_length_m": traits.total_length_m,
+        "stem_confidence": traits.stem_confidence,
+    }
+
+
+def _line(row: dict[str, Any]) -> str:
+    if row["failure"]:
+        return f"{row['plant']}: not measured: {row['failure']}"
+    limbs = ", ".join(f"{row[f'{organ}_count']} {organ}" for organ in COUNTED)
+    return f"{row['plant']}: stem {row['stem_length_m']:.3f} m, {limbs}"
+
+
+def _print(console: Console, rows: list[dict[str, Any]], path: Path) -> None:
+    table = Table(
+        "trait", "median", "5 %", "95 %", title=f"{sum(not row['failure'] for row in rows)} of {len(rows)} plants"
+    )
+    for name, values in _numbers(rows):
+        low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
+        table.add_row(name, *(f"{value:.3g}" for value in (middle, low, high)))
+    console.print(table)
+    console.print(
+        f"{path}, and limbs beside it; a picture of every plant in {path.parent / 'plants'}",
+        highlight=False,
+        markup=False,
+    )
+
+
+def _numbers(rows: list[dict[str, Any]]) -> Iterator[tuple[str, list[float]]]:
+    for name, kind in COLUMNS.items():
+        values = [row[name] for row in rows if kind is not str and row.get(name) is not None]
+        if values:
+            yield name, values
