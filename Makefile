@@ -3,13 +3,14 @@ PYTHON ?= python3
 BIN := .venv/bin
 CORE := .venv/.core-installed
 DEV := .venv/.dev-installed
+SITE := .venv/.site-installed
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 RUN ?=
 
-.PHONY: demo test slow check sync bench docs lock clean
+.PHONY: demo test slow check sync mutants bench docs site lock clean
 
 demo: $(CORE)  ## install and run the main job: a simulated tomato is seen, grasped, shaken, measured
-	$(BIN)/anther trial --plant tomato --seed 0 --out runs/demo --overwrite || [ $$? -eq 1 ]  # 1: a part of its verdict failed
+	$(BIN)/anther trial --plant tomato --seed 2 --out runs/demo --overwrite || [ $$? -eq 1 ]  # 1: a part of its verdict failed
 
 test: $(DEV)  ## run the tests
 	$(BIN)/python -m pytest -n 2
@@ -25,10 +26,13 @@ check: $(DEV)  ## format, lint, types, layering
 
 sync: $(DEV)  ## only the environment
 
+mutants: $(DEV)  ## small wrong changes, and which of them the tests catch (hours)
+	$(BIN)/python tools/mutants.py
+
 bench: $(DEV)  ## speed
 	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
 
-docs: $(DEV)  ## measure again what docs/ shows (many hours)
+docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/masks.py
 	$(BIN)/python tools/record.py experiments/registration.py --figures docs/pictures
 	$(BIN)/python tools/record.py experiments/skeletons.py --figures docs/pictures
@@ -40,6 +44,7 @@ docs: $(DEV)  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/hard_cases.py --jobs 2
 	$(BIN)/python tools/record.py benchmarks/cell.py
 	$(BIN)/python tools/record.py benchmarks/perception.py --figure docs/pictures/perception.png
+	$(BIN)/python tools/record.py benchmarks/sweep.py
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --page docs/grasping.md
 	$(BIN)/python tools/record.py experiments/limits.py
@@ -52,7 +57,10 @@ docs: $(DEV)  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/twist.py
 	$(BIN)/python tools/record.py benchmarks/rods.py --page docs/rod_speed.md
 	$(BIN)/python tools/film_shake.py docs/pictures/shake.gif
-	$(BIN)/python tools/draw_readme.py runs/trials/tomato-2-0 docs/pictures/trial.png
+	$(BIN)/python tools/draw_readme.py runs/demo docs/pictures/trial.png
+
+site: $(SITE)  ## the documentation site in build/site; its tutorials are run, every warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 lock: $(DEV)  ## show what is installed, to renew the lock files from
 	$(BIN)/python -m pip freeze --exclude-editable
@@ -69,4 +77,8 @@ $(CORE): requirements.lock pyproject.toml
 
 $(DEV): $(CORE) requirements-dev.lock
 	$(PIP_INSTALL) -r requirements-dev.lock
+	@touch $@
+
+$(SITE): $(DEV) requirements-site.lock
+	$(PIP_INSTALL) -r requirements-site.lock
 	@touch $@

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
+import postgresql_server
 import pytest
 from hypothesis import settings
 
@@ -21,3 +23,22 @@ def data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"real data not found at {DATA}; set ANTHER_DATA to its folder")
     return DATA
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[postgresql_server.Server]:
+    """A real PostgreSQL server, where its programs are installed."""
+    pytest.importorskip("psycopg", reason="psycopg is not installed: pip install 'anther[postgresql]'")
+    started = postgresql_server.start()
+    if isinstance(started, str):
+        pytest.skip(started)
+    yield started
+    started.remove()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def where(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """A new history: a SQLite file, or a schema of a real PostgreSQL server."""
+    if request.param == "sqlite":
+        return str(tmp_path / "deep" / "history.sqlite")
+    return request.getfixturevalue("server").new()

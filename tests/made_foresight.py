@@ -16,8 +16,8 @@ from anther.escalation.foresight import LOADS, Foresight
 from anther.geometry import Array, Intrinsics, look_at
 from anther.response.points import Swings
 from anther.swing import Swing
-from anther.vibration import SINE, ResponseMap, ShakePlan
 from anther.vibration import Params as Limits
+from anther.vibration import ResponseMap, ShakePlan
 from anther.vibration.observables import ComplexArray, semi_major
 from anther.vibration.shake_plan import Tones
 
@@ -65,7 +65,6 @@ def made_plan(
         amplitude=amplitudes[0],
         frequency=float(TONES[0]),
         duration=3.0,
-        waveform=SINE,
         press=8.0,
         predicted_amplitude=size,
         predicted_amplitude_interval=np.column_stack([size / 2, 2 * size]),

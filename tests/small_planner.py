@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -38,18 +39,8 @@ class SmallPlanner:
         path = (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * (T_world_to[:3, 3] - T[:3, 3]) + T[:3, 3]
         return _timed(t, follow(q_from, T[:3, :3], path))
 
-    def shake(
-        self, q: Any, direction: Any, amplitude: float, frequency: float, duration: float, waveform: Any
-    ) -> JointTrajectory:
-        T = sawyer.forward(q)
-        t = np.linspace(0, duration, int(duration * frequency * 32) + 2)
-        edge = min(1 / frequency, duration / 4)
-        ramp = np.clip(np.minimum(t, duration - t) / edge, 0, 1)
-        wave = amplitude * (3 * ramp**2 - 2 * ramp**3) * np.sin(2 * np.pi * frequency * t)
-        return _timed(t, follow(q, T[:3, :3], T[:3, 3] + wave[:, None] * np.asarray(direction)))
-
-    def swing(self, q: Any, direction: Any, piece: Swing, reach: float) -> JointTrajectory:
-        return swing_trajectory(q, direction, piece, reach)
+    def swing(self, q: Any, direction: Any, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
+        return swing_trajectory(q, direction, pieces, reach)
 
 
 def follow(q: Any, rotation: Array, path: Array) -> Array:

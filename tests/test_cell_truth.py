@@ -16,6 +16,7 @@ from anther.sim.cell import Cell, mujoco
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm
 from anther.sim.truth import JOINT_STIFFNESS, NOMINAL, Truth, draw
+from anther.swing import whole_shake
 from anther.vibration.pads import friction_force
 
 GRASP = sawyer.T_FLANGE_GRASP
@@ -150,7 +151,7 @@ def shaken(truth: Truth, seed: int = 0, rest: int = 500) -> tuple[float, float, 
     The first two in the direction asked for, the last the largest swing.
     """
     cell = Cell(replace(straight_plant(), seed=seed), BESIDE, truth=truth)
-    SimArm(cell).follow(SmallPlanner().shake(BESIDE, (0, 1.0, 0), 0.001, 5.0, 2.0, None))
+    SimArm(cell).follow(SmallPlanner().swing(BESIDE, (0, 1.0, 0), whole_shake(0.001, 5.0, 2.4), 0.001))
     go(cell, BESIDE, cell.opening, 2, rest)
     log = cell.log()
     steady, after = (log.times > 0.6) & (log.times <= 1.6), log.times > log.times[-1] - 0.5
@@ -197,7 +198,7 @@ def test_a_stem_between_drawn_pads_comes_to_rest(stiffness: float, rotation: flo
     truth = replace(NOMINAL, pad_stiffness=stiffness, pad_rotation=rotation, joint_stiffness=5.0, pad_wear=0.3)
     cell = Cell(straight_plant(), Q, truth=truth)
     go(cell, Q, 0.0)
-    SimArm(cell).follow(SmallPlanner().shake(Q, (0, 1.0, 0), 0.001, 8.0, 1.0, None))
+    SimArm(cell).follow(SmallPlanner().swing(Q, (0, 1.0, 0), whole_shake(0.001, 8.0, 1.0), 0.001))
     shaken = np.abs(cell.data.qvel).max()
     go(cell, Q, 0.0, 3000)
     assert np.abs(cell.data.qvel).max() < 0.02 * shaken

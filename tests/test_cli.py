@@ -56,7 +56,7 @@ def test_every_command_has_help(name, capsys) -> None:
 
 
 def test_unknown_command(capfd) -> None:
-    assert "no command 'tral'; allowed: trial, reconstruct" in refused(capfd, "tral")
+    assert "no command 'tral'; allowed: trial, sweep, cell, reconstruct" in refused(capfd, "tral")
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -64,6 +64,7 @@ def test_unknown_option(capfd, name) -> None:
     required = {
         "trial": [],
         "shake": ["a", "--grip", 1, "--flower", 2],
+        "cell": ["check", "a"],
         "convert-kinect": ["a", "b"],
         "import-capture": ["a", "b"],
     }.get(name, ["a"])

@@ -120,6 +120,16 @@ def broken(count: int) -> np.ndarray:
     return points
 
 
+@pytest.mark.parametrize("far", [1e308, -1e20, 25.0])
+def test_a_point_that_is_nowhere_near_the_plant_is_dropped_with_a_note(tmp_path: Path, far: float) -> None:
+    points = POINTS.copy()
+    points[7, 1] = far
+    np.savez(tmp_path / "a.npz", points=points)
+    cloud = read_cloud(tmp_path / "a.npz")
+    assert len(cloud.points) == len(POINTS) - 1
+    assert f"1 of {len(POINTS)} points" in cloud.notes[0]
+
+
 @pytest.mark.parametrize(
     ("points", "message"),
     [

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from fake_robot import LIMITS, fake_robot
+from live_cameras import Bench, FakeWebcam, realsense, running, webcam
 from small_planner import SmallPlanner
 from straight_plant import straight_plant
 
@@ -62,13 +65,22 @@ def robot(request: pytest.FixtureRequest) -> Robot:
     return ROBOTS[request.param]()
 
 
-@pytest.fixture(params=[*ROBOTS, "replayed"])
-def camera(request: pytest.FixtureRequest) -> Camera:
+@pytest.fixture(params=[*ROBOTS, "replayed", "webcam", "realsense"])
+def camera(request: pytest.FixtureRequest) -> Iterator[Camera]:
+    """A camera; the live ones run for as long as the test."""
     if request.param == "replayed":
-        return replayed()
-    side = ROBOTS[request.param]().side_camera
-    assert side is not None
-    return side
+        yield replayed()
+    elif request.param == "webcam":
+        with webcam(FakeWebcam()) as live:
+            yield live
+    elif request.param == "realsense":
+        pytest.importorskip("pyrealsense2", reason="no pyrealsense2", exc_type=ImportError)
+        with running(Bench()) as bench, realsense(bench) as live:
+            yield live
+    else:
+        side = ROBOTS[request.param]().side_camera
+        assert side is not None
+        yield side
 
 
 @pytest.mark.parametrize("protocol", [Arm, Gripper, Camera])
@@ -140,8 +152,20 @@ def test_camera_reads_and_records_frames_of_its_size(camera: Camera) -> None:
     assert frame.depth.shape == size
     assert frame.depth.dtype == np.float32
     camera.start(20.0)
+    time.sleep(0.3)  # those that run in our time take frames meanwhile
     frames = camera.stop()
     assert all(f.depth.shape == size for f in frames)
+    assert np.all(np.diff([f.time for f in frames]) > 0)
+
+
+def test_a_camera_that_records_shows_what_it_has(camera: Camera) -> None:
+    since = camera.read().time
+    camera.start(20.0)
+    time.sleep(0.3)
+    early = camera.recorded(since)
+    assert np.all(np.diff([f.time for f in early]) > 0)
+    assert all(f.time >= early[-1].time for f in camera.recorded(early[-1].time))
+    assert len(camera.stop()) >= len(early)
 
 
 def test_camera_records_while_the_arm_moves(robot: Robot) -> None:
@@ -168,7 +192,7 @@ def test_a_trajectory_must_be_timed() -> None:
     with pytest.raises(InputError, match="increasing"):
         JointTrajectory(np.array([0.0, 0.0]), np.zeros((2, 7)), np.zeros((2, 7)))
     with pytest.raises(InputError, match="shape"):
-        JointTrajectory(np.array([0.0, 1.0]), np.zeros((2, 6)), np.zeros((2, 6)))
+        JointTrajectory(np.array([0.0, 1.0]), np.zeros((2, 6)), np.zeros((2, 7)))
 
 
 def test_limits_with_an_empty_range_are_refused() -> None:

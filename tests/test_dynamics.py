@@ -10,6 +10,7 @@ from anther.arm.planner import Planner
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.geometry import transform
+from anther.swing import whole_shake
 
 STILL = np.zeros(7)
 NOTHING = np.zeros((0, 3))
@@ -78,6 +79,6 @@ def test_the_planner_s_motions_are_within_the_motors_limits():
     planner = Planner(NOTHING, NOTHING)
     q = kinematics.inverse(GRASP)[0]
     amplitude = planner.shake_limit(q, [0, 1, 0], [8.0])[0]
-    shake = planner.shake(q, [0, 1, 0], amplitude, 8.0, 1.0)
+    shake = planner.swing(q, [0, 1, 0], whole_shake(amplitude, 8.0, 1.0), amplitude)
     for motion in (shake, planner.move(sawyer.READY, q), timing.along_line(np.linspace(q, q + 0.02, 9), 0.02, 0.05)):
         assert dynamics.effort_share(motion).max() <= dynamics.USABLE

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from made_rods import NO_GRAVITY, cantilever, random_tree
 
-from anther.elastic_rod import Clamp, Rods, equilibrium, natural_frequencies, simulate, with_gravity_equilibrium
+from anther.elastic_rod import (
+    Clamp,
+    Rods,
+    base_response,
+    equilibrium,
+    frequency_response,
+    natural_frequencies,
+    simulate,
+    with_gravity_equilibrium,
+)
 from anther.elastic_rod.assembly import assemble, new_blocks
 from anther.elastic_rod.edges import assemble_edges, by_edges, to_nodes
 from anther.elastic_rod.linear import dense
@@ -142,3 +151,52 @@ def test_energy_from_nothing_is_refused():
     _refuse_free_energy(growing, model, 1.2)
     with pytest.raises(StageFailure, match=r"from t = 0\.002 s on the energy grows"):
         _refuse_free_energy(growing, model, 1.0)
+
+
+@pytest.mark.parametrize("tip_mass", [0.0, 1.5])
+def test_a_shaken_base_does_to_a_tip_what_beam_theory_says(tip_mass: float):
+    """Euler-Bernoulli with w(0) = 1, w'(0) = 0, no moment at the tip, and there the shear of its mass."""
+    length, radius, youngs, density = 0.3, 2e-3, 2e9, 1200.0
+    line, hertz = density * np.pi * radius**2, np.array([2.0, 10.0, 30.0])
+    expected = []
+    for b in (line * (2 * np.pi * hertz) ** 2 / (youngs * np.pi / 4 * radius**4)) ** 0.25 * length:
+        c, s, ch, sh, m = np.cos(b), np.sin(b), np.cosh(b), np.sinh(b), tip_mass * b
+        ends = [[1, 0, 1, 0], [0, 1, 0, 1], [-c, -s, ch, sh], [s + m * c, m * s - c, sh + m * ch, ch + m * sh]]
+        expected.append(np.linalg.solve(ends, [1, 0, 0, 0]) @ [c, s, ch, sh])
+
+    def error(edges: int) -> np.ndarray:
+        nodes = np.linspace(0, length, edges + 1)[:, None] * [1, 0, 0]
+        lump = tip_mass * line * length * (np.arange(edges + 1) == edges)
+        rods = Rods(
+            nodes, np.arange(edges + 1) - 1, edge_radius=radius, youngs=youngs, density=density, lumped_mass=lump
+        )
+        moved = base_response(rods, Clamp.root(rods), (0, 0, 1), hertz, gravity=NO_GRAVITY)[:, -1, 2]
+        return np.abs(moved / expected - 1)
+
+    assert error(40).max() < 6e-3
+    assert np.log2(error(20).max() / error(40).max()) == pytest.approx(2, abs=0.3)
+
+
+def test_a_shaken_base_leaves_the_air_where_it_is():
+    """A lump on a massless rod in still air: u = k / (k - w^2 m + i w c) of a base that moves by 1."""
+    youngs, length, radius, mass, drag, hertz = 2e9, 0.3, 2e-3, 0.02, 0.3, 3.0
+    tip, omega = np.arange(41) == 40, 2 * np.pi * hertz
+    nodes = np.linspace(0, length, 41)[:, None] * [1, 0, 0]
+    rods = Rods(nodes, np.arange(41) - 1, radius, youngs, 1e-3, lumped_mass=mass * tip, node_drag=drag * tip)
+    spring = 3 * youngs * np.pi / 4 * radius**4 / length**3
+    expected = spring / (spring - omega**2 * mass + 1j * omega * drag)
+    moved = base_response(rods, Clamp.root(rods), (0, 0, 1), [hertz], gravity=NO_GRAVITY)[0, -1, 2]
+    assert moved == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_base_that_holds_nothing_is_refused():
+    with pytest.raises(InputError, match="clamp"):
+        base_response(cantilever(5), Clamp([]), (1, 0, 0), [1.0])
+
+
+def test_pads_hold_more_than_one_node():
+    rods = cantilever(20)
+    both = frequency_response(rods, Clamp.root(rods), [9, 10], (1, 0, 0), [5.0])[0]
+    np.testing.assert_allclose(both[9], both[10], atol=1e-9)
+    one = frequency_response(rods, Clamp.root(rods), 9, (1, 0, 0), [5.0])[0]
+    assert np.abs(one[10] - one[9]).max() > 1e-4

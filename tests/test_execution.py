@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from anther.execution.closing import ENOUGH
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import alias, choose_rate
-from anther.vibration import SINE, Waveform
+from anther.swing import Swing
 
 POINT = np.array([0.72, 0.0, -0.08])
 GRASP = horizontal_grasp(POINT, np.zeros(7))
@@ -35,7 +36,6 @@ class Plan:
     amplitude: float = 0.003
     frequency: float = 5.0
     duration: float = 0.6
-    waveform: Waveform = SINE
     press: float = 8.0
 
 
@@ -73,9 +73,7 @@ def test_the_shake_is_what_was_planned() -> None:
 
 def test_a_refused_shake_is_known_before_anything_moves() -> None:
     class Hits(SmallPlanner):
-        def shake(
-            self, q: Array, direction: Array, amplitude: float, frequency: float, duration: float, waveform: Waveform
-        ) -> JointTrajectory:
+        def swing(self, q: Array, direction: Array, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
             raise StageFailure("collision", "a shake of 3 mm hits something")
 
     arm, gripper = FakeArm(), FakeGripper(0.008)

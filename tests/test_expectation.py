@@ -13,7 +13,7 @@ from sample_plants import branched
 from anther.elastic_rod.rods import Array
 from anther.identification import Felt, Observed, Params, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import TOMATO, PlantModel, build_plant
-from anther.vibration import PADS, SINE, Pads, ShakePlan, Waveform
+from anther.vibration import PADS, Pads, ShakePlan
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.params import FLOWER_SPREAD, LOAD_ERROR
@@ -50,11 +50,9 @@ def point(plant: PlantModel) -> Array:
     return plant.rods.nodes[plant.stem_nodes[HELD]]
 
 
-def seen(
-    point: Array, amplitude: Any = MEASURED, error: Any = ERROR, *, waveform: Waveform = SINE, **more: Any
-) -> Observed:
+def seen(point: Array, amplitude: Any = MEASURED, error: Any = ERROR, **more: Any) -> Observed:
     """A shake of the gripper by `SIZE` in which the flowers moved so far; `error` is relative."""
-    facts = {"direction": WAY, "amplitude": SIZE, "frequency": PITCH, "waveform": waveform, "pads": PADS}
+    facts = {"direction": WAY, "amplitude": SIZE, "frequency": PITCH, "pads": PADS}
     shake = cast(ShakePlan, SimpleNamespace(grasp=SimpleNamespace(point=point), predicted_amplitude=amplitude, **facts))
     return Observed(shake, np.array(amplitude), error * np.array(amplitude), **more)
 
@@ -110,11 +108,6 @@ def test_faint_lost_and_still_flowers_are_not_measured(learned: Refinement, poin
     assert told.measured.tolist() == [False, False, True]
     assert told.amplitude == pytest.approx([*SIZE * model[:2], MEASURED[2]])
     assert np.isfinite(told.interval).all()
-
-
-def test_a_sweep_has_no_one_pitch_to_be_measured_at(learned: Refinement, point: Array) -> None:
-    swept = seen(point, waveform=Waveform("sweep", ratio=1.5))
-    assert not expect(learned, [swept], point, WAY, PITCH, SIZE).measured.any()
 
 
 def test_flowers_of_two_shakes_are_taken_together(learned: Refinement, point: Array) -> None:

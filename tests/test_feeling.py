@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +13,6 @@ from fake_robot import horizontal_grasp
 from anther.execution import Trial
 from anther.geometry import Array
 from anther.identification import feel
-from anther.vibration import SINE, ShakePlan, Waveform
 
 F, START = 6.0, 41.3
 GRIP = np.array([0.02, 0.0, 0.1])
@@ -22,7 +21,6 @@ PLAN: Any = SimpleNamespace(
     direction=np.array([0.6, 0.8, 0.0]),
     amplitude=2e-3,
     frequency=F,
-    waveform=SINE,
     grasp=replace(horizontal_grasp(GRIP, np.zeros(7)), T_world_flange=np.eye(4)),
 )
 
@@ -77,8 +75,6 @@ def test_what_is_not_known_is_not_told() -> None:
     done = trial(np.array([0.4, 0, 0]), np.zeros(3))
     deaf = feel(replace(done, felt=done.felt * [1, np.nan]), PLAN, forward)
     assert np.isnan(deaf.force)
-    swept = cast(ShakePlan, SimpleNamespace(**{**vars(PLAN), "waveform": Waveform("sweep", ratio=1.5)}))
-    assert np.isnan(feel(done, swept, forward).moved)
     short = replace(done, shake_times=done.shake_times[:9], measured=done.measured[:9], commanded=done.commanded[:9])
     assert np.isnan(feel(short, PLAN, forward).moved)
 

@@ -245,6 +245,17 @@ def test_bad_files_are_refused_in_words(tmp_path: Path, name: str) -> None:
     assert "allowed" in str(refusal.value)
 
 
+@pytest.mark.parametrize("number", [12, 2**30, -1])
+def test_an_edge_of_a_node_that_is_not_there_is_refused_and_not_followed(tmp_path: Path, number: int) -> None:
+    """A library that follows edges would be at it for hours."""
+    path = tmp_path / "tree.ply"
+    write_skeleton(path, random_tree(3, 12))
+    content = path.read_bytes()
+    path.write_bytes(content[:-4] + number.to_bytes(4, "little", signed=True))
+    with pytest.raises(InputError, match="allowed"):
+        read_skeleton(path)
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".graphml", ".mtg"])
 @settings(max_examples=15)
 @given(share=st.floats(0, 0.98))

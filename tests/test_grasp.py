@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import Grasp, Gripper, Params, load_grasps, plan_grasps, save_grasps
-from anther.grasp.candidates import branch_directions, directions_across, flange_pose, paper_approach, paper_grasp_arc
+from anther.grasp.candidates import branch_directions, directions_across, flange_pose, paper_approach
 from anther.grasp.clearance import BRANCH as PETIOLE
 from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
 from anther.grasp.paper import paper_grasp
@@ -187,6 +189,19 @@ def test_out_of_reach_says_so():
     assert failure.value.kind == "unreachable"
 
 
+def test_a_place_that_is_probably_not_the_main_stem_is_never_taken():
+    """Bare above its fork and crowded below: the bare place is the better hold, but of a branch."""
+    stem, skeleton, cloud = make_plant(branches=tuple((h, 2.4 * k) for k, h in enumerate(np.arange(0.05, 0.25, 0.01))))
+    forked = replace(stem, fork=int(np.argmin(np.abs(stem.arc_length - 0.25))))
+    sure = replace(skeleton, confidence=np.full(len(skeleton.nodes), 0.8))
+    grasps = plan_grasps(forked, sure, cloud)
+    assert all(g.arc_length <= 0.25 and g.confidence >= 0.5 for g in grasps)
+    above = lambda _, grasp: np.ones(7) if grasp[2, 3] > -0.04 else None  # noqa: E731
+    with pytest.raises(StageFailure, match="probably not the main stem"):
+        plan_grasps(forked, sure, cloud, reach=above)
+    assert plan_grasps(forked, skeleton, cloud, reach=above), "where no confidence is known nothing is refused"
+
+
 def test_asks_on_while_it_has_nothing_and_then_is_content():
     asked = []
 
@@ -196,11 +211,6 @@ def test_asks_on_while_it_has_nothing_and_then_is_content():
 
     assert len(plan_grasps(*make_plant(), Params(asked=7), reach=reach)) == 1
     assert len(asked) == 20
-
-
-def test_paper_point_is_the_middle_of_the_longest_internode():
-    stem, *_ = make_plant(height=0.5, branches=((0.1, 0), (0.35, 1)))
-    assert paper_grasp_arc(stem) == pytest.approx(0.225)
 
 
 def test_paper_grasp_holds_the_middle_of_that_internode_across_the_nearest_branches():

@@ -13,11 +13,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import grasping
-import grasping_trial
 from grasping_page import BEGIN, END, insert, report
 from grasping_pictures import TILE, sheet
 from grasping_table import as_counted, effects, interval, mcnemar, metrics
-from grasping_trial import Case, one_trial
+from grasping_trial import crashed
+from swept import FOLDER, swept
 
 
 def row(seed: int, *, ours: bool, paper: bool | None, preset: str = "full", first: bool = False) -> dict:
@@ -110,20 +110,32 @@ def test_protocol_is_ten_plants_from_four_sides():
     assert len(set(grasping.FURTHER)) == 100
 
 
-def test_finished_trials_are_read_back_and_crashes_are_tried_again(tmp_path, monkeypatch):
-    case, calls = Case("pepper", 12, 90), []
-
-    def crash(*_):
-        calls.append("crash")
+def unlucky(row, folder):
+    """Crash until there is a file of the row's name, and count the calls beside it."""
+    luck = Path(row["luck"])
+    (luck.parent / f"{row['seed']}-{len(list(luck.parent.glob('*')))}").touch()
+    if not luck.exists():
         raise RuntimeError("out of luck")
+    (folder / "picture.png").write_bytes(b"seen")
+    return {"ours": {"success": True}}
 
-    monkeypatch.setattr(grasping_trial, "both", crash)
-    assert one_trial(case, tmp_path)["ours"]["failure"] == "crashed"
-    monkeypatch.setattr(grasping_trial, "both", lambda *_: row(12, ours=True, paper=True))
-    assert one_trial(case, tmp_path)["ours"]["success"]
-    monkeypatch.setattr(grasping_trial, "both", crash)
-    assert one_trial(case, tmp_path)["ours"]["success"]
-    assert calls == ["crash"]
+
+def test_finished_trials_are_read_back_and_crashes_are_tried_again(tmp_path):
+    (tmp_path / "there").mkdir()
+    luck = tmp_path / "there" / "luck"
+    cases = [{"seed": 1, "luck": str(luck)}]
+    (row,) = swept(unlucky, cases, tmp_path / "out", 1, crashed)
+    assert row["ours"]["failure"] == "crashed"
+    assert "out of luck" in row["ours"]["message"]
+    luck.touch()
+    (row,) = swept(unlucky, cases, tmp_path / "out", 1, crashed)
+    assert row["ours"]["success"]
+    assert (Path(row[FOLDER]) / "picture.png").read_bytes() == b"seen"
+    calls = len(list(luck.parent.glob("1-*")))
+    luck.unlink()
+    (row,) = swept(unlucky, cases, tmp_path / "out", 1, crashed)
+    assert row["ours"]["success"]
+    assert len(list(luck.parent.glob("1-*"))) == calls == 2
 
 
 def test_a_sheet_has_room_for_every_tile(tmp_path):

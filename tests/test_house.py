@@ -9,9 +9,9 @@ from pathlib import Path
 SOURCE = Path(__file__).parents[1] / "src" / "anther"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
-BASE = {"errors", "checks", "files", "geometry", "images", "__init__"}
+BASE = {"errors", "checks", "files", "geometry", "images", "style", "__init__"}
 ORDER = [
-    "capture", "calibration", "masks", "cloud", "skeleton", "stem", "next_view", "flowers", "grasp", "elastic_rod",
+    "capture", "calibration", "masks", "cloud", "skeleton", "stem", "flowers", "grasp", "elastic_rod",
     "plant", "pressing", "vibration", "swing", "devices", "motion_limits", "watchdog", "motor_guard", "safety",
     "oscillation", "execution",
     "early_reach", "flower_tracking", "response", "escalation", "identification", "runs", "pipeline",
@@ -24,10 +24,15 @@ AROUND = [
     "results",
     "pictures",
     "report",
-    "viewer",
+    "traits",
     "arm",
+    "viewer",
     "drivers",
+    "cells",
     "sim",
+    "samples",
+    "sweep",
+    "serve",
     "commands",
     "cli",
 ]

@@ -25,7 +25,7 @@ from anther.identification import (
 )
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import Params as ShakeParams
-from anther.vibration import ShakePlan, Waveform, plan_shake
+from anther.vibration import ShakePlan, plan_shake
 from anther.vibration.observables import branch_of, semi_major
 from anther.vibration.pads import PADS, Pads, grip_rows, pad_nodes
 from anther.vibration.search import Version, deviates, drawn_version, flower_motion, gains
@@ -347,10 +347,3 @@ def test_bad_measurements_are_refused(plant: PlantModel, plan: ShakePlan) -> Non
     for measured, error in ((good[:2], good[:2]), (good, 0 * good), (-good, good), (good, np.full(3, np.nan))):
         with pytest.raises(InputError):
             refine(plant, [Observed(plan, measured, error)])
-
-
-def test_a_sweep_teaches_nothing(plant: PlantModel, plan: ShakePlan) -> None:
-    swept = replace(plan, waveform=Waveform("sweep", ratio=1.5))
-    found = refine(plant, [Observed(swept, 3 * plan.predicted_amplitude, 0.1 * plan.predicted_amplitude)])
-    assert found.material == plant.material
-    assert "has no one frequency" in found.notes[0]

@@ -20,7 +20,6 @@ from anther.sim.cell import BENCH, Cell
 from anther.sim.judge import Params, Verdict, judge
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper, robot_of
-from anther.vibration.waveforms import SINE, Waveform
 
 HEIGHT = 0.22
 GRASP = horizontal_grasp(np.add(BASE, [0, 0, HEIGHT]), np.zeros(7), diameter=0.0082)
@@ -35,7 +34,6 @@ class Plan:
     frequency: float = 5.0
     duration: float = 1.0
     direction: Array = field(default_factory=lambda: np.array([0, 1.0, 0]))
-    waveform: Waveform = SINE
     press: float = 8.0
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import sys
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
@@ -16,7 +16,6 @@ import learning  # pyright: ignore[reportMissingImports]
 import response as response_experiment  # pyright: ignore[reportMissingImports]
 from learning_figure import draw  # pyright: ignore[reportMissingImports]
 
-from anther.files import write_json
 from anther.plant import TOMATO
 from anther.store import starting_material
 
@@ -40,13 +39,19 @@ def test_errors_bias_and_coverage_are_those_of_the_rows() -> None:
     assert learning.summary([visit("facts", 1.0), nothing])["freed"] == pytest.approx(0.05)
 
 
-def test_plants_done_are_read_and_taught_again(tmp_path: Path) -> None:
-    for seed in (1, 2, 3):
-        write_json(tmp_path / f"tomato-{seed}.json", [asdict(visit(arm, 0.5, 0.5)) for arm in learning.ARMS])
-    rows = learning.learn("tomato", [1, 2, 3], tmp_path, Console(quiet=True))
-    assert [len(row) for row in rows] == [3, 3, 3]
-    learned = starting_material("tomato", "next", tmp_path / "tomato.sqlite")
+def test_a_crop_s_plants_teach_those_after_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def visits(species: str, seed: int, history: Path, day: datetime, truth: str) -> list[learning.Visit]:
+        done = [visit(arm, 0.5, 0.5) for arm in learning.ARMS]
+        learning.record(species, seed, done[1], history, day)
+        return done
+
+    monkeypatch.setattr(learning, "visits", visits)
+    row = learning.one_crop({"species": "tomato", "first": 1, "plants": 3, "truth": "nominal"}, tmp_path)
+    rows = [[learning.Visit(**one) for one in plant] for plant in row["visits"]]
+    assert [len(plant) for plant in rows] == [3, 3, 3]
+    learned = starting_material("tomato", "next", tmp_path / "history.sqlite")
     assert (learned.source, learned.plants) == ("crop", 3)
+    assert row["learned"] == asdict(learned.material)
     assert learned.material.response_gain < 0.8
     found = learning.metrics("tomato", rows, learned.material)
     assert found["tomato_plants"] == 3

@@ -16,7 +16,7 @@ from anther.errors import InputError
 from anther.identification import Felt, Observed, Params, Refinement, refine
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.response import StemMotion
-from anther.vibration import PADS, SINE, Pads, ShakePlan
+from anther.vibration import PADS, Pads, ShakePlan
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import grip_rows, pad_nodes
 from anther.vibration.search import Version, flower_motion
@@ -48,7 +48,7 @@ def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, be
     flowers = motion[plant.flower_nodes]
     grip = pad_nodes(plant, np.array([HELD]))
     planned = SIZE * semi_major(flower_motion(Version(plant, believed), grip, WAY, np.array([frequency]))[0, 0])
-    facts = {"direction": WAY, "amplitude": SIZE, "frequency": frequency, "waveform": SINE, "pads": believed}
+    facts = {"direction": WAY, "amplitude": SIZE, "frequency": frequency, "pads": believed}
     shake = cast(ShakePlan, SimpleNamespace(grasp=SimpleNamespace(point=point), predicted_amplitude=planned, **facts))
     size, ways = semi_major(flowers), np.tile(WAY, (len(flowers), 1))
     told: dict = {"phase": np.angle(flowers @ WAY), "phase_std": np.full(len(size), 0.05), "axis": ways}

@@ -18,7 +18,6 @@ from anther.errors import StageFailure
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.plant import TOMATO
-from anther.vibration import SINE, Waveform
 
 HEIGHTS = (-0.08, -0.05, -0.02)
 GRASPS = [horizontal_grasp(np.array([0.72, 0.0, z]), np.zeros(7)) for z in HEIGHTS]
@@ -33,7 +32,6 @@ class Plan:
     amplitude: float = 0.002
     frequency: float = 5.0
     duration: float = 0.6
-    waveform: Waveform = SINE
     press: float = 8.0
 
 

@@ -165,3 +165,22 @@ def test_bad_options_are_refused(file: Path, change: dict, message: str):
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path):
     with pytest.raises(InputError, match="08_plant_model"):
         respond.run(respond.Args(tmp_path))
+
+
+def test_a_best_shake_beyond_anthers_own_limits_says_so(file: Path, capsys: pytest.CaptureFixture[str]):
+    respond.run(respond.Args(file, frequencies=8, heights=4, amplitude=0.05))
+    said = capsys.readouterr().out
+    assert "amplitude of the grip 0.05 m, more than 0.03" in said
+    assert "more than 200" in said
+    respond.run(respond.Args(file, frequencies=4, heights=2, amplitude=1e-5, highest=2.0, json=True))
+    assert json.loads(capsys.readouterr().out)["limits_passed"] == []
+
+
+def test_a_plant_whose_stiffness_nobody_gave_stands(file: Path):
+    """A real plant stands: the usual E is raised with a note; one that was given is refused instead."""
+    soft = respond.Args(file, density=30_000.0)
+    raised = rod_plant.hanging(rod_plant.read_plant(soft), file)
+    assert "raised from 100" in raised.notes[0]
+    assert np.asarray(raised.rods.youngs)[1] > 100e6
+    with pytest.raises(StageFailure, match="buckles"):
+        rod_plant.hanging(rod_plant.read_plant(replace(soft, youngs=100e6)), file)

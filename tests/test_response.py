@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
@@ -17,7 +17,7 @@ from anther.execution import Params as ExecutionParams
 from anther.flower_tracking import Patch, petal_weight
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.oscillation import choose_rate, envelope_amplitude, find_frequency, fit_swing
+from anther.oscillation import choose_rate, find_frequency, fit_swing
 from anther.response import Response, measure_response
 from anther.response.depth import depth_along
 
@@ -195,6 +195,17 @@ def test_flowers_behind_the_camera_and_no_flowers_at_all() -> None:
     assert none.tracks.shape == (10, 0, 3)
 
 
+def test_without_depth_a_swing_across_the_view_is_still_measured() -> None:
+    """A webcam's frames: what moves towards it is left out, and said to be."""
+    frames = record(0.002, 5.0)
+    flat = [replace(frame, depth=np.zeros_like(frame.depth)) for frame in frames]
+    deep, flat_too = (measure_response(f, CAMERA, T_WORLD_CAM, flowers(), 5.0) for f in (frames, flat))
+    assert flat_too.visible.all()
+    share = flat_too.amplitude / deep.amplitude
+    assert np.all((share > 0.9) & (share <= 1.01))
+    assert any("motion towards the camera is left out" in note for note in flat_too.notes)
+
+
 def test_too_few_frames_and_a_wrong_size_are_refused() -> None:
     frames = record(0.002, 5.0, count=9)
     with pytest.raises(InputError, match="8 or more"):
@@ -270,9 +281,3 @@ def test_frequency_is_found_near_the_hint() -> None:
     times = np.arange(120) / 60
     path = np.outer(np.sin(2 * np.pi * 4.83 * times), [0.001, 0.0005, 0])
     assert find_frequency(times, path, 5.0) == pytest.approx(4.83, rel=1e-3)
-
-
-def test_the_papers_envelope_agrees_on_a_steady_swing() -> None:
-    times = np.arange(300) / 60
-    path = np.outer(0.004 * np.sin(2 * np.pi * 2 * times), [0, 1.0, 0])
-    assert envelope_amplitude(times, path) == pytest.approx(0.004, rel=0.02)

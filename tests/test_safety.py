@@ -425,3 +425,33 @@ def test_check_is_the_same_for_whoever_asks() -> None:
     check_trajectory(SOUND, sawyer.NEUTRAL, LIMITS)
     with pytest.raises(StageFailure, match="start of the path"):
         check_trajectory(SOUND, sawyer.NEUTRAL + 0.06, LIMITS)
+
+
+def test_an_arm_has_as_many_joints_as_its_limits_say() -> None:
+    """The seam takes any number of joints; a path of another arm is refused before anything moves."""
+
+    def forward(q: Array) -> Array:
+        poses = np.tile(np.eye(4), (len(np.atleast_2d(q)), 1, 1))
+        poses[:, :3, 3] = np.atleast_2d(q)[:, :3]
+        return poses
+
+    six = SafetyLimits(
+        forward=forward,
+        outline=lambda q: np.zeros((len(q), 1, 4)),
+        joint_lower=np.full(6, -2.0),
+        joint_upper=np.full(6, 2.0),
+        joint_speed=np.full(6, 1.0),
+        joint_acceleration=np.full(6, 5.0),
+        workspace=Box(np.full(3, -1.0), np.full(3, 1.0)),
+    )
+    bare = FakeArm(np.zeros(6))
+    arm = GuardedArm(bare, six)
+    goal = np.array([0.3, 0.0, 0.1, 0.5, -0.5, 1.0])
+    record = arm.follow(path(goal, start=np.zeros(6)))
+    assert record.measured.shape[1] == 6
+    np.testing.assert_allclose(arm.joints(), goal)
+    with pytest.raises(StageFailure, match="got 7 joints; allowed: the arm's 6"):
+        arm.follow(path(np.zeros(7), start=np.full(7, 0.3)))
+    with pytest.raises(StageFailure, match="joint 5"):
+        arm.follow(path(goal + 1.2 * np.eye(6)[5], start=goal))
+    np.testing.assert_allclose(bare.joints(), goal)

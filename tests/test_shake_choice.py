@@ -1,22 +1,16 @@
-"""Waveforms, dose, actuators, slip and the nonlinear check: each is what physics or the arm makes of it."""
+"""Dose, actuators, slip and the nonlinear check: each is what physics or the arm makes of it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from sample_plants import branched, grasps_on, stem_along, straight_stem
 
-from anther.arm import sawyer, shaking
-from anther.elastic_rod import Clamp, Rods
-from anther.elastic_rod.grip import Springs
-from anther.elastic_rod.response import driven_response, frequency_response
-from anther.elastic_rod.simulation import simulate
+from anther.elastic_rod import Clamp, Drive, Rods
+from anther.elastic_rod.response import driven_response
 from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
 from anther.grasp import Grasp
@@ -25,29 +19,23 @@ from anther.pressing import PRESSING, Pressing
 from anther.vibration import (
     PADS,
     PRESETS,
-    SINE,
-    WAVEFORMS,
     ArmShaker,
     Pads,
     Params,
     PlantLimits,
     ShakePlan,
     VibratingGripper,
-    Waveform,
     plan_shake,
     with_preset,
 )
 from anther.vibration.choice import PRESS, _worth, plant_limits
 from anther.vibration.limits import sawyer_limit
-from anther.vibration.observables import semi_major
 from anther.vibration.pads import friction_force, grip_rows, pad_nodes
 from anther.vibration.params import FLOWER_SPREAD
 from anther.vibration.search import Version, gains, scenarios
-from anther.vibration.verification import Shake, shaken, verified
-from anther.vibration.waveforms import mix
+from anther.vibration.verification import steadily_shaken, verified
 
 QUICK = Params(frequencies=12, directions=4, heights=0, draws=3)
-SWEEP, BURST = Waveform("sweep", ratio=1.6), Waveform("burst", cycles=8)
 
 
 @pytest.fixture(scope="module")
@@ -62,97 +50,15 @@ def grasps() -> list[Grasp]:
     return grasps_on(skeleton, stem, [8, 14])
 
 
-@given(st.sampled_from(WAVEFORMS), st.floats(1, 30), st.floats(2.5, 5))
-def test_a_waveform_begins_and_ends_at_rest_and_its_rate_is_its_derivative(
-    waveform: Waveform, frequency: float, duration: float
-) -> None:
-    t = np.linspace(0, duration, 40001)
-    d, rate = waveform.motion(t, 1e-3, frequency, duration)
-    assert np.abs(d).max() <= 1e-3 * (1 + 1e-9)
-    assert np.abs([d[0], d[-1], rate[0], rate[-1]]).max() < 1e-9
-    middle = 0.5 * (t[1:] + t[:-1])
-    largest = 2 * np.pi * frequency * waveform.ratio * 1e-3
-    seen = np.diff(d) / np.diff(t)
-    np.testing.assert_allclose(seen, waveform.motion(middle, 1e-3, frequency, duration)[1], atol=2e-3 * largest)
-
-
-@given(st.sampled_from(WAVEFORMS), st.integers(0, 39))
-def test_the_pieces_of_a_shake_are_all_of_it(waveform: Waveform, q: int) -> None:
-    f = np.geomspace(1, 35, 40)
-    pieces = mix(waveform, f, q, 3.0)
-    if pieces is None:
-        assert waveform.kind == "burst" or f[q] * waveform.ratio > 35
-        return
-    assert pieces.seconds.sum() == pytest.approx(3.0)
-    assert pieces.weights.sum(axis=1) == pytest.approx(1.0)
-    assert pieces.of(np.ones((40, 2))).max() == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.parametrize("make", [lambda: Waveform("chirp"), lambda: Waveform("sweep"), lambda: Waveform("burst")])  # type: ignore[arg-type]
-def test_impossible_waveforms_are_refused(make: object) -> None:
-    with pytest.raises(InputError):
-        make()  # type: ignore[operator]
-
-
-def test_a_sweeps_flowers_do_what_the_time_shares_say(plant: PlantModel) -> None:
-    """Within 15 % while it crosses resonances slowly enough, see `mix`; both with the damping of the simulated rods."""
-    frequencies, way = np.linspace(6, 9.6, 60), np.array([1.0, 0.2, 0.0]) / np.hypot(1, 0.2)
-    node, also = (int(n) for n in plant.stem_nodes[[14, 15]])
-    rods = plant.rods_at(6 * np.sqrt(SWEEP.ratio))
-    response = driven_response(
-        rods, plant.clamp, [[node, also]], way[None], frequencies, observe=plant.flower_nodes
-    ).motion[:, 0, 0]
-    pieces = mix(SWEEP, frequencies, 0, 6.0)
-    assert pieces is not None
-    linear = 1e-4 * pieces.of(semi_major(response)).max(axis=0)
-    done = shaken(plant, Shake(node, (also,), way, 1e-4, 6.0, 6.0, SWEEP))
-    assert done.amplitude == pytest.approx(linear, rel=0.15)
-
-
-def test_a_sweep_on_springs_does_what_linear_theory_says_of_them(plant: PlantModel) -> None:
-    way, held = np.array([1.0, 0.0, 0.0]), tuple(int(n) for n in plant.stem_nodes[[14, 15]])
-    shake = Shake(held[0], held[1:], way, 1e-4, 6.0, 4.0, SWEEP)
-    rigid, stiff = shaken(plant, shake), shaken(plant, shake, Springs(1e9, 1e6))
-    assert stiff.amplitude == pytest.approx(rigid.amplitude, rel=0.01)
-    frequencies, soft = np.linspace(6, 9.6, 60), Springs(5e3, 0.1)
-    rods = plant.rods_at(6 * np.sqrt(SWEEP.ratio))
-    motion = driven_response(
-        rods, plant.clamp, [held], way[None], frequencies, observe=plant.flower_nodes, springs=soft
-    ).motion[:, 0, 0]
-    pieces = mix(SWEEP, frequencies, 0, 4.0)
-    assert pieces is not None
-    done = shaken(plant, shake, soft)
-    assert done.amplitude == pytest.approx(1e-4 * pieces.of(semi_major(motion)).max(axis=0), rel=0.15)
-    assert np.abs(np.log(done.amplitude / rigid.amplitude)).max() > 0.2
-
-
-def test_a_burst_has_the_energy_that_its_spectrum_says(plant: PlantModel) -> None:
-    frequencies, way = np.linspace(2, 20, 200), np.array([1.0, 0.0, 0.0])
-    node, q = int(plant.stem_nodes[14]), 60
-    f = float(frequencies[q])
-    rods = plant.rods_at(f)
-    response = frequency_response(rods, plant.clamp, node, way, frequencies)[:, plant.flower_nodes]
-    pieces = mix(BURST, frequencies, q, 1.0)
-    assert pieces is not None
-    gain2 = np.tensordot(pieces.weights[0], np.sum(np.abs(response) ** 2, axis=-1), axes=1)
-    once = BURST.cycles / f
-    shake = Shake(node, (), way, 1e-4, f, once, BURST)
-    path = simulate(rods, plant.clamp, shake, once + 1.5, 1e-3, start="scanned", tolerance=1e-9)
-    moved = path.positions[:, plant.flower_nodes] - path.positions[0, plant.flower_nodes]
-    drive = shake.displacement(path.times)
-    assert np.sum(moved**2, axis=(0, 2)) / np.sum(drive**2) == pytest.approx(gain2, rel=0.1)
-
-
 def test_a_shake_for_all_flowers_ranks_above_one_for_a_few(plant: PlantModel) -> None:
     """One metre moves three of four flowers alike, or half of them tenfold: the first is worth more."""
     response = np.array([[1.0, 1.0, 1.0, 0.0], [10.0, 10.0, 0.0, 0.0]])[None, None, :, None]  # (M, Q, G, D, F)
-    pieces, size = mix(SINE, np.array([5.0]), 0, 3.0), np.ones((2, 1))
-    assert pieces is not None
-    even, uneven = _worth(pieces, response, response, size, Params())[:, 0]
+    size = np.ones((1, 2, 1))
+    even, uneven = _worth(response, response, size, Params())[0, :, 0]
     assert even > uneven
-    mean = _worth(pieces, response, response, size, Params(objective="amplitude"))[:, 0]
+    mean = _worth(response, response, size, Params(objective="amplitude"))[0, :, 0]
     assert mean[0] < mean[1]
-    assert _worth(pieces, response, response, 2 * size, Params())[0, 0] == pytest.approx(2 * even)
+    assert _worth(response, response, 2 * size, Params())[0, 0, 0] == pytest.approx(2 * even)
 
 
 def test_the_grips_force_is_that_of_a_cantilever() -> None:
@@ -167,41 +73,11 @@ def test_the_grips_force_is_that_of_a_cantilever() -> None:
     assert np.abs(force[1:]).max() < 1e-6 * abs(force[0])
 
 
-def test_comparing_more_waveforms_never_does_worse_and_each_can_be_planned(
-    plant: PlantModel, grasps: list[Grasp], tmp_path: Path
-) -> None:
-    sine = plan_shake(plant, grasps, params=QUICK)
-    every = plan_shake(plant, grasps, params=replace(QUICK, waveforms=WAVEFORMS))
-    assert every.score >= sine.score
-    for waveform in (Waveform("sweep", ratio=1.5), Waveform("burst", cycles=10)):
-        plan = plan_shake(plant, grasps, params=replace(QUICK, waveforms=(waveform,), least_amplitude=1e-5))
-        assert plan.waveform == waveform
-        assert str(waveform) in plan.reason
-        assert plan.score <= every.score or waveform not in WAVEFORMS
-        assert max(share for *_, share in plan.limits) <= 1 + 1e-9
-        plan.save(tmp_path / "plan.json")
-        assert ShakePlan.load(tmp_path / "plan.json").waveform == waveform
-
-
-@pytest.mark.parametrize("waveform", [SINE, SWEEP, BURST], ids=str)
-def test_the_arm_does_the_motion_that_was_planned(waveform: Waveform) -> None:
-    way = np.array([0.6, 0.8, 0.0])
-    shake = {"amplitude": 1e-3, "frequency": 5.0, "duration": 3.0}
-    motion = shaking.shake_trajectory(sawyer.NEUTRAL, way, **shake, waveform=waveform)
-    flange = sawyer.forward(motion.positions)
-    away = flange[:, :3, 3] - flange[0, :3, 3]
-    planned = waveform.motion(motion.times, **shake)[0]
-    assert away == pytest.approx(planned[:, None] * way, abs=2e-6)
-    assert np.abs(motion.velocities / sawyer.VELOCITY).max() <= 1
-    with pytest.raises(StageFailure, match="joint limits"):
-        shaking.shake_trajectory(sawyer.NEUTRAL, way, amplitude=1e-2, frequency=20.0, duration=3.0, waveform=waveform)
-
-
 def test_a_shake_that_the_nonlinear_solver_finds_too_strong_is_made_smaller(plant: PlantModel) -> None:
     node, also = (int(n) for n in plant.stem_nodes[[14, 15]])
-    shake = Shake(node, (also,), np.array([1.0, 0, 0]), 2e-3, 6.0, 3.0, SINE)
+    shake = Drive(node, np.array([1.0, 0, 0]), 2e-3, 6.0, 0, (also,))
     limits = plant_limits(Params())
-    peaks = shaken(plant, shake).peaks
+    peaks = steadily_shaken(plant, shake).peaks
     tight = {name: 0.5 * peaks[name] if name.startswith("stem") else 1e9 for name in limits}
     smaller, done, notes = verified(plant, shake, tight)
     assert smaller.amplitude == pytest.approx(0.5 * shake.amplitude, rel=0.1)

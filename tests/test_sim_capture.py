@@ -135,7 +135,7 @@ def test_colour_noise_grows_with_brightness_and_keeps_the_mean() -> None:
 
 def test_bad_joints_and_transforms_are_refused(scene: Scene) -> None:
     with pytest.raises(InputError, match="joints"):
-        capture_views(scene, np.zeros((2, 6)), forward, np.eye(4), np.eye(4), rng=rng())
+        capture_views(scene, np.zeros(7), forward, np.eye(4), np.eye(4), rng=rng())
     with pytest.raises(InputError, match="rigid"):
         capture_views(scene, np.zeros((2, 7)), forward, 2 * np.eye(4), np.eye(4), rng=rng())
     with pytest.raises(InputError, match="pose rotation"):

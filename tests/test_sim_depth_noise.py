@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.errors import InputError
-from anther.sim.depth_noise import DepthNoise, minimum_range, noisy_depth, sigma_depth
+from anther.sim.depth_noise import DepthNoise, noisy_depth
 from anther.sim.render import d455
 
 CAMERA = d455(640, 360)
@@ -37,14 +37,9 @@ def test_noise_has_the_published_spread(z: float) -> None:
     reading = read(wall(z), SMOOTH)[20:-20, 160:-20]
     assert (reading > 0).mean() > 0.999
     error = reading - z
-    assert error.std() == pytest.approx(sigma_depth(z, CAMERA), rel=0.06)
-    assert abs(error.mean()) < 0.1 * sigma_depth(z, CAMERA)
-
-
-def test_sigma_and_minimum_range_of_a_d455_are_the_facts() -> None:
-    assert sigma_depth(0.5, d455()) == pytest.approx(0.33e-3, rel=0.02)
-    assert sigma_depth(1.0, d455()) == pytest.approx(1.3e-3, rel=0.02)
-    assert minimum_range(d455()) == pytest.approx(0.4825, abs=1e-3)
+    sigma = 1.3e-3 * z**2 * d455().fx / CAMERA.fx  # of a D455 1.3 mm at 1 m (facts: perception)
+    assert error.std() == pytest.approx(sigma, rel=0.07)
+    assert abs(error.mean()) < 0.1 * sigma
 
 
 def test_noise_is_correlated_between_neighbours_only() -> None:
@@ -62,7 +57,7 @@ def test_disparity_comes_in_32nds_of_a_pixel() -> None:
 
 
 def test_too_near_and_too_far_is_not_read() -> None:
-    nearest = minimum_range(CAMERA)
+    nearest = 0.4825 * CAMERA.fx / d455().fx  # of a D455 0.4825 m (facts: perception)
     assert read(wall(0.97 * nearest)).max() == 0
     assert (read(wall(1.03 * nearest))[:, 160:] > 0).mean() > 0.99
     assert read(wall(7.0)).max() == 0

@@ -107,15 +107,6 @@ def test_moved_scene_moves_the_plant_only() -> None:
     assert np.median(after.depth[stem] - before.depth[stem]) == pytest.approx(0.05, abs=0.005)
 
 
-def test_an_added_object_hides_what_is_behind_it() -> None:
-    scene = scene_of(*wall(1.0), organ=Organ.STEM)
-    block = trimesh.creation.box([0.1, 0.1, 0.1])
-    image = scene.with_object(block.vertices + np.array([0.6, 0, 0]), block.faces, (200, 0, 0)).render(SMALL, LEVEL)
-    assert image.depth[60, 80] == pytest.approx(0.55, abs=1e-4)
-    assert image.organ[60, 80] == Organ.BENCH
-    assert image.organ[5, 5] == Organ.STEM
-
-
 @pytest.mark.parametrize(
     "plant", [grow_tomato(0), grow_tomato(3), grow_pepper(2)], ids=["tomato0", "tomato3", "pepper2"]
 )

@@ -16,7 +16,7 @@ from anther.arm.planner import Planner
 from anther.arm.shaking import swing_trajectory
 from anther.errors import InputError, StageFailure
 from anther.geometry import Array
-from anther.swing import Swing
+from anther.swing import RAMP_PERIODS, Swing, motion, whole_shake
 
 TONES = np.array([2.5, 4.1, 7.3])
 SIZES = st.lists(st.floats(0, 0.01), min_size=3, max_size=3)
@@ -81,6 +81,21 @@ def test_the_first_piece_begins_at_rest_and_one_to_nothing_stops() -> None:
     assert kept == pytest.approx(second.motion([0.0])[0][0]), "before a piece nothing is known but its begin"
 
 
+@given(st.floats(1e-3, 0.2), st.floats(1, 30), st.floats(2.5, 5))
+def test_a_whole_shake_is_a_sine_between_two_smooth_ends(amplitude: float, frequency: float, duration: float) -> None:
+    t = np.linspace(0, duration, 40001)
+    both = whole_shake(amplitude, frequency, duration)
+    d, rate = motion(both, t)
+    omega, ramp = 2 * np.pi * frequency, min(RAMP_PERIODS / frequency, duration / 2)
+    steady = (t > ramp) & (t < duration - ramp)
+    assert d[steady] == pytest.approx(amplitude * np.sin(omega * t[steady]), abs=1e-9)
+    assert np.abs(d).max() <= amplitude * (1 + 1e-9)
+    assert np.abs([d[0], d[-1], rate[0] / omega, rate[-1] / omega]).max() < 1e-9 * amplitude
+    assert both[-1].stops
+    middle = 0.5 * (t[1:] + t[:-1])
+    np.testing.assert_allclose(np.diff(d) / np.diff(t), motion(both, middle)[1], atol=2e-3 * omega * amplitude)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -114,7 +129,7 @@ ALONG = np.array([0.0, 0.6, 0.8])
 
 def test_the_flange_moves_as_the_swing_says_and_motions_join() -> None:
     done = pieces([0.001, 0.001, 0.0005], [0.0, 0.004, 0.0], 0.0)
-    paths = [swing_trajectory(REST, ALONG, piece, 0.006) for piece in done]
+    paths = [swing_trajectory(REST, ALONG, [piece], 0.006) for piece in done]
     for piece, path in zip(done, paths, strict=True):
         T = sawyer.forward(path.positions)
         away = T[:, :3, 3] - sawyer.forward(REST)[:3, 3]
@@ -132,11 +147,11 @@ def test_the_flange_moves_as_the_swing_says_and_motions_join() -> None:
 
 def test_a_piece_beyond_the_reach_of_the_shake_is_refused() -> None:
     piece = Swing.first(TONES, [0.002, 0.002, 0.0], 1.0, 0.4)
-    swing_trajectory(REST, ALONG, piece, 0.004)
+    swing_trajectory(REST, ALONG, [piece], 0.004)
     with pytest.raises(InputError, match="displacement of a swing"):
-        swing_trajectory(REST, ALONG, piece, 0.0039)
+        swing_trajectory(REST, ALONG, [piece], 0.0039)
     with pytest.raises(InputError, match="reach of a swing"):
-        swing_trajectory(REST, ALONG, piece, 0.3)
+        swing_trajectory(REST, ALONG, [piece], 0.3)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
@@ -148,13 +163,8 @@ def test_a_swing_is_free_only_if_both_its_ends_are(monkeypatch: pytest.MonkeyPat
     def up_to_a_wall(way: Array, *_: Any) -> bool:
         return bool(np.all(side * (sawyer.forward(way)[:, :3, 3] - rest) @ ALONG < 0.015))
 
-    planner.swing(REST, ALONG, piece, 0.02)
-    planner.shake(REST, ALONG, 0.02, 1.0, 3.0)
+    planner.swing(REST, ALONG, [piece], 0.02)
     monkeypatch.setattr(planner.world, "path_free", up_to_a_wall)
-    for move in (
-        lambda: planner.swing(REST, ALONG, piece, 0.02),
-        lambda: planner.shake(REST, ALONG, 0.02, 1.0, 3.0),
-    ):
-        with pytest.raises(StageFailure, match="hits something") as failure:
-            move()
-        assert failure.value.kind == "collision"
+    with pytest.raises(StageFailure, match="hits something") as failure:
+        planner.swing(REST, ALONG, [piece], 0.02)
+    assert failure.value.kind == "collision"

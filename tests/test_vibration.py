@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -224,6 +225,19 @@ def test_round_trip(plan: ShakePlan, tmp_path: Path) -> None:
         (tmp_path / "broken.json").write_text(text)
         with pytest.raises(InputError):
             ShakePlan.load(tmp_path / "broken.json")
+
+
+def test_a_plan_of_an_earlier_version_is_read_where_it_is_a_sine(plan: ShakePlan, tmp_path: Path) -> None:
+    plan.save(tmp_path / "plan.json")
+    row = json.loads((tmp_path / "plan.json").read_text()) | {"schema": 5}
+    row["runner_up"] |= {"waveform": "sine"}
+    sine, sweep = {"kind": "sine", "ratio": 1.0, "cycles": 0}, {"kind": "sweep", "ratio": 1.25, "cycles": 0}
+    (tmp_path / "old.json").write_text(json.dumps(row | {"waveform": sine}))
+    again = ShakePlan.load(tmp_path / "old.json")
+    assert (again.frequency, again.runner_up, again.limits) == (plan.frequency, plan.runner_up, plan.limits)
+    (tmp_path / "old.json").write_text(json.dumps(row | {"waveform": sweep}))
+    with pytest.raises(InputError, match="the plan of a sweep"):
+        ShakePlan.load(tmp_path / "old.json")
 
 
 def test_default_arm_limit_is_the_tabulated_one(grasps: list[Grasp]) -> None:

@@ -1,0 +1,110 @@
+"""The wheel and the source archive hold what they must, and the wheel runs by itself, outside the repository."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+from hatchling.builders.sdist import SdistBuilder
+from hatchling.builders.wheel import WheelBuilder
+
+from anther.errors import EXTRA_OF
+from anther.samples import SAMPLES
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    return Path(next(iter(WheelBuilder(str(ROOT)).build(directory=str(folder), versions=["standard"]))))
+
+
+def test_the_wheel_has_all_of_the_package_and_nothing_else(wheel: Path) -> None:
+    assert wheel.stat().st_size < 5e6
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        info = next(name for name in names if name.endswith("/METADATA"))
+        text = archive.read(info).decode()
+        entries = archive.read(info.replace("METADATA", "entry_points.txt")).decode()
+    sources = {str(p.relative_to(ROOT / "src")) for p in (ROOT / "src").rglob("*.py")}
+    assert sources <= names
+    assert "anther/py.typed" in names
+    assert all(any(name.startswith(f"anther/samples/{sample}") for name in names) for sample in SAMPLES)
+    strangers = {name for name in names if not name.startswith(("anther/", "anther-"))}
+    assert not strangers
+    assert not [name for name in names if "__pycache__" in name or "/.venv" in name]
+    assert "anther = anther.cli:main" in entries
+    for line in ("Author: The Anther developers", "Classifier: Typing :: Typed", "Requires-Python: >=3.11"):
+        assert line in text
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+
+
+def test_the_source_archive_can_be_tested(tmp_path: Path) -> None:
+    (path,) = SdistBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
+    with tarfile.open(path) as archive:
+        names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
+    needed = ["pyproject.toml", "README.md", "LICENSE", "Makefile", "requirements.lock", "requirements-dev.lock",
+              "src/anther/py.typed", "src/anther/samples/plant.ply", "tests/conftest.py", "docs/README.md",
+              "examples/01_shake_a_cantilever.py", "tools/make_env.py"]  # fmt: skip
+    assert not set(needed) - names
+    assert not [name for name in names if name.startswith((".venv", "runs/")) or "__pycache__" in name]
+
+
+def test_the_wheel_runs_outside_the_repository(wheel: Path, tmp_path: Path) -> None:
+    """Its files alone are found first; the packages it needs are those of this environment."""
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    (tmp_path / "home").mkdir()
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site"), "COLUMNS": "200"}
+
+    def said(*words: str) -> str:
+        command = [sys.executable, "-m", "anther.cli", *words]
+        done = subprocess.run(
+            command, cwd=tmp_path / "home", env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert "anther 0." in said("--version")
+    where = subprocess.run(
+        [sys.executable, "-c", "import anther; print(anther.__file__)"],
+        cwd=tmp_path / "home", env=environment, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert str(tmp_path) in where.stdout
+    said("samples", "s")
+    assert "nodes" in said("export", "s/skeleton.swc", "--out", "plant.glb")
+
+
+CORE = [
+    "samples samples",
+    "skeletonize samples/plant.ply --units m --up z --out tree",
+    "reconstruct samples/capture --out seen",
+    "plan samples/skeleton.swc --frequencies 3 --out plan",
+    "respond samples/skeleton.swc --heights 2 --frequencies 2 --out map",
+    "export seen --out plant.glb",
+    "history",
+]
+NEEDY = {"trial --plant tomato": "cell", "view seen --html scene.html": "view"}
+
+
+def test_the_core_works_without_extras_and_names_the_one_that_is_missing(tmp_path: Path) -> None:
+    program = f"""
+import json, sys
+sys.modules |= dict.fromkeys({sorted(EXTRA_OF)!r})
+from anther.cli import main
+print(json.dumps([main(words.split()) for words in {[*CORE, *NEEDY]!r}]))
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    codes = json.loads(done.stdout.splitlines()[-1])
+    assert dict(zip(CORE, codes, strict=False)) == dict.fromkeys(CORE, 0), done.stderr
+    assert codes[len(CORE) :] == [2, 2]
+    for extra in NEEDY.values():
+        assert f"pip install 'anther[{extra}]'" in done.stderr
