@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import time
 
+import pytest
+
 SLOWER = 4.0
+AGAIN_IF_HELD_UP = pytest.mark.flaky(reruns=3, only_rerun=[r"the newest joints are \d+ ms old", r"a command came \d+ ms"])
+"""A driver stops when the machine holds it up, as it must: the test is made again then, and for nothing else."""
 
 
 def clock() -> float:

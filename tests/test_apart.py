@@ -17,7 +17,7 @@ from fake_robot import LIMITS
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer
 from slow_arms import SlowArm, slow_sawyer
-from slow_clock import clock, sleep
+from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
 
 from anther.arm import sawyer
@@ -26,6 +26,7 @@ from anther.drivers.apart import ArmApart
 from anther.errors import StageFailure
 
 HERE = Path(__file__).parent
+pytestmark = AGAIN_IF_HELD_UP
 
 
 @pytest.fixture(scope="module")

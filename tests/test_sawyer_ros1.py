@@ -19,7 +19,7 @@ import pytest
 from fake_robot import LIMITS
 from fake_ros_master import FakeMaster
 from fake_sawyer import CLOCK, FakeSawyer
-from slow_clock import SLOWER, clock, sleep
+from slow_clock import AGAIN_IF_HELD_UP, SLOWER, clock, sleep
 from small_planner import SmallPlanner
 
 from anther.arm import sawyer
@@ -31,6 +31,7 @@ from anther.errors import InputError
 from anther.safety import GuardedArm
 
 HERE = Path(__file__).parent
+pytestmark = AGAIN_IF_HELD_UP
 DEBIAN = "/usr/bin/python3"  # what Debian's rospy is installed for
 
 
@@ -313,7 +314,7 @@ def test_behind_the_guard_it_is_an_arm(arm: Sawyer, robot: FakeSawyer) -> None:
 
 MOVES = """
 import sys; sys.path[:0] = [{here!r}]
-from slow_clock import clock, sleep
+from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
 from anther.drivers.intera import types
 from anther.drivers.ros1 import Node

@@ -155,7 +155,8 @@ class Sawyer:
         self._wait(lambda: self.readings.last is not None and self._state is not None, "is not heard")
         self._check_names()
         self._wait(lambda: self._commands.readers > 0, "does not listen to joint_command")
-        node.types.serialize_ros1(self._message(self.joints()), "intera_core_msgs/msg/JointCommand")  # slow at first
+        first = self._message(np.zeros(len(self._names)))
+        node.types.serialize_ros1(first, "intera_core_msgs/msg/JointCommand")  # slow at first
 
     def joints(self) -> Array:
         """Return the measured joint angles (J,) [rad].
