@@ -247,7 +247,7 @@ def many_rows(quick: bool, repeats: int) -> list[Row]:
 
 
 PAGE = """
-`python benchmarks/rods.py --page docs/rod_speed.md` writes this page; with `--dismech CHECKOUT` and
+`python benchmarks/rods.py --page docs/reports/rod_speed.md` writes this page; with `--dismech CHECKOUT` and
 `--pyelastica PYTHON` it runs the peers on the same cases in the same run.
 
 **Cases.** 86 nodes: a 51-node stem and five branches of 7 edges in 3-D (10 mm an edge, r 3 mm, E 200 MPa, undamped), at

@@ -1,7 +1,7 @@
 r"""The paper's protocol (R4, R5): ten plants, each from four sides, from noisy images to a physical grasp and shake.
 
     python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures \
-        --page docs/grasping.md
+        --page docs/reports/grasping.md
 
 Two tomatoes and eight peppers, turned by 0, 90, 180 and 270 degrees: 40 trials with 30 views and 40 with the preset
 `fast`; --further N adds that many unseen plants (as many of either species) with 30 views. Each is a whole `anther

@@ -1,6 +1,6 @@
 """Hard cases, each as whole trials: from noisy images to a physical grasp and shake, judged as in `grasping.py`.
 
-    python tools/record.py experiments/hard_cases.py --jobs 2 --page docs/hard_cases.md
+    python tools/record.py experiments/hard_cases.py --jobs 2 --page docs/reports/hard_cases.md
 
 | case | what is hard |
 |---|---|

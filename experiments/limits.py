@@ -3,8 +3,8 @@
     python experiments/limits.py
 
 1. Strain. The same rods in Anther and in MuJoCo, linear, at 1, 2, 5, 10 and 30 Hz: the largest strain of stem, pedicels
-   and the bases of petioles, peduncles and forks, and the strain at every single place (docs/limits.md). A plant that
-   buckles when its pieces are cut this fine is left out and the next one taken.
+   and the bases of petioles, peduncles and forks, and the strain at every single place (docs/reports/limits.md). A
+   plant that buckles when its pieces are cut this fine is left out and the next one taken.
 2. Strain of pedicels over the acceleration of the grip, with true rods.
 3. What a breeze of 2, 4 and 6 m/s does to the same plants (`breezes.py`).
 """

@@ -1,6 +1,6 @@
 r"""What the margins of the plant's loads promise: how many pass them, by the model alone and after a camera's look.
 
-    python tools/record.py experiments/loads.py --page docs/loads.md
+    python tools/record.py experiments/loads.py --page docs/reports/loads.md
 
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at two
 places and shaken a little at seven tones. The truth is MuJoCo's linear equations. The camera sees the nodes that are in

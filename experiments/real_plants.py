@@ -4,8 +4,8 @@ Labelled clouds (read from --data): 93 scans of tomato seedlings (trackplant3d_t
 (salk_tomato_D26), a maize (gavriel_maize). Clouds with a published skeleton graph: two tomatoes and a maize of
 Pheno4D. One parameter set for all. Beside Anther, in the same run: plain Lee thinning with the paper's tree, stem and
 grasp rule and none of Anther's steps, at two resolutions; and pc-skeletor and skeletor with the same rules, when
---pc-skeletor and --skeletor name a Python that has them. docs/real_plants.md shows the results and says what each
-number means.
+--pc-skeletor and --skeletor name a Python that has them. docs/reports/real_plants.md shows the results and says what
+each number means.
 
 Keys of the --json file, without a prefix Anther's, then with plain_, plain_fine_, pc_skeletor_ and skeletor_:
 trackplant_grasp_on_stem and all_grasp_on_stem (share of plants whose grasp is on the stem system), stem_on_label (share

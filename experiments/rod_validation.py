@@ -1,7 +1,7 @@
-"""The rod engine against theory, peers and itself: one table, and figures, in docs/rod_validation.md.
+"""The rod engine against theory, peers and itself: one table, and figures, in docs/reports/rod_validation.md.
 
-Writes docs/rod_validation.md and docs/pictures/rod_validation_*.png (into --docs). Rows whose limit is a dash only
-inform. Stored references of the peer solver and the authors' plants are read from --data; their rows are left out,
+Writes docs/reports/rod_validation.md and docs/pictures/rod_validation_*.png (into --docs). Rows whose limit is a dash
+only inform. Stored references of the peer solver and the authors' plants are read from --data; their rows are left out,
 with a message, where the folder is missing.
 
 Keys of the --json file: <case>_error and <case>_limit for every row (fractions, degrees or metres, as the table says),
@@ -97,7 +97,7 @@ def _write(docs: Path, found: list[Findings], rows: list[Row], plants: list[Auth
     draw_energy(found, pictures / "rod_validation_energy.png")
     if plants:
         draw_authors_plants(plants, pictures / "rod_validation_authors_plants.png")
-    write_text(docs / "rod_validation.md", page(rows, plants, seconds))
+    write_text(docs / "reports" / "rod_validation.md", page(rows, plants, seconds))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 r"""What a shake does for the person with the plant: ways to shake the same unseen plants, judged by MuJoCo.
 
-    python tools/record.py experiments/shaking.py --jobs 2 --page docs/shaking.md
+    python tools/record.py experiments/shaking.py --jobs 2 --page docs/reports/shaking.md
 
 Every plant's truth is drawn wide (`anther.sim.truth.WIDE`): pads, damping, limits that no stage knows. Each way begins
 anew from the same views of the same plant, but for the second visit:

@@ -1,4 +1,6 @@
-"""What does leaving twist out change (the paper's claim P20)? Flower amplitudes with and without it, in docs/twist.md.
+"""What does leaving twist out change (the paper's claim P20)? Flower amplitudes with and without it.
+
+It writes docs/reports/twist.md.
 
 Plants: the paper's two real ones (skeletons from --data; one radius, the authors' grip, flower and density) and ten of
 the simulated greenhouse (five tomatoes, five peppers: their true segments, leaves and flowers as rods, gripped at a
@@ -151,7 +153,7 @@ def metrics(answers: list[Answer], differences: dict[str, float]) -> dict[str, f
 
 
 def main() -> None:
-    """Run, print, write docs/twist.md, its figure and --json."""
+    """Run, print, write docs/reports/twist.md, its figure and --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA / "skeletons", help="folder of the real skeletons")
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the page; with --quick, not written")
@@ -171,14 +173,14 @@ def main() -> None:
     text = page(answers, differences)
     console.print(text, markup=False, highlight=False)
     if not args.quick:
-        write_text(args.docs / "twist.md", text)
+        write_text(args.docs / "reports" / "twist.md", text)
         draw(answers, args.docs / "pictures" / "twist.png")
     if args.json:
         write_json(args.json, metrics(answers, differences))
 
 
 def page(answers: list[Answer], differences: dict[str, float]) -> str:
-    """Return the text of docs/twist.md."""
+    """Return the text of docs/reports/twist.md."""
     return "\n".join([*_head(answers), *_band_table(answers), "", *_plant_table(answers), "", *_check(differences), ""])
 
 
@@ -201,7 +203,7 @@ def _head(answers: list[Answer]) -> Iterator[str]:
     yield "Simulated plants: their true segments, leaves and flowers as rods, gripped at a quarter, half and three"
     yield f"quarters of the stem. E is at least {MARGIN:g} times that at which the plant at EI/GJ = {SOFTEST:g}"
     yield "buckles. One stem node is driven; the stem may turn in the grip.\n"
-    yield "![change over frequency](pictures/twist.png)\n"
+    yield "![change over frequency](../pictures/twist.png)\n"
 
 
 def _percent(answers: list[Answer], ratio: float, band: str, share: float) -> str:

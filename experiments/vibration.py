@@ -1,13 +1,14 @@
 r"""Do the models tell how far a flower swings? The paper's R2 and R3, with a plant whose mechanics no model knows.
 
-    python tools/record.py experiments/vibration.py --jobs 2 --figures docs/pictures --page docs/vibration_accuracy.md
+    python tools/record.py experiments/vibration.py --jobs 2 --figures docs/pictures \
+        --page docs/reports/vibration_accuracy.md
 
 A tomato and a pepper (0), and thirty random plants (seeds from 2000 on), are held at five heights of the main stem and
 shaken along x in MuJoCo (`sim.shaken_plant`): 4 to 12 mm at the authors' frequencies (0.7 to 1.9 Hz), less where the
 arm cannot (3, 5, 10, 30 Hz). The same plants are scanned with 30 noisy views, and three models say what the flowers
 should do: (a) the paper's, (b) Anther's with what is known of the crop, (c) Anther's after one probe shake, measured in
 the side camera's noisy frames. Further models, with the plant's own geometry or material, tell where the error comes
-from. Predictions are linear; docs/vibration_accuracy.md says how far that is from the nonlinear solver.
+from. Predictions are linear; docs/reports/vibration_accuracy.md says how far that is from the nonlinear solver.
 
 Plants go through a sweep in --out: what is done is not done again. `vibration_table.py` says what the keys of --json
 are.

@@ -1,6 +1,6 @@
 r"""What Anther's promises are worth where the truth is not what any stage believes.
 
-    python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/wide_truth.md
+    python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/reports/wide_truth.md
 
 Every plant's truth is drawn from `anther.sim.truth.WIDE`: stiffness, damping, sections, masses, drag, wind, pads, arm
 and cameras, which no stage reads. Two parts, each a --part of its own:

@@ -7,7 +7,9 @@ import time
 import pytest
 
 SLOWER = 4.0
-AGAIN_IF_HELD_UP = pytest.mark.flaky(reruns=3, only_rerun=[r"the newest joints are \d+ ms old", r"a command came \d+ ms"])
+AGAIN_IF_HELD_UP = pytest.mark.flaky(
+    reruns=3, only_rerun=[r"the newest joints are \d+ ms old", r"a command came \d+ ms"]
+)
 """A driver stops when the machine holds it up, as it must: the test is made again then, and for nothing else."""
 
 

@@ -181,7 +181,7 @@ def test_bytes_moved_are_those_that_the_page_states(monkeypatch: pytest.MonkeyPa
     got, iterations, _ = gpu._device_copy(stepping.advance)(*state, work, run.settings, out, 0, 2, 1)
     gpu._device_copy.cache_clear()
     assert got == 2
-    page = (Path(__file__).parents[1] / "docs" / "elastic_rod_cuda.md").read_text()
+    page = (Path(__file__).parents[1] / "docs" / "reports" / "elastic_rod_cuda.md").read_text()
     for way in ("read", "written"):
         stated = float(re.search(rf"([\d.]+) kB {way}", page)[1])  # type: ignore[index]
         assert count[way] / 1000 / (30 * iterations) == pytest.approx(stated, abs=0.06)

@@ -43,7 +43,7 @@ from anther.samples import write_samples
 from anther.store import record_trial
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/reports").glob("*.md"))]
 BLOCK = re.compile(
     r"^(?:<!-- (?P<when>run by the slow tests|not run by the tests): (?P<why>[^\n]+) -->\n)?"
     r"```(?P<language>\w*)\n(?P<text>.*?)^```$",

@@ -114,5 +114,5 @@ for amplitude in (1e-3, 5e-3, 20e-3):
     print(f"grip {1e3 * amplitude:4.0f} mm: tip {1e3 * moved:6.2f} mm, linear {1e3 * amplitude * abs(held):6.2f} mm")
 
 # %% [markdown]
-# Where next: [how the solver works](../elastic_rod.md), [what it was checked against](../rod_validation.md), and
-# `anther shake` and `anther respond`, which do this to a skeleton file.
+# Where next: [how the solver works](../elastic_rod.md), [what it was checked against](../reports/rod_validation.md),
+# and `anther shake` and `anther respond`, which do this to a skeleton file.

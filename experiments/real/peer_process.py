@@ -70,7 +70,7 @@ class Peer:
                 f"Python with {self._name}",
                 given=str(self._python),
                 allowed="one in which the peer can be imported",
-                do="docs/real_plants.md says how to install it.",
+                do="docs/reports/real_plants.md says how to install it.",
             )
         return worker
 

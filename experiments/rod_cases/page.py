@@ -1,4 +1,4 @@
-"""The text of docs/rod_validation.md."""
+"""The text of docs/reports/rod_validation.md."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ length. All beams here have free length 0.3 m, whatever n; planted ones bend ove
 """
 
 FIGURES = """
-![errors over node distance and time step](pictures/rod_validation_convergence.png)
+![errors over node distance and time step](../pictures/rod_validation_convergence.png)
 
-![energy of undamped runs](pictures/rod_validation_energy.png)
+![energy of undamped runs](../pictures/rod_validation_energy.png)
 """
 
 PLANTS = """
@@ -43,7 +43,7 @@ Skeletons, radius (30 mm), E, density, drive, step and integrator of the authors
 the median Hilbert envelope of the flower's detrended displacement along the shake. The peer's conventions were written
 anew from their description (`experiments/rod_cases/peer_model.py`), so that each defect can be switched off alone.
 
-![flower amplitude of the authors' plants](pictures/rod_validation_authors_plants.png)
+![flower amplitude of the authors' plants](../pictures/rod_validation_authors_plants.png)
 
 """
 

@@ -50,8 +50,8 @@ def simulate_many(
 
     Args:
         scenarios: what to simulate.
-        device: "cuda" steps thousands of scenarios at once on an NVIDIA GPU (docs/elastic_rod_cuda.md); those in
-            which a step does not converge there are done on the CPU.
+        device: "cuda" steps thousands of scenarios at once on an NVIDIA GPU (docs/reports/elastic_rod_cuda.md); those
+            in which a step does not converge there are done on the CPU.
         workers: threads; None means one per core.
         memory: on the GPU, the most that the scenarios of a batch may take [bytes].
         progress: show a progress bar.

@@ -31,8 +31,9 @@ model."""
 
 LENIENT = {"leaf_load": 4.0, "grip_force": 4.0}
 """So many times the plan's risk is allowed, once the camera has seen the tone, of a load that breaks nothing when it
-passes its limit: any breeze of 4 m/s loads leaves 1.5 to 2 times their limit (docs/limits.md), and a stem that slips in
-soft pads ends the shake. A judgement, tried on ten development plants (docs/shaking.md): 8 times harms petioles."""
+passes its limit: any breeze of 4 m/s loads leaves 1.5 to 2 times their limit (docs/reports/limits.md), and a stem that
+slips in soft pads ends the shake. A judgement, tried on ten development plants (docs/reports/shaking.md): 8 times harms
+petioles."""
 
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say: a tone is not taken for what it might

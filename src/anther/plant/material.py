@@ -22,7 +22,7 @@ class Material:
         bend_over_twist: EI / GJ [-]; 1.5 for a round isotropic bar that keeps its volume, larger is softer in twist.
         youngs_spread, density_spread, damping_spread, twist_spread: their spreads [-].
         radius_scale: true over scanned radius of stem and branches [-].
-        radius_spread: its spread [-]: by how much the skeleton's radii are off, 4-5 % (docs/skeletons.md).
+        radius_spread: its spread [-]: by how much the skeleton's radii are off, 4-5 % (docs/reports/skeletons.md).
         response_gain: true over modelled motion of the flowers relative to the pads, for the plant as a whole: what the
             model gets wrong whatever the material [-]. Far below resonance nothing moves relative to the pads.
         response_spread: its spread [-]; measured by us on 16 simulated plants that were scanned: ln(true/modelled) at

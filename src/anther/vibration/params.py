@@ -23,9 +23,9 @@ LOAD_ERROR = {
     "grip_force": (0.5, 0.55),
 }
 """True over modelled largest load of each kind, by its name in `search.Gains`: median, and standard deviation of ln
-beside what scenarios explain. Measured by us on 85 simulated plants whose truth no stage believes (docs/wide_truth.md),
-three grips and 1-17 Hz; of leaves on 16 of them; of the force that friction bears in the grip on 20 plants, tomatoes
-and peppers 3 and 40-48, 1.3-15 Hz."""
+beside what scenarios explain. Measured by us on 85 simulated plants whose truth no stage believes
+(docs/reports/wide_truth.md), three grips and 1-17 Hz; of leaves on 16 of them; of the force that friction bears in the
+grip on 20 plants, tomatoes and peppers 3 and 40-48, 1.3-15 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
