@@ -33,7 +33,7 @@ bench: $(DEV)  ## speed
 	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
 
 docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
-	$(BIN)/python tools/record.py experiments/masks.py
+	$(BIN)/python tools/record.py experiments/masks.py --pictures docs/pictures
 	$(BIN)/python tools/record.py experiments/registration.py --figures docs/pictures
 	$(BIN)/python tools/record.py experiments/skeletons.py --figures docs/pictures
 	$(BIN)/python tools/record.py experiments/organs.py

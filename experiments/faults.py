@@ -9,7 +9,8 @@ fifty kills the process with SIGKILL. Nine in ten cells hold the plant's main st
 time, the others the whole plant.
 
 Faults go through a sweep in OUT/faults, each in a process of its own: what is done is not done again.
-docs/safety.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never sees.
+docs/reports/faults.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never
+sees.
 """
 
 from __future__ import annotations

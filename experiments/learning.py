@@ -65,7 +65,7 @@ from anther.vibration import ShakePlan, plan_shake
 ARMS = ("facts", "crop", "plant")
 CROPS: tuple[Species, ...] = ("tomato", "pepper")
 SEEN = (0.6, 0.08, 0.15e-3)
-"""How often a flower's amplitude can be measured; its error, relative and absolute [m] (docs/response.md)."""
+"""How often a flower's amplitude can be measured; its error, relative and absolute [m] (docs/reports/response.md)."""
 MISJUDGED = (0.5, 2.5)
 """Under a truth that is not nominal the camera errs by this times what it says; a guess."""
 SAME = 0.02

@@ -1,4 +1,4 @@
-"""Pictures of masks for docs/masks.md: one view per light, and the real Arabidopsis."""
+"""Pictures of masks for docs/reports/masks.md: one view per light, and the real Arabidopsis."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ STEP = ShakenParams(timestep=1e-3)
 CAMERA_RATE = 15.0
 """Of the side camera, slow for a D455 and enough for a slow probe [Hz]."""
 CAMERA_ERROR = 3e-4
-"""With which a perfect camera, that sees every flower, would measure an amplitude [m] (docs/response.md)."""
+"""With which a perfect camera, that sees every flower, would measure an amplitude [m] (docs/reports/response.md)."""
 NEAR = 0.02
 """A flower seen this close to a true one is that one [m]."""
 TWIST = 12.0

@@ -1,6 +1,6 @@
 """The confidences of skeleton, stem and grasp: what raises and lowers them, and that they survive files.
 
-That they are calibrated is measured by experiments/confidence.py (docs/confidence.md).
+That they are calibrated is measured by experiments/confidence.py (docs/reports/confidence.md).
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def test_plant_is_found_and_pot_is_not(species: str) -> None:
     capture, truth, masks = seen(species)
     plant, found, measured = truth.organ <= Organ.FLOWER, masks.labels != BACKGROUND, capture.depth > 0
     both, either = (plant & found & measured).sum(), ((plant | found) & measured).sum()
-    assert both / either > 0.82  # a pixel is 1.4 mm wide here; see docs/masks.md for full resolution
+    assert both / either > 0.82  # a pixel is 1.4 mm wide here; see docs/reports/masks.md for full resolution
     leaked = found & measured & np.isin(truth.organ, [Organ.POT, Organ.SOIL])
     assert leaked.sum() < 0.005 * (found & measured).sum()
     assert masks.source == "colour and geometry"

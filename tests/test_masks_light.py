@@ -51,7 +51,7 @@ def overlap(labels: np.ndarray, truth: CaptureTruth) -> float:
 def test_plant_is_found_and_pot_is_not_in_every_light(setting: Setting) -> None:
     capture, truth = seen(setting)
     masks = segment(capture, WORKSPACE)
-    assert overlap(masks.labels, truth) > 0.85  # a pixel is 1.5 mm wide here; full resolution: docs/masks.md
+    assert overlap(masks.labels, truth) > 0.85  # a pixel is 1.5 mm wide here; full resolution: docs/reports/masks.md
     found = (masks.labels != BACKGROUND) & (capture.depth > 0)
     assert np.isin(truth.organ[found], [Organ.POT, Organ.SOIL]).mean() < 0.01
     assert masks.source == "colour and geometry"

@@ -33,8 +33,8 @@ EXPONENTS = np.array([1.0, 1.5, 2.0])
 def pollen_dose(acceleration: Array | float, half: Array | float, exponent: Array | float) -> Array:
     """Return the share of its pollen that a flower frees in one shake, a^n / (a^n + half^n).
 
-    A model of ours that follows what is known: bee buzzes of 200-490 m/s2 free it well (facts: pollination 1b); wind,
-    which gives flowers 4-24 m/s2, sets much of a field's fruit (facts: pollination 6: half lies near 20 m/s2, 5 to 80);
+    A model of ours that follows what is known: bee buzzes of 200-490 m/s2 free it well (facts: pollination 1b); wind
+    sets much of a field's fruit (facts: pollination 6, which judges that half lies at 20 m/s2, 5 to 80);
     more vibration helps less and less (rsif.2024.0526), one to two visits saturate (Morandin 2001), and from 1 to 5 s
     the duration hardly matters (Ilbi & Boztok 1994), so it is left out.
 

@@ -20,7 +20,8 @@ from anther.geometry import Array, Intrinsics, inverse, transform_points
 MOST_SEEN_THROUGH = 0.12
 """Share of what other views judge of a view's points that they see through, after registration, above which views
 disagree. Measured: right captures 0.03 to 0.065 (simulated tomato and pepper, also with three times the arm's errors; a
-real sorghum), focal lengths 20 % off 0.20 to 0.56 (docs/confidence.md); this is the geometric middle of 0.065 and 0.20.
+real sorghum), focal lengths 20 % off 0.20 to 0.56 (docs/reports/confidence.md); this is the geometric middle of 0.065
+and 0.20.
 """
 ENOUGH = 200
 """Fewer judgements than this say nothing."""

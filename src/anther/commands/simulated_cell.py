@@ -48,7 +48,7 @@ line of the joints in four of eight, instead of 1.8 s from the last view. The gr
 plant's axis."""
 
 PRESETS = {"full": ViewParams(), "fast": ViewParams(count=10, widest=75.0, first=(-52.5, -5.0))}
-"""How the views are sought. `fast` takes a third of the time: docs/views.md measures what that costs. Of the 80
+"""How the views are sought. `fast` takes a third of the time: docs/reports/views.md measures what that costs. Of the 80
 directions it can have, its spread begins at the one with the shortest tour of those that leave the smallest gaps."""
 
 

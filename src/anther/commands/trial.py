@@ -47,7 +47,7 @@ class Args:
     distance: float = 0.72
     """Of the pot in front of the arm [m]."""
     preset: Literal["full", "fast"] = "full"
-    """Views all around, or few views along a short way (docs/views.md says what that costs)."""
+    """Views all around, or few views along a short way (docs/reports/views.md says what that costs)."""
     views: int | None = None
     """How many RGB-D views the arm takes; by default what the preset says: 30, or 10 when fast."""
     masks: MaskSource = "colour"

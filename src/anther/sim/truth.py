@@ -150,7 +150,7 @@ WIDE: dict[str, dict[str, Spread]] = {
     "leaf mass": {"leaf_density": Spread(0.6, 1.6)},
     # An ellipse with axes 1 : 1.26 has 1.6. Guess.
     "oval sections": {"oval": Spread(1.0, 1.6, log=False)},
-    # E 30-250 MPa; lengths 9-22 mm and their deviations; flowers 0.05-0.15 g are remembered (facts: pollination 2).
+    # E 30-250 MPa is assumed, lengths 9-22 mm measured, flowers of 0.05-0.15 g remembered (facts: pollination 2).
     "pedicels": {
         "pedicel_youngs": Spread(0.4, 2.5),
         "pedicel_length": Spread(0.75, 1.35),

@@ -10,8 +10,9 @@ from anther.skeleton.raw_tree import RawTree, chains, path_gain, rerooted
 _ALPHA, _V_BIAS = 2.0, 1.0
 _LOW = 0.5
 _BEGINNING = 0.15
-_ASIDE = 3.0
-_ABOVE = 2.0
+_ASIDE, _ABOVE = 2.0, 1.5
+"""Per plant's extent, in an exponent. Of 121 trees of 29 plants (tomatoes, peppers, a broad-leaved plant, leafy maize;
+upright, leaning by 20 and 40 degrees) these choose the base in 43 of 43, 37 of 39 and 35 of 39."""
 
 
 def stem_gain(tree: RawTree) -> Array:
@@ -52,11 +53,11 @@ def root_score(tree: RawTree, root: int) -> float:
     above = np.maximum(other.parent, 0)
     step = other.nodes - other.nodes[above]
     rising = np.maximum(step[:, 2], 0) / np.maximum(np.linalg.norm(step, axis=1), 1e-12)
-    gain = stem_gain(other) * rising**2
+    gain = stem_gain(other) * rising
     path = chains(other.parent, gain)[0]
     length = np.linalg.norm(step[path[1:]], axis=1)
     first = path[1:][np.cumsum(length) <= max(_BEGINNING * float(length.sum()), length[0])]
-    return float(gain[path].sum() * np.mean(rising[first] * other.thickness[first]) ** 0.5)
+    return float(gain[path].sum() * np.mean(rising[first] * other.thickness[first]))
 
 
 _SOIL_REACH = 0.05

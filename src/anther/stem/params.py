@@ -22,7 +22,8 @@ class Params:
         doubt: how much a length that is not stem-like counts against one that is.
         shortest: a shorter stem is not believed (share of the plant's size).
         fork_share: a branch forks the stem when it is at least this share as thick as the stem beyond it and rises at
-            least this share as high (docs/stem.md: branches 0.65, 0.85 or more; petioles that thick rise 0.48 or less),
+            least this share as high (docs/reports/skeletons.md: branches 0.65, 0.85 or more; petioles that thick rise
+            0.48 or less),
         fork_angle: and on the whole leans from the vertical by less than this [degrees].
         planar_blade: where the skeleton's flatness (planarity of the surroundings) is this, blade is as likely as axis,
         planar_doubt: and where it is so much less, there is no doubt (both read off the development plants).

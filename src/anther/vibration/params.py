@@ -12,8 +12,8 @@ from anther.vibration.plant_limits import DEFAULT, PRESETS, PlantLimits
 
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
-simulated plants at 5 and 10 Hz (docs/identification.md): how far one flower differs from its plant whatever material
-and gain."""
+simulated plants at 5 and 10 Hz (docs/reports/identification.md): how far one flower differs from its plant whatever
+material and gain."""
 
 LOAD_ERROR = {
     "stem_strain": (0.8, 0.5),
