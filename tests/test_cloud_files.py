@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -145,6 +146,29 @@ def test_bad_points_are_refused(tmp_path: Path, points: np.ndarray, message: str
     np.savez(tmp_path / "a.npz", points=points)
     with pytest.raises(InputError, match=message):
         read_cloud(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(("scale", "units"), [(1, "m"), (100, "cm"), (1000, "mm"), (1e5, "0.01mm")])
+def test_a_plant_in_the_wrong_units_is_told_which_would_fit(tmp_path: Path, scale: float, units: Any) -> None:
+    np.savez(tmp_path / "a.npz", points=POINTS * scale)
+    assert read_cloud(tmp_path / "a.npz", units, "z").points == pytest.approx(POINTS, abs=1e-6)
+    for wrong in {"m", "cm", "mm", "0.01mm"} - {units}:
+        try:
+            cloud = read_cloud(tmp_path / "a.npz", wrong, "z")
+            said, size = " ".join(cloud.notes), np.linalg.norm(np.ptp(cloud.points, axis=0))
+        except InputError as error:
+            said, size = str(error), 0.0
+        assert f"--units {units}" in said or 0.03 < size < 5  # as good a plant
+
+
+def test_what_a_file_leaves_open_is_said(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", points=POINTS)
+    assert "--units" in read_cloud(tmp_path / "a.npz").notes[-1]
+    assert "--up" in read_cloud(tmp_path / "a.npz").notes[-1]
+    assert "--units" not in read_cloud(tmp_path / "a.npz", "m").notes[-1]
+    assert read_cloud(tmp_path / "a.npz", "m", "z").notes == ()
+    np.savez(tmp_path / "b.npz", points=POINTS, units="m", up=[0, 0, 1.0])
+    assert read_cloud(tmp_path / "b.npz").notes == ()
 
 
 def test_missing_unknown_and_wrong_arrays(tmp_path: Path) -> None:

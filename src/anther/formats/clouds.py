@@ -1,7 +1,8 @@
-"""Read somebody's point cloud: PLY, PCD, XYZ/TXT or NPZ, in millimetres or metres, any axis up. N points."""
+"""Read somebody's point cloud: PLY, PCD, XYZ/TXT or NPZ, in the units and with the axis up that it has. N points."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,14 @@ from anther.errors import bad_input
 from anther.files import existing
 from anther.formats.points import Axis, RawPoints, Units, read_npz_points, read_pcd, read_ply, read_text
 
-_METRES = {"m": 1.0, "mm": 1e-3}
+_METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
 _TO_Z_UP = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
 _FEWEST = 50
 _MOST_BROKEN = 0.05
-_SMALLEST, _LARGEST = 0.005, 20.0  # [m]: a seedling; a 0.6 m plant in mm, read as metres, measures 600 m
+_SMALLEST, _LARGEST = 0.005, 20.0
+"""What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
+_LIKELY = (0.03, 5.0)
+"""From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then it is for the person to say."""
 
 
 def read_cloud(
@@ -25,8 +29,8 @@ def read_cloud(
 
     Args:
         path: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz.
-        units: of the file; None takes what the file states, else metres.
-        up: axis that points up in the file; None takes what the file states, else z.
+        units: of the file; None takes what the file states, else metres, with a note.
+        up: axis that points up in the file; None takes what the file states, else z, with a note.
         plant: which plant of an .npz that holds several; None: it must hold one.
 
     Raises:
@@ -35,9 +39,13 @@ def read_cloud(
     """
     path = existing(path)
     raw = _read(path, plant)
-    units, up = units or raw.units or "m", up or raw.up or "z"
-    upright = np.ascontiguousarray(raw.points[:, _TO_Z_UP[up]]) * _METRES[units]
-    return checked_cloud(path, RawPoints(upright, raw.colors), units)
+    units, up = units or raw.units, up or raw.up
+    taken = [] if units else ["in metres (--units)"]
+    taken += [] if up else ["with z up (--up)"]
+    upright = np.ascontiguousarray(raw.points[:, _TO_Z_UP[up or "z"]]) * _METRES[units or "m"]
+    cloud = checked_cloud(path, RawPoints(upright, raw.colors), units or "m")
+    notes = (f"the file does not say all: it is read {' and '.join(taken)}",) if taken else ()
+    return replace(cloud, notes=(*cloud.notes, *notes))
 
 
 def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
@@ -54,11 +62,12 @@ def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
     finite = np.asarray(np.isfinite(raw.points).all(axis=1))
     _check_enough(path, finite)
     points = raw.points[finite]
-    _check_size(path, points, units)
+    unlikely = _check_size(path, points, units)
     near = np.abs(points - np.median(points, axis=0)).max(axis=1) <= _LARGEST
     kept = np.flatnonzero(finite)[near]
     broken, why = len(finite) - len(kept), f"NaN, infinite or more than {_LARGEST:g} m away"
     notes = (f"{path.name}: {broken} of {len(finite)} points were {why} and dropped",) if broken else ()
+    notes += unlikely
     return Cloud(points[near], colors=None if raw.colors is None else raw.colors[kept], notes=notes)
 
 
@@ -97,13 +106,24 @@ def _check_enough(path: Path, finite: np.ndarray) -> None:
         )
 
 
-def _check_size(path: Path, points: np.ndarray, units: str) -> None:
+def _check_size(path: Path, points: np.ndarray, units: str) -> tuple[str, ...]:
+    """Return a note if the plant has an unlikely size [m]; refuse what has none of a plant."""
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.995, 0.005], axis=0))))
+    given = f"a plant of {size:.3g} m (read in {units})"
+    do = _other_units(size, units)
     if not _SMALLEST <= size <= _LARGEST:
-        other = "mm" if size > _LARGEST else "m"
-        raise bad_input(
-            str(path),
-            given=f"a plant of {size:g} m (read in {units})",
-            allowed=f"{_SMALLEST:g} <= size <= {_LARGEST:g} m",
-            do=f"Wrong units? Try --units {other}." if units in _METRES else "Wrong scale?",
-        )
+        raise bad_input(str(path), given=given, allowed=f"{_SMALLEST:g} <= size <= {_LARGEST:g} m", do=do)
+    return () if _LIKELY[0] <= size <= _LIKELY[1] else (f"{path.name}: {given}. {do}",)
+
+
+def _other_units(size: float, units: str) -> str:
+    """Return which units would make a plant of what measures `size` [m] in these."""
+    if units not in _METRES:
+        return "Wrong scale?"
+    sizes = {other: size / _METRES[units] * metres for other, metres in _METRES.items() if other != units}
+    likely = [f"--units {other} ({s:.2g} m)" for other, s in sizes.items() if _LIKELY[0] <= s <= _LIKELY[1]]
+    return (
+        f"Wrong units? Try {' or '.join(likely)}."
+        if likely
+        else f"In none of {', '.join(_METRES)} is it one: are the units others?"
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any, Literal, get_args
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
@@ -17,7 +17,7 @@ from anther.errors import InputError, bad_input
 from anther.files import LARGEST, LARGEST_TEXT, load_npz, read_lines, understood, whole_file
 from anther.geometry import Array
 
-Units = Literal["m", "mm"]
+Units = Literal["m", "cm", "mm", "0.01mm"]
 Axis = Literal["x", "y", "z"]
 
 MOST_POINTS = 20_000_000
@@ -177,9 +177,11 @@ def _plant_part(path: Path, offsets: NDArray[Any] | None, count: int, plant: int
 def _units(path: Path, held: dict[str, NDArray[Any]]) -> Units | None:
     """Return the units that the file states; whoever wrote it may have been unsure ("mm?")."""
     stated = str(held.get("units", "")).strip().rstrip("?")
-    if stated not in ("", "m", "mm"):
-        raise bad_input(f"{path}: units", given=f"'{stated[:40]}'", allowed="'m' or 'mm'", do="Scale the points.")
-    return "mm" if stated == "mm" else "m" if stated == "m" else None
+    known = {str(name): name for name in get_args(Units)}
+    if stated and stated not in known:
+        allowed = ", ".join(f"'{name}'" for name in known)
+        raise bad_input(f"{path}: units", given=f"'{stated[:40]}'", allowed=allowed, do="Scale the points.")
+    return known.get(stated)
 
 
 def _up(held: dict[str, NDArray[Any]]) -> Axis | None:
