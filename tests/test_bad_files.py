@@ -105,7 +105,7 @@ def test_more_than_fits_is_refused_before_it_is_read(tmp_path: Path, monkeypatch
 
 
 ARRAYS = {
-    "units": ({"points": POINTS, "units": "furlong"}, r"units: got 'furlong'; allowed: 'm' or 'mm'"),
+    "units": ({"points": POINTS, "units": "furlong"}, r"units: got 'furlong'; allowed: 'm', 'cm', 'mm', '0.01mm'"),
     "several plants": ({"points_x100": POINTS * 1e5, "offsets": [0, 100, 400]}, r"2 plants.*0 to 1.*--plant"),
     "several plants in metres": ({"points": POINTS, "offsets": [0, 100, 400]}, r"2 plants"),
     "offsets fall": ({"points": POINTS, "offsets": [0, 300, 100, 400]}, "rising numbers"),
