@@ -44,6 +44,8 @@ from anther.files import write_json
 PATIENCE, LOST = 20, 90
 """Seconds after which a command is told to stop, and after which a process that does not is killed."""
 MEMORY = 4e9
+FRESH = 5000
+"""Inputs after which a new process goes on, so that the memory which one takes is not another's."""
 HOLDS = {"tracebacks", "hangs", "over_memory", "silent_wrong", "half_written"}
 
 
@@ -182,7 +184,8 @@ def work(base: Path, first: int, last: int, log: Path) -> None:
 def supervised(base: Path, first: int, last: int, log: Path) -> None:
     """Let a process work, and start another behind the input at which it died or stood still."""
     while first < last:
-        command = [sys.executable, __file__, "--work", str(base), str(first), str(last), "--log", str(log)]
+        until = str(min(last, first + FRESH))
+        command = [sys.executable, __file__, "--work", str(base), str(first), until, "--log", str(log)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         seen, since = first, time.monotonic()
         while process.poll() is None and time.monotonic() - since < LOST:
@@ -192,8 +195,8 @@ def supervised(base: Path, first: int, last: int, log: Path) -> None:
         stuck = process.poll() is None
         process.kill()
         _, err = process.communicate()
-        first = first_undone(log, first)
-        if first < last:
+        first, ended_well = first_undone(log, first), process.returncode == 0
+        if first < last and not ended_well:
             lost = Outcome(first, [], "the process", None, "hangs" if stuck else "tracebacks", err[-1500:])
             with log.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(asdict(lost)) + "\n")
