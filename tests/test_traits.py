@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from anther.cli import main
 from anther.commands import traits as command
+from anther.errors import StageFailure
 from anther.samples import SAMPLES, write_samples
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, LEAF, STEM, TRUSS, Stem
@@ -134,7 +135,7 @@ def test_the_tables_of_a_folder(clouds: Path, tmp_path: Path, monkeypatch: pytes
     assert 0.05 < float(rows[0]["stem_length_m"]) < float(rows[0]["total_length_m"])
     limbs = [row for row in table(out / "limbs.csv") if row["plant"] == "a.ply"]
     assert len(limbs) == sum(int(rows[0][f"{organ}_count"]) for organ in command.COUNTED) > 0
-    assert (out / "plants" / "b__c.ply" / "overview.png").stat().st_size > 1000
+    assert (out / "plants" / "b" / "c.ply" / "overview.png").stat().st_size > 1000
 
     def never(*_: object) -> None:
         raise AssertionError("measured again")
@@ -147,6 +148,20 @@ def test_the_tables_of_a_folder(clouds: Path, tmp_path: Path, monkeypatch: pytes
         main([*words, "--again"])
     with pytest.raises(AssertionError, match="again"):
         main([*words, "--params.spacing", "0.01"])
+
+
+def test_what_failed_is_tried_again(clouds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ["traits", str(clouds / "b"), "--out", str(tmp_path)]
+
+    def fails(*_: object) -> None:
+        raise StageFailure("no_plant_found", "nothing here")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(command, "skeletonize", fails)
+        assert main(words) == 1
+    assert "nothing here" in table(tmp_path / "plants.csv")[0]["failure"]
+    assert main(words) == 0
+    assert table(tmp_path / "plants.csv")[0]["failure"] == ""
 
 
 def test_its_own_results_are_no_clouds(clouds: Path, tmp_path: Path) -> None:

@@ -101,8 +101,8 @@ def run(args: Args) -> int:
 
 
 def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
-    """Return what is known of one plant, measured now unless that was done before with these options and this file."""
-    place = args.out / "plants" / name.replace("/", "__")
+    """Return what is known of one plant, measured now unless it was measured before with these options and this file."""
+    place = args.out / "plants" / name
     kept = place / "traits.json"
     asked = {
         "size": path.stat().st_size,
@@ -111,8 +111,9 @@ def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
     }
     if kept.is_file() and not args.again:
         before = read_object(kept)
-        if before.get("of") == asked and isinstance(before.get("row"), dict):
-            return before["row"]
+        row = before.get("row")
+        if before.get("of") == asked and isinstance(row, dict) and not row.get("failure"):
+            return row
     try:
         row = _row(args, path, place) | {"plant": name, "failure": ""}
     except AntherError as error:
