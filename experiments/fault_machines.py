@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from anther.devices import ArmRecord, ArmSample, Frame, JointTrajectory, More, Watch
-from anther.execution import Step
+from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.sim.cell import Cell, mujoco
 from anther.sim.robot import SimArm
@@ -73,7 +73,8 @@ class Pieces:
     def __init__(self, plan: ShakePlan) -> None:
         own = np.arange(len(plan.tones.frequencies)) == 0
         probe = plan.amplitude / len(own)
-        self.reach, self.frame_rate = 1.01 * plan.amplitude, 2.2 * float(plan.tones.frequencies.max())
+        self.lines = (Line(plan.direction, own | True, 1.01 * plan.amplitude),)
+        self.frame_rate = 2.2 * float(plan.tones.frequencies.max())
         self.steps: tuple[Step, ...] = ()
         self._tones, self._ramp = plan.tones.frequencies, 1 / float(plan.tones.frequencies.min())
         self._sizes = [probe + 0.0 * own, 0.5 * plan.amplitude * own, plan.amplitude * own, 0.0 * own]
@@ -91,7 +92,8 @@ class Pieces:
         """Return the next piece."""
         when = samples[0].time + self.since(), samples[-1].time
         tones, sizes = tuple(self._tones.tolist()), tuple(self._piece.amplitudes.tolist())
-        self.steps = (*self.steps, Step(*when, tones, sizes, (), {}, "Goes on.", 0.0))
+        line = tuple(self.lines[0].direction.tolist())
+        self.steps = (*self.steps, Step(*when, tones, sizes, line, (), {}, "Goes on.", 0.0))
         new = self._sizes[len(self.steps)]
         self._piece = self._piece.then(new, self._ramp + (1.0 if new.any() else 0.0), self._ramp)
         return self._piece

@@ -79,7 +79,7 @@ def one(species: Species, seed: int) -> list[dict[str, Any]]:
     places = np.concatenate([seen.flowers.positions.reshape(-1, 3), model.rods.nodes[points]])
     for height in HEIGHTS:
         grip = ShakenPlant(plant, stem_points(plant, (height,))[0], direction, truth=truth)
-        foresight = foresee(model, grip.point, direction, TONES, points)
+        foresight = foresee(model, grip.point, direction[None], TONES, points)
         middles, motion = segment_motion(grip)
         gap, nearest = KDTree(middles).query(places)
         used = at.shown & (gap < NEAR)
@@ -91,11 +91,12 @@ def one(species: Species, seed: int) -> list[dict[str, Any]]:
             noise = rng.normal(size=(2, *shown.shape)) / np.sqrt(2)
             shown = shown + SEEN_WITH * size * (noise[0] + 1j * noise[1])
             std = 0.03 * at.per_pixel[used] * (2 * np.pi * tone) ** 2  # of a shake of 1 m/s2
-            found = narrowed(foresight, k, np.concatenate(both)[used], shown, std, pose[:3, :3])
+            members = foresight.along(k, direction)
+            found = narrowed(members, np.concatenate(both)[used], shown, std, pose[:3, :3])
             row: dict[str, Any] = {"species": species, "seed": seed, "height": height, "tone": tone}
             for kind in LOADS:
                 if foresight.where[kind].stop > foresight.where[kind].start:
-                    before, after = (foresight.load(kind, v) for v in (foresight.vectors[:, k], found))
+                    before, after = (foresight.load(kind, v) for v in (members, found))
                     row[kind] = [true[kind][k], *said(before, LOAD_ERROR[kind]), *said(after, SEEN_ERROR[kind])]
             rows.append(row)
     return rows

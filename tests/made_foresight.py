@@ -29,35 +29,46 @@ T_WORLD_CAM = look_at(np.array([0.3, -0.5, 0.2]), np.array([0.0, 0.0, 0.1]))
 ALONG = np.array([0.6, 0.8, 0.0])
 
 
-def made_foresight(seed: int = 0, *, unsure: float = 0.5, gains: Sequence[float] = (1.0, 1.0, 1.0)) -> Foresight:
+def lines_across(count: int) -> Array:
+    """Return (count, 3) horizontal lines in turn over half a circle, `ALONG` first."""
+    angle = np.arange(count)[:, None] * np.pi / count
+    return np.cos(angle) * ALONG + np.sin(angle) * np.array([-ALONG[1], ALONG[0], 0.0])
+
+
+def made_foresight(
+    seed: int = 0, *, unsure: float = 0.5, gains: Sequence[float] = (1.0, 1.0, 1.0), axes: int = 1
+) -> Foresight:
     """Return what members of one family do: two numbers that are not known change all vectors, by a share `unsure`.
 
     Args:
         seed: of them.
         unsure: 0: all members are alike.
         gains: of flowers and points, by tone.
+        axes: lines of the shake, one or two.
     """
     rng = np.random.default_rng(seed)
     ends = np.cumsum([0, *ROWS.values()])
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(ROWS, ends, ends[1:], strict=False)}
-    shape = (len(TONES), ends[-1], 3)
+    shape = (len(TONES), axes, ends[-1], 3)
     usual, *ways = (rng.normal(size=shape) + 1j * rng.normal(size=shape) for _ in range(3))
-    scale = np.ones((len(TONES), ends[-1], 1))
+    scale = np.ones((len(TONES), 1, ends[-1], 1))
     for kind, size in SIZES.items():
-        scale[:, where[kind]] = size / 2
-    scale[:, where["grip_force"]] = np.array([100.0, 0.2, 0.2])[:, None]
+        scale[:, :, where[kind]] = size / 2
+    scale[:, :, where["grip_force"]] = np.array([100.0, 0.2, 0.2])[:, None]
     for kind in ("flowers", "points"):
-        scale[:, where[kind]] *= np.asarray(gains)[:, None, None]
+        scale[:, :, where[kind]] *= np.asarray(gains)[:, None, None, None]
     z = rng.normal(size=(MEMBERS, 2))
     z[0] = 0
-    vectors = scale * (usual + unsure * np.einsum("md,dksx->mksx", z, np.array(ways)))
-    return Foresight(TONES, vectors, where, 4e-3, 0.016)
+    vectors = scale * (usual + unsure * np.einsum("md,dkasx->mkasx", z, np.array(ways)))
+    return Foresight(TONES, lines_across(axes), vectors, where, 4e-3, 0.016)
 
 
 def made_plan(
-    amplitudes: Sequence[float] = (0.002, 0.002, 0.002), reach: Sequence[float] = (0.02, 0.015, 0.01)
+    amplitudes: Sequence[float] = (0.002, 0.002, 0.002), reach: Sequence[float] = (0.02, 0.015, 0.01), lines: int = 1
 ) -> ShakePlan:
+    """Return a plan whose tones may be shaken along any of so many lines, as far along each."""
     size = np.full(FLOWERS, 0.003)
+    alike = [np.repeat(np.array(values)[:, None], lines, axis=1) for values in (amplitudes, reach)]
     return ShakePlan(
         grasp_index=0,
         grasp=horizontal_grasp(np.zeros(3), np.zeros(7)),
@@ -75,7 +86,7 @@ def made_plan(
         runner_up=None,
         reason="The test's own.",
         response_map=ResponseMap(TONES, np.zeros(1), *np.ones((3, 1, len(TONES)))),
-        tones=Tones(TONES, np.array(amplitudes), np.array(reach)),
+        tones=Tones(TONES, lines_across(lines), *alike),
     )
 
 
@@ -85,7 +96,7 @@ class World:
 
     Attributes:
         foresight: what is believed.
-        truth: (K, S, 3) of the plant.
+        truth: (K, A, S, 3) of the plant.
         shown: (F + P,) what the camera follows, by number of the look; the last one stays.
         late: of the camera's clock [s].
         noise: of what is seen [m].
@@ -112,9 +123,13 @@ class World:
         """Return what is seen of the present piece."""
         shown = self.shown[min(self.looks, len(self.shown) - 1)] & bool(frames)
         self.looks += 1
+        piece = self.pieces[-1]
+        active = np.flatnonzero(piece.amplitudes)
+        (direction,) = np.unique(self.directions[active], axis=0)
         now = [int(np.abs(TONES - tone).argmin()) for tone in tones]
-        turned = self.pieces[-1].amplitudes[now] * np.exp(-2j * np.pi * tones * (self.begin + self.late))
-        seen = self.truth[now, : FLOWERS + POINTS] @ T_WORLD_CAM[:3, :2] * turned[:, None, None]
+        turned = piece.amplitudes[active] * np.exp(-2j * np.pi * tones * (self.begin + self.late))
+        moved = np.array([self.answer(tone, direction)[: FLOWERS + POINTS] for tone in now])
+        seen = moved @ T_WORLD_CAM[:3, :2] * turned[:, None, None]
         error = self._rng.normal(size=(2, *seen.shape))
         seen = np.swapaxes(seen + self.noise * (error[0] + 1j * error[1]), 0, 1)
         return Swings(np.where(shown[:, None, None], seen, np.nan), np.where(shown, self.noise, np.nan))
@@ -131,14 +146,19 @@ class World:
             params=self.params,
         )
 
+    def answer(self, tone: int, direction: Array = ALONG) -> ComplexArray:
+        """Return (S, 3) what a shake along a direction does in truth, per metre."""
+        return np.einsum("asx,a->sx", self.truth[tone], self.foresight.parts(direction))
+
     def shaken(self, watched: Escalation) -> Escalation:
         """Shake until the last piece."""
+        self.directions = sum(np.outer(line.tones, line.direction) for line in watched.lines)
         frame = Frame(self.begin, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
         self.pieces, samples = [watched.begin(frame)], list[ArmSample]()
         while not self.pieces[-1].stops:
             piece = self.pieces[-1]
             for t in np.arange(0.0 if not samples else 0.01, piece.seconds + 1e-9, 0.01):
-                q = np.concatenate([piece.motion([t])[0] * ALONG, np.zeros(4)])
+                q = np.concatenate([self.place(piece, t), np.zeros(4)])
                 samples.append(ArmSample(self.begin + piece.begin + t, q, q, 0.0))
             told = [s for s in samples if s.time <= self.begin + piece.begin + piece.seconds - LEAD]
             assert samples[0].time + watched.since() <= told[-1].time, "there is something to look at"
@@ -146,10 +166,18 @@ class World:
             assert len(self.pieces) < 40, "it ends"
         return watched
 
-    def loads(self, tone: int) -> dict[str, float]:
-        """Return each kind's load in truth, per metre."""
-        return {kind: float(self.foresight.load(kind, self.truth[tone][None])[0]) for kind in LOADS}
+    def place(self, piece: Swing, time: float) -> Array:
+        """Return (3,) where the pads are, some time after a piece began [m]."""
+        lines = np.unique(self.directions, axis=0)
+        return sum(
+            (piece.only(np.all(self.directions == line, axis=1)).motion([time])[0] * line for line in lines),
+            np.zeros(3),
+        )
 
-    def flowers(self, tone: int) -> Array:
+    def loads(self, tone: int, direction: Array = ALONG) -> dict[str, float]:
+        """Return each kind's load in truth, per metre."""
+        return {kind: float(self.foresight.load(kind, self.answer(tone, direction)[None])[0]) for kind in LOADS}
+
+    def flowers(self, tone: int, direction: Array = ALONG) -> Array:
         """Return (F,) accelerations in truth, per metre [1/s2]."""
-        return (2 * np.pi * TONES[tone]) ** 2 * semi_major(self.truth[tone, :FLOWERS])
+        return (2 * np.pi * TONES[tone]) ** 2 * semi_major(self.answer(tone, direction)[:FLOWERS])

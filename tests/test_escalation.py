@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_foresight import FLOWERS, POINTS, TONES, World, made_foresight, made_plan
+from made_foresight import FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
 from scipy.stats import norm
 
 from anther import escalation
@@ -18,6 +18,7 @@ from anther.escalation import foresight as foresight_module
 from anther.escalation.known import SEEN_ERROR, limits_of
 from anther.vibration import Params as Limits
 from anther.vibration import PlantLimits
+from anther.vibration.observables import semi_major
 
 WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
 """Limits that nothing reaches."""
@@ -45,7 +46,11 @@ def most(world: World, tone: int) -> tuple[float, float]:
     flowers, loads = world.flowers(tone), world.loads(tone)
     margin = {k: median * np.exp(norm.isf(world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()}
     caps = [limit / (margin[k] * loads[k]) for k, limit in limits_of(world.limits, world.plan.press).items()]
-    caps += [world.plan.tones.reach[tone], world.params.target / np.median(flowers), world.params.most / flowers.max()]
+    caps += [
+        world.plan.tones.reach[tone, 0],
+        world.params.target / np.median(flowers),
+        world.params.most / flowers.max(),
+    ]
     return float(min(caps)), float(min(caps) * np.median(flowers))
 
 
@@ -74,12 +79,32 @@ def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken
 def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) -> None:
     believed = made_foresight(2, gains=(2.0, 0.6, 0.1), unsure=0.8)
     truth = believed.vectors[0].copy()
-    truth[0, : FLOWERS + POINTS] *= 0.1
-    truth[2, : FLOWERS + POINTS] *= 10
+    truth[0, :, : FLOWERS + POINTS] *= 0.1
+    truth[2, :, : FLOWERS + POINTS] *= 10
     world = World(believed, truth, plan=FREE)
     assert shaken(world).steps[-1].frequencies == pytest.approx([TONES[2]])
     promised = World(believed, believed.vectors[0], plan=FREE)
     assert shaken(promised).steps[-1].frequencies != pytest.approx([TONES[2]])
+
+
+@pytest.mark.parametrize("along", range(8))
+def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, along: int) -> None:
+    """What two lines showed tells of all others: flowers that follow the pads along one line alone are shaken so."""
+    believed, lines = made_foresight(2, unsure=0.8, axes=2), lines_across(8)
+    truth = believed.vectors[3].copy()
+    flowers = truth[:, 0, :FLOWERS].copy()
+    for axis, share in enumerate(believed.parts(lines[along])):
+        truth[:, axis, :FLOWERS] = share * flowers
+    world = World(believed, truth, plan=made_plan(reach=(0.02,) * 3, lines=8), limits=Limits(plant=WEAK))
+    world.plan = replace(world.plan, press=1000.0)
+    world.params = Params(most=1e4, target=1e3, raised=3.0, most_seconds=30)
+    watched = shaken(world)
+    check_pieces(world, watched)
+    assert len(watched.steps[0].frequencies) == len(watched.steps[1].frequencies) == len(TONES)
+    assert watched.steps[0].direction == pytest.approx(lines[0])
+    assert watched.steps[1].direction == pytest.approx(lines[4])
+    assert abs(lines[along] @ watched.steps[-1].direction) > np.cos(np.radians(23))
+    assert watched.executed(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
 
 
 def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
@@ -101,7 +126,8 @@ def test_every_look_has_the_frames_that_a_path_is_fitted_to(shaken: Shaken) -> N
     for seed in range(10):
         foresight = made_foresight(seed)
         tones = TONES * np.random.default_rng(seed).uniform(0.5, 3)
-        world = World(foresight._replace(tones=tones), foresight.vectors[1], plan=FREE, params=Params(look=0.2))
+        plan = replace(FREE, tones=replace(FREE.tones, frequencies=tones))
+        world = World(foresight._replace(tones=tones), foresight.vectors[1], plan=plan, params=Params(look=0.2))
         watched = shaken(world)
         rate = watched.frame_rate
         assert rate > 2 * tones.max()
@@ -120,11 +146,13 @@ def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None
     assert watched.steps[-1].median < 29.0
 
 
-def test_whatever_the_plant_every_rule_holds(shaken: Shaken) -> None:
-    for seed in range(40):
+@pytest.mark.parametrize("lines", [1, 8])
+def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None:
+    for seed in range(40 if lines == 1 else 15):
         rng = np.random.default_rng(seed)
-        foresight = made_foresight(seed, unsure=float(rng.uniform(0.1, 0.8)), gains=rng.uniform(0.2, 3, 3).tolist())
-        plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist())
+        unsure, gains = float(rng.uniform(0.1, 0.8)), rng.uniform(0.2, 3, 3).tolist()
+        foresight = made_foresight(seed, unsure=unsure, gains=gains, axes=min(lines, 2))
+        plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist(), lines)
         world = World(foresight, foresight.vectors[seed % 32], plan=plan, late=float(rng.uniform(0, 0.03)))
         world.params = Params(raised=float(rng.uniform(1.1, 2)), target=float(rng.uniform(5, 40)))
         watched = shaken(world)
@@ -143,13 +171,14 @@ def check_pieces(world: World, watched: Escalation) -> None:
     assert [piece.stops for piece in pieces] == [False] * (len(pieces) - 1) + [True]
     assert pieces[-1].begin + pieces[-1].seconds <= params.most_seconds + 1e-9
     for piece in pieces:
-        assert np.all(piece.amplitudes <= tones.reach + 1e-12)
-        assert piece.reach <= 1.0001 * watched.reach
-    for piece in pieces[1:]:
+        assert np.all(piece.amplitudes <= tones.reach.ravel() + 1e-12)
+        for line in watched.lines:
+            assert piece.only(line.tones).reach <= 1.0001 * line.reach
+    for piece in pieces[len(tones.probed) :]:
         assert (piece.amplitudes > 0).sum() <= 1
         (tone,) = np.flatnonzero(piece.amplitudes) if not piece.stops else [0]
         before = piece.before[tone]
-        start = tones.amplitudes[tone] if np.count_nonzero(piece.before) != 1 or before == 0 else 0.0
+        start = tones.amplitudes.flat[tone] if np.count_nonzero(piece.before) != 1 or before == 0 else 0.0
         assert piece.amplitudes[tone] <= max(params.raised * before, start) + 1e-12
 
 
@@ -161,7 +190,7 @@ def test_with_nothing_in_sight_the_plan_alone_is_carried_out(shaken: Shaken) -> 
     assert alone.amplitudes == pytest.approx([world.plan.amplitude, 0, 0])
     assert alone.seconds - alone.ramp >= world.plan.duration
     assert end.stops
-    assert np.all(probe.amplitudes < world.plan.tones.amplitudes)
+    assert np.all(probe.amplitudes < world.plan.tones.amplitudes.ravel())
     assert "Nothing is in sight" in watched.steps[0].decided
     assert all(np.isnan(step.flowers).all() for step in watched.steps)
     check_pieces(world, watched)
@@ -202,7 +231,7 @@ def test_what_moves_no_flower_that_is_seen_is_not_raised_beyond_what_the_model_a
     watched = shaken(hidden)
     shaken(seen)
     for piece in hidden.pieces[1:]:
-        assert np.all(piece.amplitudes <= hidden.plan.tones.amplitudes + 1e-12)
+        assert np.all(piece.amplitudes <= hidden.plan.tones.amplitudes.ravel() + 1e-12)
     assert max(p.amplitudes.max() for p in seen.pieces) > 1.4 * 0.0005
     assert "flowers were lost from sight" in watched.steps[-2].decided
 
@@ -267,7 +296,7 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     assert (done.frequency, done.amplitude) == (last.frequencies[0], last.amplitudes[0])
     assert done.duration == pytest.approx(last.end - last.begin)
     tone = int(np.flatnonzero(done.frequency == TONES)[0])
-    believed = done.amplitude * foresight.sizes("flowers")[0, tone]
+    believed = done.amplitude * semi_major(foresight.vectors[0, tone, 0, :FLOWERS])
     assert done.predicted_amplitude == pytest.approx(believed)
     assert done.predicted_acceleration == pytest.approx((2 * np.pi * done.frequency) ** 2 * believed)
     low, high = done.predicted_amplitude_interval.T

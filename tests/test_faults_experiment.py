@@ -28,4 +28,4 @@ def test_its_pieces_are_a_watched_shake_that_comes_to_rest() -> None:
     while sizes[-1].any():
         sizes.append(watched.go_on([], [sample]).amplitudes)
     assert len(watched.steps) == len(sizes) - 1 == 3
-    assert all(np.abs(size).max() <= watched.reach for size in sizes)
+    assert all(np.abs(size).max() <= watched.lines[0].reach for size in sizes)

@@ -6,13 +6,13 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from made_foresight import FLOWERS, POINTS, T_WORLD_CAM, TONES, World, made_foresight
+from made_foresight import ALONG, FLOWERS, POINTS, T_WORLD_CAM, TONES, World, lines_across, made_foresight
 from scipy.stats import norm
 
 from anther.devices import ArmSample
 from anther.escalation import foresight as foresight_module
 from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
-from anther.escalation.known import Known, Look, gripper_motion, known, lateness, risk_of
+from anther.escalation.known import Known, Look, answered, gripper_motion, known, lateness, risk_of, summed
 from anther.swing import Swing
 from anther.vibration.observables import semi_major
 
@@ -23,7 +23,7 @@ T = T_WORLD_CAM[:3, :3]
 
 def off(foresight: Foresight, vectors: np.ndarray, truth: np.ndarray) -> float:
     """Return the error of all vectors, over what is not known of them beforehand."""
-    return float(np.linalg.norm(vectors - truth) / np.linalg.norm(foresight.vectors[:, 1].mean(axis=0) - truth))
+    return float(np.linalg.norm(vectors - truth) / np.linalg.norm(foresight.vectors[:, 1, 0].mean(axis=0) - truth))
 
 
 def seen(truth: np.ndarray, rows: np.ndarray = ROWS) -> np.ndarray:
@@ -33,12 +33,12 @@ def seen(truth: np.ndarray, rows: np.ndarray = ROWS) -> np.ndarray:
 @pytest.mark.parametrize("member", [1, 7, 20, 31])
 def test_what_was_seen_exactly_of_a_member_tells_which_it_is(member: int, monkeypatch: pytest.MonkeyPatch) -> None:
     foresight = made_foresight(3)
-    truth = foresight.vectors[member, 1]
+    truth = foresight.vectors[member, 1, 0]
     std = np.full(len(ROWS), 1e-9)
-    roughly = narrowed(foresight, 1, ROWS, seen(truth), std, T).mean(axis=0)
+    roughly = narrowed(foresight.vectors[:, 1, 0], ROWS, seen(truth), std, T).mean(axis=0)
     assert off(foresight, roughly, truth) < 0.35
     monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
-    exactly = narrowed(foresight, 1, ROWS, seen(truth), std, T)
+    exactly = narrowed(foresight.vectors[:, 1, 0], ROWS, seen(truth), std, T)
     assert off(foresight, exactly.mean(axis=0), truth) < 1e-2
     for kind in LOADS:
         (load,) = foresight.load(kind, truth[None])
@@ -50,11 +50,11 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
     foresight = made_foresight(3)
     errors = np.zeros(4)
     for member in range(1, 32):
-        truth = foresight.vectors[member, 1]
+        truth = foresight.vectors[member, 1, 0]
         for i, count in enumerate((0, 1, 5, 26)):
             some = ROWS[:count]
             std = np.full(count, 0.3)
-            found = narrowed(foresight, 1, some, seen(truth, some), std, T)
+            found = narrowed(foresight.vectors[:, 1, 0], some, seen(truth, some), std, T)
             errors[i] += off(foresight, found.mean(axis=0), truth) ** 2
     assert np.all(np.diff(errors) < 0)
     assert errors[-1] < 0.1 * errors[0]
@@ -62,15 +62,15 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_with_nothing_seen_the_members_are_as_they_were() -> None:
     foresight = made_foresight(3)
-    nothing = narrowed(foresight, 1, ROWS[:0], np.zeros((0, 2), complex), np.zeros(0), T)
-    assert np.array_equal(nothing, foresight.vectors[:, 1])
+    nothing = narrowed(foresight.vectors[:, 1, 0], ROWS[:0], np.zeros((0, 2), complex), np.zeros(0), T)
+    assert np.array_equal(nothing, foresight.vectors[:, 1, 0])
 
 
 def test_what_is_all_noise_changes_nothing() -> None:
     foresight = made_foresight(3)
-    truth = foresight.vectors[9, 1]
-    unsure = narrowed(foresight, 1, ROWS, seen(truth), np.full(len(ROWS), 1e4), T)
-    assert np.allclose(unsure, foresight.vectors[:, 1], rtol=1e-2, atol=1e-2)
+    truth = foresight.vectors[9, 1, 0]
+    unsure = narrowed(foresight.vectors[:, 1, 0], ROWS, seen(truth), np.full(len(ROWS), 1e4), T)
+    assert np.allclose(unsure, foresight.vectors[:, 1, 0], rtol=1e-2, atol=1e-2)
 
 
 def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> None:
@@ -78,43 +78,50 @@ def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> N
     foresight, std = made_foresight(3), np.full(5, 0.2)
     rng, errors, spreads = np.random.default_rng(2), [], []
     for member in range(1, 32):
-        truth = foresight.vectors[member, 1]
+        truth = foresight.vectors[member, 1, 0]
         for _ in range(4):
             noise = 0.2 * (rng.normal(size=(5, 2)) + 1j * rng.normal(size=(5, 2)))
-            found = narrowed(foresight, 1, ROWS[:5], seen(truth, ROWS[:5]) + noise, std, T)
+            found = narrowed(foresight.vectors[:, 1, 0], ROWS[:5], seen(truth, ROWS[:5]) + noise, std, T)
             loads = foresight.load("stem_strain", found)
             errors.append(loads.mean() - foresight.load("stem_strain", truth[None])[0])
             spreads.append(loads.std())
-    prior = foresight.load("stem_strain", foresight.vectors[:, 1]).std()
+    prior = foresight.load("stem_strain", foresight.vectors[:, 1, 0]).std()
     assert 0.5 < np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(spreads))) < 1.5
     assert np.mean(spreads) < 0.6 * prior
 
 
 def test_a_point_that_is_less_sure_counts_for_less() -> None:
     foresight = made_foresight(3)
-    truth = foresight.vectors[9, 1]
+    truth = foresight.vectors[9, 1, 0]
     wrong = seen(truth)
     wrong[0] += 3.0  # the first flower is another one
     alike, doubted = np.full(len(ROWS), 0.05), np.full(len(ROWS), 0.05)
     doubted[0] = 10.0
-    believing, doubting = (narrowed(foresight, 1, ROWS, wrong, std, T) for std in (alike, doubted))
+    believing, doubting = (narrowed(foresight.vectors[:, 1, 0], ROWS, wrong, std, T) for std in (alike, doubted))
     assert off(foresight, doubting.mean(axis=0), truth) < off(foresight, believing.mean(axis=0), truth)
 
 
 def test_members_that_explain_what_was_seen_fit_better_than_others() -> None:
     foresight, other = made_foresight(3), made_foresight(4)
     std = np.full(len(ROWS), 0.01)
-    fits = [misfit(foresight, 1, ROWS, seen(f.vectors[9, 1]), std, T) for f in (foresight, other)]
+    fits = [misfit(foresight.vectors[:, 1, 0], ROWS, seen(f.vectors[9, 1, 0]), std, T) for f in (foresight, other)]
     assert fits[0] < fits[1]
 
 
-def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2)) -> Look:
+def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndarray = ALONG) -> Look:
     """Return what is seen of a shake of 1 mm at some tones."""
     sizes = np.isin(np.arange(len(TONES)), tones) * 1e-3
     world.pieces = [Swing.first(TONES, sizes, 2.0, 0.5)]
     active = np.array(tones)
     gripper = 1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin)
-    return Look(active, np.full(len(tones), 1e-3), gripper, world.swings(None, [None], TONES[active]))  # type: ignore[list-item]
+    world.directions = np.repeat(direction[None], len(TONES), axis=0)
+    seen = world.swings(None, [None], TONES[active])  # type: ignore[list-item]
+    return Look(active, direction, np.full(len(tones), 1e-3), gripper, seen)
+
+
+def told(foresight: Foresight, at: Look, i: int, late: float, risk: float) -> Known:
+    """Return what is known of one tone of a look."""
+    return known(foresight, float(TONES[at.tones[i]]), answered(foresight, at, i, T, late), T, late, risk)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.01, 0.03])
@@ -139,9 +146,40 @@ def test_a_late_clock_that_is_known_changes_nothing_else() -> None:
         world = World(foresight, foresight.vectors[5], late=late)
         at = look(world)
         for i in range(3):
-            one = known(foresight, at, i, T, late, 0.5)
+            one = told(foresight, at, i, late, 0.5)
             for kind, load in world.loads(i).items():
                 assert one.loads[kind] == pytest.approx(load, rel=0.05)
+
+
+@pytest.mark.usefixtures("trusted")
+def test_what_was_seen_along_two_lines_tells_of_every_other() -> None:
+    foresight = made_foresight(3, axes=2)
+    for member in (5, 9):
+        world = World(foresight, foresight.vectors[member])
+        axes = [answered(foresight, look(world, direction=axis), 1, T, 0.0) for axis in foresight.axes]
+        for direction in lines_across(5):
+            answer = summed(axes, foresight.parts(direction))
+            one = known(foresight, float(TONES[1]), answer, T, 0.0, 0.5)
+            assert one.flowers == pytest.approx(world.flowers(1, direction), rel=0.05)
+            for kind, load in world.loads(1, direction).items():
+                assert one.loads[kind] == pytest.approx(load, rel=0.05)
+
+
+def test_what_was_not_seen_along_one_line_is_not_seen_along_a_sum() -> None:
+    foresight, hidden = made_foresight(3, axes=2), np.ones(FLOWERS + POINTS, bool)
+    hidden[2] = False
+    clear, partly = (
+        World(foresight, foresight.vectors[5], shown=[s]) for s in (np.ones(FLOWERS + POINTS, bool), hidden)
+    )
+    axes = [
+        answered(foresight, look(w, direction=a), 1, T, 0.0)
+        for w, a in zip((clear, partly), foresight.axes, strict=True)
+    ]
+    seen = [
+        known(foresight, 4.0, summed(axes, parts), T, 0.0, 0.5).seen[2]
+        for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])
+    ]
+    assert seen == [True, False, False]
 
 
 @pytest.mark.usefixtures("trusted")
@@ -150,7 +188,7 @@ def test_flowers_that_are_seen_are_measured_and_others_believed() -> None:
     shown = np.ones(FLOWERS + POINTS, bool)
     shown[[1, 4]] = False
     world = World(foresight, foresight.vectors[5], shown=[shown])
-    one = known(foresight, look(world), 1, T, 0.0, 0.5)
+    one = told(foresight, look(world), 1, 0.0, 0.5)
     assert one.seen.tolist() == shown[:FLOWERS].tolist()
     assert one.flowers == pytest.approx(world.flowers(1), rel=0.05)
 
@@ -158,9 +196,9 @@ def test_flowers_that_are_seen_are_measured_and_others_believed() -> None:
 def test_a_flower_that_moves_less_than_the_camera_can_tell_is_not_measured() -> None:
     foresight = made_foresight(3)
     world = World(foresight, foresight.vectors[5], noise=3e-3)
-    one = known(foresight, look(world), 1, T, 0.0, 0.5)
+    one = told(foresight, look(world), 1, 0.0, 0.5)
     assert not one.seen.any()
-    expected = (2 * np.pi * TONES[1]) ** 2 * semi_major(foresight.vectors[:, 1, :FLOWERS].mean(axis=0))
+    expected = (2 * np.pi * TONES[1]) ** 2 * semi_major(foresight.vectors[:, 1, 0, :FLOWERS].mean(axis=0))
     assert np.abs(np.log(one.flowers / expected)).max() < 1.0
 
 
@@ -168,9 +206,11 @@ def test_all_counts_per_metre_that_was_commanded() -> None:
     foresight = made_foresight(3)
     world = World(foresight, foresight.vectors[5])
     at = look(world)
-    once: Known = known(foresight, at, 1, T, 0.0, 0.5)
-    weak = Look(at.tones, at.amplitudes, 0.5 * at.gripper, at.swings._replace(phasors=0.5 * at.swings.phasors))
-    half = known(foresight, weak, 1, T, 0.0, 0.5)
+    once: Known = told(foresight, at, 1, 0.0, 0.5)
+    weak = Look(
+        at.tones, at.direction, at.amplitudes, 0.5 * at.gripper, at.swings._replace(phasors=0.5 * at.swings.phasors)
+    )
+    half = told(foresight, weak, 1, 0.0, 0.5)
     for kind in LOADS:
         assert half.loads[kind] == pytest.approx(0.5 * once.loads[kind], rel=0.01)
     assert half.flowers == pytest.approx(0.5 * once.flowers, rel=0.01)
@@ -182,8 +222,8 @@ def test_less_risk_and_less_in_sight_are_larger_margins() -> None:
     blind = World(foresight, foresight.vectors[5], shown=[np.zeros(FLOWERS + POINTS, bool)])
 
     def margins(world: World, risk: float) -> dict[str, float]:
-        loads = known(foresight, look(world), 1, T, 0.0, risk).loads
-        return {kind: loads[kind] / known(foresight, look(world), 1, T, 0.0, 0.5).loads[kind] for kind in LOADS}
+        loads = told(foresight, look(world), 1, 0.0, risk).loads
+        return {kind: loads[kind] / told(foresight, look(world), 1, 0.0, 0.5).loads[kind] for kind in LOADS}
 
     careful, bold, unseen = margins(sighted, 0.01), margins(sighted, 0.1), margins(blind, 0.01)
     for kind in LOADS:

@@ -28,13 +28,22 @@ PROBE = Step(
     11.9,
     (8.0, 3.0),
     (2e-4, 5e-4),
+    (0.0, 1.0, 0.0),
     (4.0, NAN, 6.0),
     {"the bending of pedicels": 0.3, "slip": 0.2},
     "At 8 Hz.",
     0.2,
 )
 RAISED = Step(
-    12.5, 13.0, (8.0,), (1e-3,), (9.0, 7.0, 20.0), {"the bending of pedicels": 0.4, "slip": 0.8}, "Held: slip.", 0.1
+    12.5,
+    13.0,
+    (8.0,),
+    (1e-3,),
+    (0.0, 1.0, 0.0),
+    (9.0, 7.0, 20.0),
+    {"the bending of pedicels": 0.4, "slip": 0.8},
+    "Held: slip.",
+    0.1,
 )
 LAST = replace(RAISED, begin=14.0, end=16.0, flowers=(8.0, NAN, NAN), decided="Held long enough.")
 STEPS = (PROBE, RAISED, LAST)

@@ -14,7 +14,7 @@ from test_execution import GRASP, PLANNER, Blind, Plan
 from anther.arm import sawyer
 from anther.devices import LEAD, ArmSample, DeviceError, Frame, Robot
 from anther.errors import InputError
-from anther.execution import PHASES, Params, Step, Trial, execute
+from anther.execution import PHASES, Line, Params, Step, Trial, execute
 from anther.sim.faults import Fault, with_faults
 from anther.swing import Swing
 
@@ -26,7 +26,8 @@ NAMES = tuple(PIECES)[:3]
 class Scripted:
     """Asks for the same pieces whatever it sees; `fault` may raise when a piece is decided."""
 
-    reach, frame_rate = 0.003, 13.0
+    frame_rate = 13.0
+    lines: tuple[Line, ...] = (Line(np.array([0, 1.0, 0]), np.ones(2, bool), 0.003),)
 
     def __init__(self, fault: Callable[[int], None] = lambda _: None, pieces: Sequence[Sequence[float]] = ()) -> None:
         self.fault, self.sizes = fault, list(pieces or PIECES.values())
@@ -49,7 +50,9 @@ class Scripted:
         self.looks.append((list(frames), list(samples)))
         when = samples[0].time + self.since(), samples[-1].time
         flowers = (1.5, float("nan"))
-        self.steps += (Step(*when, tuple(TONES), (0.1, 0.2), flowers, {"slip": 0.5}, f"piece {count}", 0.01),)
+        self.steps += (
+            Step(*when, tuple(TONES), (0.1, 0.2), (0.0, 1.0, 0.0), flowers, {"slip": 0.5}, f"piece {count}", 0.01),
+        )
         last = count == len(self.sizes) - 1
         self.pieces.append(self.pieces[-1].then(self.sizes[count], 0.4 if last else 1.2, 0.4))
         return self.pieces[-1]
@@ -85,6 +88,23 @@ def test_the_pieces_follow_each_other_without_a_stop() -> None:
     assert trial.commanded[-1] == pytest.approx(trial.commanded[0], abs=1e-6)
 
 
+def test_tones_of_two_lines_move_the_pads_along_both() -> None:
+    """From one piece to the next the shake turns from y to z without a stop."""
+    watched, ends = Scripted(pieces=[(0.002, 0.0), (0.0, 0.0015), (0.0, 0.0)]), ([0, 1.0, 0], [0, 0, 1.0])
+    watched.lines = tuple(Line(np.array(end), tone == TONES, 0.003) for end, tone in zip(ends, TONES, strict=True))
+    trial = execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=watched)
+    assert trial.finished
+    away = sawyer.forward(trial.measured)[:, :3, 3] - GRASP.T_world_flange[:3, 3]
+    passed = trial.shake_times - trial.shake_times[0]
+    for i, piece in enumerate(watched.pieces):
+        own = (passed >= piece.begin + 0.01 * i) & (passed <= piece.begin + 0.01 * i + piece.seconds)
+        for line in watched.lines:
+            wanted = piece.only(line.tones).motion(passed[own] - piece.begin - 0.01 * i)[0]
+            assert away[own] @ line.direction == pytest.approx(wanted, abs=3e-5)
+    assert np.abs(away[:, 1:]).max(axis=0) == pytest.approx([0.002, 0.0015], rel=0.02)
+    assert trial.commanded[-1] == pytest.approx(trial.commanded[0], abs=1e-6)
+
+
 def test_each_piece_is_decided_in_time_by_what_was_seen_of_the_one_before() -> None:
     watched = Scripted()
     execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=watched)
@@ -111,7 +131,7 @@ def test_a_shake_is_steady_in_its_last_step_or_all_the_time_or_never() -> None:
     assert plain.steps == ()
     assert plain.steady == (plain.shake_times[0], plain.shake_times[-1])
     assert replace(plain, shake_times=[], commanded=np.zeros((0, 7)), measured=np.zeros((0, 7))).steady == (0.0, 0.0)
-    nothing = Step(0.0, 1.0, (4.0,), (0.001,), (float("nan"),), {}, "", 0.0)
+    nothing = Step(0.0, 1.0, (4.0,), (0.001,), (0.0, 1.0, 0.0), (float("nan"),), {}, "", 0.0)
     assert (nothing.used, nothing.binds) == (0.0, "")
     assert np.isnan(nothing.median)
 

@@ -63,6 +63,11 @@ class Swing:
             self, amplitudes=new, seconds=seconds, ramp=ramp, before=self.amplitudes, begin=self.begin + self.seconds
         )
 
+    def only(self, tones: ArrayLike) -> Swing:
+        """Return the part of it that some tones (K,) have, as if the others were silent."""
+        amplitudes, before = (np.where(tones, size, 0.0) for size in (self.amplitudes, self.before))
+        return replace(self, amplitudes=amplitudes, before=before)
+
     @property
     def stops(self) -> bool:
         """Whether the pads are at rest in the end."""

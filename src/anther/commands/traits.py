@@ -101,7 +101,7 @@ def run(args: Args) -> int:
 
 
 def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
-    """Return what is known of one plant, measured now unless it was measured before with these options and this file."""
+    """Return what is known of one plant, measured now unless it was before, from this file with these options."""
     place = args.out / "plants" / name
     kept = place / "traits.json"
     asked = {

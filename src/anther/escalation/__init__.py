@@ -1,11 +1,11 @@
 """Escalation: a shake that begins gently and is raised as far as the camera sees that the plant bears it.
 
-F flowers, K tones, P points that the camera may see, R readings of the arm.
+F flowers, P points that the camera may see, R readings of the arm, N shakes: a frequency along a line each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import NamedTuple
@@ -16,14 +16,25 @@ from numpy.typing import NDArray
 from anther.checks import check_range
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee
-from anther.escalation.known import Known, Look, gripper_motion, known, lateness, limits_of
-from anther.execution import Step
+from anther.escalation.known import (
+    Answer,
+    Known,
+    Look,
+    answered,
+    gripper_motion,
+    known,
+    lateness,
+    limits_of,
+    summed,
+)
+from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.plant import PlantModel
 from anther.response.points import sight, swings
 from anther.swing import Swing
 from anther.vibration import Params as Limits
 from anther.vibration import ShakePlan
+from anther.vibration.observables import semi_major
 from anther.vibration.params import FLOWER_SPREAD
 
 __all__ = ["Escalation", "Foresight", "Params", "foresee", "watch_points"]
@@ -37,7 +48,7 @@ class Params:
         target: median acceleration of the flowers at which it is enough [m/s2]: half of their pollen is free at about
             20, between 5 and 80 (facts: pollination 6).
         most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same).
-        probe: how long all tones are watched at once, at most [s].
+        probe: how long all frequencies are watched at once along each of two lines, at most [s].
         look: how long a step is watched at least [s], or two periods.
         raised: a step is at most so many times the one before.
         hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
@@ -97,20 +108,30 @@ fewer than this share of the flowers measured at its tone are."""
 
 
 class Allowed(NamedTuple):
-    """How far a tone may be raised: amplitude [m], the flowers' median there [m/s2], and what ends it."""
+    """How far a shake may be raised: amplitude [m], the flowers' median there [m/s2], and what ends it."""
 
     amplitude: float
     flowers: float
     binds: str
 
 
-class Escalation:
-    """One watched shake at the grip and along the direction of a plan; it satisfies `execution.Watched`.
+class Next(NamedTuple):
+    """What follows: amplitudes (N,) [m], for how long [s] after a ramp as `ramp` needs [s], and why."""
 
-    A gentle mixture of tones is watched first: what it does to flowers, stem and leaves corrects what the model says of
-    each tone at this grip (`foresight.narrowed`). The tone is taken at which the flowers can be moved most, and raised
-    in steps, each watched, until they feel `Params.target` or a limit is near. Where the camera sees nothing, the plan
-    is done as it is.
+    amplitudes: Array
+    seconds: float
+    ramp: float
+    words: str
+
+
+class Escalation:
+    """One watched shake at the grip of a plan; it satisfies `execution.Watched`.
+
+    A gentle mixture of tones is watched first, along the plan's line and then across it: what it does to flowers, stem
+    and leaves corrects what the model says of each tone at this grip (`foresight.narrowed`), and along any other line
+    the plant does the sum of both. The tone and line are taken with which the flowers can be moved most, and raised in
+    steps, each watched, until they feel `Params.target` or a limit is near. Where the camera sees nothing, the plan is
+    done as it is.
 
     Attributes:
         plan, params: as given.
@@ -118,7 +139,7 @@ class Escalation:
 
     Args:
         plan: where, and by the model how far at most.
-        foresight: of the plan's grip, direction and tones.
+        foresight: of the plan's grip and tones, its axes those lines of the plan that are probed.
         flowers: (F, 3) at rest, world [m].
         points: (P, 3) the plant's other points, those of `foresee`.
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
@@ -144,39 +165,48 @@ class Escalation:
         self.steps: tuple[Step, ...] = ()
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
         self._limits, self._risk = limits_of(limits, plan.press), limits.risk
+        tones = plan.tones
+        self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
+        self._hertz, self._reach, self._planned = (
+            tones.frequencies[self._tone],
+            tones.reach.ravel(),
+            tones.amplitudes.ravel(),
+        )
+        self._answers: list[list[Answer]] = []
         self._may: dict[int, Allowed] = {}
-        self._picture: dict[int, NDArray[np.complex128]] = {}
-        self._worth: dict[int, float] = {}
+        self._told: dict[int, Known] = {}
         self._tried: dict[int, tuple[float, float]] = {}
         self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
         self._doubted = False
 
     @property
-    def reach(self) -> float:
-        """The pads never move further [m]."""
-        return float(self.plan.tones.reach.max())
+    def lines(self) -> tuple[Line, ...]:
+        """The lines along which pieces move the pads."""
+        tones = self.plan.tones
+        return tuple(
+            Line(direction, self._line == d, float(tones.reach[:, d].max()))
+            for d, direction in enumerate(tones.directions)
+        )
 
     @property
     def frame_rate(self) -> float:
         """Frames a second that it needs: of a period of the fastest tone, and of the shortest look."""
-        fastest = int(self._foresight.tones.argmax())
-        return max(SAMPLES * float(self._foresight.tones[fastest]), FRAMES / self._watch(fastest))
+        fastest = int(self._hertz.argmax())
+        return max(SAMPLES * float(self._hertz[fastest]), FRAMES / self._watch(fastest))
 
     def begin(self, frame: Frame) -> Swing:
-        """Return the probe: all tones at once, with the mean square of `PROBED` times what the model allows of one."""
+        """Return the probe along the plan's line: all its tones, each `PROBED` times what the model allows of one over
+        the root of their number."""
         intrinsics, T_world_cam = self._camera
         self._sight = sight(frame, intrinsics, T_world_cam, *self._places)
-        tones = self.plan.tones
-        size = PROBED * np.minimum(tones.amplitudes, tones.reach) / np.sqrt(len(tones.frequencies))
-        size *= min(1.0, self.reach / size.sum())
-        ramp = self._ramp(int(tones.frequencies.argmin()))
-        self._piece = Swing.first(tones.frequencies, size, ramp + self._probe + LEAD, ramp)
+        probe = self._probe_along(0)
+        self._piece = Swing.first(self._hertz, probe.amplitudes, probe.ramp + probe.seconds + LEAD, probe.ramp)
         return self._piece
 
     def since(self) -> float:
         """Return from when on the piece under way is steady [s], counted from the shake's begin."""
         piece = self._piece
-        steady = self._probe if not self.steps else self._watch(int(piece.amplitudes.argmax()))
+        steady = self._probe if self._probing else self._watch(int(piece.amplitudes.argmax()))
         return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
 
     def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
@@ -186,15 +216,19 @@ class Escalation:
         if not self.steps:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look, self._T) if look.followed else 0.0
-        told = [known(self._foresight, look, i, self._T, self._late, self._risk) for i in range(len(look.tones))]
-        self._may |= {int(t): self._allowed(int(t), one) for t, one in zip(look.tones, told, strict=True)}
-        self._worth |= {int(t): float(np.median(one.flowers)) for t, one in zip(look.tones, told, strict=True)}
-        tone, amplitude, seconds, words = self._decided(look, int(told[0].seen.sum()))
-        self._picture |= {int(t): one.picture for t, one in zip(look.tones, told, strict=True)}
-        self._note(look, told, (steady[0].time, steady[-1].time), words, perf_counter() - started)
-        ramp = self._ramp(tone)
-        new = np.where(np.arange(len(self._foresight.tones)) == tone, amplitude, 0.0)
-        self._piece = self._piece.then(new, ramp + (seconds + LEAD if amplitude else 0.0), ramp)
+        answers = [answered(self._foresight, look, i, self._T, self._late) for i in range(len(look.tones))]
+        active = np.flatnonzero(self._piece.amplitudes)
+        told = [self._known(int(n), one) for n, one in zip(active, answers, strict=True)]
+        if self._probing:
+            self._answers.append(answers)
+            follows = self._after_probe(look)
+        else:
+            self._learned(int(active[0]), told[0])
+            follows = self._decided(look, int(active[0]))
+        self._note(look, told, (steady[0].time, steady[-1].time), follows.words, perf_counter() - started)
+        ramp = max(follows.ramp, *(self._ramp(int(n)) for n in active))
+        moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0
+        self._piece = self._piece.then(follows.amplitudes, ramp + moving, ramp)
         return self._piece
 
     def executed(self, steps: Sequence[Step]) -> ShakePlan:
@@ -203,13 +237,16 @@ class Escalation:
             return self.plan
         last, tones = steps[-1], self._foresight.tones
         tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
-        size = amplitude * self._foresight.sizes("flowers")[:, tone]
+        direction = np.array(last.direction)
+        members = self._foresight.along(tone, direction)[:, self._foresight.where["flowers"]]
+        size = amplitude * semi_major(members)
         spread = np.quantile(np.log(np.maximum(size, 1e-12)), [0.05, 0.95], axis=0).T
         logs = np.log(np.maximum(size[0], 1e-12))[:, None]
         wide = np.exp(logs + [-1, 1] * np.hypot(spread - logs, 1.645 * FLOWER_SPREAD))
         omega2 = (2 * np.pi * tones[tone]) ** 2
         return replace(
             self.plan,
+            direction=direction,
             frequency=float(tones[tone]),
             amplitude=amplitude,
             duration=last.end - last.begin,
@@ -222,107 +259,169 @@ class Escalation:
 
     @property
     def _probe(self) -> float:
-        slowest = float(self._foresight.tones.min())
+        slowest = float(self._hertz.min())
         return min(self.params.probe, max(PROBE_PERIODS / slowest, SHORTEST_PROBE))
+
+    @property
+    def _probing(self) -> bool:
+        """Whether the piece under way is a probe."""
+        return len(self.steps) < len(self.plan.tones.probed)
 
     @property
     def _T(self) -> Array:
         return self._camera[1][:3, :3]
 
+    def _probe_along(self, line: int) -> Next:
+        tones = self.plan.tones
+        size = PROBED * np.minimum(tones.amplitudes[:, line], tones.reach[:, line]) / np.sqrt(len(tones.frequencies))
+        size *= min(1.0, float(tones.reach[:, line].max()) / size.sum())
+        amplitudes = np.where(self._line == line, size[self._tone], 0.0)
+        words = f"Probed {np.degrees(np.arccos(abs(float(tones.directions[line] @ tones.directions[0])))):.0f}° across."
+        return Next(amplitudes, self._probe, self._ramp(int(self._hertz.argmin())), words)
+
     def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
+        direction = self.plan.tones.directions[self._line[active[0]]]
         if self._middle is None:
             turned = np.exp(-2j * np.pi * piece.frequencies[active] * begin)
             gripper = np.asarray(piece.amplitudes[active] * turned, dtype=np.complex128)
         else:
-            gripper = gripper_motion(steady, self._middle, self.plan.direction, piece.frequencies[active])
+            gripper = gripper_motion(steady, self._middle, direction, piece.frequencies[active])
         expected = None
-        if all(int(tone) in self._picture for tone in active):
-            expected = np.stack([piece.amplitudes[tone] * self._picture[int(tone)] for tone in active], axis=1)
+        if all(int(n) in self._told for n in active):
+            expected = np.stack([piece.amplitudes[n] * self._told[int(n)].picture for n in active], axis=1)
         seen = swings(self._sight, frames, piece.frequencies[active], expected)
-        return Look(active, piece.amplitudes[active], gripper, seen)
+        return Look(self._tone[active], direction, piece.amplitudes[active], gripper, seen)
 
-    def _allowed(self, tone: int, one: Known) -> Allowed:
-        """Return how far a tone may be raised."""
+    def _known(self, shake: int, answer: Answer) -> Known:
+        return known(self._foresight, float(self._hertz[shake]), answer, self._T, self._late, self._risk)
+
+    def _learned(self, shake: int, one: Known) -> None:
+        self._may[shake], self._told[shake] = self._allowed(shake, one), one
+
+    def _allowed(self, shake: int, one: Known) -> Allowed:
+        """Return how far a shake may be raised."""
         median, largest = float(np.median(one.flowers)), float(one.flowers[one.seen].max(initial=0.0))
         caps = {kind: limit / max(one.loads[kind], 1e-12) for kind, limit in self._limits.items()}
-        caps["what the actuator can do"] = float(self.plan.tones.reach[tone])
+        caps["what the actuator can do"] = float(self._reach[shake])
         caps["the target"] = self.params.target / max(median, 1e-12)
         caps["the most a flower may feel"] = self.params.most / max(largest, 1e-12)
         binds = min(caps, key=lambda name: caps[name])
         return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
 
-    def _decided(self, look: Look, seen: int) -> tuple[int, float, float, str]:
-        """Return the next tone, its amplitude [m], for how long [s], and why."""
-        if not self.steps and not look.followed:
+    def _after_probe(self, look: Look) -> Next:
+        """Return what follows a probe: the next one, or the shake with which flowers can be moved most."""
+        tones = self.plan.tones
+        if not self._in_sight:
             self._last = True
-            return 0, self.plan.amplitude, self.plan.duration, "Nothing is in sight: the plan alone is carried out."
-        tone, now = int(look.tones[0]), float(look.amplitudes[0])
+            alone = np.where(np.arange(len(self._hertz)) == 0, self.plan.amplitude, 0.0)
+            return Next(alone, self.plan.duration, self._ramp(0), "Nothing is in sight: the plan alone is carried out.")
+        if self._lost(look):
+            return self._rest(look)
+        if len(self._answers) < len(tones.probed):
+            return self._probe_along(tones.probed[len(self._answers)])
+        for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
+            parts = self._foresight.parts(tones.directions[line])
+            answer = summed([along[tone] for along in self._answers], parts)
+            self._learned(shake, self._known(shake, answer))
+        if len(self._hertz) == 1:
+            return self._decided(look, 0)
+        return self._turned_to(self._best(0), {})
+
+    def _best(self, now: int) -> int:
+        """Return the shake that may move the flowers most, or the present one where that is not much more."""
+        may, target = self._may, self.params.target
+        best = max(may, key=lambda n: (min(may[n].flowers, target), may[n].flowers))
+        return best if may[best].flowers > BETTER * may[now].flowers else now
+
+    def _lost(self, look: Look) -> bool:
+        return look.followed < LOST * self._in_sight
+
+    def _rest(self, look: Look) -> Next:
+        words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
+        return Next(np.zeros(len(self._hertz)), 0.0, RAMP, words)
+
+    def _decided(self, look: Look, now: int) -> Next:
+        """Return what follows a shake that was looked at."""
+        amplitude = float(look.amplitudes[0])
         if self._last:
-            return tone, 0.0, 0.0, "Held long enough."
-        if look.followed < LOST * self._in_sight:
-            return tone, 0.0, 0.0, f"Only {look.followed} of {self._in_sight} points are still followed: ended."
-        best = max(self._may, key=lambda k: (min(self._may[k].flowers, self.params.target), self._may[k].flowers))
-        if self._may[best].flowers <= BETTER * self._may[tone].flowers:
-            best = tone  # of the probe, the plan's own
-        if len(look.tones) > 1 or (best != tone and self._fits(best)):
-            return self._turned_to(best, look)
-        self._tried[tone] = max(self._tried.get(tone, (0.0, 0.0)), (now * self._worth[tone], now))
-        return self._raised(tone, now, seen)
+            return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
+        if self._lost(look):
+            return self._rest(look)
+        best = self._best(now)
+        if best != now and self._fits(best):
+            return self._turned_to(best, {now: amplitude})
+        self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (amplitude * self._worth(now), amplitude))
+        return self._raised(now, amplitude)
 
-    def _turned_to(self, tone: int, look: Look) -> tuple[int, float, float, str]:
-        most, done = self._may[tone], dict(zip(look.tones.tolist(), look.amplitudes.tolist(), strict=True))
+    def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
+        sizes = np.where(np.arange(len(self._hertz)) == shake, amplitude, 0.0)
+        return Next(sizes, seconds, self._ramp(shake), words)
+
+    def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
+        most, tones = self._may[shake], self.plan.tones
         self._most_seen, self._doubted = 0, False
-        begin = max(float(self.plan.tones.amplitudes[tone]), self.params.raised * done.get(tone, 0.0))
+        begin = max(float(self._planned[shake]), self.params.raised * done.get(shake, 0.0))
+        turned = np.degrees(np.arccos(min(abs(float(tones.directions[self._line[shake]] @ tones.directions[0])), 1.0)))
         words = (
-            f"At {self._foresight.tones[tone]:.3g} Hz flowers may reach {most.flowers:.3g} m/s2 with "
-            f"{1e3 * most.amplitude:.2g} mm, more than at other tones; {most.binds} ends it there."
+            f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
+            f" m/s2 with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
         )
-        return tone, min(begin, most.amplitude), self._watch(tone), words
+        return self._only(shake, min(begin, most.amplitude), self._watch(shake), words)
 
-    def _raised(self, tone: int, now: float, seen: int) -> tuple[int, float, float, str]:
-        may, self._most_seen = self._may[tone], max(self._most_seen, seen)
+    def _worth(self, shake: int) -> float:
+        return float(np.median(self._told[shake].flowers))
+
+    def _raised(self, shake: int, now: float) -> Next:
+        may, seen = self._may[shake], int(self._told[shake].seen.sum())
+        self._most_seen = max(self._most_seen, seen)
         higher, why = min(may.amplitude, self.params.raised * now), may.binds
         if seen < LOST * self._most_seen or not seen:
             higher, why = min(now, higher), OUT_OF_SIGHT
-        elif not self._fits(tone):
+        elif not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
             self._doubted = False
-            return tone, higher, self._watch(tone), f"Raised to {1e3 * higher:.2g} mm."
+            return self._only(shake, higher, self._watch(shake), f"Raised to {1e3 * higher:.2g} mm.")
         if not self._doubted and why not in LASTING:
             self._doubted = True
-            return tone, higher, self._watch(tone), f"Watched again at {1e3 * higher:.2g} mm: {why}."
+            words = f"Watched again at {1e3 * higher:.2g} mm: {why}."
+            return self._only(shake, higher, self._watch(shake), words)
         self._last = True
-        best = max(self._tried, key=lambda k: self._tried[k])
-        if best != tone and self._tried[best] > (BETTER * now * self._worth[tone], 0.0):
-            tone, higher, why = (
-                best,
-                self._tried[best][1],
-                f"{why}; more was seen at {self._foresight.tones[best]:.3g} Hz",
-            )
+        best = max(self._tried, key=lambda n: self._tried[n], default=shake)
+        if best != shake and self._tried[best] > (BETTER * now * self._worth(shake), 0.0):
+            why = f"{why}; more was seen at {self._hertz[best]:.3g} Hz"
+            shake, higher = best, self._tried[best][1]
         else:
             higher = min(now, higher)
-        return tone, higher, self.params.hold, f"Held at {1e3 * higher:.2g} mm: {why}."
+        return self._only(shake, higher, self.params.hold, f"Held at {1e3 * higher:.2g} mm: {why}.")
 
-    def _fits(self, tone: int) -> bool:
+    def _fits(self, shake: int) -> bool:
         """Return whether there is time for one more step, the hold after it, and coming to rest."""
-        ramp, ends = self._ramp(tone), self._piece.begin + self._piece.seconds
-        return ends + 3 * ramp + self._watch(tone) + self.params.hold + 2 * LEAD <= self.params.most_seconds
+        ramp, ends = self._ramp(shake), self._piece.begin + self._piece.seconds
+        return ends + 3 * ramp + self._watch(shake) + self.params.hold + 2 * LEAD <= self.params.most_seconds
 
-    def _ramp(self, tone: int) -> float:
-        return max(RAMP, 0.5 / float(self._foresight.tones[tone]))
+    def _ramp(self, shake: int) -> float:
+        return max(RAMP, 0.5 / float(self._hertz[shake]))
 
-    def _watch(self, tone: int) -> float:
-        return max(self.params.look, PERIODS / float(self._foresight.tones[tone]))
+    def _watch(self, shake: int) -> float:
+        return max(self.params.look, PERIODS / float(self._hertz[shake]))
 
     def _note(self, look: Look, told: Sequence[Known], when: tuple[float, float], words: str, seconds: float) -> None:
         felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(look.amplitudes, told, strict=True)))
         flowers = np.where(told[0].seen, felt, np.nan)
         loads = {k: sum(a * one.loads[k] for a, one in zip(look.amplitudes, told, strict=True)) for k in self._limits}
         shares = {WORDS[k]: float(loads[k] / limit) for k, limit in self._limits.items()}
-        tones = tuple(self._foresight.tones[look.tones].tolist())
-        step = Step(*when, tones, tuple(look.amplitudes.tolist()), tuple(flowers.tolist()), shares, words, seconds)
+        step = Step(
+            *when,
+            tuple(self._foresight.tones[look.tones].tolist()),
+            tuple(look.amplitudes.tolist()),
+            tuple(look.direction.tolist()),
+            tuple(flowers.tolist()),
+            shares,
+            words,
+            seconds,
+        )
         self.steps = (*self.steps, step)
 
 

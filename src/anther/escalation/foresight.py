@@ -1,6 +1,6 @@
 """What a shake at one grip should do by the model, and what is left of that once the camera has seen a small one.
 
-M members, K tones, S vectors.
+M members, K tones, A axes, S vectors.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ LOADS = ("stem_strain", "joint_strain", "base_strain", "leaf_load", "grip_force"
 
 
 class Foresight(NamedTuple):
-    """What one metre of gripper motion along one line does, as phasors.
+    """What one metre of gripper motion does, as phasors.
 
     Attributes:
         tones: (K,) [Hz].
-        vectors: (M, K, S, 3); the first member is the plant as believed.
+        axes: (A, 3) unit, world: lines of the shake, one, or two that span the plane across the stem.
+        vectors: (M, K, A, S, 3); the first member is the plant as believed.
         where: kind -> rows of S: "flowers" [m/m], "points" [m/m], and `LOADS` [1/m, leaves 1/s2], whose length is the
             load; of the grip its force, pivoting moment and twist [N/m, N].
         radius: of the stem between the pads [m].
@@ -42,17 +43,22 @@ class Foresight(NamedTuple):
     """
 
     tones: Array
+    axes: Array
     vectors: ComplexArray
     where: Mapping[str, slice]
     radius: float
     pad_width: float
 
-    def sizes(self, kind: str) -> Array:
-        """Return (M, K, R) the largest length of each vector of a kind in a period."""
-        return semi_major(self.vectors[:, :, self.where[kind]])
+    def parts(self, direction: Array) -> Array:
+        """Return (A,) of which shakes along the axes one along a unit direction (3,) is the sum."""
+        return np.asarray(np.linalg.lstsq(self.axes.T, direction, rcond=None)[0], dtype=np.float64)
+
+    def along(self, tone: int, direction: Array) -> ComplexArray:
+        """Return (M, S, 3) what a shake along a unit direction (3,) does at a tone."""
+        return np.asarray(np.einsum("masx,a->msx", self.vectors[:, tone], self.parts(direction)))
 
     def load(self, kind: str, vectors: ComplexArray) -> Array:
-        """Return (M,) the largest load of a kind, of vectors (M, S, 3) of one tone."""
+        """Return (M,) the largest load of a kind, of vectors (M, S, 3) of one shake."""
         sizes = semi_major(vectors[:, self.where[kind]])
         if kind == "grip_force":
             return friction_force(*sizes.T, radius=self.radius, width=self.pad_width)
@@ -62,7 +68,7 @@ class Foresight(NamedTuple):
 def foresee(
     plant: PlantModel,
     point: Array,
-    direction: Array,
+    axes: Array,
     tones: Array,
     seen: NDArray[np.int64],
     *,
@@ -74,7 +80,7 @@ def foresee(
     Args:
         plant: as believed.
         point: (3,) where it is held [m].
-        direction: (3,) of the shake.
+        axes: (A, 3) lines of the shake.
         tones: (K,) [Hz].
         seen: (P,) rod nodes that a camera may see.
         pads: as believed.
@@ -82,19 +88,20 @@ def foresee(
     """
     grip = pad_nodes(plant, grip_rows(plant, point[None]), pads.width)
     members = scenarios(plant, MEMBERS, seed, pads=pads, branch_spread=BRANCH_SPREAD)
-    found = [_foreseen(member, plant, grip, direction, tones, seen) for member in members]
+    found = [_foreseen(member, plant, grip, axes, tones, seen) for member in members]
     kinds = ("flowers", "points", *LOADS)
-    ends = np.cumsum([0, *(part.shape[1] for part in found[0])])
+    ends = np.cumsum([0, *(part.shape[2] for part in found[0])])
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
     radius = float(held_radius(plant, grip)[0])
-    return Foresight(tones, np.array([np.concatenate(parts, axis=1) for parts in found]), where, radius, pads.width)
+    vectors_ = np.array([np.concatenate(parts, axis=2) for parts in found])
+    return Foresight(tones, axes, vectors_, where, radius, pads.width)
 
 
 def _foreseen(
     member: Version,
     plant: PlantModel,
     grip: Sequence[NDArray[np.int64]],
-    direction: Array,
+    axes: Array,
     tones: Array,
     seen: NDArray[np.int64],
 ) -> list[ComplexArray]:
@@ -103,17 +110,18 @@ def _foreseen(
     size = (len(nodes), look.operator.shape[1])
     points = csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), nodes)), size)
     answer = vectors(member, grip, vstack([look.operator, points], format="csr"), tones)
-    found, held = (answer.vectors @ direction)[:, 0], (wrench(member, grip, answer) @ direction)[:, 0]
-    omega2 = (2 * np.pi * tones[:, None, None]) ** 2
-    strains = [found[:, rows] for rows in (look.stem_strain, look.joint_strain, look.base_strain)]
-    leaves = omega2 * found[:, look.leaf_load]
-    return [found[:, look.flowers], found[:, found.shape[1] - len(seen) :], *strains, leaves, held]
+    found = np.moveaxis(answer.vectors[:, 0] @ axes.T, -1, 1)
+    held = np.moveaxis(wrench(member, grip, answer)[:, 0] @ axes.T, -1, 1)
+    omega2 = (2 * np.pi * tones[:, None, None, None]) ** 2
+    strains = [found[:, :, rows] for rows in (look.stem_strain, look.joint_strain, look.base_strain)]
+    leaves = omega2 * found[:, :, look.leaf_load]
+    return [found[:, :, look.flowers], found[:, :, found.shape[2] - len(seen) :], *strains, leaves, held]
 
 
 def narrowed(
-    foresight: Foresight, tone: int, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
+    members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
 ) -> ComplexArray:
-    """Return (M, S, 3) what one metre does at one tone, once points were seen to move in the camera's picture.
+    """Return (M, S, 3) what one metre of a shake does, once points were seen to move in the camera's picture.
 
     The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
     hidden flowers follow as the members have them follow, so that at a tone and grip that were measured no resonance
@@ -121,14 +129,12 @@ def narrowed(
     is not known has them.
 
     Args:
-        foresight: of the members.
-        tone: number of the tone.
+        members: (M, S, 3) what they say of that shake, `Foresight.along`.
         rows: (P,) rows of S that were seen.
         motion: (P, 2) per metre of the gripper's motion along the camera's x and y.
         std: (P,) standard deviation of either part.
         T: (3, 3) rotation from the camera to the world.
     """
-    members = foresight.vectors[:, tone]
     if not len(rows):
         return members
     count, seen = len(members), _seen(members, rows, motion, std, T)
@@ -139,13 +145,11 @@ def narrowed(
     return members + (weights @ off).reshape(members.shape)
 
 
-def misfit(
-    foresight: Foresight, tone: int, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
-) -> float:
-    """Return -2 ln likelihood of what was seen at one tone, up to a constant; arguments as of `narrowed`."""
+def misfit(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array) -> float:
+    """Return -2 ln likelihood of what was seen of one shake, up to a constant; arguments as of `narrowed`."""
     if not len(rows):
         return 0.0
-    seen = _seen(foresight.vectors[:, tone], rows, motion, std, T)
+    seen = _seen(members, rows, motion, std, T)
     miss = seen.miss.mean(axis=0)
     explained = np.linalg.solve(seen.gram, seen.spread.conj() @ miss) @ seen.spread
     return float(np.vdot(miss, miss - explained).real) + float(np.linalg.slogdet(seen.gram)[1])

@@ -1,4 +1,7 @@
-"""What is known of each tone of a watched shake, once camera and arm have measured it. F flowers, K tones, P points."""
+"""What is known of a watched shake, once camera and arm have measured it or its parts.
+
+F flowers, K tones, M members, P points, S vectors.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +39,8 @@ slips in soft pads ends the shake. A judgement, tried on ten development plants 
 petioles."""
 
 UNSEEN = 0.2
-"""A flower that is not seen counts with this quantile of what the members say: a tone is not taken for what it might
-do."""
+"""A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
+seen: a tone is not taken for what it might do."""
 SIGNIFICANCE = 3.0
 """A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
 
@@ -46,7 +49,7 @@ LATE = np.arange(-0.005, 0.0451, 0.0025)
 
 
 class Known(NamedTuple):
-    """Of one tone, per metre of the commanded amplitude.
+    """Of one shake, per metre of the commanded amplitude.
 
     Attributes:
         flowers: (F,) peak acceleration [1/s2]; of those that are not seen, what is believed with a margin.
@@ -62,16 +65,18 @@ class Known(NamedTuple):
 
 
 class Look(NamedTuple):
-    """One look at a shake of K tones.
+    """One look at a shake of K tones along one line.
 
     Attributes:
         tones: (K,) numbers of them.
+        direction: (3,) unit, of the line.
         amplitudes: (K,) commanded [m].
-        gripper: (K,) phasors of the gripper's own motion along the shake, on the robot's clock [m].
+        gripper: (K,) phasors of the gripper's own motion along the line, on the robot's clock [m].
         swings: of flowers and points.
     """
 
     tones: NDArray[np.int64]
+    direction: Array
     amplitudes: Array
     gripper: ComplexArray
     swings: Swings
@@ -80,6 +85,22 @@ class Look(NamedTuple):
     def followed(self) -> int:
         """Points and flowers that were followed."""
         return int(np.isfinite(self.swings.std).sum())
+
+
+class Answer(NamedTuple):
+    """What a plant is known to answer to one shake, per metre of the gripper's motion.
+
+    Attributes:
+        members: (M, S, 3) as narrowed by what was seen.
+        flowers: (F, 2) motion that the camera measured along its x and y; NaN where it did not.
+        std: (F,) its standard deviation.
+        moved: of the gripper's motion over what was commanded.
+    """
+
+    members: ComplexArray
+    flowers: ComplexArray
+    std: Array
+    moved: complex
 
 
 def gripper_motion(
@@ -103,12 +124,15 @@ def gripper_motion(
 
 def lateness(foresight: Foresight, look: Look, T: Array) -> float:
     """Return by how much the camera's clock is late [s]: that of `LATE` which the members explain best."""
-    tones = range(len(look.tones))
-    fits = [sum(misfit(foresight, *_points(foresight, look, i, late)[0], T) for i in tones) for late in LATE]
-    return float(LATE[int(np.argmin(fits))])
+    members = [foresight.along(int(tone), look.direction) for tone in look.tones]
+
+    def off(late: float) -> float:
+        return sum(misfit(m, *_seen(foresight, look, i, late), T) for i, m in enumerate(members))
+
+    return float(LATE[int(np.argmin([off(late) for late in LATE]))])
 
 
-def known(foresight: Foresight, look: Look, i: int, T: Array, late: float, risk: float) -> Known:
+def answered(foresight: Foresight, look: Look, i: int, T: Array, late: float) -> Answer:
     """Return what is known of the look's tone number i.
 
     Args:
@@ -117,22 +141,48 @@ def known(foresight: Foresight, look: Look, i: int, T: Array, late: float, risk:
         i: of its tones.
         T: (3, 3) rotation from the camera to the world.
         late: see `lateness`.
+    """
+    members = foresight.along(int(look.tones[i]), look.direction)
+    motion, std = _turned(foresight, look, i, late)
+    count = foresight.where["flowers"].stop - foresight.where["flowers"].start
+    found = narrowed(members, *_seen(foresight, look, i, late), T)
+    return Answer(found, motion[:count], std[:count], complex(look.gripper[i] / look.amplitudes[i]))
+
+
+def summed(answers: Sequence[Answer], parts: Array) -> Answer:
+    """Return what a plant answers to a shake that is the sum of others at the same frequency, so much of each."""
+    used = [(part, one) for part, one in zip(parts, answers, strict=True) if abs(part) > 1e-9]
+    return Answer(
+        np.asarray(sum(part * one.members for part, one in used)),
+        np.asarray(sum(part * one.flowers for part, one in used)),
+        np.sqrt(sum((part * one.std) ** 2 for part, one in used)),
+        sum(part**2 * one.moved for part, one in used) / sum(part**2 for part, _ in used),
+    )
+
+
+def known(foresight: Foresight, hertz: float, one: Answer, T: Array, late: float, risk: float) -> Known:
+    """Return what is known of a shake for which the plant's answer is.
+
+    Args:
+        foresight: of the members.
+        hertz: frequency of the shake [Hz].
+        one: the answer.
+        T: (3, 3) rotation from the camera to the world.
+        late: see `lateness`.
         risk: share of shakes in which a load may be larger than is said; see `LENIENT`.
     """
-    points, motion = _points(foresight, look, i, late)
-    found = narrowed(foresight, *points, T)
-    where, omega = foresight.where, 2 * np.pi * foresight.tones[look.tones[i]]
-    moved = look.gripper[i] / look.amplitudes[i]
-    share = abs(moved)
-    flowers = found[:, where["flowers"]].mean(axis=0)
-    believed = np.quantile(semi_major(found[:, where["flowers"]]), UNSEEN, axis=0)
-    own, std = motion[: len(flowers)], look.swings.std[: len(flowers)] / abs(look.gripper[i])
-    seen = np.linalg.norm(own, axis=1) >= SIGNIFICANCE * std  # not where one of them is NaN
-    flowers[seen] = own[seen] @ T[:, :2].T + _along(found[:, where["flowers"]] @ T[:, 2])[seen, None] * T[:, 2]
+    own, omega, share = foresight.where["flowers"], 2 * np.pi * hertz, abs(one.moved)
+    moved = one.members[:, own]
+    flowers = moved.mean(axis=0)
+    shown, least = np.linalg.norm(one.flowers, axis=1), SIGNIFICANCE * one.std
+    believed = np.fmin(np.quantile(semi_major(moved), UNSEEN, axis=0), np.hypot(shown, least))
+    seen = shown >= least  # not where one of them is NaN
+    flowers[seen] = one.flowers[seen] @ T[:, :2].T + _along(moved @ T[:, 2])[seen, None] * T[:, 2]
     loads = {
-        kind: share * margined(foresight.load(kind, found), SEEN_ERROR[kind], risk_of(kind, risk)) for kind in LOADS
+        kind: share * float(margined(foresight.load(kind, one.members), SEEN_ERROR[kind], risk_of(kind, risk)))
+        for kind in LOADS
     }
-    picture = moved * np.exp(-1j * omega * late) * (flowers @ T[:, :2])
+    picture = one.moved * np.exp(-1j * omega * late) * (flowers @ T[:, :2])
     return Known(share * omega**2 * np.where(seen, semi_major(flowers), believed), seen, loads, picture)
 
 
@@ -156,16 +206,15 @@ def limits_of(limits: Limits, press: float) -> dict[str, float]:
     return dict(zip(LOADS, values, strict=True))
 
 
-def _points(
-    foresight: Foresight, look: Look, i: int, late: float
-) -> tuple[tuple[int, NDArray[np.int64], ComplexArray, Array], ComplexArray]:
-    """Return tone, rows, motion and deviation of what was seen, as `narrowed` takes them, and all motion (F + P, 2).
+def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[ComplexArray, Array]:
+    """Return (F + P, 2) motion in the picture per metre of the gripper's own, and its standard deviation (F + P,)."""
+    turned = np.exp(2j * np.pi * foresight.tones[look.tones[i]] * late) / look.gripper[i]
+    return np.asarray(look.swings.phasors[:, i] * turned), look.swings.std * abs(turned)
 
-    Motion is per metre of the gripper's own.
-    """
-    tone = int(look.tones[i])
-    turned = np.exp(2j * np.pi * foresight.tones[tone] * late) / look.gripper[i]
-    motion, std = look.swings.phasors[:, i] * turned, look.swings.std * abs(turned)
+
+def _seen(foresight: Foresight, look: Look, i: int, late: float) -> tuple[NDArray[np.int64], ComplexArray, Array]:
+    """Return rows, motion and deviation of what was seen, as `narrowed` takes them."""
+    motion, std = _turned(foresight, look, i, late)
     used = np.flatnonzero(np.isfinite(std))
     rows = np.concatenate([np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])])
-    return (tone, rows[used], motion[used], std[used]), motion
+    return rows[used], motion[used], std[used]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.devices import (
     ArmRecord,
@@ -31,7 +32,7 @@ from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
 from anther.swing import Swing, whole_shake
 
-__all__ = ["EARLY", "PHASES", "Params", "Planner", "Progress", "Shake", "Step", "Trial", "Watched", "execute"]
+__all__ = ["EARLY", "PHASES", "Line", "Params", "Planner", "Progress", "Shake", "Step", "Trial", "Watched", "execute"]
 
 DEFAULTS = Params()
 Progress = Callable[[int, int], None]  # called with (phases done, phases in all)
@@ -78,17 +79,31 @@ class Planner(Protocol):
         ...
 
 
+class Line(NamedTuple):
+    """A line along which a watched shake may move the pads.
+
+    Attributes:
+        direction: (3,) unit, world.
+        tones: (K,) which tones of its pieces move along it.
+        reach: the pads never move further [m].
+    """
+
+    direction: Array
+    tones: NDArray[np.bool_]
+    reach: float
+
+
 class Watched(Protocol):
     """A shake that is decided while it lasts, by what the side camera sees.
 
     Attributes:
-        reach: the pads never move further [m].
+        lines: along which its pieces move the pads.
         steps: what was done so far.
         frame_rate: the least that it needs [1/s].
     """
 
     @property
-    def reach(self) -> float: ...
+    def lines(self) -> Sequence[Line]: ...
     @property
     def frame_rate(self) -> float: ...
     @property
@@ -133,7 +148,7 @@ def execute(
         params: of the approach and the grip.
         progress: called before each phase.
         arrive: waits for a motion of the arm that was begun before (`early_reach`), as the phase "early reach".
-        watched: decides the shake's pieces on the way, at the grasp and along the direction of `shake`; None, or
+        watched: decides the shake's pieces on the way, at the grasp of `shake`; None, or
             without a side camera: as planned.
     """
     watched = None if robot.side_camera is None else watched
@@ -272,7 +287,7 @@ def _first(work: _Work, watched: Watched | None) -> Swing | None:
 
 def _watch(work: _Work, watched: Watched, first: Swing) -> None:
     """Shake in pieces, each decided by what was seen of the one before, without a stop between them."""
-    camera, plan, motor = work.robot.side_camera, work.plan, work.robot.motor
+    camera, motor = work.robot.side_camera, work.robot.motor
     assert camera is not None
     rest, done = work.robot.arm.joints(), [first]
 
@@ -280,7 +295,17 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
         for amplitude, frequency in zip(piece.amplitudes, piece.frequencies, strict=True):
             if amplitude > 0:
                 check_shake(amplitude, frequency, piece.begin + piece.seconds, work.limits)
-        return work.planner.swing(rest, plan.direction, [piece], watched.reach)
+        moved = [(line, piece.only(line.tones)) for line in watched.lines]
+        paths = [
+            work.planner.swing(rest, line.direction, [own], line.reach)
+            for line, own in moved
+            if own.before.any() or own.amplitudes.any()
+        ]
+        return JointTrajectory(
+            paths[0].times,
+            rest + sum(path.positions - rest for path in paths),
+            np.asarray(sum(path.velocities for path in paths)),
+        )
 
     def more() -> Swing | None:
         if done[-1].stops:

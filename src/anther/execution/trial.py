@@ -17,7 +17,7 @@ from anther.geometry import Array
 
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
 EARLY = "early reach"  # before these: the arm went to the grasp before it was told which shake (`early_reach`)
-SCHEMA = 3
+SCHEMA = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,7 @@ class Step:
         begin, end: when the pads were steady in it [s], on the robot's clock.
         frequencies: (K,) of its tones [Hz].
         amplitudes: (K,) of the gripper, commanded [m].
+        direction: (3,) unit, world: the line along which it moved.
         flowers: (F,) peak acceleration that the camera measured [m/s2]; NaN where it did not. Of several tones, the
             root of the sum of squares.
         loads: name of each limit of plant and grip -> share of it that was reached, as far as known, with its margin.
@@ -39,6 +40,7 @@ class Step:
     end: float
     frequencies: tuple[float, ...]
     amplitudes: tuple[float, ...]
+    direction: tuple[float, ...]
     flowers: tuple[float, ...]
     loads: dict[str, float]
     decided: str

@@ -200,24 +200,29 @@ TONES, APART = 6, 1.15
 """So many frequencies are worth trying, each this factor from the others: responses lose their likeness within 40 %."""
 
 
-def tones_at(found: Search, response: Gains, at: Place, least: float, earlier: EarlierShake | None) -> Tones:
-    """Return the frequencies at which a sine moves the flowers most by the model, at the place of a shake.
+def tones_at(
+    found: Search, grips: Grips, response: Gains, at: Place, least: float, earlier: EarlierShake | None
+) -> Tones:
+    """Return the frequencies at which a sine moves the flowers most by the model, along any line across a shake's grip.
 
     Of an earlier visit it is that visit's alone, as large as it was there.
     """
     q, g, d = at
+    lines = np.roll(np.arange(grips.directions.shape[1]), -d)
     bounds = list(found.bounds.values())[:OF_THE_MACHINE]
-    reach = np.min([(limit / np.maximum(value, 1e-12))[:, g, d] for value, limit in bounds], axis=0)
+    reach = np.min([(limit / np.maximum(value, 1e-12))[:, g] for value, limit in bounds], axis=0)[:, lines]
+    directions, size = grips.directions[g, lines], found.amplitude[:, g, lines]
     if earlier is not None:
-        return Tones(found.frequencies[[q]], np.minimum(earlier.amplitude, reach[[q]]), reach[[q]])
-    size = found.amplitude[:, g, d]
-    moved = (2 * np.pi * found.frequencies) ** 2 * size * response.flower[:, :, g, d].mean(axis=(0, -1))
+        own = reach[[q], :1]
+        return Tones(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
+    moved = (2 * np.pi * found.frequencies[:, None]) ** 2 * size * response.flower[:, :, g, lines].mean(axis=(0, -1))
+    worth = np.where(size >= least, moved, 0.0).max(axis=1)
     chosen = [q]
-    for k in np.argsort(-moved, kind="stable"):
+    for k in np.argsort(-worth, kind="stable"):
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
-        if far and found.frequencies[k] >= QUICK and size[k] >= least and len(chosen) < TONES:
+        if far and found.frequencies[k] >= QUICK and worth[k] > 0 and len(chosen) < TONES:
             chosen.append(int(k))
-    return Tones(found.frequencies[chosen], size[chosen], reach[chosen])
+    return Tones(found.frequencies[chosen], directions, size[chosen], reach[chosen])
 
 
 SAME_PLACE = 0.02

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from anther.checks import check_array, check_range
 from anther.errors import bad_input
 from anther.files import read_json, write_json
@@ -14,7 +16,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp, grasp_of, grasp_row
 from anther.vibration.pads import PADS, Pads
 
-SCHEMA = 6
+SCHEMA = 7
 """Of the files written; one of schema 5, which told a waveform, is read where that is a sine."""
 
 LimitRow = tuple[str, float, float, float]
@@ -52,22 +54,32 @@ class ResponseMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tones:
-    """The frequencies most worth trying at the plan's grip and direction; the plan's own is the first. K tones.
+    """The frequencies and lines most worth trying at the plan's grip; the plan's own come first. K tones, D lines.
 
     Attributes:
         frequencies: (K,) [Hz].
-        amplitudes: (K,) of the grip, that all limits allow by the model [m].
-        reach: (K,) that the actuator manages [m].
+        directions: (D, 3) unit, world: lines across the stem, in turn over half a circle; or the plan's own alone.
+        amplitudes: (K, D) of the grip, that all limits allow by the model [m].
+        reach: (K, D) that the actuator manages [m].
     """
 
     frequencies: Array
+    directions: Array
     amplitudes: Array
     reach: Array
 
     def __post_init__(self) -> None:
-        k = len(self.frequencies)
-        for name in ("frequencies", "amplitudes", "reach"):
-            object.__setattr__(self, name, check_array(f"tones {name}", getattr(self, name), (k,)))
+        shape = (len(self.frequencies), len(self.directions))
+        for name, wanted in zip(
+            ("frequencies", "directions", "amplitudes", "reach"), (shape[:1], (shape[1], 3), shape, shape), strict=True
+        ):
+            object.__setattr__(self, name, check_array(f"tones {name}", getattr(self, name), wanted))
+
+    @property
+    def probed(self) -> tuple[int, ...]:
+        """The lines of which a shake along any other is a sum: the plan's own, and the one most nearly across it."""
+        across = np.abs(self.directions @ self.directions[0])
+        return (0,) if len(across) == 1 else (0, int(across.argmin()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,11 +191,9 @@ class ShakePlan:
         """Read what `save` wrote.
 
         Raises:
-            InputError: missing, not JSON, not a shake plan of this schema, or an earlier one that is no sine.
+            InputError: missing, not JSON, or not a shake plan of this schema.
         """
         row = read_json(path)
-        if isinstance(row, dict) and (row.get("kind"), row.get("schema")) == ("shake plan", 5):
-            row = _without_waveforms(path, row)
         if not isinstance(row, dict) or (row.get("kind"), row.get("schema")) != ("shake plan", SCHEMA):
             raise bad_input(str(path), given="another file", allowed=f"a shake plan, schema {SCHEMA}", do="Plan again.")
         try:
@@ -199,17 +209,6 @@ class ShakePlan:
             raise bad_input(
                 str(path), given=f"a broken shake plan ({error!r})", allowed="what save wrote", do="Plan again."
             ) from error
-
-
-def _without_waveforms(path: Path | str, row: dict[str, Any]) -> dict[str, Any]:
-    """Return a plan of schema 5 as one of this schema."""
-    form, other = row.get("waveform"), row.get("runner_up")
-    kind = form.get("kind") if isinstance(form, dict) else form
-    if kind != "sine":
-        raise bad_input(str(path), given=f"the plan of a {kind}", allowed="the plan of a sine", do="Plan again.")
-    if isinstance(other, dict):
-        row["runner_up"] = {name: value for name, value in other.items() if name != "waveform"}
-    return row | {"schema": SCHEMA}
 
 
 _NESTED = ("grasp", "runner_up", "response_map", "tones", "pads")

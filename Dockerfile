@@ -1,0 +1,23 @@
+# Anther with all that its demo and its tests need, run by a user without rights on a root that is only read:
+#
+#   docker build -t anther .
+#   docker run --rm --read-only --tmpfs /tmp:exec --tmpfs /anther/runs:uid=1000 anther          # the demo
+#   docker run --rm --read-only --tmpfs /tmp:exec --tmpfs /anther/runs:uid=1000 anther make test
+#   docker run --rm --read-only --tmpfs /tmp:exec -v "$PWD:/data" anther anther skeletonize /data/plant.ply --out /data/tree
+FROM debian:bookworm-slim
+
+# Tests that start a browser, a PostgreSQL server or a ROS 1 master are skipped without these.
+ARG FOR_TESTS="chromium fonts-dejavu-core postgresql python3-roslaunch python3-rospy python3-std-msgs"
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends ca-certificates make python3 python3-venv $FOR_TESTS \
+    && rm -rf /var/lib/apt/lists/* \
+    && useradd --uid 1000 --create-home anther
+
+WORKDIR /anther
+COPY . .
+RUN make sync
+
+# Whatever is written goes to /tmp: compiled code, caches, temporary files.
+ENV PATH=/anther/.venv/bin:$PATH HOME=/tmp PYTHONDONTWRITEBYTECODE=1 PYTEST_ADDOPTS="-p no:cacheprovider"
+USER anther
+CMD ["make", "demo"]
