@@ -15,7 +15,7 @@ from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
-from anther.escalation.known import SEEN_ERROR, limits_of
+from anther.escalation.known import SEEN_ERROR, WATCHED, limits_of
 from anther.vibration import Params as Limits
 from anther.vibration import PlantLimits
 from anther.vibration.observables import semi_major
@@ -44,7 +44,9 @@ def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
 def most(world: World, tone: int) -> tuple[float, float]:
     """Return how far a tone may be raised, by the truth: amplitude [m] and the flowers' median there [m/s2]."""
     flowers, loads = world.flowers(tone), world.loads(tone)
-    margin = {k: median * np.exp(norm.isf(world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()}
+    margin = {
+        k: median * np.exp(norm.isf(WATCHED * world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()
+    }
     caps = [limit / (margin[k] * loads[k]) for k, limit in limits_of(world.limits, world.plan.press).items()]
     caps += [
         world.plan.tones.reach[tone, 0],

@@ -12,7 +12,7 @@ from scipy.stats import norm
 from anther.devices import ArmSample
 from anther.escalation import foresight as foresight_module
 from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
-from anther.escalation.known import Known, Look, answered, gripper_motion, known, lateness, risk_of, summed
+from anther.escalation.known import Known, Look, answered, gripper_motion, known, lateness, summed
 from anther.swing import Swing
 from anther.vibration.observables import semi_major
 
@@ -229,15 +229,8 @@ def test_less_risk_and_less_in_sight_are_larger_margins() -> None:
     for kind in LOADS:
         assert 1 < bold[kind] < careful[kind] < unseen[kind]
         spread = known_module.SEEN_ERROR[kind][1]
-        least = np.exp(norm.isf(risk_of(kind, 0.01)) * spread)
+        least = np.exp(norm.isf(0.01) * spread)
         assert careful[kind] >= least - 1e-3, "no margin is less than what was measured"
-
-
-def test_a_load_that_breaks_nothing_is_asked_for_less_surely() -> None:
-    assert risk_of("joint_strain", 0.025) == risk_of("stem_strain", 0.025) == risk_of("base_strain", 0.025) == 0.025
-    assert 0.025 < risk_of("leaf_load", 0.025) <= 0.1
-    assert 0.025 < risk_of("grip_force", 0.025) <= 0.1
-    assert risk_of("leaf_load", 0.5) == 0.5, "nothing is passed by more shakes than not"
 
 
 def test_the_gripper_s_own_motion_is_read_from_the_joints() -> None:

@@ -19,7 +19,16 @@ from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import TOMATO, Material, PlantModel, build_plant
-from anther.vibration import ArmShaker, EarlierShake, Params, PlantLimits, ShakePlan, plan_shake, sawyer_limit
+from anther.vibration import (
+    ArmShaker,
+    EarlierShake,
+    Params,
+    PlantLimits,
+    ShakePlan,
+    VibratingGripper,
+    plan_shake,
+    sawyer_limit,
+)
 from anther.vibration.observables import observables, semi_major
 from anther.vibration.verification import steadily_shaken
 
@@ -176,13 +185,32 @@ def test_a_second_visit_begins_with_what_the_first_ended_with(
         assert plan_shake(plant, grasps, params=QUICK, earlier=stranger).frequency == plan.frequency
 
 
+def test_tones_may_be_tried_along_every_line_across_the_stem(
+    plant: PlantModel, grasps: list[Grasp], plan: ShakePlan
+) -> None:
+    tones = plan.tones
+    assert tones.directions.shape == (QUICK.directions, 3)
+    assert tones.directions[0] == pytest.approx(plan.direction)
+    assert tones.frequencies[0] == plan.frequency
+    assert tones.amplitudes.shape == tones.reach.shape == (len(tones.frequencies), QUICK.directions)
+    alike = np.abs(np.triu(tones.directions @ tones.directions.T, 1))
+    assert alike.max() < 0.99, "each is another line"
+    assert tones.probed[0] == 0
+    assert abs(tones.directions[0] @ tones.directions[tones.probed[1]]) == pytest.approx(alike[0, 1:].min())
+    for line, reach in zip(tones.directions, tones.reach.T, strict=True):
+        allowed = ArmShaker().amplitude(plan.grasp, line, tones.frequencies)
+        assert np.all(reach <= QUICK.arm_share * allowed * (1 + 1e-9))
+    alone = plan_shake(plant, grasps, VibratingGripper(), QUICK).tones
+    assert (alone.directions.shape, alone.probed) == ((1, 3), (0,)), "a motor moves the pads along one line"
+
+
 def test_an_earlier_shake_is_no_larger_than_the_arm_manages(
     plant: PlantModel, grasps: list[Grasp], plan: ShakePlan
 ) -> None:
     earlier = EarlierShake(plan.grasp.arc_length, plan.direction, plan.frequency, 1.0)
     tones = plan_shake(plant, grasps, params=QUICK, earlier=earlier).tones
     assert tones.amplitudes == pytest.approx(tones.reach)
-    assert tones.reach[0] < 0.2
+    assert tones.reach[0, 0] < 0.2
 
 
 def test_the_choice_is_among_the_grasps(plant: PlantModel, grasps: list[Grasp], plan: ShakePlan) -> None:

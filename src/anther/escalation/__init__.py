@@ -17,6 +17,7 @@ from anther.checks import check_range
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee
 from anther.escalation.known import (
+    WATCHED,
     Answer,
     Known,
     Look,
@@ -164,7 +165,7 @@ class Escalation:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
-        self._limits, self._risk = limits_of(limits, plan.press), limits.risk
+        self._limits, self._risk = limits_of(limits, plan.press), min(WATCHED * limits.risk, 0.5)
         tones = plan.tones
         self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
         self._hertz, self._reach, self._planned = (
