@@ -33,8 +33,8 @@ points seen with an error of 12 %: 5 % of the loads pass what they say at that r
 model."""
 
 WATCHED = 4.0
-"""So many times the plan's risk is allowed once the camera has seen the shake. With 1, 2, 3 and 4 times for strains (4 for
-leaf bases and slip) the median flower of 18 development plants felt 4.4, 4.7, 5.3 and 5.4 m/s2 (geometric mean;
+"""So many times the plan's risk is allowed once the camera has seen the shake. With 1, 2, 3 and 4 times for strains (4
+for leaf bases and slip) the median flower of 18 development plants felt 4.4, 4.7, 5.3 and 5.4 m/s2 (geometric mean;
 MuJoCo's linear equations), and what they bear was passed with a probability of 1.0, 1.0, 0.6 and 0.6 %: the limits lie
 near what the weakest plants bear. With 8 times for leaf bases, midribs and petioles are harmed."""
 
