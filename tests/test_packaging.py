@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -55,6 +56,18 @@ def test_the_source_archive_can_be_tested(tmp_path: Path) -> None:
               "examples/01_shake_a_cantilever.py", "tools/make_env.py"]  # fmt: skip
     assert not set(needed) - names
     assert not [name for name in names if name.startswith((".venv", "runs/")) or "__pycache__" in name]
+
+
+def test_the_image_has_what_the_source_archive_has() -> None:
+    """.dockerignore leaves out all but what it names."""
+    ignored, *kept = (ROOT / ".dockerignore").read_text().splitlines()
+    assert ignored == "*"
+    names = {line.removeprefix("!") for line in kept if line.startswith("!")}
+    for wanted in tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["sdist"][
+        "include"
+    ]:
+        name = wanted.removeprefix("/")
+        assert name in names or f"*{Path(name).suffix}" in names, wanted
 
 
 def test_the_wheel_runs_outside_the_repository(wheel: Path, tmp_path: Path) -> None:

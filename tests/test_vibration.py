@@ -200,6 +200,10 @@ def test_tones_may_be_tried_along_every_line_across_the_stem(
     for line, reach in zip(tones.directions, tones.reach.T, strict=True):
         allowed = ArmShaker().amplitude(plan.grasp, line, tones.frequencies)
         assert np.all(reach <= QUICK.arm_share * allowed * (1 + 1e-9))
+    along = plan.direction
+    narrow = ArmShaker(lambda grasp, line, f: sawyer_limit(grasp, line, f) if abs(line @ along) > 0.5 else 0.0 * f)
+    kept = plan_shake(plant, grasps, narrow, QUICK)
+    assert kept.tones.directions == pytest.approx(kept.direction[None]), "no room across: along its own line alone"
     alone = plan_shake(plant, grasps, VibratingGripper(), QUICK).tones
     assert (alone.directions.shape, alone.probed) == ((1, 3), (0,)), "a motor moves the pads along one line"
 

@@ -277,8 +277,7 @@ class Escalation:
         size = PROBED * np.minimum(tones.amplitudes[:, line], tones.reach[:, line]) / np.sqrt(len(tones.frequencies))
         size *= min(1.0, float(tones.reach[:, line].max()) / size.sum())
         amplitudes = np.where(self._line == line, size[self._tone], 0.0)
-        words = f"Probed {np.degrees(np.arccos(abs(float(tones.directions[line] @ tones.directions[0])))):.0f}° across."
-        return Next(amplitudes, self._probe, self._ramp(int(self._hertz.argmin())), words)
+        return Next(amplitudes, self._probe, self._ramp(int(self._hertz.argmin())), "Probed across that line as well.")
 
     def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)

@@ -196,6 +196,8 @@ OF_THE_MACHINE = 3
 """The first bounds of a search: the plant has no part in them."""
 QUICK = 2.0
 """Slower frequencies are not tried beside the plan's own [Hz]: watching one takes two seconds and more."""
+ROOM = 1e-5
+"""A line along which the actuator can move less than this [m] is none."""
 TONES, APART = 6, 1.15
 """So many frequencies are worth trying, each this factor from the others: responses lose their likeness within 40 %."""
 
@@ -205,12 +207,14 @@ def tones_at(
 ) -> Tones:
     """Return the frequencies at which a sine moves the flowers most by the model, along any line across a shake's grip.
 
-    Of an earlier visit it is that visit's alone, as large as it was there.
+    Of an earlier visit it is that visit's alone, as large as it was there. Where the actuator has no room along one of
+    the lines, the shake's own is the only one.
     """
     q, g, d = at
-    lines = np.roll(np.arange(grips.directions.shape[1]), -d)
     bounds = list(found.bounds.values())[:OF_THE_MACHINE]
-    reach = np.min([(limit / np.maximum(value, 1e-12))[:, g] for value, limit in bounds], axis=0)[:, lines]
+    reach = np.min([(limit / np.maximum(value, 1e-12))[:, g] for value, limit in bounds], axis=0)
+    lines = np.roll(np.arange(reach.shape[1]), -d) if reach.min() >= ROOM else np.array([d])
+    reach = reach[:, lines]
     directions, size = grips.directions[g, lines], found.amplitude[:, g, lines]
     if earlier is not None:
         own = reach[[q], :1]
