@@ -46,6 +46,8 @@ PATIENCE, LOST = 20, 90
 MEMORY = 4e9
 FRESH = 5000
 """Inputs after which a new process goes on, so that the memory which one takes is not another's."""
+TAIL = 2**20
+"""The last outcome of a log lies in so many bytes of its end."""
 HOLDS = {"tracebacks", "hangs", "over_memory", "silent_wrong", "half_written"}
 
 
@@ -210,8 +212,13 @@ def outcomes(log: Path) -> list[dict[str, Any]]:
 
 
 def first_undone(log: Path, first: int) -> int:
-    """Return the number after the last one in the log."""
-    return max([first, *(row["number"] + 1 for row in outcomes(log))])
+    """Return the number after the last one in the log, of which the end alone is read: it is asked every second."""
+    if not log.exists():
+        return first
+    with log.open("rb") as stream:
+        stream.seek(max(log.stat().st_size - TAIL, 0))
+        lines = [line for line in stream.read().splitlines(keepends=True)[-3:] if line.endswith(b"\n")]
+    return max([first, *(json.loads(line)["number"] + 1 for line in lines[-1:])])
 
 
 def metrics(rows: list[dict[str, Any]]) -> dict[str, int]:
