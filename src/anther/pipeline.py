@@ -184,9 +184,7 @@ def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params)
 
 def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
     """Return the plant as rods with the flowers that were seen, or else with those supposed; a note says so."""
-    hung = seen.flowers if len(seen.flowers.positions) else flowers.supposed_flowers(seen.skeleton, seen.stem)
-    rods = plant.build_plant(seen.skeleton, seen.stem, hung, seen.cloud, material, params=params.plant)
-    return rods if hung is seen.flowers else replace(rods, notes=(*hung.notes, *rods.notes))
+    return plant.plant_with_flowers(seen.skeleton, seen.stem, seen.flowers, seen.cloud, material, params=params.plant)
 
 
 def pollinate(

@@ -22,7 +22,7 @@ from anther.geometry import Array, inverse
 
 STEP = 1e-3  # s between the instants looked at
 WIDE = (
-    1.1  # |x / z| and |y / z| of a point beyond this are outside a D455's colour image (90 x 65 deg: facts, sawyer 3)
+    1.1  # |x / z| and |y / z| of a point beyond this are outside a D455's colour image (90 x 65 deg: facts, sawyer 4)
 )
 SOON = 1e-4  # s in which a point's motion in the image is taken
 
@@ -32,7 +32,7 @@ class Params:
     """Camera and clocks.
 
     Attributes:
-        frame_rate: of the camera, which runs freely [Hz] (D455 at 1280 x 720; facts: sawyer 3).
+        frame_rate: of the camera, which runs freely [Hz] (D455 at 1280 x 720; facts: sawyer 4).
         exposure: of a frame [s]. Our assumption: daylight in a greenhouse, or a lamp beside the camera.
         focal: length [px] (D455 at 1280 x 720; facts: perception).
         blur: how far any point of the plant's region may move in the image within an exposure [px]; half a pixel is

@@ -18,7 +18,7 @@ from anther.commands.run_folder import PARAMS
 from anther.commands.skeletonize import best_grasps
 from anther.errors import bad_input
 from anther.files import read_object, replacing
-from anther.flowers import Flowers, supposed_flowers
+from anther.flowers import Flowers
 from anther.formats.skeleton_file import supposed_radius
 from anther.formats.skeletons import read_skeleton
 from anther.fruit_set import worth
@@ -26,7 +26,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
 from anther.identification import read_material
 from anther.pictures.shake_plan import draw_plan
-from anther.plant import PEPPER, TOMATO, Material, PlantModel, build_plant
+from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem, find_stem
@@ -164,7 +164,9 @@ def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
         plant = plant if material is None else plant.with_material(material)
     else:
         flowers = Flowers.load(there["flowers"]) if "flowers" in there else Flowers(np.zeros((0, 3)), np.zeros(0))
-        plant = _built(skeleton, stem, flowers, cloud, material or (TOMATO if args.crop == "tomato" else PEPPER))
+        plant = plant_with_flowers(
+            skeleton, stem, flowers, cloud, material or (TOMATO if args.crop == "tomato" else PEPPER)
+        )
     return plant, load_grasps(there["grasp"]) if "grasp" in there else _grasps(stem, skeleton, cloud)
 
 
@@ -183,13 +185,7 @@ def _of_skeleton(args: Args, material: Material) -> tuple[PlantModel, list[Grasp
     out *= PEDICEL / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
     flowers = Flowers(skeleton.nodes[at] + out, at)
     stem = find_stem(skeleton, flowers_at=flowers.positions)
-    return _built(skeleton, stem, flowers, None, material), _grasps(stem, skeleton, None)
-
-
-def _built(skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, material: Material) -> PlantModel:
-    hung = flowers if len(flowers.positions) else supposed_flowers(skeleton, stem)
-    plant = build_plant(skeleton, stem, hung, cloud, material)
-    return replace(plant, notes=(*hung.notes, *plant.notes))
+    return plant_with_flowers(skeleton, stem, flowers, None, material), _grasps(stem, skeleton, None)
 
 
 def _grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud | None) -> list[Grasp]:

@@ -45,7 +45,7 @@ SCHEMA = 4
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
 ROOT_STRAIN = 0.01
-"""Bending strain a stem bears (facts: pollination 1d); pulled aside by d at height L, its root sees 3 r d / L^2."""
+"""Bending strain a stem bears (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2."""
 
 PATIENCE = 4
 """A tomato with every leaf twice: the arm reached none of the 150 best, and asking on found one that succeeded."""

@@ -21,7 +21,7 @@ from anther.elastic_rod.rods import NaturalShape, Rods
 from anther.elastic_rod.stability import stands
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
-from anther.flowers import Flowers
+from anther.flowers import Flowers, supposed_flowers
 from anther.geometry import Array
 from anther.plant.material import LEARNED, PEPPER, TOMATO, Material
 from anther.plant.shape import edge_radii, hang_flowers, in_blade, leaf_mass
@@ -29,7 +29,9 @@ from anther.plant.stability import branch_stiffening, least_youngs
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
-__all__ = ["LEARNED", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant"]
+__all__ = [
+    "LEARNED", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
+]  # fmt: skip
 
 SCHEMA = 3
 
@@ -260,6 +262,26 @@ def build_plant(
         least_youngs=least,
         notes=(_mass_note(rods, leaves, cloud), *note),
     )
+
+
+def plant_with_flowers(
+    skeleton: Skeleton,
+    stem: Stem,
+    found: Flowers,
+    cloud: Cloud | None,
+    material: Material,
+    *,
+    params: Params = Params(),
+) -> PlantModel:
+    """Return the plant as rods with the flowers found or, where none was, with those supposed; a note says so.
+
+    Arguments and errors are those of `build_plant`.
+    """
+    if len(found.positions):
+        return build_plant(skeleton, stem, found, cloud, material, params=params)
+    hung = supposed_flowers(skeleton, stem)
+    plant = build_plant(skeleton, stem, hung, cloud, material, params=params)
+    return replace(plant, notes=(*hung.notes, *plant.notes))
 
 
 def _rods(

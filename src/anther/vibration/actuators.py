@@ -48,7 +48,7 @@ class ArmShaker:
         limit: what its joints manage at the grasp's own joint angles: speed, acceleration and torque, so the amplitude
             falls as 1/f^2 above 1-2 Hz (facts: sawyer 6).
         lowest, highest: [Hz]; below 1 Hz no flower feels a shake, above 35 Hz the arm moves less than its pads yield.
-        least_amplitude: the arm places itself to 0.1 mm (facts: sawyer 1), and soft pads swallow as much [m].
+        least_amplitude: the arm places itself to 0.1 mm (facts: sawyer 2), and soft pads swallow as much [m].
     """
 
     limit: ArmLimit = sawyer_limit
