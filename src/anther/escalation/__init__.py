@@ -6,16 +6,14 @@ F flowers, P points that the camera may see, R readings of the arm, N shakes: a 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anther.checks import check_range
 from anther.devices import LEAD, ArmSample, Frame
-from anther.escalation.foresight import Foresight, foresee
+from anther.escalation.foresight import Foresight, foresee, watch_points
 from anther.escalation.known import (
     WATCHED,
     Answer,
@@ -28,9 +26,9 @@ from anther.escalation.known import (
     limits_of,
     summed,
 )
+from anther.escalation.params import Params
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
-from anther.plant import PlantModel
 from anther.response.points import sight, swings
 from anther.swing import Swing
 from anther.vibration import Params as Limits
@@ -41,42 +39,7 @@ from anther.vibration.params import FLOWER_SPREAD
 __all__ = ["Escalation", "Foresight", "Params", "foresee", "watch_points"]
 
 
-@dataclass(frozen=True, slots=True)
-class Params:
-    """How a watched shake is raised.
-
-    Attributes:
-        target: median acceleration of the flowers at which it is enough [m/s2]: half of their pollen is free at about
-            20, between 5 and 80 (facts: pollination 6).
-        most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same).
-        probe: how long all frequencies are watched at once along each of two lines, at most [s].
-        look: how long a step is watched at least [s], or two periods.
-        raised: a step is at most so many times the one before.
-        hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
-        most_seconds: of the whole shake [s].
-        points: of the plant that are watched beside the flowers.
-    """
-
-    target: float = 30.0
-    most: float = 60.0
-    probe: float = 1.4
-    look: float = 0.4
-    raised: float = 2.0
-    hold: float = 1.2
-    most_seconds: float = 12.0
-    points: int = 60
-
-    def __post_init__(self) -> None:
-        check_range("target", self.target, 0.1, 1000, "m/s2")
-        check_range("most", self.most, self.target, 10_000, "m/s2")
-        check_range("probe", self.probe, 0.5, 10, "s")
-        check_range("look", self.look, 0.2, 10, "s")
-        check_range("raised", self.raised, 1.05, 4)
-        check_range("hold", self.hold, 0.5, 10, "s")
-        check_range("most_seconds", self.most_seconds, 4, 60, "s")
-        check_range("points", self.points, 0, 1000)
-
-
+DEFAULTS = Params()
 RAMP = 0.3
 """In which the amplitude changes [s], or half a period of the slowest tone if that is longer."""
 PERIODS = 2.0
@@ -160,7 +123,7 @@ class Escalation:
         camera: tuple[Intrinsics, Array],
         middle: Callable[[Array], Array] | None,
         limits: Limits,
-        params: Params = Params(),
+        params: Params = DEFAULTS,
     ) -> None:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
@@ -423,15 +386,3 @@ class Escalation:
             seconds,
         )
         self.steps = (*self.steps, step)
-
-
-def watch_points(plant: PlantModel, most: int) -> NDArray[np.int64]:
-    """Return up to `most` nodes of stem, branches and leaves that lie far from each other: farthest first."""
-    stalks = plant.is_pedicel | np.isin(np.arange(len(plant.is_pedicel)), plant.flower_nodes)
-    nodes = np.flatnonzero(~stalks)
-    places = plant.rods.nodes[nodes]
-    chosen, gap = [0], np.linalg.norm(places - places[0], axis=1)
-    while len(chosen) < min(most, len(nodes)):
-        chosen.append(int(gap.argmax()))
-        gap = np.minimum(gap, np.linalg.norm(places - places[chosen[-1]], axis=1))
-    return nodes[chosen]

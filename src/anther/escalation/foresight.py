@@ -118,6 +118,18 @@ def _foreseen(
     return [found[:, :, look.flowers], found[:, :, found.shape[2] - len(seen) :], *strains, leaves, held]
 
 
+def watch_points(plant: PlantModel, most: int) -> NDArray[np.int64]:
+    """Return up to `most` nodes of stem, branches and leaves that lie far from each other: farthest first."""
+    stalks = plant.is_pedicel | np.isin(np.arange(len(plant.is_pedicel)), plant.flower_nodes)
+    nodes = np.flatnonzero(~stalks)
+    places = plant.rods.nodes[nodes]
+    chosen, gap = [0], np.linalg.norm(places - places[0], axis=1)
+    while len(chosen) < min(most, len(nodes)):
+        chosen.append(int(gap.argmax()))
+        gap = np.minimum(gap, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return nodes[chosen]
+
+
 def narrowed(
     members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
 ) -> ComplexArray:
