@@ -11,11 +11,12 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from anther import __version__
+from anther import __version__, cli
 from anther.capture import Capture
 from anther.cli import COMMANDS, main
 from anther.commands.run_folder import WRITTEN, open_run
@@ -166,6 +167,33 @@ def test_a_service_that_is_stopped_ends_as_with_ctrl_c(monkeypatch, capfd) -> No
     assert main(["history"]) == 130
     assert "interrupted" in capfd.readouterr().err
     assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_compiling_is_told_once_and_only_what_takes_long(monkeypatch, capfd) -> None:
+    """The rest of the first use is no longer silent; what was compiled before is not told."""
+    import numba  # noqa: PLC0415 - not at the head: the command line must not need it
+
+    def compile_two() -> None:
+        for number in range(2):
+            numba.njit(lambda x, more=number: x + more)(1.0)
+
+    @dataclass
+    class Args:
+        wait: float = 0.0
+
+    def slow(args: Args) -> int:
+        time.sleep(args.wait)
+        compile_two()
+        return 0
+
+    monkeypatch.setattr(cli, "PATIENCE", 0.05)
+    monkeypatch.setattr(cli, "_module", lambda _: SimpleNamespace(Args=Args, run=slow, __doc__="slow"))
+    assert main(["shake", "--wait", "0.5"]) == 0
+    assert capfd.readouterr().err.count("compiling for this machine") == 1
+    monkeypatch.setattr(cli, "PATIENCE", 30.0)
+    assert main(["shake"]) == 0
+    compile_two()
+    assert "compiling" not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["reconstruct", "skeletonize", "shake", "view"])

@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from signal import SIGTERM, default_int_handler, signal
-from threading import current_thread, main_thread
+from threading import Timer, current_thread, main_thread
 from types import ModuleType
+from typing import Any
+
+PATIENCE = 2.0  # s
 
 COMMANDS = {
     "trial": "see, grasp and shake one plant, in the simulated cell or a real one, measure it, write a report",
@@ -51,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[0] not in COMMANDS:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
         return 2
-    with _terminated_as_interrupted():
+    with _terminated_as_interrupted(), _compiling_told(words[0]):
         return _run(words[0], words[1:])
 
 
@@ -66,6 +69,42 @@ def _terminated_as_interrupted() -> Iterator[None]:
         yield
     finally:
         signal(SIGTERM, before)
+
+
+@contextmanager
+def _compiling_told(name: str) -> Iterator[None]:
+    """Say so when a command that has not ended after `PATIENCE` compiles code, which takes a minute and is kept."""
+    heard: list[Any] = []
+
+    def listen() -> None:
+        if "numba" not in sys.modules:
+            return
+        from numba.core import event
+
+        class Once(event.Listener):
+            def on_start(self, event: Any) -> None:
+                if len(heard) == 1:
+                    heard.append(event)
+                    print(f"anther {name}: compiling for this machine, once; about a minute ...", file=sys.stderr)
+
+            def on_end(self, event: Any) -> None:
+                pass
+
+        heard.append(Once())
+        event.register("numba:compile", heard[0])
+
+    timer = Timer(PATIENCE, listen)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if heard:
+            from numba.core import event
+
+            with suppress(ValueError):
+                event.unregister("numba:compile", heard[0])
 
 
 def _run(name: str, words: list[str]) -> int:

@@ -40,7 +40,7 @@ __all__ = ["Escalation", "Foresight", "Params", "foresee", "watch_points"]
 
 
 DEFAULTS = Params()
-RAMP = 0.3
+RAMP = 0.5
 """In which the amplitude changes [s], or half a period of the slowest tone if that is longer."""
 PERIODS = 2.0
 """A step is watched for so many of its periods at least."""

@@ -26,7 +26,7 @@ class Params:
     target: float = 30.0
     most: float = 60.0
     probe: float = 1.4
-    look: float = 0.4
+    look: float = 0.6
     raised: float = 2.0
     hold: float = 1.2
     most_seconds: float = 12.0
