@@ -238,10 +238,10 @@ def test_what_moves_no_flower_that_is_seen_is_not_raised_beyond_what_the_model_a
     assert "flowers were lost from sight" in watched.steps[-2].decided
 
 
-@pytest.mark.parametrize("seconds", [5.0, 6.0, 9.0])
+@pytest.mark.parametrize("seconds", [10.0, 11.0, 14.0])
 def test_the_time_ends_a_shake_that_could_be_raised_further(shaken: Shaken, seconds: float) -> None:
     foresight = made_foresight(1)
-    params = Params(raised=1.06, most_seconds=seconds, hold=0.6, target=1000, most=10_000)
+    params = Params(raised=1.06, most_seconds=seconds, hold=0.6, look=0.4, target=1000, most=10_000)
     world = World(foresight, foresight.vectors[4], plan=replace(FREE, tones=made_plan((1e-4,) * 3).tones))
     world.params, world.limits = params, Limits(plant=WEAK)
     watched = shaken(world)
@@ -260,7 +260,7 @@ def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> No
             found = super().swings(_, frames, tones, expected)
             return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
 
-    for seconds in np.arange(6.0, 9.0, 0.25):
+    for seconds in np.arange(10.0, 13.0, 0.25):
         world = Fading(foresight, foresight.vectors[4], params=Params(most_seconds=float(seconds)))
         check_pieces(world, shaken(world))
 

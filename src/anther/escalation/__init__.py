@@ -62,10 +62,11 @@ PROBED = 0.7
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
 LASTING = (OUT_OF_SIGHT, NO_TIME)
 """What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
-BETTER = 1.3
-"""Another tone is turned to when it promises so many times the flowers' motion."""
+BETTER = 1.6
+"""Another tone or line is turned to when it promises so many times the flowers' motion: of many promises the largest is
+too large."""
 ENOUGH = 1.05
-"""A raise by less is not worth its time."""
+"""A raise by less is not worth its time, nor is going back to what moved the flowers more."""
 LOST = 0.5
 """A shake is ended when fewer than this share of the points followed in the probe still are, and raised no more when
 fewer than this share of the flowers measured at its tone are."""
@@ -289,13 +290,12 @@ class Escalation:
             self._learned(shake, self._known(shake, answer))
         if len(self._hertz) == 1:
             return self._decided(look, 0)
-        return self._turned_to(self._best(0), {})
+        return self._turned_to(self._best(), {})
 
-    def _best(self, now: int) -> int:
-        """Return the shake that may move the flowers most, or the present one where that is not much more."""
+    def _best(self) -> int:
+        """Return the shake that may move the flowers most."""
         may, target = self._may, self.params.target
-        best = max(may, key=lambda n: (min(may[n].flowers, target), may[n].flowers))
-        return best if may[best].flowers > BETTER * may[now].flowers else now
+        return max(may, key=lambda n: (min(may[n].flowers, target), may[n].flowers))
 
     def _lost(self, look: Look) -> bool:
         return look.followed < LOST * self._in_sight
@@ -311,10 +311,13 @@ class Escalation:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
         if self._lost(look):
             return self._rest(look)
-        best = self._best(now)
-        if best != now and self._fits(best):
+        if self._told[now].seen.any():
+            self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (amplitude * self._worth(now), amplitude))
+        else:  # what moves no flower that is seen is worth nothing
+            self._may[now] = self._may[now]._replace(flowers=0.0)
+        best = self._best()
+        if self._may[best].flowers > BETTER * self._may[now].flowers and self._fits(best):
             return self._turned_to(best, {now: amplitude})
-        self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (amplitude * self._worth(now), amplitude))
         return self._raised(now, amplitude)
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
@@ -352,7 +355,7 @@ class Escalation:
             return self._only(shake, higher, self._watch(shake), words)
         self._last = True
         best = max(self._tried, key=lambda n: self._tried[n], default=shake)
-        if best != shake and self._tried[best] > (BETTER * now * self._worth(shake), 0.0):
+        if best != shake and self._tried[best] > (ENOUGH * now * self._worth(shake), 0.0):
             why = f"{why}; more was seen at {self._hertz[best]:.3g} Hz"
             shake, higher = best, self._tried[best][1]
         else:

@@ -19,7 +19,7 @@ class Params:
         look: how long a step is watched at least [s], or two periods.
         raised: a step is at most so many times the one before.
         hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
-        most_seconds: of the whole shake [s].
+        most_seconds: of the whole shake [s]; ten are enough for two probes, a step, a hold and coming to rest.
         points: of the plant that are watched beside the flowers.
     """
 
@@ -39,5 +39,5 @@ class Params:
         check_range("look", self.look, 0.2, 10, "s")
         check_range("raised", self.raised, 1.05, 4)
         check_range("hold", self.hold, 0.5, 10, "s")
-        check_range("most_seconds", self.most_seconds, 4, 60, "s")
+        check_range("most_seconds", self.most_seconds, 10, 60, "s")
         check_range("points", self.points, 0, 1000)
