@@ -9,13 +9,13 @@ FROM debian:bookworm-slim
 # Tests that start a browser, a PostgreSQL server or a ROS 1 master are skipped without these.
 ARG FOR_TESTS="chromium fonts-dejavu-core postgresql python3-roslaunch python3-rospy python3-std-msgs"
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends ca-certificates make python3 python3-venv $FOR_TESTS \
+    && apt-get install -y --no-install-recommends ca-certificates libgomp1 make python3 python3-venv $FOR_TESTS \
     && rm -rf /var/lib/apt/lists/* \
     && useradd --uid 1000 --create-home anther
 
 WORKDIR /anther
 COPY . .
-RUN make sync
+RUN make sync && mkdir runs
 
 # Whatever is written goes to /tmp: compiled code, caches, temporary files.
 ENV PATH=/anther/.venv/bin:$PATH HOME=/tmp PYTHONDONTWRITEBYTECODE=1 PYTEST_ADDOPTS="-p no:cacheprovider"

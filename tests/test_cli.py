@@ -169,6 +169,24 @@ def test_a_service_that_is_stopped_ends_as_with_ctrl_c(monkeypatch, capfd) -> No
     assert signal.getsignal(signal.SIGTERM) == before
 
 
+def test_a_missing_system_library_names_its_package(monkeypatch, capfd) -> None:
+    def run(_: object) -> int:
+        raise ImportError("libgomp.so.1: cannot open shared object file: No such file or directory")
+
+    @dataclass
+    class Args:
+        pass
+
+    monkeypatch.setattr(cli, "_module", lambda _: SimpleNamespace(Args=Args, run=run, __doc__=""))
+    assert main(["trial"]) == 2
+    said = capfd.readouterr().err
+    assert said.count("\n") == 1
+    assert "apt-get install libgomp1" in said
+    monkeypatch.setattr(cli, "_module", lambda _: SimpleNamespace(Args=Args, run=lambda _: int("x", 99), __doc__=""))
+    with pytest.raises(ValueError, match="base"):
+        main(["trial"])
+
+
 def test_compiling_is_told_once_and_only_what_takes_long(monkeypatch, capfd) -> None:
     """The rest of the first use is no longer silent; what was compiled before is not told."""
     import numba  # noqa: PLC0415 - not at the head: the command line must not need it

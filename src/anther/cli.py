@@ -116,8 +116,8 @@ def _run(name: str, words: list[str]) -> int:
         command = _module(name)
         args = tyro.cli(command.Args, prog=f"anther {name}", description=command.__doc__, args=words)
         return int(command.run(args) or 0)
-    except (AntherError, ModuleNotFoundError) as error:
-        told = missing_extra(error) if isinstance(error, ModuleNotFoundError) else error
+    except (AntherError, ImportError) as error:
+        told = error if isinstance(error, AntherError) else missing_extra(error)
         if told is None:
             raise
         print(f"anther {name}: {told}", file=sys.stderr)

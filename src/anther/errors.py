@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Literal
 
 FailureKind = Literal[
@@ -55,12 +56,25 @@ EXTRA_OF = dict.fromkeys(("embreex", "mujoco", "pinocchio", "coal", "roboplan"),
 """Module -> the extra that brings it, of those that whole rooms cannot do without."""
 
 
-def missing_extra(error: ModuleNotFoundError) -> MissingExtra | None:
-    """Return what says how to get the module that an import did not find; None where no extra brings it."""
+PACKAGE_OF = {"libgomp.so.1": "libgomp1", "libGL.so.1": "libgl1", "libglib-2.0.so.0": "libglib2.0-0"}
+"""System library that wheels do not bring -> the package of Debian and Ubuntu that does."""
+
+
+def missing_extra(error: ImportError) -> MissingExtra | None:
+    """Return what says how to get what an import did not find; None where that is not known."""
     module = (error.name or "").partition(".")[0]
-    if module not in EXTRA_OF:
+    if isinstance(error, ModuleNotFoundError):
+        if module not in EXTRA_OF:
+            return None
+        return MissingExtra(
+            f"this needs {module}, which is not installed. Run: pip install 'anther[{EXTRA_OF[module]}]'"
+        )
+    library = re.match(r"(lib\S+\.so\S*): cannot open shared object file", str(error))
+    if library is None:
         return None
-    return MissingExtra(f"this needs {module}, which is not installed. Run: pip install 'anther[{EXTRA_OF[module]}]'")
+    package = PACKAGE_OF.get(library[1], f"the package with {library[1]}")
+    found = f"this needs the system library {library[1]}, which is not installed"
+    return MissingExtra(f"{found}. On Debian or Ubuntu: apt-get install {package}")
 
 
 def bad_input(what: str, *, given: object, allowed: str, do: str) -> InputError:
