@@ -109,8 +109,14 @@ NEEDY = {"trial --plant tomato": "cell", "view seen --html scene.html": "view"}
 
 def test_the_core_works_without_extras_and_names_the_one_that_is_missing(tmp_path: Path) -> None:
     program = f"""
-import json, sys
-sys.modules |= dict.fromkeys({sorted(EXTRA_OF)!r})
+import importlib.metadata, json, sys
+away, found = {sorted(EXTRA_OF)!r} + ["pin"], importlib.metadata.distribution
+sys.modules |= dict.fromkeys(away)
+def distribution(name):
+    if name in away:
+        raise importlib.metadata.PackageNotFoundError(name)
+    return found(name)
+importlib.metadata.distribution = distribution
 from anther.cli import main
 print(json.dumps([main(words.split()) for words in {[*CORE, *NEEDY]!r}]))
 """
