@@ -7,7 +7,7 @@
 FROM debian:bookworm-slim
 
 # Tests that start a browser, a PostgreSQL server or a ROS 1 master are skipped without these.
-ARG FOR_TESTS="chromium fonts-dejavu-core postgresql python3-roslaunch python3-rospy python3-std-msgs"
+ARG FOR_TESTS="chromium fonts-dejavu-core libatomic1 postgresql python3-roslaunch python3-rospy python3-std-msgs"
 RUN apt-get update \
     && apt-get install -y --no-install-recommends ca-certificates libgomp1 make python3 python3-venv $FOR_TESTS \
     && rm -rf /var/lib/apt/lists/* \

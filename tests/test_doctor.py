@@ -15,6 +15,12 @@ from anther.commands import doctor
 EXTRAS = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
 
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder of the tests themselves may be one that is only read."""
+    monkeypatch.chdir(tmp_path)
+
+
 def findings(capsys: pytest.CaptureFixture[str], code: int = 0) -> dict[str, dict[str, str]]:
     assert main(["doctor", "--json"]) == code
     return {finding["what"]: finding for finding in json.loads(capsys.readouterr().out)}
