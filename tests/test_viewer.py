@@ -123,12 +123,16 @@ def pink(page: Any, time: float) -> Any:
     field = page.locator("input[inputmode=decimal]")
     field.fill(f"{time:.3f}")
     field.press("Enter")
-    page.wait_for_timeout(1500)
-    image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
-    b, g, r = image[..., 0], image[..., 1], image[..., 2]
-    rows, columns = np.nonzero((r > 120) & (b > 90) & (r > 2 * g) & (b > 1.5 * g))
-    assert len(rows) > 10, "no flower is in the picture"
-    return np.array([columns.mean(), rows.mean()])
+    seen: list[Any] = []
+    for _ in range(30):  # a busy machine draws late
+        page.wait_for_timeout(1500)
+        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        b, g, r = image[..., 0], image[..., 1], image[..., 2]
+        rows, columns = np.nonzero((r > 120) & (b > 90) & (r > 2 * g) & (b > 1.5 * g))
+        seen.append(np.array([columns.mean(), rows.mean()]) if len(rows) > 10 else np.full(2, np.nan))
+        if len(seen) > 1 and np.abs(seen[-1] - seen[-2]).max() < 0.5:
+            return seen[-1]
+    raise AssertionError(f"no flower stays in the picture: {seen}")
 
 
 def test_the_page_plays_in_a_browser_and_flowers_move_by_the_right_number_of_pixels(tmp_path: Path) -> None:
