@@ -68,8 +68,7 @@ too large."""
 ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what moved the flowers more."""
 LOST = 0.5
-"""A shake is ended when fewer than this share of the points followed in the probe still are, and raised no more when
-fewer than this share of the flowers measured at its tone are."""
+"""A shake is ended when fewer than this share of the points followed in the probe still are."""
 
 
 class Allowed(NamedTuple):
@@ -141,7 +140,8 @@ class Escalation:
         self._may: dict[int, Allowed] = {}
         self._told: dict[int, Known] = {}
         self._tried: dict[int, tuple[float, float]] = {}
-        self._late, self._in_sight, self._most_seen, self._last = 0.0, 0, 0, False
+        self._late, self._in_sight, self._last = 0.0, 0, False
+        self._followed, self._sure = np.zeros(len(flowers), dtype=bool), 0.0
         self._doubted = False
 
     @property
@@ -282,6 +282,7 @@ class Escalation:
             return Next(alone, self.plan.duration, self._ramp(0), "Nothing is in sight: the plan alone is carried out.")
         if self._lost(look):
             return self._rest(look)
+        self._loses(look)
         if len(self._answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._answers)])
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
@@ -300,6 +301,13 @@ class Escalation:
     def _lost(self, look: Look) -> bool:
         return look.followed < LOST * self._in_sight
 
+    def _loses(self, look: Look) -> bool:
+        """Return whether a flower is no longer followed: it may swing too far for that."""
+        now = np.isfinite(look.swings.std[: len(self._followed)])
+        lost = bool(np.any(self._followed & ~now))
+        self._followed |= now
+        return lost
+
     def _rest(self, look: Look) -> Next:
         words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
         return Next(np.zeros(len(self._hertz)), 0.0, RAMP, words)
@@ -311,14 +319,17 @@ class Escalation:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
         if self._lost(look):
             return self._rest(look)
-        if self._told[now].seen.any():
+        if self._loses(look):
+            return self._raised(now, amplitude, lost=True)
+        seen, self._sure = self._told[now].seen, amplitude
+        if seen.any():
             self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (amplitude * self._worth(now), amplitude))
         else:  # what moves no flower that is seen is worth nothing
             self._may[now] = self._may[now]._replace(flowers=0.0)
         best = self._best()
         if self._may[best].flowers > BETTER * self._may[now].flowers and self._fits(best):
             return self._turned_to(best, {now: amplitude})
-        return self._raised(now, amplitude)
+        return self._raised(now, amplitude, lost=not seen.any())
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
         sizes = np.where(np.arange(len(self._hertz)) == shake, amplitude, 0.0)
@@ -326,7 +337,7 @@ class Escalation:
 
     def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
         most, tones = self._may[shake], self.plan.tones
-        self._most_seen, self._doubted = 0, False
+        self._sure, self._doubted = float(self._planned[shake]), False
         begin = max(float(self._planned[shake]), self.params.raised * done.get(shake, 0.0))
         turned = np.degrees(np.arccos(min(abs(float(tones.directions[self._line[shake]] @ tones.directions[0])), 1.0)))
         words = (
@@ -338,12 +349,12 @@ class Escalation:
     def _worth(self, shake: int) -> float:
         return float(np.median(self._told[shake].flowers))
 
-    def _raised(self, shake: int, now: float) -> Next:
-        may, seen = self._may[shake], int(self._told[shake].seen.sum())
-        self._most_seen = max(self._most_seen, seen)
+    def _raised(self, shake: int, now: float, *, lost: bool) -> Next:
+        """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is."""
+        may = self._may[shake]
         higher, why = min(may.amplitude, self.params.raised * now), may.binds
-        if seen < LOST * self._most_seen or not seen:
-            higher, why = min(now, higher), OUT_OF_SIGHT
+        if lost:
+            higher, why = min(self._sure, higher), OUT_OF_SIGHT
         elif not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
