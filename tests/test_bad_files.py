@@ -32,7 +32,9 @@ from anther.formats.clouds import read_cloud
 from anther.formats.skeletons import read_skeleton, write_skeleton
 from anther.geometry import Box, Intrinsics, look_at
 from anther.images import read_image
+from anther.runs import FILES
 from anther.skeleton import Skeleton
+from anther.stem import Stem
 from anther.store import read_outcomes, read_trials, record_trial
 from anther.store.records import TrialRecord
 
@@ -353,6 +355,29 @@ def test_a_visit_of_wrong_types(tmp_path: Path, capsys, name: str, value: object
         TrialRecord.of({**full().plain(), name: value})
     assert cli.main(["history", str(tmp_path / "h.sqlite"), "--add", str(tmp_path)]) == 2
     assert "visit.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("organ", "nodes", "said"),
+    [
+        ([0, 7, 0], [0, 1], "organ: got kind 7"),
+        ([0, 0, 0], [0, 9], "stem nodes: got node 9"),
+        ([], [0, 1], "stem nodes"),
+    ],
+)
+def test_a_stem_of_no_organ_or_node_there_is(organ: list[int], nodes: list[int], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        Stem(np.array(nodes), np.array([0, 0.1]), np.zeros(0, int), np.array(organ, dtype=np.uint8), 1)
+
+
+def test_a_run_whose_stem_is_of_another_skeleton(tmp_path: Path, capsys) -> None:
+    (tmp_path / "00_params.json").write_text("{}")
+    TREE.save(tmp_path / FILES["skeleton"])
+    Stem(np.array([0, 1]), np.array([0, 0.1]), np.zeros(0, int), np.zeros(5, np.uint8), 1).save(
+        tmp_path / FILES["stem"]
+    )
+    assert cli.main(["view", str(tmp_path), "--html", str(tmp_path / "o.html")]) == 2
+    assert "organs of 5 nodes; allowed: of the 3" in capsys.readouterr().err
 
 
 def test_a_visit_that_is_no_object(tmp_path: Path, capsys) -> None:

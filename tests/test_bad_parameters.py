@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, plant, response, skeleton, stem
+from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, plant, response, skeleton, stem, vibration
 from anther.cli import main
 from anther.cloud import Cloud, registration
 from anther.errors import InputError
@@ -47,7 +47,9 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
         (grasp.Params, "leaf_size", 0.0), (registration.Params, "search", 5.0), (registration.Params, "neighbours", 0),
         (registration.Params, "match_distances", ()), (stem.Params, "window", 0.0), (stem.Params, "narrow", 1.0),
-        (response.Params, "again", 10_000), (response.Params, "near", 10_000), (masks.Params, "attach_distance", 10.0),
+        (vibration.Params, "seed", -1), (vibration.Params, "most_amplitude", 0.0),
+        (vibration.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
+        (response.Params, "near", 10_000), (masks.Params, "attach_distance", 10.0),
     ],
 )  # fmt: skip
 def test_what_would_never_end_or_mean_nothing(kind: Any, name: str, value: Any) -> None:

@@ -209,6 +209,10 @@ def read_run(folder: Path | str) -> RunResults:
         for stage, kind in kinds.items()
         if (folder / FILES[stage]).exists()
     }
+    tree, main = found.get("skeleton"), found.get("stem")
+    if tree is not None and main is not None and len(main.organ) != len(tree.nodes):
+        given, allowed = f"organs of {len(main.organ)} nodes", f"of the {len(tree.nodes)} of {FILES['skeleton']}"
+        raise bad_input(str(folder / FILES["stem"]), given=given, allowed=allowed, do="Find the stem again.")
     grasps = folder / FILES["grasp"]
     timing = folder / "timing.json"
     summary, visit, executed = folder / SUMMARY, folder / "visit.json", folder / EXECUTED

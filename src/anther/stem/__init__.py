@@ -57,6 +57,12 @@ class Stem:
         object.__setattr__(self, "organ", check_array("organ", self.organ, (None,), dtype="uint8"))
         if n < 2 or np.any(np.diff(self.arc_length) <= 0):
             raise bad_input("stem", given=f"{n} nodes", allowed="two or more, root first", do="Order the nodes.")
+        if np.any(self.organ >= len(ORGAN_NAMES)):
+            given, allowed = f"kind {int(self.organ.max())}", f"0 to {len(ORGAN_NAMES) - 1}: {', '.join(ORGAN_NAMES)}"
+            raise bad_input("organ", given=given, allowed=allowed, do="Find the stem again.")
+        if n and not 0 <= self.node_ids.min() <= self.node_ids.max() < len(self.organ):
+            given, allowed = f"node {int(self.node_ids.max())}", f"one of the {len(self.organ)} with an organ"
+            raise bad_input("stem nodes", given=given, allowed=allowed, do="Find the stem again.")
         if not -n <= self.fork < n:
             raise bad_input("stem fork", given=self.fork, allowed=f"a position in {n} nodes", do="Find the stem again.")
         object.__setattr__(self, "fork", int(self.fork) % n)

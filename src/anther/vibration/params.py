@@ -99,6 +99,8 @@ class Params:
         check_range("number of draws", self.draws, 0, 1000)
         check_range("risk", self.risk, 1e-6, 0.5)
         check_range("arm_share", self.arm_share, 0.01, 1)
+        check_range("seed", self.seed, 0, 2**63)
+        check_range("most_amplitude", self.most_amplitude, 1e-7, 1.0, "m")
         if self.least_amplitude is not None:
             check_range("least_amplitude", self.least_amplitude, 1e-7, self.most_amplitude, "m")
         for name in ("most_speed", "least_press", "pad_friction", "flower_acceleration"):
