@@ -40,6 +40,7 @@ docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/views.py --figure docs/pictures/views.png
 	$(BIN)/python tools/record.py experiments/confidence.py --figure docs/pictures/confidence.png
 	$(BIN)/python tools/record.py experiments/faults.py
+	$(BIN)/python tools/record.py experiments/fuzz.py --count 100000
 	$(BIN)/python tools/record.py experiments/capture_path.py
 	$(BIN)/python tools/record.py experiments/hard_cases.py --jobs 2
 	$(BIN)/python tools/record.py benchmarks/cell.py
