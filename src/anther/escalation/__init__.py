@@ -131,11 +131,8 @@ class Escalation:
         self._limits, self._risk = limits_of(limits, plan.press), min(WATCHED * limits.risk, 0.5)
         tones = plan.tones
         self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
-        self._hertz, self._reach, self._planned = (
-            tones.frequencies[self._tone],
-            tones.reach.ravel(),
-            tones.amplitudes.ravel(),
-        )
+        self._hertz = tones.frequencies[self._tone]
+        self._reach, self._planned = tones.reach.ravel(), tones.amplitudes.ravel()
         self._answers: list[list[Answer]] = []
         self._may: dict[int, Allowed] = {}
         self._told: dict[int, Known] = {}
@@ -280,7 +277,7 @@ class Escalation:
             self._last = True
             alone = np.where(np.arange(len(self._hertz)) == 0, self.plan.amplitude, 0.0)
             return Next(alone, self.plan.duration, self._ramp(0), "Nothing is in sight: the plan alone is carried out.")
-        if self._lost(look):
+        if look.followed < LOST * self._in_sight:
             return self._rest(look)
         self._loses(look)
         if len(self._answers) < len(tones.probed):
@@ -298,9 +295,6 @@ class Escalation:
         may, target = self._may, self.params.target
         return max(may, key=lambda n: (min(may[n].flowers, target), may[n].flowers))
 
-    def _lost(self, look: Look) -> bool:
-        return look.followed < LOST * self._in_sight
-
     def _loses(self, look: Look) -> bool:
         """Return whether a flower is no longer followed: it may swing too far for that."""
         now = np.isfinite(look.swings.std[: len(self._followed)])
@@ -317,7 +311,7 @@ class Escalation:
         amplitude = float(look.amplitudes[0])
         if self._last:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
-        if self._lost(look):
+        if look.followed < LOST * self._in_sight:
             return self._rest(look)
         if self._loses(look):
             return self._raised(now, amplitude, lost=True)
