@@ -184,12 +184,13 @@ def check_pieces(world: World, watched: Escalation) -> None:
         assert piece.amplitudes[tone] <= max(params.raised * before, start) + 1e-12
 
 
-def test_with_nothing_in_sight_the_plan_alone_is_carried_out(shaken: Shaken) -> None:
-    foresight = made_foresight(1)
-    world = World(foresight, foresight.vectors[4], shown=[BLIND])
+@pytest.mark.parametrize("lines", [1, 8])
+def test_with_nothing_in_sight_the_plan_alone_is_carried_out(shaken: Shaken, lines: int) -> None:
+    foresight = made_foresight(1, axes=min(lines, 2))
+    world = World(foresight, foresight.vectors[4], shown=[BLIND], plan=made_plan(lines=lines))
     watched = shaken(world)
     probe, alone, end = world.pieces
-    assert alone.amplitudes == pytest.approx([world.plan.amplitude, 0, 0])
+    assert alone.amplitudes == pytest.approx([world.plan.amplitude, *[0] * (3 * lines - 1)])
     assert alone.seconds - alone.ramp >= world.plan.duration
     assert end.stops
     assert np.all(probe.amplitudes < world.plan.tones.amplitudes.ravel())

@@ -227,7 +227,7 @@ class Escalation:
     @property
     def _probing(self) -> bool:
         """Whether the piece under way is a probe."""
-        return len(self.steps) < len(self.plan.tones.probed)
+        return not self._last and len(self.steps) < len(self.plan.tones.probed)
 
     @property
     def _T(self) -> Array:
