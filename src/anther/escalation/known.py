@@ -126,7 +126,7 @@ def lateness(foresight: Foresight, look: Look, T: Array) -> float:
     members = [foresight.along(int(tone), look.direction) for tone in look.tones]
 
     def off(late: float) -> float:
-        return sum(misfit(m, *_seen(foresight, look, i, late), T) for i, m in enumerate(members))
+        return sum(misfit(m, *_used(foresight, *_turned(foresight, look, i, late)), T) for i, m in enumerate(members))
 
     return float(LATE[int(np.argmin([off(late) for late in LATE]))])
 
@@ -144,7 +144,7 @@ def answered(foresight: Foresight, look: Look, i: int, T: Array, late: float) ->
     members = foresight.along(int(look.tones[i]), look.direction)
     motion, std = _turned(foresight, look, i, late)
     count = foresight.where["flowers"].stop - foresight.where["flowers"].start
-    found = narrowed(members, *_seen(foresight, look, i, late), T)
+    found = narrowed(members, *_used(foresight, motion, std), T)
     return Answer(found, motion[:count], std[:count], complex(look.gripper[i] / look.amplitudes[i]))
 
 
@@ -203,9 +203,8 @@ def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[Comp
     return np.asarray(look.swings.phasors[:, i] * turned), look.swings.std * abs(turned)
 
 
-def _seen(foresight: Foresight, look: Look, i: int, late: float) -> tuple[NDArray[np.int64], ComplexArray, Array]:
-    """Return rows, motion and deviation of what was seen, as `narrowed` takes them."""
-    motion, std = _turned(foresight, look, i, late)
+def _used(foresight: Foresight, motion: ComplexArray, std: Array) -> tuple[NDArray[np.int64], ComplexArray, Array]:
+    """Return rows, motion and deviation of what was followed, as `narrowed` takes them."""
     used = np.flatnonzero(np.isfinite(std))
     rows = np.concatenate([np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])])
     return rows[used], motion[used], std[used]
