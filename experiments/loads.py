@@ -79,20 +79,20 @@ def one(species: Species, seed: int) -> list[dict[str, Any]]:
     places = np.concatenate([seen.flowers.positions.reshape(-1, 3), model.rods.nodes[points]])
     for height in HEIGHTS:
         grip = ShakenPlant(plant, stem_points(plant, (height,))[0], direction, truth=truth)
-        foresight = foresee(model, grip.point, direction[None], TONES, points)
+        foresight = foresee(model, grip.point, TONES, points)
         middles, motion = segment_motion(grip)
         gap, nearest = KDTree(middles).query(places)
         used = at.shown & (gap < NEAR)
         true = loads_of(grip, TONES) | {"leaf_load": leaf_load(plant, middles, motion)}
         both = [np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])]
         for k, tone in enumerate(TONES):
-            shown = (motion[k, nearest[used]] @ pose[:3, :3])[:, :2]
-            size = np.linalg.norm(shown, axis=1, keepdims=True)
+            shown = np.einsum("px,pxa->pa", motion[k, nearest[used]], at.axes[used])
+            size = np.linalg.norm(shown[:, :2], axis=1, keepdims=True)
             noise = rng.normal(size=(2, *shown.shape)) / np.sqrt(2)
             shown = shown + SEEN_WITH * size * (noise[0] + 1j * noise[1])
-            std = 0.03 * at.per_pixel[used] * (2 * np.pi * tone) ** 2  # of a shake of 1 m/s2
-            members = foresight.along(k, direction)
-            found = narrowed(members, np.concatenate(both)[used], shown, std, pose[:3, :3])
+            std = 0.03 * at.per_pixel[used, None] * (2 * np.pi * tone) ** 2 * [1, 1, np.nan]  # of a shake of 1 m/s2
+            members = foresight.of(k, direction)
+            found = narrowed(members, np.concatenate(both)[used], shown, std, at.axes[used])
             row: dict[str, Any] = {"species": species, "seed": seed, "height": height, "tone": tone}
             for kind in LOADS:
                 if foresight.where[kind].stop > foresight.where[kind].start:

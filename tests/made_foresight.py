@@ -26,6 +26,11 @@ FLOWERS, POINTS, MEMBERS = 6, 20, 32
 ROWS = {"flowers": FLOWERS, "points": POINTS, **dict.fromkeys(LOADS, 2), "grip_force": 3}
 SIZES = {"flowers": 1.5, "points": 1.0, "stem_strain": 0.2, "joint_strain": 0.3, "base_strain": 0.2, "leaf_load": 300.0}
 T_WORLD_CAM = look_at(np.array([0.3, -0.5, 0.2]), np.array([0.0, 0.0, 0.1]))
+AXES = (
+    T_WORLD_CAM[:3, :3]
+    - np.random.default_rng(7).uniform(-0.4, 0.4, (FLOWERS + POINTS, 1, 3)) * [1, 1, 0] * (T_WORLD_CAM[:3, 2:3])
+)
+"""Of flowers and points all over the picture, as `response.points.Sight` has them."""
 ALONG = np.array([0.6, 0.8, 0.0])
 
 
@@ -35,21 +40,18 @@ def lines_across(count: int) -> Array:
     return np.cos(angle) * ALONG + np.sin(angle) * np.array([-ALONG[1], ALONG[0], 0.0])
 
 
-def made_foresight(
-    seed: int = 0, *, unsure: float = 0.5, gains: Sequence[float] = (1.0, 1.0, 1.0), axes: int = 1
-) -> Foresight:
+def made_foresight(seed: int = 0, *, unsure: float = 0.5, gains: Sequence[float] = (1.0, 1.0, 1.0)) -> Foresight:
     """Return what members of one family do: two numbers that are not known change all vectors, by a share `unsure`.
 
     Args:
         seed: of them.
         unsure: 0: all members are alike.
         gains: of flowers and points, by tone.
-        axes: lines of the shake, one or two.
     """
     rng = np.random.default_rng(seed)
     ends = np.cumsum([0, *ROWS.values()])
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(ROWS, ends, ends[1:], strict=False)}
-    shape = (len(TONES), axes, ends[-1], 3)
+    shape = (len(TONES), 3, ends[-1], 3)
     usual, *ways = (rng.normal(size=shape) + 1j * rng.normal(size=shape) for _ in range(3))
     scale = np.ones((len(TONES), 1, ends[-1], 1))
     for kind, size in SIZES.items():
@@ -60,7 +62,7 @@ def made_foresight(
     z = rng.normal(size=(MEMBERS, 2))
     z[0] = 0
     vectors = scale * (usual + unsure * np.einsum("md,dkasx->mkasx", z, np.array(ways)))
-    return Foresight(TONES, lines_across(axes), vectors, where, 4e-3, 0.016)
+    return Foresight(TONES, vectors, where, 4e-3, 0.016)
 
 
 def made_plan(
@@ -92,14 +94,16 @@ def made_plan(
 
 @dataclass
 class World:
-    """A plant that does to any shake what `truth` says, and a camera that sees it.
+    """A plant that does to any shake what `truth` says, an arm that shakes it, and a camera that sees it.
 
     Attributes:
         foresight: what is believed.
-        truth: (K, A, S, 3) of the plant.
+        truth: (K, 3, S, 3) of the plant, by axis of the gripper's motion.
         shown: (F + P,) what the camera follows, by number of the look; the last one stays.
         late: of the camera's clock [s].
         noise: of what is seen [m].
+        arm: (3, 3) what the gripper does of what it is told.
+        depth: whether the camera reads how far away things are.
         plan, params, limits: of the shake.
         pieces: that were asked for.
     """
@@ -109,6 +113,8 @@ class World:
     shown: Sequence[NDArray[Any]] = field(default_factory=lambda: [np.ones(FLOWERS + POINTS, bool)])
     late: float = 0.0
     noise: float = 1e-6
+    arm: Array = field(default_factory=lambda: np.eye(3))
+    depth: bool = False
     plan: ShakePlan = field(default_factory=made_plan)
     params: Params = field(default_factory=Params)
     limits: Limits = field(default_factory=Limits)
@@ -129,10 +135,11 @@ class World:
         now = [int(np.abs(TONES - tone).argmin()) for tone in tones]
         turned = piece.amplitudes[active] * np.exp(-2j * np.pi * tones * (self.begin + self.late))
         moved = np.array([self.answer(tone, direction)[: FLOWERS + POINTS] for tone in now])
-        seen = moved @ T_WORLD_CAM[:3, :2] * turned[:, None, None]
+        seen = np.einsum("kpx,pxa->kpa", moved, AXES) * turned[:, None, None]
         error = self._rng.normal(size=(2, *seen.shape))
         seen = np.swapaxes(seen + self.noise * (error[0] + 1j * error[1]), 0, 1)
-        return Swings(np.where(shown[:, None, None], seen, np.nan), np.where(shown, self.noise, np.nan))
+        told = shown[:, None] & np.array([True, True, self.depth])
+        return Swings(np.where(told[:, None], seen, np.nan), np.where(told, self.noise, np.nan), AXES)
 
     def escalation(self) -> Escalation:
         return Escalation(
@@ -148,7 +155,7 @@ class World:
 
     def answer(self, tone: int, direction: Array = ALONG) -> ComplexArray:
         """Return (S, 3) what a shake along a direction does in truth, per metre."""
-        return np.einsum("asx,a->sx", self.truth[tone], self.foresight.parts(direction))
+        return np.einsum("asx,a->sx", self.truth[tone], self.arm @ direction)
 
     def shaken(self, watched: Escalation) -> Escalation:
         """Shake until the last piece."""
@@ -169,10 +176,11 @@ class World:
     def place(self, piece: Swing, time: float) -> Array:
         """Return (3,) where the pads are, some time after a piece began [m]."""
         lines = np.unique(self.directions, axis=0)
-        return sum(
+        told = sum(
             (piece.only(np.all(self.directions == line, axis=1)).motion([time])[0] * line for line in lines),
             np.zeros(3),
         )
+        return self.arm @ told
 
     def loads(self, tone: int, direction: Array = ALONG) -> dict[str, float]:
         """Return each kind's load in truth, per metre."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_foresight import FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
+from made_foresight import ALONG, FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
 from scipy.stats import norm
 
 from anther import escalation
@@ -92,10 +92,10 @@ def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) 
 @pytest.mark.parametrize("along", range(8))
 def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, along: int) -> None:
     """What two lines showed tells of all others: flowers that follow the pads along one line alone are shaken so."""
-    believed, lines = made_foresight(2, unsure=0.8, axes=2), lines_across(8)
+    believed, lines = made_foresight(2, unsure=0.8), lines_across(8)
     truth = believed.vectors[3].copy()
     flowers = truth[:, 0, :FLOWERS].copy()
-    for axis, share in enumerate(believed.parts(lines[along])):
+    for axis, share in enumerate(lines[along]):
         truth[:, axis, :FLOWERS] = share * flowers
     world = World(believed, truth, plan=made_plan(reach=(0.02,) * 3, lines=8), limits=Limits(plant=WEAK))
     world.plan = replace(world.plan, press=1000.0)
@@ -153,7 +153,7 @@ def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None
     for seed in range(40 if lines == 1 else 15):
         rng = np.random.default_rng(seed)
         unsure, gains = float(rng.uniform(0.1, 0.8)), rng.uniform(0.2, 3, 3).tolist()
-        foresight = made_foresight(seed, unsure=unsure, gains=gains, axes=min(lines, 2))
+        foresight = made_foresight(seed, unsure=unsure, gains=gains)
         plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist(), lines)
         world = World(foresight, foresight.vectors[seed % 32], plan=plan, late=float(rng.uniform(0, 0.03)))
         world.params = Params(raised=float(rng.uniform(1.1, 2)), target=float(rng.uniform(5, 40)))
@@ -186,7 +186,7 @@ def check_pieces(world: World, watched: Escalation) -> None:
 
 @pytest.mark.parametrize("lines", [1, 8])
 def test_with_nothing_in_sight_the_plan_alone_is_carried_out(shaken: Shaken, lines: int) -> None:
-    foresight = made_foresight(1, axes=min(lines, 2))
+    foresight = made_foresight(1)
     world = World(foresight, foresight.vectors[4], shown=[BLIND], plan=made_plan(lines=lines))
     watched = shaken(world)
     probe, alone, end = world.pieces
@@ -302,7 +302,7 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     assert (done.frequency, done.amplitude) == (last.frequencies[0], last.amplitudes[0])
     assert done.duration == pytest.approx(last.end - last.begin)
     tone = int(np.flatnonzero(done.frequency == TONES)[0])
-    believed = done.amplitude * semi_major(foresight.vectors[0, tone, 0, :FLOWERS])
+    believed = done.amplitude * semi_major(foresight.of(tone, ALONG)[0, :FLOWERS])
     assert done.predicted_amplitude == pytest.approx(believed)
     assert done.predicted_acceleration == pytest.approx((2 * np.pi * done.frequency) ** 2 * believed)
     low, high = done.predicted_amplitude_interval.T

@@ -6,7 +6,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from made_foresight import ALONG, FLOWERS, POINTS, T_WORLD_CAM, TONES, World, lines_across, made_foresight
+from made_foresight import ALONG, AXES, FLOWERS, POINTS, TONES, World, lines_across, made_foresight
 from scipy.stats import norm
 
 from anther.devices import ArmSample
@@ -18,27 +18,36 @@ from anther.vibration.observables import semi_major
 
 known_module = import_module("anther.escalation.known")
 ROWS = np.arange(FLOWERS + POINTS)
-T = T_WORLD_CAM[:3, :3]
 
 
 def off(foresight: Foresight, vectors: np.ndarray, truth: np.ndarray) -> float:
     """Return the error of all vectors, over what is not known of them beforehand."""
-    return float(np.linalg.norm(vectors - truth) / np.linalg.norm(foresight.vectors[:, 1, 0].mean(axis=0) - truth))
+    return float(np.linalg.norm(vectors - truth) / np.linalg.norm(of(foresight).mean(axis=0) - truth))
+
+
+def of(foresight: Foresight) -> np.ndarray:
+    """Return what the members say of a shake along `ALONG` at the second tone."""
+    return foresight.of(1, ALONG)
 
 
 def seen(truth: np.ndarray, rows: np.ndarray = ROWS) -> np.ndarray:
-    return truth[rows] @ T[:, :2]
+    return np.einsum("px,pxa->pa", truth[rows], AXES[rows])
+
+
+def deviation(each: np.ndarray) -> np.ndarray:
+    """Return that of points whose depth is not read."""
+    return np.column_stack([each, each, np.full(len(each), np.nan)])
 
 
 @pytest.mark.parametrize("member", [1, 7, 20, 31])
 def test_what_was_seen_exactly_of_a_member_tells_which_it_is(member: int, monkeypatch: pytest.MonkeyPatch) -> None:
     foresight = made_foresight(3)
-    truth = foresight.vectors[member, 1, 0]
-    std = np.full(len(ROWS), 1e-9)
-    roughly = narrowed(foresight.vectors[:, 1, 0], ROWS, seen(truth), std, T).mean(axis=0)
+    truth = of(foresight)[member]
+    std = deviation(np.full(len(ROWS), 1e-9))
+    roughly = narrowed(of(foresight), ROWS, seen(truth), std, AXES).mean(axis=0)
     assert off(foresight, roughly, truth) < 0.35
     monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
-    exactly = narrowed(foresight.vectors[:, 1, 0], ROWS, seen(truth), std, T)
+    exactly = narrowed(of(foresight), ROWS, seen(truth), std, AXES)
     assert off(foresight, exactly.mean(axis=0), truth) < 1e-2
     for kind in LOADS:
         (load,) = foresight.load(kind, truth[None])
@@ -50,11 +59,11 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
     foresight = made_foresight(3)
     errors = np.zeros(4)
     for member in range(1, 32):
-        truth = foresight.vectors[member, 1, 0]
+        truth = of(foresight)[member]
         for i, count in enumerate((0, 1, 5, 26)):
             some = ROWS[:count]
-            std = np.full(count, 0.3)
-            found = narrowed(foresight.vectors[:, 1, 0], some, seen(truth, some), std, T)
+            std = deviation(np.full(count, 0.3))
+            found = narrowed(of(foresight), some, seen(truth, some), std, AXES[:count])
             errors[i] += off(foresight, found.mean(axis=0), truth) ** 2
     assert np.all(np.diff(errors) < 0)
     assert errors[-1] < 0.1 * errors[0]
@@ -62,49 +71,49 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_with_nothing_seen_the_members_are_as_they_were() -> None:
     foresight = made_foresight(3)
-    nothing = narrowed(foresight.vectors[:, 1, 0], ROWS[:0], np.zeros((0, 2), complex), np.zeros(0), T)
-    assert np.array_equal(nothing, foresight.vectors[:, 1, 0])
+    nothing = narrowed(of(foresight), ROWS[:0], np.zeros((0, 3), complex), np.zeros((0, 3)), AXES[:0])
+    assert np.array_equal(nothing, of(foresight))
 
 
 def test_what_is_all_noise_changes_nothing() -> None:
     foresight = made_foresight(3)
-    truth = foresight.vectors[9, 1, 0]
-    unsure = narrowed(foresight.vectors[:, 1, 0], ROWS, seen(truth), np.full(len(ROWS), 1e4), T)
-    assert np.allclose(unsure, foresight.vectors[:, 1, 0], rtol=1e-2, atol=1e-2)
+    truth = of(foresight)[9]
+    unsure = narrowed(of(foresight), ROWS, seen(truth), deviation(np.full(len(ROWS), 1e4)), AXES)
+    assert np.allclose(unsure, of(foresight), rtol=1e-2, atol=1e-2)
 
 
 def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> None:
     """Over all members as truth, the errors of a load are as large as the narrowed members' spread says."""
-    foresight, std = made_foresight(3), np.full(5, 0.2)
+    foresight, std = made_foresight(3), deviation(np.full(5, 0.2))
     rng, errors, spreads = np.random.default_rng(2), [], []
     for member in range(1, 32):
-        truth = foresight.vectors[member, 1, 0]
+        truth = of(foresight)[member]
         for _ in range(4):
-            noise = 0.2 * (rng.normal(size=(5, 2)) + 1j * rng.normal(size=(5, 2)))
-            found = narrowed(foresight.vectors[:, 1, 0], ROWS[:5], seen(truth, ROWS[:5]) + noise, std, T)
+            noise = 0.2 * (rng.normal(size=(5, 3)) + 1j * rng.normal(size=(5, 3)))
+            found = narrowed(of(foresight), ROWS[:5], seen(truth, ROWS[:5]) + noise, std, AXES[:5])
             loads = foresight.load("stem_strain", found)
             errors.append(loads.mean() - foresight.load("stem_strain", truth[None])[0])
             spreads.append(loads.std())
-    prior = foresight.load("stem_strain", foresight.vectors[:, 1, 0]).std()
+    prior = foresight.load("stem_strain", of(foresight)).std()
     assert 0.5 < np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(spreads))) < 1.5
     assert np.mean(spreads) < 0.6 * prior
 
 
 def test_a_point_that_is_less_sure_counts_for_less() -> None:
     foresight = made_foresight(3)
-    truth = foresight.vectors[9, 1, 0]
+    truth = of(foresight)[9]
     wrong = seen(truth)
     wrong[0] += 3.0  # the first flower is another one
     alike, doubted = np.full(len(ROWS), 0.05), np.full(len(ROWS), 0.05)
     doubted[0] = 10.0
-    believing, doubting = (narrowed(foresight.vectors[:, 1, 0], ROWS, wrong, std, T) for std in (alike, doubted))
+    believing, doubting = (narrowed(of(foresight), ROWS, wrong, deviation(std), AXES) for std in (alike, doubted))
     assert off(foresight, doubting.mean(axis=0), truth) < off(foresight, believing.mean(axis=0), truth)
 
 
 def test_members_that_explain_what_was_seen_fit_better_than_others() -> None:
     foresight, other = made_foresight(3), made_foresight(4)
-    std = np.full(len(ROWS), 0.01)
-    fits = [misfit(foresight.vectors[:, 1, 0], ROWS, seen(f.vectors[9, 1, 0]), std, T) for f in (foresight, other)]
+    std = deviation(np.full(len(ROWS), 0.01))
+    fits = [misfit(of(foresight), ROWS, seen(of(f)[9]), std, AXES) for f in (foresight, other)]
     assert fits[0] < fits[1]
 
 
@@ -113,15 +122,15 @@ def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndar
     sizes = np.isin(np.arange(len(TONES)), tones) * 1e-3
     world.pieces = [Swing.first(TONES, sizes, 2.0, 0.5)]
     active = np.array(tones)
-    gripper = 1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin)
+    commanded = 1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin)
     world.directions = np.repeat(direction[None], len(TONES), axis=0)
     seen = world.swings(None, [None], TONES[active])  # type: ignore[list-item]
-    return Look(active, direction, np.full(len(tones), 1e-3), gripper, seen)
+    return Look(active, direction, commanded, commanded[:, None] * (world.arm @ direction), seen)
 
 
 def told(foresight: Foresight, at: Look, i: int, late: float, risk: float) -> Known:
     """Return what is known of one tone of a look."""
-    return known(foresight, float(TONES[at.tones[i]]), answered(foresight, at, i, T, late), T, late, risk)
+    return known(foresight, float(TONES[at.tones[i]]), answered(foresight, at, i, late), late, risk)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.01, 0.03])
@@ -129,7 +138,7 @@ def test_a_late_clock_is_found(late: float) -> None:
     foresight = made_foresight(3, unsure=0.3)
     for member in (0, 5, 11):
         world = World(foresight, foresight.vectors[member], late=late)
-        assert lateness(foresight, look(world), T) == pytest.approx(late, abs=0.005)
+        assert lateness(foresight, look(world)) == pytest.approx(late, abs=0.005)
 
 
 @pytest.fixture
@@ -153,31 +162,29 @@ def test_a_late_clock_that_is_known_changes_nothing_else() -> None:
 
 @pytest.mark.usefixtures("trusted")
 def test_what_was_seen_along_two_lines_tells_of_every_other() -> None:
-    foresight = made_foresight(3, axes=2)
+    foresight = made_foresight(3)
     for member in (5, 9):
         world = World(foresight, foresight.vectors[member])
-        axes = [answered(foresight, look(world, direction=axis), 1, T, 0.0) for axis in foresight.axes]
+        axes = [answered(foresight, look(world, direction=axis), 1, 0.0) for axis in lines_across(2)]
         for direction in lines_across(5):
-            answer = summed(axes, foresight.parts(direction))
-            one = known(foresight, float(TONES[1]), answer, T, 0.0, 0.5)
+            answer = summed(axes, lines_across(2) @ direction)
+            one = known(foresight, float(TONES[1]), answer, 0.0, 0.5)
             assert one.flowers == pytest.approx(world.flowers(1, direction), rel=0.05)
             for kind, load in world.loads(1, direction).items():
                 assert one.loads[kind] == pytest.approx(load, rel=0.05)
 
 
 def test_what_was_not_seen_along_one_line_is_not_seen_along_a_sum() -> None:
-    foresight, hidden = made_foresight(3, axes=2), np.ones(FLOWERS + POINTS, bool)
+    foresight, hidden = made_foresight(3), np.ones(FLOWERS + POINTS, bool)
     hidden[2] = False
     clear, partly = (
         World(foresight, foresight.vectors[5], shown=[s]) for s in (np.ones(FLOWERS + POINTS, bool), hidden)
     )
     axes = [
-        answered(foresight, look(w, direction=a), 1, T, 0.0)
-        for w, a in zip((clear, partly), foresight.axes, strict=True)
+        answered(foresight, look(w, direction=a), 1, 0.0) for w, a in zip((clear, partly), lines_across(2), strict=True)
     ]
     seen = [
-        known(foresight, 4.0, summed(axes, parts), T, 0.0, 0.5).seen[2]
-        for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])
+        known(foresight, 4.0, summed(axes, parts), 0.0, 0.5).seen[2] for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])
     ]
     assert seen == [True, False, False]
 
@@ -198,7 +205,7 @@ def test_a_flower_that_moves_less_than_the_camera_can_tell_is_not_measured() -> 
     world = World(foresight, foresight.vectors[5], noise=3e-3)
     one = told(foresight, look(world), 1, 0.0, 0.5)
     assert not one.seen.any()
-    expected = (2 * np.pi * TONES[1]) ** 2 * semi_major(foresight.vectors[:, 1, 0, :FLOWERS].mean(axis=0))
+    expected = (2 * np.pi * TONES[1]) ** 2 * semi_major(of(foresight)[:, :FLOWERS].mean(axis=0))
     assert np.abs(np.log(one.flowers / expected)).max() < 1.0
 
 
@@ -207,9 +214,8 @@ def test_all_counts_per_metre_that_was_commanded() -> None:
     world = World(foresight, foresight.vectors[5])
     at = look(world)
     once: Known = told(foresight, at, 1, 0.0, 0.5)
-    weak = Look(
-        at.tones, at.direction, at.amplitudes, 0.5 * at.gripper, at.swings._replace(phasors=0.5 * at.swings.phasors)
-    )
+    halved = at.swings._replace(phasors=0.5 * at.swings.phasors)
+    weak = at._replace(gripper=0.5 * at.gripper, swings=halved)
     half = told(foresight, weak, 1, 0.0, 0.5)
     for kind in LOADS:
         assert half.loads[kind] == pytest.approx(0.5 * once.loads[kind], rel=0.01)
@@ -240,4 +246,28 @@ def test_the_gripper_s_own_motion_is_read_from_the_joints() -> None:
     swing = np.imag(np.exp(2j * np.pi * times[:, None] * TONES) @ sizes) + 1e-4 * (times - 40)
     joints = np.column_stack([middle + swing[:, None] * along, np.zeros((len(times), 4))])
     samples = [ArmSample(t, 0 * q, q) for t, q in zip(times, joints, strict=True)]
-    assert np.allclose(gripper_motion(samples, lambda q: q[:, :3], along, TONES), sizes, atol=1e-6)
+    assert np.allclose(gripper_motion(samples, lambda q: q[:, :3], TONES), sizes[:, None] * along, atol=1e-6)
+
+
+@pytest.mark.usefixtures("trusted")
+def test_loads_are_of_what_the_gripper_does_not_of_what_it_is_told() -> None:
+    """An arm that is soft goes aside: what its plant bears and does comes from there, along sums of lines too."""
+    foresight = made_foresight(3)
+    world = World(foresight, foresight.vectors[5], arm=np.array([[0.1, 0.4, 0.0], [0.3, 0.2, 0.0], [-0.5, 0.3, 1.0]]))
+    answers = [answered(foresight, look(world, direction=line), 1, 0.0) for line in lines_across(2)]
+    for direction in lines_across(4):
+        one = known(foresight, float(TONES[1]), summed(answers, lines_across(2) @ direction), 0.0, 0.5)
+        assert one.flowers == pytest.approx(world.flowers(1, direction), rel=0.05)
+        for kind, load in world.loads(1, direction).items():
+            assert one.loads[kind] == pytest.approx(load, rel=0.05)
+
+
+@pytest.mark.usefixtures("trusted")
+def test_depth_that_is_read_tells_what_cannot_be_seen_across() -> None:
+    foresight = made_foresight(3)
+    other = foresight.vectors[9].copy()  # no member moves so
+    other[..., :FLOWERS, :] += 3 * np.einsum("ka,fx->kafx", other[..., 0, 0], AXES[:FLOWERS, :, 2])
+    worlds = [World(foresight, other, depth=depth) for depth in (True, False)]
+    deep, flat = (np.log(told(foresight, look(w), 1, 0.0, 0.5).flowers / w.flowers(1)) for w in worlds)
+    assert np.abs(deep).max() < 0.01
+    assert np.abs(flat).max() > 0.1

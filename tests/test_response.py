@@ -17,7 +17,7 @@ from anther.execution import Params as ExecutionParams
 from anther.flower_tracking import Patch, petal_weight
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.oscillation import choose_rate, find_frequency, fit_swing
+from anther.oscillation import choose_rate, find_frequency, fit_swing, swing_basis
 from anther.response import Response, measure_response
 from anther.response.depth import depth_along
 
@@ -229,11 +229,12 @@ def test_depth_is_followed_through_gaps_slopes_and_other_things_readings() -> No
         frames.append(Frame(float(time), np.zeros((size, size, 3), np.uint8), depth.astype(np.float32)))
     disc = (np.hypot(*np.mgrid[-8:9, -8:9]) < 6).astype(np.float32)
     patch = Patch(np.zeros((17, 17, 3), np.float32), disc, np.array([30, 30]), 5.5)
-    found = depth_along(frames, patch, path, hint, 0.502, 0.02)
+    basis = swing_basis(times, hint)
+    found = depth_along(frames, patch, path, basis, np.array(0.502), 0.02)
     swing = fit_swing(times, np.column_stack([found] * 3), hint)
     assert swing.amplitude / np.sqrt(3) == pytest.approx(0.002, abs=2e-4)
     assert np.mod(swing.phase, np.pi) == pytest.approx(0.7, abs=0.1)
-    assert np.isnan(depth_along(frames, patch, path, hint, 0.9, 0.02)).all()  # nothing is there
+    assert np.isnan(depth_along(frames, patch, path, basis, np.array(0.9), 0.02)).all()  # nothing is there
 
 
 def test_a_response_survives_the_disk(tmp_path: Path) -> None:

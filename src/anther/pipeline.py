@@ -315,11 +315,10 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
         return None
     points = watch_points(rods, params.escalation.points)
     tones, pads = shake.tones, params.vibration.pads
-    axes = tones.directions[list(tones.probed)]
     pressing = float(cell.limits.pressing.most(shake.grasp.stem_diameter))
     return Escalation(
         replace(shake, press=max(shake.press, pressing)),
-        foresee(rods, shake.grasp.point, axes, tones.frequencies, points, pads=pads),
+        foresee(rods, shake.grasp.point, tones.frequencies, points, pads=pads),
         seen.flowers.positions,
         rods.rods.nodes[points],
         camera=(camera.intrinsics, pose),

@@ -103,7 +103,7 @@ class Escalation:
 
     Args:
         plan: where, and by the model how far at most.
-        foresight: of the plan's grip and tones, its axes those lines of the plan that are probed.
+        foresight: of the plan's grip and tones.
         flowers: (F, 3) at rest, world [m].
         points: (P, 3) the plant's other points, those of `foresee`.
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
@@ -177,8 +177,8 @@ class Escalation:
         look = self._looked(frames, steady, samples[0].time)
         if not self.steps:
             self._in_sight = look.followed
-            self._late = lateness(self._foresight, look, self._T) if look.followed else 0.0
-        answers = [answered(self._foresight, look, i, self._T, self._late) for i in range(len(look.tones))]
+            self._late = lateness(self._foresight, look) if look.followed else 0.0
+        answers = [answered(self._foresight, look, i, self._late) for i in range(len(look.tones))]
         active = np.flatnonzero(self._piece.amplitudes)
         told = [self._known(int(n), one) for n, one in zip(active, answers, strict=True)]
         if self._probing:
@@ -200,7 +200,7 @@ class Escalation:
         last, tones = steps[-1], self._foresight.tones
         tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
         direction = np.array(last.direction)
-        members = self._foresight.along(tone, direction)[:, self._foresight.where["flowers"]]
+        members = self._foresight.of(tone, direction)[:, self._foresight.where["flowers"]]
         size = amplitude * semi_major(members)
         spread = np.quantile(np.log(np.maximum(size, 1e-12)), [0.05, 0.95], axis=0).T
         logs = np.log(np.maximum(size[0], 1e-12))[:, None]
@@ -229,10 +229,6 @@ class Escalation:
         """Whether the piece under way is a probe."""
         return not self._last and len(self.steps) < len(self.plan.tones.probed)
 
-    @property
-    def _T(self) -> Array:
-        return self._camera[1][:3, :3]
-
     def _probe_along(self, line: int) -> Next:
         tones = self.plan.tones
         size = PROBED * np.minimum(tones.amplitudes[:, line], tones.reach[:, line]) / np.sqrt(len(tones.frequencies))
@@ -242,20 +238,21 @@ class Escalation:
 
     def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
-        direction = self.plan.tones.directions[self._line[active[0]]]
+        direction, tones = self.plan.tones.directions[self._line[active[0]]], piece.frequencies[active]
+        commanded = piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin)
         if self._middle is None:
-            turned = np.exp(-2j * np.pi * piece.frequencies[active] * begin)
-            gripper = np.asarray(piece.amplitudes[active] * turned, dtype=np.complex128)
+            gripper = np.asarray(commanded[:, None] * direction)
         else:
-            gripper = gripper_motion(steady, self._middle, direction, piece.frequencies[active])
+            gripper = gripper_motion(steady, self._middle, tones)
         expected = None
         if all(int(n) in self._told for n in active):
-            expected = np.stack([piece.amplitudes[n] * self._told[int(n)].picture for n in active], axis=1)
-        seen = swings(self._sight, frames, piece.frequencies[active], expected)
-        return Look(self._tone[active], direction, piece.amplitudes[active], gripper, seen)
+            expected = np.stack(
+                [c * self._told[int(n)].picture for c, n in zip(commanded, active, strict=True)], axis=1
+            )
+        return Look(self._tone[active], direction, commanded, gripper, swings(self._sight, frames, tones, expected))
 
     def _known(self, shake: int, answer: Answer) -> Known:
-        return known(self._foresight, float(self._hertz[shake]), answer, self._T, self._late, self._risk)
+        return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
 
     def _learned(self, shake: int, one: Known) -> None:
         self._may[shake], self._told[shake] = self._allowed(shake, one), one
@@ -283,8 +280,7 @@ class Escalation:
         if len(self._answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._answers)])
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
-            parts = self._foresight.parts(tones.directions[line])
-            answer = summed([along[tone] for along in self._answers], parts)
+            answer = summed([along[tone] for along in self._answers], tones.parts(int(line)))
             self._learned(shake, self._known(shake, answer))
         if len(self._hertz) == 1:
             return self._decided(look, 0)
@@ -297,7 +293,7 @@ class Escalation:
 
     def _loses(self, look: Look) -> bool:
         """Return whether a flower is no longer followed: it may swing too far for that."""
-        now = np.isfinite(look.swings.std[: len(self._followed)])
+        now = np.isfinite(look.swings.std[: len(self._followed), 0])
         lost = bool(np.any(self._followed & ~now))
         self._followed |= now
         return lost
@@ -308,7 +304,7 @@ class Escalation:
 
     def _decided(self, look: Look, now: int) -> Next:
         """Return what follows a shake that was looked at."""
-        amplitude = float(look.amplitudes[0])
+        amplitude = float(self._piece.amplitudes[now])
         if self._last:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
         if look.followed < LOST * self._in_sight:
@@ -379,14 +375,15 @@ class Escalation:
         return max(self.params.look, PERIODS / float(self._hertz[shake]))
 
     def _note(self, look: Look, told: Sequence[Known], when: tuple[float, float], words: str, seconds: float) -> None:
-        felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(look.amplitudes, told, strict=True)))
+        amplitudes = np.abs(look.commanded)
+        felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(amplitudes, told, strict=True)))
         flowers = np.where(told[0].seen, felt, np.nan)
-        loads = {k: sum(a * one.loads[k] for a, one in zip(look.amplitudes, told, strict=True)) for k in self._limits}
+        loads = {k: sum(a * one.loads[k] for a, one in zip(amplitudes, told, strict=True)) for k in self._limits}
         shares = {WORDS[k]: float(loads[k] / limit) for k, limit in self._limits.items()}
         step = Step(
             *when,
             tuple(self._foresight.tones[look.tones].tolist()),
-            tuple(look.amplitudes.tolist()),
+            tuple(amplitudes.tolist()),
             tuple(look.direction.tolist()),
             tuple(flowers.tolist()),
             shares,

@@ -1,6 +1,6 @@
 """What a shake at one grip should do by the model, and what is left of that once the camera has seen a small one.
 
-M members, K tones, A axes, S vectors.
+M members, K tones, S vectors.
 """
 
 from __future__ import annotations
@@ -30,12 +30,11 @@ LOADS = ("stem_strain", "joint_strain", "base_strain", "leaf_load", "grip_force"
 
 
 class Foresight(NamedTuple):
-    """What one metre of gripper motion does, as phasors.
+    """What one metre of gripper motion along each axis of the world does, as phasors.
 
     Attributes:
         tones: (K,) [Hz].
-        axes: (A, 3) unit, world: lines of the shake, one, or two that span the plane across the stem.
-        vectors: (M, K, A, S, 3); the first member is the plant as believed.
+        vectors: (M, K, 3, S, 3), by axis of the gripper's motion; the first member is the plant as believed.
         where: kind -> rows of S: "flowers" [m/m], "points" [m/m], and `LOADS` [1/m, leaves 1/s2], whose length is the
             load; of the grip its force, pivoting moment and twist [N/m, N].
         radius: of the stem between the pads [m].
@@ -43,19 +42,14 @@ class Foresight(NamedTuple):
     """
 
     tones: Array
-    axes: Array
     vectors: ComplexArray
     where: Mapping[str, slice]
     radius: float
     pad_width: float
 
-    def parts(self, direction: Array) -> Array:
-        """Return (A,) of which shakes along the axes one along a unit direction (3,) is the sum."""
-        return np.asarray(np.linalg.lstsq(self.axes.T, direction, rcond=None)[0], dtype=np.float64)
-
-    def along(self, tone: int, direction: Array) -> ComplexArray:
-        """Return (M, S, 3) what a shake along a unit direction (3,) does at a tone."""
-        return np.asarray(np.einsum("masx,a->msx", self.vectors[:, tone], self.parts(direction)))
+    def of(self, tone: int, motion: Array | ComplexArray) -> ComplexArray:
+        """Return (M, S, 3) what a motion of the gripper does at a tone; (3,) world, or phasors of it."""
+        return np.asarray(np.einsum("masx,a->msx", self.vectors[:, tone], motion))
 
     def load(self, kind: str, vectors: ComplexArray) -> Array:
         """Return (M,) the largest load of a kind, of vectors (M, S, 3) of one shake."""
@@ -68,7 +62,6 @@ class Foresight(NamedTuple):
 def foresee(
     plant: PlantModel,
     point: Array,
-    axes: Array,
     tones: Array,
     seen: NDArray[np.int64],
     *,
@@ -80,7 +73,6 @@ def foresee(
     Args:
         plant: as believed.
         point: (3,) where it is held [m].
-        axes: (A, 3) lines of the shake.
         tones: (K,) [Hz].
         seen: (P,) rod nodes that a camera may see.
         pads: as believed.
@@ -88,20 +80,19 @@ def foresee(
     """
     grip = pad_nodes(plant, grip_rows(plant, point[None]), pads.width)
     members = scenarios(plant, MEMBERS, seed, pads=pads, branch_spread=BRANCH_SPREAD)
-    found = [_foreseen(member, plant, grip, axes, tones, seen) for member in members]
+    found = [_foreseen(member, plant, grip, tones, seen) for member in members]
     kinds = ("flowers", "points", *LOADS)
     ends = np.cumsum([0, *(part.shape[2] for part in found[0])])
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
     radius = float(held_radius(plant, grip)[0])
     vectors_ = np.array([np.concatenate(parts, axis=2) for parts in found])
-    return Foresight(tones, axes, vectors_, where, radius, pads.width)
+    return Foresight(tones, vectors_, where, radius, pads.width)
 
 
 def _foreseen(
     member: Version,
     plant: PlantModel,
     grip: Sequence[NDArray[np.int64]],
-    axes: Array,
     tones: Array,
     seen: NDArray[np.int64],
 ) -> list[ComplexArray]:
@@ -110,8 +101,8 @@ def _foreseen(
     size = (len(nodes), look.operator.shape[1])
     points = csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), nodes)), size)
     answer = vectors(member, grip, vstack([look.operator, points], format="csr"), tones)
-    found = np.moveaxis(answer.vectors[:, 0] @ axes.T, -1, 1)
-    held = np.moveaxis(wrench(member, grip, answer)[:, 0] @ axes.T, -1, 1)
+    found = np.moveaxis(answer.vectors[:, 0], -1, 1)
+    held = np.moveaxis(wrench(member, grip, answer)[:, 0], -1, 1)
     omega2 = (2 * np.pi * tones[:, None, None, None]) ** 2
     strains = [found[:, :, rows] for rows in (look.stem_strain, look.joint_strain, look.base_strain)]
     leaves = omega2 * found[:, :, look.leaf_load]
@@ -131,9 +122,9 @@ def watch_points(plant: PlantModel, most: int) -> NDArray[np.int64]:
 
 
 def narrowed(
-    members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array
+    members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, axes: Array
 ) -> ComplexArray:
-    """Return (M, S, 3) what one metre of a shake does, once points were seen to move in the camera's picture.
+    """Return (M, S, 3) what a shake does, once points were seen to move in the camera's picture.
 
     The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
     hidden flowers follow as the members have them follow, so that at a tone and grip that were measured no resonance
@@ -141,15 +132,15 @@ def narrowed(
     is not known has them.
 
     Args:
-        members: (M, S, 3) what they say of that shake, `Foresight.along`.
+        members: (M, S, 3) what they say of that shake, `Foresight.of`, per metre commanded.
         rows: (P,) rows of S that were seen.
-        motion: (P, 2) per metre of the gripper's motion along the camera's x and y.
-        std: (P,) standard deviation of either part.
-        T: (3, 3) rotation from the camera to the world.
+        motion: (P, 3) per metre commanded, along `axes`; any where it was not seen.
+        std: (P, 3) standard deviation of either part; NaN where it was not seen.
+        axes: (P, 3, 3) see `response.points.Sight`.
     """
     if not len(rows):
         return members
-    count, seen = len(members), _seen(members, rows, motion, std, T)
+    count, seen = len(members), _seen(members, rows, motion, std, axes)
     off = (members - members.mean(axis=0)).reshape(count, -1) / np.sqrt(count - 1)
     drawn = np.random.default_rng(0).normal(size=(2, *seen.miss.shape))
     misses = seen.miss + drawn[0] + 1j * drawn[1]
@@ -157,22 +148,22 @@ def narrowed(
     return members + (weights @ off).reshape(members.shape)
 
 
-def misfit(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array) -> float:
+def misfit(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, axes: Array) -> float:
     """Return -2 ln likelihood of what was seen of one shake, up to a constant; arguments as of `narrowed`."""
     if not len(rows):
         return 0.0
-    seen = _seen(members, rows, motion, std, T)
+    seen = _seen(members, rows, motion, std, axes)
     miss = seen.miss.mean(axis=0)
     explained = np.linalg.solve(seen.gram, seen.spread.conj() @ miss) @ seen.spread
     return float(np.vdot(miss, miss - explained).real) + float(np.linalg.slogdet(seen.gram)[1])
 
 
 class _Seen(NamedTuple):
-    """Members beside what was seen of P points, in standard deviations of that.
+    """Members beside the V numbers that were seen, in standard deviations of those.
 
     Attributes:
-        miss: (M, 2P) seen less what each member says.
-        spread: (M, 2P) of the members about their mean, over the root of M - 1.
+        miss: (M, V) seen less what each member says.
+        spread: (M, V) of the members about their mean, over the root of M - 1.
         gram: (M, M) of the members' spread, and 1.
     """
 
@@ -181,10 +172,10 @@ class _Seen(NamedTuple):
     gram: ComplexArray
 
 
-def _seen(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, T: Array) -> _Seen:
-    said = members[:, rows] @ T[:, :2]
-    size = np.maximum(np.linalg.norm(motion, axis=1), np.linalg.norm(said.mean(axis=0), axis=1))
-    noise = np.sqrt(np.repeat(std**2 + (MISFIT * size) ** 2, 2))
-    said = said.reshape(len(members), -1)
-    spread = (said - said.mean(axis=0)) / np.sqrt(len(members) - 1) / noise
-    return _Seen((motion.reshape(-1) - said) / noise, spread, np.eye(len(members)) + spread.conj() @ spread.T)
+def _seen(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, axes: Array) -> _Seen:
+    said, used = np.einsum("mpx,pxa->mpa", members[:, rows], axes), np.isfinite(std)
+    sizes = [np.linalg.norm(np.where(used, one, 0.0), axis=1) for one in (motion, said.mean(axis=0))]
+    noise = np.hypot(std, MISFIT * np.max(sizes, axis=0)[:, None])[used]
+    miss, off = (motion - said)[:, used] / noise, (said - said.mean(axis=0))[:, used] / noise
+    spread = off / np.sqrt(len(members) - 1)
+    return _Seen(miss, spread, np.eye(len(members)) + spread.conj() @ spread.T)

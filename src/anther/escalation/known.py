@@ -54,7 +54,7 @@ class Known(NamedTuple):
         flowers: (F,) peak acceleration [1/s2]; of those that are not seen, what is believed with a margin.
         seen: (F,) whether the camera measured it.
         loads: kind (`LOADS`) -> largest load, with the margin.
-        picture: (F, 2) phasors of the flowers along the camera's x and y, on its clock [m/m].
+        picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
     """
 
     flowers: Array
@@ -64,88 +64,84 @@ class Known(NamedTuple):
 
 
 class Look(NamedTuple):
-    """One look at a shake of K tones along one line.
+    """One look at a shake of K tones along one line; phasors are on the robot's clock.
 
     Attributes:
         tones: (K,) numbers of them.
         direction: (3,) unit, of the line.
-        amplitudes: (K,) commanded [m].
-        gripper: (K,) phasors of the gripper's own motion along the line, on the robot's clock [m].
+        commanded: (K,) phasors along it [m].
+        gripper: (K, 3) phasors of what the gripper did, world [m]: an arm that is soft goes less far than it is told
+            to, and aside.
         swings: of flowers and points.
     """
 
     tones: NDArray[np.int64]
     direction: Array
-    amplitudes: Array
+    commanded: ComplexArray
     gripper: ComplexArray
     swings: Swings
 
     @property
     def followed(self) -> int:
         """Points and flowers that were followed."""
-        return int(np.isfinite(self.swings.std).sum())
+        return int(np.isfinite(self.swings.std[:, 0]).sum())
 
 
 class Answer(NamedTuple):
-    """What a plant is known to answer to one shake, per metre of the gripper's motion.
+    """What a plant is known to answer to one shake, per metre commanded.
 
     Attributes:
         members: (M, S, 3) as narrowed by what was seen.
-        flowers: (F, 2) motion that the camera measured along its x and y; NaN where it did not.
-        std: (F,) its standard deviation.
-        moved: of the gripper's motion over what was commanded.
+        flowers: (F, 3) motion that the camera measured, along `axes`; NaN where it did not.
+        std: (F, 3) its standard deviation.
+        axes: (F, 3, 3) see `response.points.Sight`.
     """
 
     members: ComplexArray
     flowers: ComplexArray
     std: Array
-    moved: complex
+    axes: Array
 
 
-def gripper_motion(
-    samples: Sequence[ArmSample], middle: Callable[[Array], Array], direction: Array, tones: Array
-) -> ComplexArray:
-    """Return (K,) phasors of the gripper's motion along the shake by the arm's readings, on the robot's clock [m].
+def gripper_motion(samples: Sequence[ArmSample], middle: Callable[[Array], Array], tones: Array) -> ComplexArray:
+    """Return (K, 3) phasors of the gripper's motion by the arm's readings, world, on the robot's clock [m].
 
     Args:
         samples: of the arm while the tones were steady.
         middle: joints (R, J) -> (R, 3) place of the grip, world [m].
-        direction: (3,) of the shake.
         tones: (K,) [Hz].
     """
     times = np.array([s.time for s in samples])
-    along = middle(np.array([s.measured for s in samples])) @ direction
+    places = middle(np.array([s.measured for s in samples]))
     phase = 2 * np.pi * times[:, None] * tones
     basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(times), times - times.mean()])
-    parts = np.linalg.solve(basis.T @ basis + 1e-12 * np.eye(basis.shape[1]), basis.T @ along)
-    return parts[: len(tones)] + 1j * parts[len(tones) : 2 * len(tones)]
+    parts = np.linalg.solve(basis.T @ basis + 1e-12 * np.eye(basis.shape[1]), basis.T @ places)
+    return np.asarray(parts[: len(tones)] + 1j * parts[len(tones) : 2 * len(tones)], dtype=np.complex128)
 
 
-def lateness(foresight: Foresight, look: Look, T: Array) -> float:
+def lateness(foresight: Foresight, look: Look) -> float:
     """Return by how much the camera's clock is late [s]: that of `LATE` which the members explain best."""
-    members = [foresight.along(int(tone), look.direction) for tone in look.tones]
+    members = [_members(foresight, look, i) for i in range(len(look.tones))]
 
     def off(late: float) -> float:
-        return sum(misfit(m, *_used(foresight, *_turned(foresight, look, i, late)), T) for i, m in enumerate(members))
+        return sum(misfit(m, *_used(foresight, look, i, late)) for i, m in enumerate(members))
 
     return float(LATE[int(np.argmin([off(late) for late in LATE]))])
 
 
-def answered(foresight: Foresight, look: Look, i: int, T: Array, late: float) -> Answer:
+def answered(foresight: Foresight, look: Look, i: int, late: float) -> Answer:
     """Return what is known of the look's tone number i.
 
     Args:
         foresight: of the members.
         look: what was seen.
         i: of its tones.
-        T: (3, 3) rotation from the camera to the world.
         late: see `lateness`.
     """
-    members = foresight.along(int(look.tones[i]), look.direction)
     motion, std = _turned(foresight, look, i, late)
-    count = foresight.where["flowers"].stop - foresight.where["flowers"].start
-    found = narrowed(members, *_used(foresight, motion, std), T)
-    return Answer(found, motion[:count], std[:count], complex(look.gripper[i] / look.amplitudes[i]))
+    own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
+    found = narrowed(_members(foresight, look, i), *_used(foresight, look, i, late))
+    return Answer(found, motion[own], std[own], look.swings.axes[own])
 
 
 def summed(answers: Sequence[Answer], parts: Array) -> Answer:
@@ -155,39 +151,42 @@ def summed(answers: Sequence[Answer], parts: Array) -> Answer:
         np.asarray(sum(part * one.members for part, one in used)),
         np.asarray(sum(part * one.flowers for part, one in used)),
         np.sqrt(sum((part * one.std) ** 2 for part, one in used)),
-        sum(part**2 * one.moved for part, one in used) / sum(part**2 for part, _ in used),
+        answers[0].axes,
     )
 
 
-def known(foresight: Foresight, hertz: float, one: Answer, T: Array, late: float, risk: float) -> Known:
+def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: float) -> Known:
     """Return what is known of a shake for which the plant's answer is.
 
     Args:
         foresight: of the members.
         hertz: frequency of the shake [Hz].
         one: the answer.
-        T: (3, 3) rotation from the camera to the world.
         late: see `lateness`.
         risk: share of shakes in which a load may be larger than is said.
     """
-    own, omega, share = foresight.where["flowers"], 2 * np.pi * hertz, abs(one.moved)
-    moved = one.members[:, own]
-    flowers = moved.mean(axis=0)
-    shown, least = np.linalg.norm(one.flowers, axis=1), SIGNIFICANCE * one.std
-    believed = np.fmin(np.quantile(semi_major(moved), UNSEEN, axis=0), np.hypot(shown, least))
-    seen = shown >= least  # not where one of them is NaN
-    flowers[seen] = one.flowers[seen] @ T[:, :2].T + _along(moved @ T[:, 2])[seen, None] * T[:, 2]
-    loads = {kind: share * float(margined(foresight.load(kind, one.members), SEEN_ERROR[kind], risk)) for kind in LOADS}
-    picture = one.moved * np.exp(-1j * omega * late) * (flowers @ T[:, :2])
-    return Known(share * omega**2 * np.where(seen, semi_major(flowers), believed), seen, loads, picture)
+    own, omega = foresight.where["flowers"], 2 * np.pi * hertz
+    moved = np.einsum("mfx,fxa->mfa", one.members[:, own], one.axes)
+    least = SIGNIFICANCE * one.std
+    shown, unsure = (np.sqrt(np.nansum(np.abs(part) ** 2, axis=1)) for part in (one.flowers, least))
+    may = np.where(np.isfinite(one.std[:, 0]), np.hypot(shown, unsure), np.nan)
+    believed = np.fmin(np.quantile(semi_major(one.members[:, own]), UNSEEN, axis=0), may)
+    seen = np.any(np.abs(one.flowers) >= least, axis=1)  # not where they are NaN
+    parts = moved.mean(axis=0)
+    deep = np.abs(one.flowers[:, 2]) >= least[:, 2]
+    away = np.where(deep, one.flowers[:, 2], _away(moved[..., 2]))
+    parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
+    flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
+    loads = {kind: float(margined(foresight.load(kind, one.members), SEEN_ERROR[kind], risk)) for kind in LOADS}
+    picture = np.exp(-1j * omega * late) * parts
+    return Known(omega**2 * np.where(seen, semi_major(flowers), believed), seen, loads, picture)
 
 
-def _along(motion: ComplexArray) -> ComplexArray:
-    """Return (F,) what a camera cannot see, the motion along its line of sight: phase of the members' mean, size of
-    their root mean square, since members (M, F) that disagree do not say that nothing moves."""
-    mean = motion.mean(axis=0)
+def _away(motion: ComplexArray) -> ComplexArray:
+    """Return (F,) motion that a camera did not see: phase of the members' mean, size of their root mean square, since
+    members (M, F) that disagree do not say that nothing moves."""
     size = np.sqrt(np.mean(np.abs(motion) ** 2, axis=0))
-    return np.asarray(size * np.exp(1j * np.angle(mean)), dtype=np.complex128)
+    return np.asarray(size * np.exp(1j * np.angle(motion.mean(axis=0))), dtype=np.complex128)
 
 
 def limits_of(limits: Limits, press: float) -> dict[str, float]:
@@ -197,14 +196,21 @@ def limits_of(limits: Limits, press: float) -> dict[str, float]:
     return dict(zip(LOADS, values, strict=True))
 
 
+def _members(foresight: Foresight, look: Look, i: int) -> ComplexArray:
+    return foresight.of(int(look.tones[i]), look.gripper[i] / look.commanded[i])
+
+
 def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[ComplexArray, Array]:
-    """Return (F + P, 2) motion in the picture per metre of the gripper's own, and its standard deviation (F + P,)."""
-    turned = np.exp(2j * np.pi * foresight.tones[look.tones[i]] * late) / look.gripper[i]
+    """Return (F + P, 3) motion per metre commanded, as `Swings` has it, and its standard deviation."""
+    turned = np.exp(2j * np.pi * foresight.tones[look.tones[i]] * late) / look.commanded[i]
     return np.asarray(look.swings.phasors[:, i] * turned), look.swings.std * abs(turned)
 
 
-def _used(foresight: Foresight, motion: ComplexArray, std: Array) -> tuple[NDArray[np.int64], ComplexArray, Array]:
-    """Return rows, motion and deviation of what was followed, as `narrowed` takes them."""
-    used = np.flatnonzero(np.isfinite(std))
+def _used(
+    foresight: Foresight, look: Look, i: int, late: float
+) -> tuple[NDArray[np.int64], ComplexArray, Array, Array]:
+    """Return rows, motion, deviation and axes of what was followed, as `narrowed` takes them."""
+    motion, std = _turned(foresight, look, i, late)
+    used = np.flatnonzero(np.isfinite(std[:, 0]))
     rows = np.concatenate([np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])])
-    return rows[used], motion[used], std[used]
+    return rows[used], motion[used], std[used], look.swings.axes[used]

@@ -26,7 +26,7 @@ from anther.flower_tracking import (
     smoothed,
 )
 from anther.geometry import Array, Intrinsics
-from anther.oscillation import fit_swing
+from anther.oscillation import fit_swing, swing_basis
 from anther.response.depth import depth_along
 from anther.response.params import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, Params
 
@@ -175,7 +175,8 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float, params: P
 
 def _depth(frames: Sequence[Frame], patch: Patch, path: Array, hint: float, rest: float) -> tuple[bool, Array]:
     """Return whether a flower's depth is sure along its path (T, 2), and that depth (T,) [m], or `rest` where not."""
-    depth = depth_along(frames, patch, path, hint, rest, OWN_DEPTH)
+    swing = swing_basis(np.array([f.time for f in frames]), hint)
+    depth = depth_along(frames, patch, path, swing, np.array(rest), OWN_DEPTH)
     sure = bool(np.isfinite(depth).mean() >= DEPTH_SHARE * np.isfinite(path[:, 0]).mean() > 0)
     return sure, depth if sure else np.full(len(frames), rest)
 

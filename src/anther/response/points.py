@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from anther.devices import Frame
 from anther.flower_tracking import Image, Patch, seek, smoothed
 from anther.geometry import Array, Intrinsics, inverse, transform_points
-from anther.response.following import OWN_LIKENESS, placed
+from anther.response.depth import depth_along
+from anther.response.following import OWN_DEPTH, OWN_LIKENESS, placed
 from anther.response.params import DEPTH_GATE, LEAST_COVER, Params
 from anther.vibration.observables import ComplexArray
 
@@ -34,12 +35,16 @@ SCALES = (1.0, 1.6, 0.6)
 """Times what is expected, along which a flower is looked for."""
 SEEK = 8
 """A flower is looked for so far from there [px], then within `Params.near` of the swing that fits."""
+SURE = 0.85
+"""Share of the frames in which it is found, over one and the fit's deviation [px]: if more, no other way is tried."""
 SLOW = 4
 """Legendre polynomials beside the tones: wind, and swings that die out."""
 LEAST_SHARE = 0.6
 """Of the frames in which a point must be followed."""
 LEAST_ERROR = 0.03
 """No place is surer than this [px]: a guess, and about what films without motion show."""
+LEAST_DEPTH_ERROR = 0.0005
+"""Nor is a depth, of a frame [m]: a guess."""
 
 
 class Sight(NamedTuple):
@@ -49,6 +54,9 @@ class Sight(NamedTuple):
         picture: (H, W) of the plant at rest.
         pixels: (P, 2) where the points are in it.
         per_pixel: (P,) what a pixel measures there [m].
+        depth: (P,) of the points [m].
+        axes: (P, 3, 3) so that a motion in the world (3,) @ axes[p] is how far the point goes across and down the
+            picture, at its depth, and away from the camera.
         shown: (P,) whether the point is in sight.
         flowers: the first F points, each alone as it looks at rest.
     """
@@ -56,6 +64,8 @@ class Sight(NamedTuple):
     picture: NDArray[np.uint8]
     pixels: Array
     per_pixel: Array
+    depth: Array
+    axes: Array
     shown: NDArray[np.bool_]
     flowers: tuple[Patch, ...]
 
@@ -64,12 +74,15 @@ class Swings(NamedTuple):
     """How points swung, by tone: x(t) = Im(phasor exp(2 pi i f t)), t on the cameras' clock.
 
     Attributes:
-        phasors: (P, K, 2) along the camera's x and y [m]; NaN where the point was not followed.
-        std: (P,) standard deviation of either part of any of them [m].
+        phasors: (P, K, 3) along `axes` [m]; NaN where the point was not followed, and away from the camera where its
+            depth was not read.
+        std: (P, 3) standard deviation of either part of any of them [m].
+        axes: (P, 3, 3) of `Sight`.
     """
 
     phasors: ComplexArray
     std: Array
+    axes: Array
 
 
 def sight(
@@ -89,7 +102,9 @@ def sight(
         pixels[:count], alone = placed(frame, intrinsics, rest[:count], params)
         alone = [patch._replace(image=patch.image * gain) for patch in alone]
         shown[:count] = inside[:count] & np.array([patch.cover >= LEAST_COVER for patch in alone])
-    return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, shown, tuple(alone))
+    axes = np.repeat(T_world_cam[None, :3, :3], len(rest), axis=0)
+    axes[:, :, :2] -= axes[:, :, 2:] * (rest[:, :2] / np.maximum(rest[:, 2:], NEAR))[:, None]
+    return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, rest[:, 2], axes, shown, tuple(alone))
 
 
 def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None) -> Swings:
@@ -98,34 +113,36 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
     Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
     and back: where it is going, else at home, else where it was. A flower is small before a background that stands
     still: its own pixels alone are then looked for along what is expected and along that path, each time once more
-    along the swing that fits; where it is found most often counts. Then tones and slow terms are fitted to each path by
-    least squares.
+    along the swing that fits; where it is found most often counts. How far away it is then is read from the depth of
+    those pixels. Tones and slow terms are fitted to each path by least squares.
 
     Args:
         at: what is in sight.
         frames: of the shake.
         tones: (K,) [Hz].
-        expected: (F, K, 2) phasors of the flowers as `Swings` has them [m]; None: nothing is.
+        expected: (F, K, 3) phasors of the flowers as `Swings` has them [m]; None: nothing is.
     """
-    phasors = np.full((len(at.pixels), len(tones), 2), np.nan, np.complex128)
-    std, times = np.full(len(at.pixels), np.nan), np.array([f.time for f in frames])
+    phasors = np.full((len(at.pixels), len(tones), 3), np.nan, np.complex128)
+    std, times = np.full((len(at.pixels), 3), np.nan), np.array([f.time for f in frames])
     if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
-        return Swings(phasors, std)
+        return Swings(phasors, std, at.axes)
     basis = _basis(times, tones)
     gains = [_gain(frame) for frame in frames]
     paths = np.swapaxes(_paths(at, [_picture(f, gain) for f, gain in zip(frames, gains, strict=True)]), 0, 1)
     seeing = at.shown[: len(at.flowers)].any()
     images = [smoothed(f) * gain for f, gain in zip(frames, gains, strict=True)] if seeing else []
-    for point, path in zip(np.flatnonzero(at.shown), paths, strict=True):
-        if point < len(at.flowers):
-            guess = None if expected is None else expected[point] / at.per_pixel[point]
-            found = _fitted(basis, _flower_path(at, int(point), images, path, basis, guess))
-        else:
-            found = _fitted(basis, path)
-        if found is not None:
-            sine, cosine = found[0][: len(tones)], found[0][len(tones) : 2 * len(tones)]
-            phasors[point], std[point] = sine + 1j * cosine, found[1]
-    return Swings(phasors * at.per_pixel[:, None, None], std * at.per_pixel)
+    for point, around in zip(np.flatnonzero(at.shown), paths, strict=True):
+        flower, scale, path = point < len(at.flowers), at.per_pixel[point], around
+        guess = None if expected is None or not flower else expected[point]
+        if flower:
+            path = _flower_path(at, int(point), images, around, basis, guess)
+        across = _fitted(basis, path, LEAST_ERROR)
+        away = _away(at, int(point), frames, path, basis, guess) if flower and across is not None else None
+        if across is not None:
+            phasors[point, :, :2], std[point, :2] = scale * _phasors(across, len(tones)), scale * across.std
+        if away is not None:
+            phasors[point, :, 2:], std[point, 2] = _phasors(away, len(tones)), away.std
+    return Swings(phasors, std, at.axes)
 
 
 def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -159,24 +176,26 @@ def _flower_path(
         images: T smoothed frames.
         path: (T, 2) where its surroundings were found.
         basis: (T, 2K + SLOW) of the tones.
-        expected: (K, 2) its phasors [px], or None.
+        expected: (K, 3) its phasors [m], or None.
     """
     own = at.flowers[k]
     shift = at.pixels[k] - own.centre
     ways = [np.where(np.isfinite(path), path, at.pixels[k])]
     if expected is not None:
-        swing = basis[:, : 2 * len(expected)] @ np.concatenate([expected.real, expected.imag])
+        swing = _swung(basis, expected)[:, :2] / at.per_pixel[k]
         ways = [at.pixels[k] + scale * swing for scale in SCALES] + ways
     best, worth = np.full_like(path, np.nan), 0.0
     for way in ways:
         found = seek(images, own, way - shift, SEEK, OWN_LIKENESS) + shift
-        fitted = _fitted(basis, found)
+        fitted = _fitted(basis, found, LEAST_ERROR)
         if fitted is None:
             continue
-        found = seek(images, own, basis @ fitted[0] - shift, DEFAULTS.near, OWN_LIKENESS) + shift
-        sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted[1])
+        found = seek(images, own, basis @ fitted.coefficients - shift, DEFAULTS.near, OWN_LIKENESS) + shift
+        sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted.std)
         if sure > worth:
             best, worth = found, sure
+        if worth > SURE:
+            break
     return best
 
 
@@ -216,20 +235,51 @@ def _basis(times: Array, tones: Array) -> Array:
     return np.column_stack([np.sin(phase), np.cos(phase), slow]).astype(np.float64)
 
 
-def _fitted(basis: Array, path: Array) -> tuple[Array, float] | None:
-    """Return the coefficients (2K + SLOW, 2) of a path (T, 2) and the deviation of any, [px]; None if it was lost."""
+class _Fit(NamedTuple):
+    """Coefficients (2K + SLOW, D) of a path and the deviation of any."""
+
+    coefficients: Array
+    std: float
+
+
+def _phasors(fit: _Fit, tones: int) -> ComplexArray:
+    sine, cosine = fit.coefficients[:tones], fit.coefficients[tones : 2 * tones]
+    return np.asarray(sine + 1j * cosine, dtype=np.complex128)
+
+
+def _swung(basis: Array, phasors: ComplexArray) -> Array:
+    """Return the motion (T, 3) of phasors (K, 3)."""
+    return basis[:, : 2 * len(phasors)] @ np.concatenate([phasors.real, phasors.imag])
+
+
+def _away(
+    at: Sight, k: int, frames: Sequence[Frame], path: Array, basis: Array, expected: ComplexArray | None
+) -> _Fit | None:
+    """Return the fit of how far away [m] a flower is along its path (T, 2) [px]; None where that is not read."""
+    own, rest = at.flowers[k], at.depth[k]
+    middle = path - (at.pixels[k] - own.centre)
+    for about in ([] if expected is None else [rest + _swung(basis, expected)[:, 2]]) + [np.array(rest)]:
+        depth = depth_along(frames, own, middle, basis, about, OWN_DEPTH)
+        found = _fitted(basis, depth[:, None] - rest, LEAST_DEPTH_ERROR)
+        if found is not None:
+            return found
+    return None
+
+
+def _fitted(basis: Array, path: Array, least_error: float) -> _Fit | None:
+    """Return what a path (T, D) is a sum of, no place surer than `least_error`; None if it was lost."""
     used, least = np.isfinite(path).all(axis=1), max(LEAST_SHARE * len(path), basis.shape[1] + 2)
     if used.sum() < least:
         return None
     miss = np.abs(path - basis @ _solved(basis[used], path[used])[0])
     usual = 1.4826 * np.median(miss[used], axis=0)
-    used &= (np.nan_to_num(miss, nan=np.inf) <= DEFAULTS.outlier * np.maximum(usual, LEAST_ERROR)).all(axis=1)
+    used &= (np.nan_to_num(miss, nan=np.inf) <= DEFAULTS.outlier * np.maximum(usual, least_error)).all(axis=1)
     if used.sum() < least:
         return None
     coefficients, inverse_gram = _solved(basis[used], path[used])
     square = np.sum((path[used] - basis[used] @ coefficients) ** 2, axis=0) / (used.sum() - basis.shape[1])
-    noise = max(float(np.sqrt(square.max())), LEAST_ERROR)
-    return coefficients, noise * float(np.sqrt(inverse_gram.diagonal()[:-SLOW].max()))
+    noise = max(float(np.sqrt(square.max())), least_error)
+    return _Fit(coefficients, noise * float(np.sqrt(inverse_gram.diagonal()[:-SLOW].max())))
 
 
 def _solved(basis: Array, values: Array) -> tuple[Array, Array]:

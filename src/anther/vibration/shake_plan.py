@@ -81,6 +81,11 @@ class Tones:
         across = np.abs(self.directions @ self.directions[0])
         return (0,) if len(across) == 1 else (0, int(across.argmin()))
 
+    def parts(self, line: int) -> Array:
+        """Return how much of a shake along each of the probed lines one along a line is."""
+        found = np.linalg.lstsq(self.directions[list(self.probed)].T, self.directions[line], rcond=None)[0]
+        return np.asarray(found, dtype=np.float64)
+
 
 @dataclass(frozen=True, slots=True)
 class EarlierShake:
