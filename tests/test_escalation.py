@@ -181,7 +181,7 @@ def check_pieces(world: World, watched: Escalation) -> None:
         (tone,) = np.flatnonzero(piece.amplitudes) if not piece.stops else [0]
         before = piece.before[tone]
         start = tones.amplitudes.flat[tone] if np.count_nonzero(piece.before) != 1 or before == 0 else 0.0
-        assert piece.amplitudes[tone] <= max(params.raised * before, start) + 1e-12
+        assert piece.amplitudes[tone] <= params.raised * max(before, start) + 1e-12
 
 
 @pytest.mark.parametrize("lines", [1, 8])

@@ -16,9 +16,12 @@ from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee, watch_points
 from anther.escalation.known import (
     WATCHED,
+    WORDS,
+    Allowed,
     Answer,
     Known,
     Look,
+    allowed,
     answered,
     gripper_motion,
     known,
@@ -46,14 +49,6 @@ PERIODS = 2.0
 """A step is watched for so many of its periods at least."""
 PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
 """The probe is watched for so many periods of its slowest tone, at least so long [s]."""
-WORDS = {
-    "stem_strain": "the bending of the stem",
-    "joint_strain": "the bending of pedicels",
-    "base_strain": "the bending of branch bases",
-    "leaf_load": "the load at leaf bases",
-    "grip_force": "slip",
-}
-"""The kinds of load, for people."""
 SAMPLES, FRAMES = 2.2, 11
 """Frames a period at least, little more than two where frequencies are known; and in a look, of which six are fitted to
 each path."""
@@ -69,14 +64,6 @@ ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what moved the flowers more."""
 LOST = 0.5
 """A shake is ended when fewer than this share of the points followed in the probe still are."""
-
-
-class Allowed(NamedTuple):
-    """How far a shake may be raised: amplitude [m], the flowers' median there [m/s2], and what ends it."""
-
-    amplitude: float
-    flowers: float
-    binds: str
 
 
 class Next(NamedTuple):
@@ -139,7 +126,7 @@ class Escalation:
         self._tried: dict[int, tuple[float, float]] = {}
         self._late, self._in_sight, self._last = 0.0, 0, False
         self._followed, self._sure = np.zeros(len(flowers), dtype=bool), 0.0
-        self._doubted = False
+        self._alone, self._doubted = set[int](), False
 
     @property
     def lines(self) -> tuple[Line, ...]:
@@ -185,7 +172,7 @@ class Escalation:
             self._answers.append(answers)
             follows = self._after_probe(look)
         else:
-            self._learned(int(active[0]), told[0])
+            self._looked_at(int(active[0]), told[0])
             follows = self._decided(look, int(active[0]))
         self._note(look, told, (steady[0].time, steady[-1].time), follows.words, perf_counter() - started)
         ramp = max(follows.ramp, *(self._ramp(int(n)) for n in active))
@@ -239,9 +226,10 @@ class Escalation:
     def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
         direction, tones = self.plan.tones.directions[self._line[active[0]]], piece.frequencies[active]
-        commanded = piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin)
+        turned = np.exp(-2j * np.pi * tones * begin)
+        commanded = np.asarray(piece.amplitudes[active] * turned, dtype=np.complex128)
         if self._middle is None:
-            gripper = np.asarray(commanded[:, None] * direction)
+            gripper = np.asarray(commanded[:, None] * direction, dtype=np.complex128)
         else:
             gripper = gripper_motion(steady, self._middle, tones)
         expected = None
@@ -255,17 +243,18 @@ class Escalation:
         return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
 
     def _learned(self, shake: int, one: Known) -> None:
-        self._may[shake], self._told[shake] = self._allowed(shake, one), one
+        self._may[shake] = allowed(one, self._limits, float(self._reach[shake]), self.params)
+        self._told[shake] = one
 
-    def _allowed(self, shake: int, one: Known) -> Allowed:
-        """Return how far a shake may be raised."""
-        median, largest = float(np.median(one.flowers)), float(one.flowers[one.seen].max(initial=0.0))
-        caps = {kind: limit / max(one.loads[kind], 1e-12) for kind, limit in self._limits.items()}
-        caps["what the actuator can do"] = float(self._reach[shake])
-        caps["the target"] = self.params.target / max(median, 1e-12)
-        caps["the most a flower may feel"] = self.params.most / max(largest, 1e-12)
-        binds = min(caps, key=lambda name: caps[name])
-        return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
+    def _looked_at(self, shake: int, one: Known) -> None:
+        """Learn of a shake that was done alone. By what its promise is not kept, those of the others count less too."""
+        promised = self._may.get(shake)
+        self._learned(shake, one)
+        if promised and shake not in self._alone and one.seen.any():
+            kept = min(self._may[shake].flowers / max(promised.flowers, 1e-12), 1.0)
+            for other in set(self._may) - self._alone - {shake}:
+                self._may[other] = self._may[other]._replace(flowers=kept * self._may[other].flowers)
+        self._alone.add(shake)
 
     def _after_probe(self, look: Look) -> Next:
         """Return what follows a probe: the next one, or the shake with which flowers can be moved most."""
@@ -326,9 +315,10 @@ class Escalation:
         return Next(sizes, seconds, self._ramp(shake), words)
 
     def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
-        most, tones = self._may[shake], self.plan.tones
-        self._sure, self._doubted = float(self._planned[shake]), False
-        begin = max(float(self._planned[shake]), self.params.raised * done.get(shake, 0.0))
+        most, tones, planned = self._may[shake], self.plan.tones, float(self._planned[shake])
+        self._sure, self._doubted = planned, False
+        halfway = min(float(np.sqrt(planned * most.amplitude)), self.params.raised * planned)
+        begin = max(planned, halfway * self._told[shake].seen.any(), self.params.raised * done.get(shake, 0.0))
         turned = np.degrees(np.arccos(min(abs(float(tones.directions[self._line[shake]] @ tones.directions[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from anther.devices import ArmSample
 from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
+from anther.escalation.params import Params
 from anther.geometry import Array
 from anther.response.points import Swings
 from anther.vibration import Params as Limits
@@ -36,6 +37,15 @@ WATCHED = 3.0
 """So many times the plan's risk is allowed once the camera has seen the shake. With 1, 2 and 4 times the median flower
 of 19 development plants felt 3.6, 4.3 and 5.4 m/s2 (geometric mean; MuJoCo's linear equations), and what they bear was
 passed with a probability of 0.2, 0.4 and 0.6 %; in the whole cell, where swings overshoot, more. A judgement."""
+
+WORDS = {
+    "stem_strain": "the bending of the stem",
+    "joint_strain": "the bending of pedicels",
+    "base_strain": "the bending of branch bases",
+    "leaf_load": "the load at leaf bases",
+    "grip_force": "slip",
+}
+"""The kinds of load, for people."""
 
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
@@ -61,6 +71,14 @@ class Known(NamedTuple):
     seen: NDArray[np.bool_]
     loads: Mapping[str, float]
     picture: ComplexArray
+
+
+class Allowed(NamedTuple):
+    """How far a shake may be raised: amplitude [m], the flowers' median there [m/s2], and what ends it."""
+
+    amplitude: float
+    flowers: float
+    binds: str
 
 
 class Look(NamedTuple):
@@ -180,6 +198,24 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     loads = {kind: float(margined(foresight.load(kind, one.members), SEEN_ERROR[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts
     return Known(omega**2 * np.where(seen, semi_major(flowers), believed), seen, loads, picture)
+
+
+def allowed(one: Known, limits: Mapping[str, float], reach: float, params: Params) -> Allowed:
+    """Return how far a shake may be raised.
+
+    Args:
+        one: what is known of it.
+        limits: see `limits_of`.
+        reach: amplitude that the actuator manages [m].
+        params: what is enough.
+    """
+    median, largest = float(np.median(one.flowers)), float(one.flowers[one.seen].max(initial=0.0))
+    caps = {kind: limit / max(one.loads[kind], 1e-12) for kind, limit in limits.items()}
+    caps["what the actuator can do"] = reach
+    caps["the target"] = params.target / max(median, 1e-12)
+    caps["the most a flower may feel"] = params.most / max(largest, 1e-12)
+    binds = min(caps, key=lambda name: caps[name])
+    return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
 
 
 def _away(motion: ComplexArray) -> ComplexArray:
