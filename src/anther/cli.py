@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from signal import SIGTERM, default_int_handler, signal
-from threading import Timer, current_thread, main_thread
+from threading import Event, Thread, current_thread, main_thread
 from types import ModuleType
 from typing import Any
 
@@ -75,10 +75,14 @@ def _terminated_as_interrupted() -> Iterator[None]:
 def _compiling_told(name: str) -> Iterator[None]:
     """Say so when a command that has not ended after `PATIENCE` compiles code, which takes a minute and is kept."""
     heard: list[Any] = []
+    ended = Event()
 
     def listen() -> None:
-        if "numba" not in sys.modules:
-            return
+        numba: Any = None
+        while numba is None or numba.__spec__._initializing:  # a module imported by two threads at once is broken
+            if ended.wait(PATIENCE):
+                return
+            numba = sys.modules.get("numba")
         from numba.core import event
 
         class Once(event.Listener):
@@ -93,13 +97,12 @@ def _compiling_told(name: str) -> Iterator[None]:
         heard.append(Once())
         event.register("numba:compile", heard[0])
 
-    timer = Timer(PATIENCE, listen)
-    timer.daemon = True
-    timer.start()
+    listener = Thread(target=listen, daemon=True)
+    listener.start()
     try:
         yield
     finally:
-        timer.cancel()
+        ended.set()
         if heard:
             from numba.core import event
 

@@ -19,7 +19,6 @@ from anther.formats.points import Axis, Units
 from anther.formats.skeletons import write_skeleton
 from anther.grasp import Grasp, plan_grasps, save_grasps
 from anther.grasp import Params as GraspParams
-from anther.pictures.plant import draw_plant
 from anther.skeleton import Params, Skeleton, skeletonize
 from anther.stem import Params as StemParams
 from anther.stem import Stem, find_stem
@@ -85,6 +84,8 @@ def write_results(folder: Path, cloud: Cloud, skeleton: Skeleton, stem: Stem, gr
     skeleton.save(folder / "skeleton.npz")
     write_skeleton(folder / "skeleton.swc", skeleton, stem.organ_names())
     save_grasps(folder / "grasp.json", grasps)
+    from anther.pictures.plant import draw_plant  # Matplotlib takes a second
+
     with replacing(folder / "overview.png") as temporary:
         draw_plant(cloud, skeleton, stem, grasps[0]).savefig(temporary, dpi=110)
 

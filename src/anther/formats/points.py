@@ -10,7 +10,6 @@ from typing import IO, Any, Literal, get_args
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
-from trimesh.exchange.ply import load_ply
 
 from anther.checks import check_array
 from anther.errors import InputError, bad_input
@@ -69,6 +68,8 @@ def load_whole_ply(path: Path) -> dict[str, Any]:
         ascii_text = b"ascii" in stream.read(64)
     try:
         with whole_file(path, LARGEST_TEXT if ascii_text else LARGEST).open("rb") as stream:
+            from trimesh.exchange.ply import load_ply  # noqa: PLC0415  # half a second, for PLY files alone
+
             stored = load_ply(_with_hidden_edges(stream), fix_texture=False, skip_materials=True)
         elements = stored["metadata"]["_ply_raw"]
         if HIDDEN in elements:

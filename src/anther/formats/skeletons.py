@@ -14,7 +14,6 @@ import numpy as np
 from anther.checks import check_array
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, read_lines, understood, whole_file, write_text
-from anther.formats.gltf import write_glb
 from anther.formats.graphml import read_graphml, write_graphml
 from anther.formats.mtg import read_mtg, write_mtg
 from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
@@ -67,6 +66,12 @@ def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] |
             do="Name each node.",
         )
     WRITES[path.suffix.lower()](path, skeleton, labels)
+
+
+def _write_glb(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
+    from anther.formats.gltf import write_glb  # noqa: PLC0415  # trimesh takes half a second
+
+    write_glb(path, skeleton, labels)
 
 
 def _write_npz(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
@@ -168,6 +173,6 @@ WRITES: dict[str, Callable[[Path, Skeleton, Sequence[str] | None], None]] = {
     ".ply": write_skeleton_ply,
     ".graphml": write_graphml,
     ".mtg": write_mtg,
-    ".glb": write_glb,
+    ".glb": _write_glb,
 }
 """Suffix -> writer."""
