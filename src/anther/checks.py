@@ -91,8 +91,8 @@ def check_room(what: str, size: float, do: str) -> None:
         raise bad_input(what, given=f"{size / 1e9:.1f} GB", allowed=f"at most {MOST_BYTES / 1e9:g} GB", do=do)
 
 
-def check_parameters(params: Any) -> None:
-    """Check every number of a dataclass, and of tuples in it: none is NaN, infinite, or less than 0.
+def check_parameters(params: Any, *, places: tuple[str, ...] = ()) -> None:
+    """Check every number of a dataclass, and of tuples in it: none is NaN, infinite, or, but in `places`, less than 0.
 
     Raises:
         InputError: one is.
@@ -101,7 +101,7 @@ def check_parameters(params: Any) -> None:
         value = getattr(params, field.name)
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, (int, float)):
-                check_range(field.name, number, 0, 1e9)
+                check_range(field.name, number, -1e9 if field.name in places else 0, 1e9)
 
 
 _EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])

@@ -12,15 +12,13 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.commands.run_folder import PARAMS
+from anther.commands.skeleton_source import read_source
 from anther.commands.skeletonize import best_grasps
 from anther.errors import bad_input
 from anther.files import read_object, replacing
 from anther.flowers import Flowers
-from anther.formats.skeleton_file import supposed_radius
-from anther.formats.skeletons import read_skeleton
 from anther.fruit_set import worth
 from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
@@ -29,6 +27,7 @@ from anther.pictures.shake_plan import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.runs import FILES
 from anther.skeleton import Skeleton
+from anther.stem import Params as StemParams
 from anther.stem import Stem, find_stem
 from anther.vibration import (
     Actuator,
@@ -44,11 +43,6 @@ from anther.vibration import (
     with_preset,
 )
 
-STEM = {"tomato": 5e-3, "pepper": 6e-3}
-"""Radius of a main stem at its base [m]: tomato 4 to 6 mm, remembered, no source found; pepper 5 and 7 mm at harvest
-(facts: pollination 2)."""
-ROOTLESS = (".txt", ".ply")
-"""Files that say nothing of where the plant stands."""
 PEDICEL = 0.015
 """A flower named as a node of a skeleton hangs this far beyond it [m]: a pedicel (facts: pollination 2)."""
 
@@ -68,6 +62,8 @@ class Args:
     root: int | None = None
     """Of a skeleton file: the node at which the plant stands, numbered as in the file; by default where it begins to
     rise from the soil, or the file's own root."""
+    stem_tip: int | None = None
+    """Of a skeleton file: the node at which the main stem ends; by default it is found."""
     crop: Crop = "tomato"
     """Whose prior the material is, where neither the run nor --material tells it, and whose breeze the limits are
     likened to."""
@@ -149,10 +145,9 @@ def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
     material = None if args.material is None else read_material(args.material)
     if not args.source.is_dir():
         return _of_skeleton(args, material or (TOMATO if args.crop == "tomato" else PEPPER))
-    if args.flower or args.radius is not None or args.root is not None:
-        raise bad_input(
-            "--flower, --radius or --root", given="with a run folder", allowed="skeleton files", do="Leave it out."
-        )
+    if args.flower or any(given is not None for given in (args.radius, args.root, args.stem_tip)):
+        names = "--flower, --radius, --root or --stem-tip"
+        raise bad_input(names, given="with a run folder", allowed="skeleton files", do="Leave it out.")
     there = {stage: args.source / name for stage, name in FILES.items() if (args.source / name).exists()}
     if not {"skeleton", "stem"} <= there.keys():
         needed = f"a run folder with {FILES['skeleton']} and {FILES['stem']}"
@@ -171,20 +166,15 @@ def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
 
 
 def _of_skeleton(args: Args, material: Material) -> tuple[PlantModel, list[Grasp]]:
-    source = read_skeleton(args.source)
-    if args.radius is not None:
-        check_range("radius", args.radius, 1e-4, 0.2, "m")
-    if args.root is not None or args.source.suffix.lower() in ROOTLESS:
-        source = source.rooted_at(args.root)
-    bare = args.radius is None and source.radius is None
-    skeleton = source.skeleton(supposed_radius(source, STEM[args.crop]) if bare else args.radius)
+    source, skeleton = read_source(args.source, radius=args.radius, root=args.root, crop=args.crop)
     at = np.array([source.node(number) for number in args.flower], dtype=np.int64)
     if np.any(at == 0):
         raise bad_input("flower", given="the root", allowed="a node of a branch or of the stem", do="Name another.")
     out = skeleton.nodes[at] - skeleton.nodes[skeleton.parent[at]]
     out *= PEDICEL / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
     flowers = Flowers(skeleton.nodes[at] + out, at)
-    stem = find_stem(skeleton, flowers_at=flowers.positions)
+    tip = None if args.stem_tip is None else tuple(skeleton.nodes[source.node(args.stem_tip)].tolist())
+    stem = find_stem(skeleton, StemParams(tip=tip), flowers_at=flowers.positions)
     return plant_with_flowers(skeleton, stem, flowers, None, material), _grasps(stem, skeleton, None)
 
 

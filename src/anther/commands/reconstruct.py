@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +22,10 @@ class Args:
     """Run folder; by default runs/ and the capture's name."""
     workspace: tuple[float, float, float, float, float, float] | None = None
     """Box the plant stands in: x0 y0 z0 x1 y1 z1 [m]. By default it is found from where the cameras look."""
+    root: str | None = None
+    """Where the stem leaves the soil, if you know better: x,y,z [m], as `anther view` prints it on a click."""
+    stem_tip: str | None = None
+    """Where the main stem ends, if you know better: x,y,z [m]."""
     masks: MaskSource = "colour"
     """What finds plant and flowers: colour and geometry, Grounding DINO and SAM 2, or SAM 3 (docs/masks.md)."""
     models: Path = Path("models")
@@ -42,8 +46,12 @@ def run(args: Args) -> None:
     from anther.capture import Capture
     from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run
+    from anther.commands.skeleton_source import place
     from anther.geometry import Box
 
+    skeleton = replace(args.params.skeleton, root=place("--root", args.root) or args.params.skeleton.root)
+    stem = replace(args.params.stem, tip=place("--stem-tip", args.stem_tip) or args.params.stem.tip)
+    args = replace(args, params=replace(args.params, skeleton=skeleton, stem=stem))
     out = args.out or Path("runs") / args.capture.resolve().name
     workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=_folder(args.capture) / "masks")
@@ -55,8 +63,8 @@ def run(args: Args) -> None:
         seen = pipeline.perceive(capture, workspace, run, args.params, find_masks)
         grasps = pipeline.rank_grasps(seen, None, run, args.params)
     results = finish(run)
-    stem, sure = seen.stem.arc_length[-1], seen.stem.confidence
-    print(f"{len(seen.cloud.points):,} points, {len(seen.skeleton.nodes)} skeleton nodes, main stem {stem:.3f} m")
+    length, sure = seen.stem.arc_length[-1], seen.stem.confidence
+    print(f"{len(seen.cloud.points):,} points, {len(seen.skeleton.nodes)} skeleton nodes, main stem {length:.3f} m")
     if sure is not None:
         print(f"confidence: main stem {sure:.2f}, grasp {grasps[0].confidence:.2f}")
     print(f"{len(seen.flowers.positions)} flowers; grasp at {grasps[0].arc_length:.3f} m: {grasps[0].reason}")

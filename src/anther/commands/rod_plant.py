@@ -11,14 +11,16 @@ import tyro
 from numpy.typing import NDArray
 
 from anther.checks import check_range
+from anther.commands.skeleton_source import read_source
 from anther.elastic_rod import Clamp, Rods, least_stiffness, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
-from anther.formats.skeletons import SkeletonFile, read_skeleton
+from anther.formats.skeletons import SkeletonFile
 from anther.geometry import Array
 from anther.identification import read_material
 from anther.plant import Material, PlantModel
 from anther.plant import Params as PlantParams
 from anther.runs import FILES
+from anther.vibration import Crop
 
 YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
 """Of a bare skeleton: E of a tomato stem [Pa], the authors' density [kg/m^3], a round bar [-], and zeta [-]."""
@@ -33,7 +35,15 @@ class PlantOptions:
     run folder, whose plant model also has the leaves' mass, pedicels and flowers."""
     _: KW_ONLY
     radius: float | None = None
-    """Radius of every edge [m]. By default the radii in the file."""
+    """Radius of every edge [m]. By default the radii in the file; if it has none, as thick as the crop's stem is at its
+    base, and thinner with what a node carries."""
+    root: int | None = None
+    """Of a skeleton file: the node at which the plant stands, numbered as in the file; by default where it begins to
+    rise from the soil, or the file's own root."""
+    stem_tip: int | None = None
+    """Of a skeleton file: the node at which the main stem ends; by default it is found where it is needed."""
+    crop: Crop = "tomato"
+    """Whose stem, of a file without radii."""
     least_radius: float = 0.0
     """No edge is thinner than this [m]: a scan shows twigs and midribs thinner than they are."""
     material: Path | None = None
@@ -129,8 +139,8 @@ def _with_material(options: PlantOptions, material: Material) -> PlantOptions:
 
 
 def _of_skeleton(options: PlantOptions) -> RodPlant:
-    source = read_skeleton(options.skeleton)
-    skeleton = source.skeleton(options.radius)
+    source, skeleton = read_source(options.skeleton, radius=options.radius, root=options.root, crop=options.crop)
+    stem = None if options.stem_tip is None else skeleton.path_from_root(source.node(options.stem_tip))
     rods = Rods(
         nodes=skeleton.nodes,
         parent=skeleton.parent,
@@ -141,10 +151,12 @@ def _of_skeleton(options: PlantOptions) -> RodPlant:
     )
     zeta = _given(options.damping_ratio, DAMPING_RATIO)
     nowhere = np.zeros(0, np.int64)
-    return RodPlant(rods, Clamp.root(rods), source.numbers, zeta, None, nowhere, options.youngs is not None)
+    return RodPlant(rods, Clamp.root(rods), source.numbers, zeta, stem, nowhere, options.youngs is not None)
 
 
 def _of_run(options: PlantOptions) -> RodPlant:
+    if options.root is not None or options.stem_tip is not None:
+        raise bad_input("--root or --stem-tip", given="with a run folder", allowed="skeleton files", do="Leave it out.")
     path = options.skeleton / FILES["plant model"]
     if not path.exists():
         raise bad_input(

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from anther.cloud import Cloud
+from anther.commands.skeleton_source import place
 from anther.errors import StageFailure
 from anther.files import replacing
 from anther.flowers import flower_centres
@@ -36,6 +37,10 @@ class Args:
     """Axis that points up in the file; by default what the file states, else z."""
     plant: int | None = None
     """Which plant of an .npz that holds several, from 0 on."""
+    root: str | None = None
+    """Where the stem leaves the soil, if you know better: x,y,z [m], as `anther view` prints it on a click."""
+    stem_tip: str | None = None
+    """Where the main stem ends, if you know better: x,y,z [m]."""
     out: Path | None = None
     """Folder for skeleton.npz, skeleton.swc, grasp.json and overview.png."""
     json: bool = False
@@ -52,8 +57,9 @@ def run(args: Args) -> None:
     """Read, skeletonise, find stem and grasp, write and print them."""
     cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
     begin = time.perf_counter()
-    skeleton = skeletonize(cloud, args.params)
-    stem = find_stem(skeleton, args.stem, flowers_at=flower_centres(cloud))
+    skeleton = skeletonize(cloud, replace(args.params, root=place("--root", args.root) or args.params.root))
+    known = replace(args.stem, tip=place("--stem-tip", args.stem_tip) or args.stem.tip)
+    stem = find_stem(skeleton, known, flowers_at=flower_centres(cloud))
     grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)
     seconds = time.perf_counter() - begin
     if args.out is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from small_gicp import voxelgrid_sampling
 
 from anther.checks import check_array, check_parameters, check_range
@@ -47,6 +47,7 @@ class Params:
     """How a cloud becomes a skeleton. Lengths without a unit are relative to the plant's size (its diagonal).
 
     Attributes:
+        root: where the stem leaves the soil [m], by who knows better; None: it is found.
         method: "geodesic" (shortest paths that prefer stems, default: measured better) or "thinning" (the paper's
             P7-P9).
         voxel: voxel edge [m]; None: plant size / resolution, but not below 1.3 point spacings.
@@ -66,6 +67,7 @@ class Params:
         smallest_radius: no radius is reported smaller [m].
     """
 
+    root: tuple[float, float, float] | None = None
     method: Literal["geodesic", "thinning"] = "geodesic"
     voxel: float | None = None
     resolution: float = 350.0
@@ -83,7 +85,7 @@ class Params:
     smallest_radius: float = 1e-4
 
     def __post_init__(self) -> None:
-        check_parameters(self)
+        check_parameters(self, places=("root",))
         check_range("voxel", 0.001 if self.voxel is None else self.voxel, 1e-5, 1, "m")
         check_range("resolution", self.resolution, 10, _MOST_VOXELS)
         check_range("close", self.close, 0, 20)
@@ -203,7 +205,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
 
     Raises:
         StageFailure: "no_plant_found" when there are too few points to make a tree.
-        InputError: the plant's size is not that of a plant (wrong units?).
+        InputError: the plant's size is not that of a plant (wrong units?), or `params.root` is not on it.
     """
     params = params or Params()
     points = _plant_points(cloud)
@@ -229,6 +231,25 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
     return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness)
+
+
+AWAY = 0.1
+"""A place that somebody names is on the plant if it is no farther from it than this, relative to the plant's size."""
+
+
+def nearest_node(name: str, place: ArrayLike, nodes: Array) -> int:
+    """Return which of the nodes (J, 3) [m] is nearest to a named place (3,) [m].
+
+    Raises:
+        InputError: it is too far from all of them to be meant.
+    """
+    at = check_array(name, np.asarray(place, dtype=np.float64), (3,))
+    gap = np.linalg.norm(nodes - at, axis=1)
+    if gap.min() > AWAY * np.linalg.norm(np.ptp(nodes, axis=0)):
+        low, high = nodes.min(axis=0).round(3).tolist(), nodes.max(axis=0).round(3).tolist()
+        given, do = f"{at.tolist()}, {gap.min():.3g} m from the plant", "Give it in metres, z up, as in the results."
+        raise bad_input(name, given=given, allowed=f"on the plant, which is from {low} to {high} m", do=do)
+    return int(gap.argmin())
 
 
 def _plant_points(cloud: Cloud) -> Array:
@@ -257,7 +278,12 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> RawTree:
     """Return the tree before centring, rooted where the stem leaves the soil."""
     if params.method == "thinning":
         tree = _pruned(_not_trivial(thinned_tree(voxels), size, params), voxels, params)
-        return tree.taking(*rerooted(tree.parent, find_root(tree)))
+        root = find_root(tree) if params.root is None else nearest_node("root", params.root, tree.nodes)
+        return tree.taking(*rerooted(tree.parent, root))
+    if params.root is not None:
+        source = nearest_node("root", params.root, voxels.points)
+        tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
+        return middled(tree, voxels)
     source = int(np.argmin(voxels.points[:, 2]))
     tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
     base = tree.nodes[find_root(tree)]

@@ -13,7 +13,7 @@ from anther.checks import check_array
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
-from anther.skeleton import Skeleton
+from anther.skeleton import Skeleton, nearest_node
 from anther.skeleton.raw_tree import chains, edge_lengths
 from anther.stem.confidence import doubt, second_stem, stem_confidence
 from anther.stem.main_axis import fork_at, growth_end, path_score
@@ -112,11 +112,15 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
 
     Raises:
         StageFailure: "no_stem_found" when no path rises far enough to be a stem.
+        InputError: `params.tip` is not on the plant.
     """
     params = params or Params()
     size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
-    path = chains(skeleton.parent, path_score(skeleton, params))[0]
-    node_ids = path[: growth_end(skeleton, path, size, params)]
+    if params.tip is None:
+        path = chains(skeleton.parent, path_score(skeleton, params))[0]
+        node_ids = path[: growth_end(skeleton, path, size, params)]
+    else:
+        node_ids = path = skeleton.path_from_root(nearest_node("the main stem's tip", params.tip, skeleton.nodes))
     nodes = skeleton.nodes[node_ids]
     arc_length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
     _plausible(nodes, arc_length, size, params)

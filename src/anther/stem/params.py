@@ -12,6 +12,7 @@ class Params:
     """What makes a path the main stem (paper P10, P11), and a node part of an organ.
 
     Attributes:
+        tip: where the main stem ends [m], by who knows better; None: it is found.
         alpha: exponent of the mean radius in the path score S.
         v_bias: weight of verticality in S.
         turn: a step that turns from the growth axis by more than this is not stem-like [degrees].
@@ -38,6 +39,7 @@ class Params:
         spur: a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width.
     """
 
+    tip: tuple[float, float, float] | None = None
     alpha: float = 2.0
     v_bias: float = 1.0
     turn: float = 45.0
@@ -59,7 +61,7 @@ class Params:
     spur: float = 3.0
 
     def __post_init__(self) -> None:
-        check_parameters(self)
+        check_parameters(self, places=("tip",))
         check_range("turn", self.turn, 1, 180, "degrees")
         check_range("window", self.window, 1e-3, 1)
         check_range("shortest", self.shortest, 0, 1)
