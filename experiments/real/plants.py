@@ -17,6 +17,8 @@ from anther.geometry import Array
 
 TRACKPLANT = "trackplant3d_tomato1a"
 LABELLED = ("salk_tomato_D26", "gavriel_maize_28.2.23_8")
+HARD = ("salk_benthi_D18", "gavriel_maize_28.2.23_2")
+"""Labelled too, and hard: where the stem of broad leaves ends; a leaf's tip below the stem's base."""
 WITH_REFERENCE = ("pheno4d_tomato_03-05", "pheno4d_tomato_03-08", "pheno4d_maize_03-13")
 UNLABELLED = ("sice_robot_cloud0", "sorghum_kinect_fused", "adtree_tree1")
 
@@ -55,15 +57,15 @@ class Reference:
     edges: NDArray[Any]
 
 
-def labelled_plants(folder: Path, every: int) -> Iterator[Labelled]:
-    """Yield the labelled plants, of the 93 seedlings every so many."""
+def labelled_plants(folder: Path, every: int, others: tuple[str, ...] = LABELLED) -> Iterator[Labelled]:
+    """Yield the labelled plants: of the 93 seedlings every so many, and the others that are named."""
     with np.load(folder / f"{TRACKPLANT}.npz") as stored:
         labels, offsets, names = stored["labels"], stored["offsets"], stored["names"]
     for k in range(0, len(names), every):
         cloud = read_cloud(folder / f"{TRACKPLANT}.npz", "mm", "y", plant=k)
         of_plant = labels[offsets[k] : offsets[k + 1]]
         yield Labelled(str(names[k]), cloud, of_plant == 0, len(np.unique(of_plant[of_plant > 0])))
-    for name in LABELLED:
+    for name in others:
         with np.load(folder / f"{name}.npz") as stored:
             labels, stem = stored["labels"], int(stored["stem_label"])
         yield Labelled(name, read_cloud(folder / f"{name}.npz"), labels == stem, len(np.unique(labels[labels != stem])))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,7 +22,7 @@ from anther.skeleton.centreline import beginning, centred, extended, resample
 from anther.skeleton.geodesics import geodesic_tree
 from anther.skeleton.nearby import nearest
 from anther.skeleton.raw_tree import RawTree, middled, parted, rerooted, with_extents, without_spurs, without_veins
-from anther.skeleton.rooting import distance_to_soil, find_root, stem_gain
+from anther.skeleton.rooting import Base, distance_to_soil, find_root, stem_gain
 from anther.skeleton.support import node_confidence
 from anther.skeleton.surroundings import surroundings
 from anther.skeleton.thinning import thinned_tree
@@ -35,6 +35,7 @@ _ENOUGH_POINTS = 80_000  # cross-sections of more are not better (measured on te
 _FINEST = 700  # a cloud of many points is thinned to one per cube of plant size / _FINEST
 _MOST_VOXELS = 1500  # along the plant: with more, filled hollows take gigabytes
 _REACH, _FLAT = 6.0, 0.5  # surroundings looked at [voxels], and the planarity that counts as a blade
+_SURE = 0.75  # a root that is less likely is said
 _SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
 _FATTENING = 0.5
 """How much farther than the radius the surface of a round organ lies from its axis in a fused cloud [pixels]: what the
@@ -113,6 +114,7 @@ class Skeleton:
             node (docs/confidence.md); None if unknown.
         flatness: (J,) 0 where the plant is round or a line around the node, 1 where it is a plane: a blade; None if
             unknown.
+        root_confidence: probability that the plant stands at node 0; None if unknown.
     """
 
     nodes: Array
@@ -122,6 +124,7 @@ class Skeleton:
     width: Array | None = None
     confidence: Array | None = None
     flatness: Array | None = None
+    root_confidence: float | None = None
 
     def __post_init__(self) -> None:
         n = len(self.nodes)
@@ -138,6 +141,8 @@ class Skeleton:
                 check_range("skeleton confidence", float(extreme), 0, 1)
         if self.flatness is not None:
             object.__setattr__(self, "flatness", check_array("skeleton flatness", self.flatness, (n,)))
+        if self.root_confidence is not None:
+            check_range("skeleton root confidence", self.root_confidence, 0, 1)
         ordered = n >= 2 and parent[0] == -1 and bool(np.all((parent[1:] >= 0) & (parent[1:] < np.arange(1, n))))
         if not ordered:
             raise bad_input(
@@ -178,6 +183,7 @@ class Skeleton:
             width=self.width,
             confidence=self.confidence,
             flatness=self.flatness,
+            root_confidence=self.root_confidence,
             notes=np.array(self.notes, dtype=np.str_),
         )
 
@@ -191,9 +197,9 @@ class Skeleton:
         with understood(path):
             a = read_npz(path, _KIND, _SCHEMA)
             notes = tuple(str(note) for note in a["notes"])
-            return cls(
-                a["nodes"], a["parent"], a["radius"], notes, a.get("width"), a.get("confidence"), a.get("flatness")
-            )
+            more = (a.get("width"), a.get("confidence"), a.get("flatness"))
+            root = None if a.get("root_confidence") is None else float(a["root_confidence"])
+            return cls(a["nodes"], a["parent"], a["radius"], notes, *more, root)
 
 
 def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
@@ -217,7 +223,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     voxel = params.voxel or max(size / params.resolution, 1.3 * point_spacing(points))
     solid = solidify(points, voxel, close=params.close, fill=params.hollow * size)
     voxels, notes = _connected(solid, size, params)
-    coarse = _coarse_tree(voxels, size, params)
+    coarse, base = _coarse_tree(voxels, size, params)
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
@@ -230,7 +236,8 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     flatness = coarse.flatness[nearest(curves.nodes, coarse.nodes)[1]]
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
-    return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness)
+    notes = (*notes, *base.notes)
+    return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness, base.sure)
 
 
 AWAY = 0.1
@@ -274,23 +281,41 @@ def _plant_size(points: Array) -> float:
     return size
 
 
-def _coarse_tree(voxels: Voxels, size: float, params: Params) -> RawTree:
+class _Rooted(NamedTuple):
+    """How sure the root is, and what is to be said of it."""
+
+    sure: float = 1.0
+    notes: tuple[str, ...] = ()
+
+
+def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, _Rooted]:
     """Return the tree before centring, rooted where the stem leaves the soil."""
     if params.method == "thinning":
         tree = _pruned(_not_trivial(thinned_tree(voxels), size, params), voxels, params)
-        root = find_root(tree) if params.root is None else nearest_node("root", params.root, tree.nodes)
-        return tree.taking(*rerooted(tree.parent, root))
-    if params.root is not None:
-        source = nearest_node("root", params.root, voxels.points)
-        tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
-        return middled(tree, voxels)
-    source = int(np.argmin(voxels.points[:, 2]))
+        if params.root is not None:
+            root = nearest_node("root", params.root, tree.nodes)
+            return tree.taking(*rerooted(tree.parent, root)), _Rooted()
+        found = find_root(tree)
+        return tree.taking(*rerooted(tree.parent, found.node)), _rooted(tree, found)
+    lowest = int(np.argmin(voxels.points[:, 2]))
+    source = lowest if params.root is None else nearest_node("root", params.root, voxels.points)
     tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
-    base = tree.nodes[find_root(tree)]
+    if params.root is not None:
+        return middled(tree, voxels), _Rooted()
+    found = find_root(tree)
+    base, rooted = tree.nodes[found.node], _rooted(tree, found)
     if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
         source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
         tree = _pruned(geodesic_tree(voxels, source, params.geodesic), voxels, params)
-    return middled(tree, voxels)
+    return middled(tree, voxels), rooted
+
+
+def _rooted(tree: RawTree, found: Base) -> _Rooted:
+    if found.probability >= _SURE:
+        return _Rooted(found.probability)
+    x, y, z = tree.nodes[found.rival]
+    words = f"root: with a probability of {found.probability:.0%}; else the plant may stand at {x:.3f},{y:.3f},{z:.3f}"
+    return _Rooted(found.probability, (f"{words} (--root names it)",))
 
 
 def _pruned(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:

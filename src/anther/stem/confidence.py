@@ -27,13 +27,15 @@ TOP = 0.12
 
 
 def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
-    """Return the probability that at least 95 % of the stem's length lies within 5 mm of the true main axis.
+    """Return the probability that at least 95 % of the stem's length lies within 5 mm of the true main axis, that it
+    begins where the plant stands included.
 
     Above a fork (pepper) any of the stems counts as the main axis. None when the skeleton's own confidence is unknown.
     """
     if skeleton.confidence is None:
         return None
-    return float(probability(FITTED, stem_evidence(skeleton, node_ids)))
+    rooted = 1.0 if skeleton.root_confidence is None else skeleton.root_confidence
+    return rooted * float(probability(FITTED, stem_evidence(skeleton, node_ids)))
 
 
 def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:

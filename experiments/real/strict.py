@@ -1,0 +1,158 @@
+"""A strict rule on labelled plants, as scanned and disturbed: was the grasp right, and if not, was it doubted?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from anther.cloud import Cloud
+from anther.geometry import Array
+from anther.stem.confidence import DOUBTFUL
+from real.answers import NoAnswer, Seen, anther
+from real.judge import STEPS, sampled
+from real.plants import Labelled, plant_size
+
+NEIGHBOURS, RADII = 10, 1.5
+"""A place is on the stem when most of so many nearest points are, and the stem's nearest is within so many radii."""
+INTO_LEAF = 0.05
+"""A main stem is in a leaf when more than this share of its length is."""
+AT_BASE = 0.06
+"""A root is at the base when it is within this of it, relative to the plant's size."""
+LOWEST = 0.01
+"""The base is the middle of this share of the stem's points, the lowest ones."""
+TILTS, AZIMUTHS = (20, 40), 4
+"""Degrees, each towards so many sides."""
+KINDS = (
+    "as scanned",
+    "tilted by 20",
+    "tilted by 40",
+    "10 % of the points",
+    "half cut away",
+    "one side",
+    "noise",
+    "outliers",
+)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What became of one plant under one disturbance.
+
+    Attributes:
+        plant, kind: which.
+        on_stem: whether the grasp is.
+        into_leaf: whether the main stem is.
+        root_ok: whether the root is at the base.
+        confidence: the lower one of main stem and grasp; 0 where it was refused.
+        refused: whether there was no answer.
+    """
+
+    plant: str
+    kind: str
+    on_stem: bool = False
+    into_leaf: bool = False
+    root_ok: bool = False
+    confidence: float = 0.0
+    refused: bool = True
+
+
+def disturbed(plant: Labelled) -> Iterator[tuple[str, Labelled, Array]]:
+    """Yield the plant as scanned and in each way disturbed, (kind, plant, its base (3,) [m])."""
+    points, rng = plant.cloud.points, np.random.default_rng(0)
+    stem = np.flatnonzero(plant.is_stem)
+    lowest = stem[np.argsort(points[stem, 2])[: max(round(LOWEST * len(stem)), NEIGHBOURS)]]
+    base, middle, size = points[lowest].mean(axis=0), points.mean(axis=0), plant_size(points)
+    everything = np.arange(len(points))
+    yield KINDS[0], plant, base
+    for kind, degrees in zip(KINDS[1:3], TILTS, strict=True):
+        for azimuth in 2 * np.pi * (np.arange(AZIMUTHS) + 0.3) / AZIMUTHS:
+            turn = Rotation.from_rotvec(np.radians(degrees) * np.array([np.cos(azimuth), np.sin(azimuth), 0.0]))
+            yield kind, _of(plant, turn.apply(points - base) + base, everything), base
+    yield KINDS[3], _of(plant, points, rng.permutation(everything)[: len(points) // 10]), base
+    yield KINDS[4], _of(plant, points, np.flatnonzero(points[:, 0] > middle[0])), base
+    yield KINDS[5], _of(plant, points, _facing(points, size)), base
+    yield KINDS[6], _of(plant, points + rng.normal(0, size / STEPS, points.shape), everything), base
+    far = rng.uniform(points.min(axis=0), points.max(axis=0), (len(points) // 50, 3))
+    labels = np.concatenate([plant.is_stem, np.zeros(len(far), bool)])
+    yield KINDS[7], replace(plant, cloud=Cloud(np.concatenate([points, far])), is_stem=labels), base
+
+
+def _of(plant: Labelled, points: Array, kept: NDArray[np.int64]) -> Labelled:
+    return replace(plant, cloud=Cloud(points[kept]), is_stem=plant.is_stem[kept])
+
+
+def _facing(points: Array, size: float) -> NDArray[np.int64]:
+    """Return which points a camera far away along x sees: the first in each cell of the picture, and what is near."""
+    cell = np.floor(points[:, 1:] / (size / STEPS)).astype(np.int64)
+    _, number = np.unique(cell, axis=0, return_inverse=True)
+    first = np.full(number.max() + 1, np.inf)
+    np.minimum.at(first, number.ravel(), points[:, 0])
+    return np.flatnonzero(points[:, 0] <= first[number.ravel()] + size / STEPS)
+
+
+def judged(plant: Labelled, kind: str, base: Array) -> Judged:
+    """Return what Anther makes of a plant disturbed in one of `KINDS`, whose stem's base (3,) [m] is known."""
+    try:
+        seen = anther(plant.cloud)
+    except NoAnswer:
+        return Judged(plant.name, kind)
+    size, tree = plant_size(plant.cloud.points), KDTree(plant.cloud.points)
+    line = sampled(seen.answer.nodes, seen.answer.stem, size / STEPS)
+    in_leaf = plant.is_stem[tree.query(line, NEIGHBOURS)[1]].mean(axis=1) < 0.5
+    around = plant.is_stem[tree.query(seen.grasp.point, NEIGHBOURS)[1]]
+    gap = float(np.linalg.norm(plant.stem_points - seen.grasp.point, axis=1).min())
+    return Judged(
+        plant.name,
+        kind,
+        on_stem=bool(around.mean() >= 0.5) and gap <= RADII * seen.grasp.stem_diameter / 2,
+        into_leaf=bool(in_leaf.mean() > INTO_LEAF),
+        root_ok=bool(np.linalg.norm(seen.skeleton.nodes[0] - base) <= AT_BASE * size),
+        confidence=_sure(seen),
+        refused=False,
+    )
+
+
+def _sure(seen: Seen) -> float:
+    told = [value for value in (seen.stem.confidence, seen.grasp.confidence) if value is not None]
+    return min(told, default=1.0)
+
+
+def table(rows: Sequence[Judged]) -> Table:
+    """Return what became of the plants by way of disturbance."""
+    found = Table(
+        "seen", "cases", "grasp on stem", "main stem in a leaf", "root at the base", "wrong, doubted", "right, doubted"
+    )
+    for kind in KINDS:
+        mine = [row for row in rows if row.kind == kind]
+        wrong, right = ([row for row in mine if row.on_stem == good] for good in (False, True))
+        counts = ([row.on_stem for row in mine], [row.into_leaf for row in mine], [row.root_ok for row in mine])
+        doubted = [f"{sum(row.confidence < DOUBTFUL for row in part)} of {len(part)}" for part in (wrong, right)]
+        found.add_row(kind, str(len(mine)), *(f"{sum(count)}" for count in counts), *doubted)
+    return found
+
+
+def metrics(rows: Sequence[Judged]) -> dict[str, float]:
+    """Return the numbers of the results contract; a refusal counts as a grasp that is wrong and doubted."""
+
+    def share(of: Sequence[bool]) -> float:
+        return float(np.mean(of)) if len(of) else float("nan")
+
+    scanned = [row for row in rows if row.kind == KINDS[0]]
+    wrong, right = ([row for row in rows if row.on_stem == good] for good in (False, True))
+    return {
+        "strict_grasp_on_stem": share([row.on_stem for row in scanned]),
+        "into_leaf": share([row.into_leaf for row in scanned]),
+        "root_ok": share([row.root_ok for row in scanned]),
+        "tilt20": share([row.on_stem for row in rows if row.kind == KINDS[1]]),
+        "tilt40": share([row.on_stem for row in rows if row.kind == KINDS[2]]),
+        "flagged_wrong": share([row.confidence < DOUBTFUL for row in wrong]),
+        "false_flags": share([row.confidence < DOUBTFUL for row in right]),
+        "strict_cases": float(len(rows)),
+        "strict_wrong": float(len(wrong)),
+    }
