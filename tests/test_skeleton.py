@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -15,6 +17,7 @@ from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Params, Skeleton, skeletonize
+from anther.stem import find_stem
 
 METHODS: list[Literal["geodesic", "thinning"]] = ["geodesic", "thinning"]
 
@@ -67,6 +70,31 @@ def test_a_drooping_leaf_below_the_base_is_not_the_root() -> None:
     leaf = [tube(a, b, (0.0015, 0.0015), 0.001, rng) for a, b in zip(bend, bend[1:], strict=False)]
     skeleton = skeletonize(Cloud(np.concatenate([simple_plant(), *leaf])))
     assert np.linalg.norm(skeleton.nodes[0]) < 0.01
+
+
+def test_how_sure_the_root_is_comes_from_its_rivals(plant: Skeleton, tmp_path: Path) -> None:
+    """A level bar between two like stems may stand on either; a plant with one stem on one place alone."""
+    assert plant.root_confidence == pytest.approx(1.0, abs=0.02)
+    rng = np.random.default_rng(1)
+    foot = tube([0, 0, 0], [0, 0, 0.3], (0.005, 0.004), 0.0012, rng)
+    half = np.concatenate([foot, tube([0, 0, 0.3], [0.15, 0, 0.3], (0.004, 0.004), 0.0012, rng)])
+    table = Cloud(np.concatenate([half, [0.3, 0, 0] + half * [-1, 1, 1]]))
+    either = skeletonize(table)
+    assert either.root_confidence == pytest.approx(0.5, abs=0.2)
+    other = 0.3 - either.nodes[0, 0]
+    (note,) = [note for note in either.notes if note.startswith("root:")]
+    assert float(note.split("stand at ")[1].split(",")[0]) == pytest.approx(other, abs=0.01)
+    either.save(tmp_path / "skeleton.npz")
+    assert Skeleton.load(tmp_path / "skeleton.npz").root_confidence == either.root_confidence
+    known = skeletonize(table, Params(root=(0.3, 0.0, 0.0)))
+    assert known.root_confidence == 1.0
+    assert known.nodes[0, 0] == pytest.approx(0.3, abs=0.01)
+
+
+def test_the_stem_is_as_sure_as_its_root(plant: Skeleton) -> None:
+    sure, doubted = (find_stem(replace(plant, root_confidence=p)).confidence for p in (1.0, 0.4))
+    assert sure is not None
+    assert doubted == pytest.approx(0.4 * sure)
 
 
 def test_gaps_are_bridged_and_reported() -> None:
