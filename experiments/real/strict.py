@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from anther.cloud import Cloud
 from anther.geometry import Array
 from anther.stem.confidence import DOUBTFUL
-from real.answers import NoAnswer, Seen, anther
+from real.answers import NoAnswer, anther
 from real.judge import STEPS, sampled
 from real.plants import Labelled, plant_size
 
@@ -49,7 +49,7 @@ class Judged:
         on_stem: whether the grasp is.
         into_leaf: whether the main stem is.
         root_ok: whether the root is at the base.
-        confidence: the lower one of main stem and grasp; 0 where it was refused.
+        confidence: of the grasp; 0 where there was no answer.
         refused: whether there was no answer.
     """
 
@@ -113,14 +113,9 @@ def judged(plant: Labelled, kind: str, base: Array) -> Judged:
         on_stem=bool(around.mean() >= 0.5) and gap <= RADII * seen.grasp.stem_diameter / 2,
         into_leaf=bool(in_leaf.mean() > INTO_LEAF),
         root_ok=bool(np.linalg.norm(seen.skeleton.nodes[0] - base) <= AT_BASE * size),
-        confidence=_sure(seen),
+        confidence=1.0 if seen.grasp.confidence is None else seen.grasp.confidence,
         refused=False,
     )
-
-
-def _sure(seen: Seen) -> float:
-    told = [value for value in (seen.stem.confidence, seen.grasp.confidence) if value is not None]
-    return min(told, default=1.0)
 
 
 def table(rows: Sequence[Judged]) -> Table:

@@ -20,7 +20,9 @@ def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | Non
     That is: the true main stem (pepper: below its first fork) passes within 5 mm of the place on the centreline.
     None when the skeleton's own confidence is unknown.
     """
-    return None if skeleton.confidence is None else probability(FITTED, place_evidence(stem, skeleton, arcs))
+    if skeleton.confidence is None:
+        return None
+    return skeleton.rooted * probability(FITTED, place_evidence(stem, skeleton, arcs))
 
 
 def place_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:

@@ -164,6 +164,11 @@ class Skeleton:
         """(J,) number of children of each node; 0 at a tip."""
         return np.bincount(self.parent[1:], minlength=len(self.nodes))
 
+    @property
+    def rooted(self) -> float:
+        """Probability that the plant stands at node 0; 1 where nobody knows."""
+        return 1.0 if self.root_confidence is None else self.root_confidence
+
     def path_from_root(self, node: int) -> NDArray[Any]:
         """Return the node indices from the root to `node`."""
         path = [node]

@@ -34,8 +34,7 @@ def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
     """
     if skeleton.confidence is None:
         return None
-    rooted = 1.0 if skeleton.root_confidence is None else skeleton.root_confidence
-    return rooted * float(probability(FITTED, stem_evidence(skeleton, node_ids)))
+    return skeleton.rooted * float(probability(FITTED, stem_evidence(skeleton, node_ids)))
 
 
 def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
