@@ -179,6 +179,7 @@ def test_a_realsense_that_only_falls_silent_is_opened_anew(bench: Bench) -> None
         bench.skipped = set(range(bench.number, bench.number + round(4 * RATE)))
         until(lambda: "no frame in 1.5 s, though it is connected" in camera.health().fault)
         until(lambda: not refused(camera))
+        assert camera.health().stops >= 1
 
 
 def test_another_camera_never_takes_its_place(bench: Bench) -> None:
@@ -187,6 +188,7 @@ def test_another_camera_never_takes_its_place(bench: Bench) -> None:
     with FreeRunningCamera(source, warm_up=2) as camera:
         bench.plugged = False
         until(lambda: "RealSense 0123: not connected; there are 77" in camera.health().fault)
+        assert "there are 77" in refused(camera)
         bench.plugged = True
         until(lambda: not refused(camera))
 
@@ -199,6 +201,7 @@ def test_a_camera_that_came_back_changed_is_refused(bench: Bench, monkeypatch: p
         bench.camera = made_realsense.SoftwareCamera(bench.rs)
         bench.plugged = True
         until(lambda: "came back as another" in refused(camera))
+        assert camera.intrinsics == COLOR_CAMERA, "what was promised of every frame stays"
 
 
 @pytest.mark.parametrize(
@@ -404,3 +407,4 @@ def test_a_library_s_own_error_is_no_end(monkeypatch: pytest.MonkeyPatch) -> Non
         until(lambda: "division" in refused(camera))
         monkeypatch.undo()
         until(lambda: not refused(camera))
+        assert camera.health().stops >= 1

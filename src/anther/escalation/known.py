@@ -142,7 +142,9 @@ def lateness(foresight: Foresight, look: Look) -> float:
     members = [_members(foresight, look, i) for i in range(len(look.tones))]
 
     def off(late: float) -> float:
-        return sum(misfit(m, *_used(foresight, look, i, late)) for i, m in enumerate(members))
+        return sum(
+            misfit(m, *_used(foresight, look, *_turned(foresight, look, i, late))) for i, m in enumerate(members)
+        )
 
     return float(LATE[int(np.argmin([off(late) for late in LATE]))])
 
@@ -158,7 +160,7 @@ def answered(foresight: Foresight, look: Look, i: int, late: float) -> Answer:
     """
     motion, std = _turned(foresight, look, i, late)
     own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
-    found = narrowed(_members(foresight, look, i), *_used(foresight, look, i, late))
+    found = narrowed(_members(foresight, look, i), *_used(foresight, look, motion, std))
     return Answer(found, motion[own], std[own], look.swings.axes[own])
 
 
@@ -243,10 +245,9 @@ def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[Comp
 
 
 def _used(
-    foresight: Foresight, look: Look, i: int, late: float
+    foresight: Foresight, look: Look, motion: ComplexArray, std: Array
 ) -> tuple[NDArray[np.int64], ComplexArray, Array, Array]:
     """Return rows, motion, deviation and axes of what was followed, as `narrowed` takes them."""
-    motion, std = _turned(foresight, look, i, late)
     used = np.flatnonzero(np.isfinite(std[:, 0]))
     rows = np.concatenate([np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])])
     return rows[used], motion[used], std[used], look.swings.axes[used]

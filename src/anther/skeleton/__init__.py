@@ -316,6 +316,7 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
 
 
 def _rooted(tree: RawTree, found: Base) -> _Rooted:
+    """Return how sure a base is; where it is doubtful, with a note that names its rival."""
     if found.probability >= _SURE:
         return _Rooted(found.probability)
     x, y, z = tree.nodes[found.rival]

@@ -20,8 +20,8 @@ _AWAY, _ABOVE = 1.5, 2.5
 upright, leaning by 20 and 40 degrees) these choose the base in 43 of 43, 37 of 39 and 37 of 39."""
 _SHARP, _ELSEWHERE = 3.0, 0.05
 """A candidate is the base with odds that go as this power of its score; a stub on the best one's stem, not longer than
-this share of the plant's extent, is no rival. Read off the same trees: of ten said to stand there
-with less than 0.75 four are wrong, of the others none."""
+this share of the plant's extent, is no rival. Read off the same trees: of ten said to stand there with less than 0.75
+four are wrong, of the others none."""
 
 
 def stem_gain(tree: RawTree) -> Array:
