@@ -95,4 +95,4 @@ def _close_up(plot: Axes, grasp: Grasp, skeleton: Skeleton, stem: Stem) -> None:
     normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.maximum(np.linalg.norm(step, axis=1), 1e-12)[:, None]
     for sign in (-1, 1):
         plot.plot(*(flat + sign * normal * radius[:, None]).T, color=STEM_COLOR, lw=1, ls="--", zorder=4)
-    plot.set_title(f"at the grasp: {grasp.stem_diameter * 1e3:.1f} mm thick (dashed)")
+    plot.set_title(f"at the grasp: {grasp.stem_diameter * 1e3:.1f} mm (dashed)")
