@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -83,9 +84,10 @@ def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) 
     truth = believed.vectors[0].copy()
     truth[0, :, : FLOWERS + POINTS] *= 0.1
     truth[2, :, : FLOWERS + POINTS] *= 10
-    world = World(believed, truth, plan=FREE)
+    leafy = Limits(plant=replace(WEAK, leaf_load=30.0))  # leaves do what the model says of them
+    world = World(believed, truth, plan=FREE, limits=leafy)
     assert shaken(world).steps[-1].frequencies == pytest.approx([TONES[2]])
-    promised = World(believed, believed.vectors[0], plan=FREE)
+    promised = World(believed, believed.vectors[0], plan=FREE, limits=leafy)
     assert shaken(promised).steps[-1].frequencies != pytest.approx([TONES[2]])
 
 
@@ -224,6 +226,40 @@ def test_a_shake_that_loses_a_flower_goes_back_to_where_it_was_seen(shaken: Shak
     assert losing.pieces[3].amplitudes == pytest.approx(losing.pieces[1].amplitudes)
     assert losing.pieces[4].stops
     assert "flowers were lost from sight" in watched.steps[2].decided
+
+
+@pytest.mark.parametrize("count", [1, FLOWERS - 1])
+def test_a_flower_that_is_lost_where_it_was_just_seen_takes_the_shake_further_back(shaken: Shaken, count: int) -> None:
+    """What was seen at that amplitude was still growing."""
+    foresight = made_foresight(1)
+    few = SIGHTED.copy()
+    few[:count] = False
+    weak = Limits(plant=PlantLimits(leaf_load=2.0))
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak, shown=[*[SIGHTED] * 3, few])
+    watched = shaken(world)
+    first, second, again, held = (piece.amplitudes.max() for piece in world.pieces[1:5])
+    assert second == pytest.approx(again, rel=0.05)
+    assert "Watched again" in watched.steps[2].decided
+    assert "flowers were lost from sight" in watched.steps[3].decided
+    assert held <= again / world.params.raised * 1.0001
+
+
+def test_a_step_adds_at_most_half_the_target_to_any_flower_seen(shaken: Shaken) -> None:
+    """The first by what the probe saw of it, the others by the look before."""
+    for seed in range(5):
+        foresight = made_foresight(seed)
+        world = World(
+            foresight, foresight.vectors[4], plan=FREE, params=Params(20.0, 30.0, raised=4.0, most_seconds=30)
+        )
+        world.limits = Limits(plant=WEAK)
+        steps = single(shaken(world))
+        felt = [0.0, *(np.nanmax(step.flowers) for step in steps)]
+        planned = world.plan.tones.amplitudes.max() * world.flowers(
+            int(np.abs(TONES - steps[0].frequencies[0]).argmin())
+        )
+        for before, after in pairwise(felt):
+            assert after <= max(1.03 * (before + 10.0), 1.03 * float(planned.max()))
+        assert max(felt) > 20.0
 
 
 def test_what_moves_no_flower_that_is_seen_is_not_raised_beyond_what_the_model_allows(shaken: Shaken) -> None:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
 import pytest
 from made_foresight import ALONG, AXES, FLOWERS, POINTS, TONES, World, lines_across, made_foresight
+from sample_plants import branched
 from scipy.stats import norm
 
 from anther.devices import ArmSample
 from anther.escalation import foresight as foresight_module
-from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
+from anther.escalation.foresight import LOADS, Foresight, foresee, misfit, narrowed
 from anther.escalation.known import Known, Look, answered, gripper_motion, known, lateness, summed
+from anther.plant import TOMATO, build_plant
 from anther.swing import Swing
-from anther.vibration.observables import semi_major
+from anther.vibration.observables import observables, semi_major
 
 known_module = import_module("anther.escalation.known")
 ROWS = np.arange(FLOWERS + POINTS)
@@ -271,3 +274,34 @@ def test_depth_that_is_read_tells_what_cannot_be_seen_across() -> None:
     deep, flat = (np.log(told(foresight, look(w), 1, 0.0, 0.5).flowers / w.flowers(1)) for w in worlds)
     assert np.abs(deep).max() < 0.01
     assert np.abs(flat).max() > 0.1
+
+
+@pytest.mark.usefixtures("trusted")
+@pytest.mark.parametrize("more", [0.5, 4.0])
+def test_a_pedicel_is_bent_as_its_flower_is_seen_to_swing(more: float) -> None:
+    """Whatever the members say that moves it; of a flower that is hidden at least what they say."""
+    foresight = made_foresight(3)
+    vectors = of(foresight)[:4]
+    said = semi_major(vectors[:, foresight.where["joint_strain"]])
+    swing = semi_major(vectors[0, foresight.where["flowers"]])
+    one, hidden = np.where(np.arange(FLOWERS) == 0, more * swing, np.nan), np.full(FLOWERS, np.nan)
+    assert foresight.pedicels(vectors, hidden) == pytest.approx(said.max(axis=1))
+    assert foresight.pedicels(vectors, more * swing)[0] == pytest.approx(more * said[0].max())
+    alike = foresight._replace(hangs=np.zeros_like(foresight.hangs))
+    assert alike.pedicels(vectors, one)[0] == pytest.approx(more * said[0].max())
+    other = foresight._replace(hangs=np.ones_like(foresight.hangs))
+    assert other.pedicels(vectors, one)[0] == pytest.approx(max(more, 1.0) * said[0].max())
+
+
+def test_every_pedicel_is_told_which_flower_hangs_on_it() -> None:
+    """A flower that is pushed alone strains its own pedicel and no other."""
+    skeleton, stem, flowers = branched()
+    hanging = build_plant(skeleton, stem, flowers, None, replace(TOMATO, youngs=2e8))
+    foresight = foresee(hanging, hanging.rods.nodes[hanging.stem_nodes[2]], np.array([4.0]), np.array([1, 2]))
+    assert set(foresight.hangs.tolist()) == set(range(len(hanging.flower_nodes)))
+    look, n = observables(hanging), len(hanging.rods.nodes)
+    for f, node in enumerate(hanging.flower_nodes):
+        push = np.zeros(4 * n)
+        push[4 * node : 4 * node + 3] = [1e-6, 2e-6, 3e-6]
+        strain = np.linalg.norm((look.operator @ push).reshape(-1, 3)[look.joint_strain], axis=1)
+        assert np.all(strain[foresight.hangs != f] < 1e-9 * strain.max())

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from anther.checks import check_range
 from anther.errors import bad_input
 from anther.formats.skeleton_file import supposed_radius
 from anther.formats.skeletons import SkeletonFile, read_skeleton
 from anther.skeleton import Skeleton
-from anther.vibration import Crop
+
+if TYPE_CHECKING:  # it takes half of the time that `skeletonize` takes to begin
+    from anther.vibration import Crop
 
 Place = tuple[float, float, float]
 

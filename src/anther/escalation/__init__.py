@@ -319,6 +319,7 @@ class Escalation:
         self._sure, self._doubted = planned, False
         halfway = min(float(np.sqrt(planned * most.amplitude)), self.params.raised * planned)
         begin = max(planned, halfway * self._told[shake].seen.any(), self.params.raised * done.get(shake, 0.0))
+        begin = min(begin, max(planned, self._adding(shake)))
         turned = np.degrees(np.arccos(min(abs(float(tones.directions[self._line[shake]] @ tones.directions[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
@@ -326,15 +327,21 @@ class Escalation:
         )
         return self._only(shake, min(begin, most.amplitude), self._watch(shake), words)
 
+    def _adding(self, shake: int) -> float:
+        """Return the amplitude that adds half the target to the flower seen that feels the most [m]."""
+        one = self._told[shake]
+        return 0.5 * self.params.target / max(float(one.flowers[one.seen].max(initial=0.0)), 1e-12)
+
     def _worth(self, shake: int) -> float:
         return float(np.median(self._told[shake].flowers))
 
     def _raised(self, shake: int, now: float, *, lost: bool) -> Next:
         """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is."""
         may = self._may[shake]
-        higher, why = min(may.amplitude, self.params.raised * now), may.binds
-        if lost:
-            higher, why = min(self._sure, higher), OUT_OF_SIGHT
+        higher, why = min(may.amplitude, self.params.raised * now, now + self._adding(shake)), may.binds
+        if lost:  # also what was seen at this amplitude may have grown since
+            sure = self._sure if self._sure < now else now / self.params.raised
+            higher, why = min(sure, higher), OUT_OF_SIGHT
         elif not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:

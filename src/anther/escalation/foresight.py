@@ -37,6 +37,7 @@ class Foresight(NamedTuple):
         vectors: (M, K, 3, S, 3), by axis of the gripper's motion; the first member is the plant as believed.
         where: kind -> rows of S: "flowers" [m/m], "points" [m/m], and `LOADS` [1/m, leaves 1/s2], whose length is the
             load; of the grip its force, pivoting moment and twist [N/m, N].
+        hangs: (R,) number of the flower that hangs on each of the pedicels' vectors.
         radius: of the stem between the pads [m].
         pad_width: along the stem [m].
     """
@@ -44,6 +45,7 @@ class Foresight(NamedTuple):
     tones: Array
     vectors: ComplexArray
     where: Mapping[str, slice]
+    hangs: NDArray[np.int64]
     radius: float
     pad_width: float
 
@@ -57,6 +59,24 @@ class Foresight(NamedTuple):
         if kind == "grip_force":
             return friction_force(*sizes.T, radius=self.radius, width=self.pad_width)
         return sizes.max(axis=1, initial=0.0)
+
+    def pedicels(self, vectors: ComplexArray, shown: Array) -> Array:
+        """Return (M,) the largest strain of pedicels of vectors (M, S, 3), where flowers swing as they were seen to.
+
+        A pedicel is bent by its own flower's inertia, so its strain follows what that flower does, whatever moves it.
+        Flowers that are not seen swing as much more than the members say as the others do.
+
+        Args:
+            vectors: of one shake.
+            shown: (F,) swing of each flower, as the members have it; NaN where it was not seen.
+        """
+        strain, swing = (semi_major(vectors[:, self.where[kind]]) for kind in ("joint_strain", "flowers"))
+        if np.isfinite(shown).any():
+            more = shown / np.maximum(swing, 1e-12)
+            hidden = np.exp(np.nanmean(np.log(np.maximum(more, 1e-12)), axis=1, keepdims=True))
+            more = np.where(np.isfinite(more), more, np.maximum(hidden, 1.0))
+            strain = strain * more[:, self.hangs]
+        return strain.max(axis=1, initial=0.0)
 
 
 def foresee(
@@ -86,7 +106,19 @@ def foresee(
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
     radius = float(held_radius(plant, grip)[0])
     vectors_ = np.array([np.concatenate(parts, axis=2) for parts in found])
-    return Foresight(tones, vectors_, where, radius, pads.width)
+    return Foresight(tones, vectors_, where, _hanging(plant), radius, pads.width)
+
+
+def _hanging(plant: PlantModel) -> NDArray[np.int64]:
+    """Return `Foresight.hangs`."""
+    look, parent = observables(plant), plant.rods.parent
+    flower = np.full(len(parent), -1)
+    for f, tip in enumerate(plant.flower_nodes):
+        node = int(tip)
+        while plant.is_pedicel[node]:
+            flower[node] = f
+            node = int(parent[node])
+    return flower[look.edges[look.joint_strain - look.strains[0]]]
 
 
 def _foreseen(

@@ -197,9 +197,12 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     away = np.where(deep, one.flowers[:, 2], _away(moved[..., 2]))
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
-    loads = {kind: float(margined(foresight.load(kind, one.members), SEEN_ERROR[kind], risk)) for kind in LOADS}
+    swing = semi_major(flowers)
+    members = {kind: foresight.load(kind, one.members) for kind in LOADS}
+    members["joint_strain"] = foresight.pedicels(one.members, np.where(seen, swing, np.nan))
+    loads = {kind: float(margined(members[kind], SEEN_ERROR[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts
-    return Known(omega**2 * np.where(seen, semi_major(flowers), believed), seen, loads, picture)
+    return Known(omega**2 * np.where(seen, swing, believed), seen, loads, picture)
 
 
 def allowed(one: Known, limits: Mapping[str, float], reach: float, params: Params) -> Allowed:

@@ -14,17 +14,18 @@ class Params:
     Attributes:
         target: median acceleration of the flowers at which it is enough [m/s2]: half of their pollen is free at about
             20, between 5 and 80 (facts: pollination 6).
-        most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same).
+        most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same), so by
+            1 % at 46 to 110.
         probe: how long all frequencies are watched at once along each of two lines, at most [s].
         look: how long a step is watched at least [s], or two periods.
-        raised: a step is at most so many times the one before.
+        raised: a step is at most so many times the one before, and adds at most half the target to any flower seen.
         hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
         most_seconds: of the whole shake [s]; ten are enough for two probes, a step, a hold and coming to rest.
         points: of the plant that are watched beside the flowers.
     """
 
     target: float = 30.0
-    most: float = 60.0
+    most: float = 45.0
     probe: float = 1.4
     look: float = 0.6
     raised: float = 2.0
