@@ -33,12 +33,12 @@ from wide_truth import markdown
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
 from anther.devices import Frame
 from anther.errors import StageFailure
-from anther.escalation import foresee, watch_points
+from anther.escalation import Foresight, foresee, watch_points
 from anther.escalation.foresight import narrowed
-from anther.escalation.known import SEEN_ERROR
+from anther.escalation.known import SEEN_ERROR, Answer, known
 from anther.files import read_json, write_json
 from anther.geometry import Array
-from anther.response.points import sight
+from anther.response.points import Sight, sight
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
@@ -93,11 +93,12 @@ def one(species: Species, seed: int) -> list[dict[str, Any]]:
             std = 0.03 * at.per_pixel[used, None] * (2 * np.pi * tone) ** 2 * [1, 1, np.nan]  # of a shake of 1 m/s2
             members = foresight.of(k, direction)
             found = narrowed(members, np.concatenate(both)[used], shown, std, at.axes[used])
+            after = after_a_look(foresight, float(tone), found, at, used, shown, std)
             row: dict[str, Any] = {"species": species, "seed": seed, "height": height, "tone": tone}
             for kind in LOADS:
                 if foresight.where[kind].stop > foresight.where[kind].start:
-                    before, after = (foresight.load(kind, v) for v in (members, found))
-                    row[kind] = [true[kind][k], *said(before, LOAD_ERROR[kind]), *said(after, SEEN_ERROR[kind])]
+                    before = said(foresight.load(kind, members), LOAD_ERROR[kind])
+                    row[kind] = [true[kind][k], *before, *after[kind]]
             rows.append(row)
     return rows
 
@@ -105,6 +106,18 @@ def one(species: Species, seed: int) -> list[dict[str, Any]]:
 def said(members: Array, error: tuple[float, float]) -> tuple[float, float]:
     """Return what is expected of a load of which members have (M,), and what it passes in 5 % of shakes."""
     return float(np.exp(np.log(np.maximum(members, 1e-12)).mean())), float(margined(members, error, RISK))
+
+
+def after_a_look(
+    foresight: Foresight, tone: float, found: ComplexArray, at: Sight, used: Array, shown: ComplexArray, std: Array
+) -> dict[str, tuple[float, float]]:
+    """Return by kind what `said` does of a load, once members were narrowed (`found`) and flowers seen to move."""
+    flowers = len(at.flowers)
+    motion, deviation = np.full((len(used), 3), np.nan, complex), np.full((len(used), 3), np.nan)
+    motion[used], deviation[used] = shown, std
+    answer = Answer(found, motion[:flowers], deviation[:flowers], at.axes[:flowers])
+    middle, most = (known(foresight, tone, answer, 0.0, risk).loads for risk in (0.5, RISK))
+    return {kind: (middle[kind] / SEEN_ERROR[kind][0], most[kind]) for kind in LOADS}
 
 
 def segment_motion(grip: ShakenPlant) -> tuple[Array, ComplexArray]:
