@@ -56,6 +56,23 @@ def test_every_command_has_help(name, capsys) -> None:
     assert f"anther {name}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_two_screens_and_names_what_it_leaves_out(name, capsys, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    said = {}
+    for way in ("--help", "--help-all"):
+        with pytest.raises(SystemExit):
+            main([name, way])
+        said[way] = capsys.readouterr().out
+    short = said["--help"]
+    assert len(short.splitlines()) <= 100
+    options = {way: set(re.findall(r"^(?:│| ) (--[a-z][\w.-]*)", text, re.MULTILINE)) for way, text in said.items()}
+    assert options["--help"] <= options["--help-all"]
+    hidden = {option[2:].rpartition(".")[0] for option in options["--help-all"] - options["--help"]}
+    assert all(group in short for group in hidden), hidden
+    assert ("--help-all" in short) == bool(hidden)
+
+
 def test_unknown_command(capfd) -> None:
     assert "no command 'tral'; allowed: trial, sweep, cell, reconstruct" in refused(capfd, "tral")
 

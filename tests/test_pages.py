@@ -102,7 +102,7 @@ def options(command: str) -> frozenset[str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.setenv("COLUMNS", "400")  # no name is broken over two lines
         with pytest.raises(SystemExit):
-            main([command, "--help"])
+            main([command, "--help-all"])
     return frozenset(re.findall(r"--[a-z][\w.-]*", said.getvalue()))
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import os
+import re
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from functools import partial
 from importlib import import_module
 from signal import SIGTERM, default_int_handler, signal
 from threading import Event, Thread, current_thread, main_thread
@@ -117,8 +120,11 @@ def _run(name: str, words: list[str]) -> int:
 
     try:
         command = _module(name)
-        args = tyro.cli(command.Args, prog=f"anther {name}", description=command.__doc__, args=words)
-        return int(command.run(args) or 0)
+        asked = ["--help" if word == "--help-all" else word for word in words]
+        parse = partial(tyro.cli, command.Args, prog=f"anther {name}", description=command.__doc__, args=asked)
+        if asked == words and {"-h", "--help"} & set(words):
+            _short_help(name, parse)
+        return int(command.run(parse()) or 0)
     except (AntherError, ImportError) as error:
         told = error if isinstance(error, AntherError) else missing_extra(error)
         if told is None:
@@ -140,6 +146,25 @@ def _run(name: str, words: list[str]) -> int:
         return 130
 
 
+OWN = ("positional arguments", "options")
+
+
+def _short_help(name: str, parse: Callable[[], Any]) -> None:
+    """Print the help that `parse` prints without the parameters of the stages, name their groups, and end likewise."""
+    said = io.TextIOWrapper(io.BytesIO(), (sys.stdout.encoding or "ascii").lower())  # tyro draws boxes in "utf-8" only
+    try:
+        with redirect_stdout(said):
+            parse()
+    finally:
+        said.seek(0)
+        head, *groups = re.split(r"(?m)^(?=╭─ )", said.read())
+        titled = {group[3:].split(" ─")[0]: group for group in groups}
+        print(head + "".join(titled[title] for title in OWN if title in titled), end="")
+        more = [title.removesuffix(" options") for title in titled if title not in (*OWN, "subcommands")]
+        if more:
+            print(f"Parameters of {', '.join(more)}: anther {name} --help-all")
+
+
 def _module(name: str) -> ModuleType:
     """Import only the chosen command, so that the others cost nothing."""
     return import_module(f"anther.commands.{name.replace('-', '_')}")
@@ -147,7 +172,8 @@ def _module(name: str) -> ModuleType:
 
 def _overview() -> str:
     rows = "\n".join(f"  {name:16}{text}" for name, text in COMMANDS.items())
-    return f"usage: anther COMMAND [options]\n\n{rows}\n\nanther COMMAND --help tells a command's options."
+    ends = "anther COMMAND --help tells a command's options, --help-all also the parameters of its stages."
+    return f"usage: anther COMMAND [options]\n\n{rows}\n\n{ends}"
 
 
 if __name__ == "__main__":
