@@ -223,9 +223,29 @@ def test_a_shake_that_loses_a_flower_goes_back_to_where_it_was_seen(shaken: Shak
     watched = shaken(losing)
     assert max(p.amplitudes.max() for p in steady.pieces) > 1.4 * losing.pieces[2].amplitudes.max()
     assert losing.pieces[2].amplitudes.max() > losing.pieces[1].amplitudes.max()
-    assert losing.pieces[3].amplitudes == pytest.approx(losing.pieces[1].amplitudes)
-    assert losing.pieces[4].stops
-    assert "flowers were lost from sight" in watched.steps[2].decided
+    assert losing.pieces[3].amplitudes == pytest.approx(losing.pieces[2].amplitudes)
+    assert losing.pieces[4].amplitudes == pytest.approx(losing.pieces[1].amplitudes)
+    assert losing.pieces[5].stops
+    assert "Watched again" in watched.steps[2].decided
+    assert "flowers were lost from sight" in watched.steps[3].decided
+
+
+def test_a_flower_that_is_found_again_ends_nothing(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    few = SIGHTED.copy()
+    few[0] = False
+    steady, losing = (
+        World(
+            foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=shown, params=Params(most_seconds=30)
+        )
+        for shown in ([SIGHTED], [SIGHTED, SIGHTED, few, SIGHTED])
+    )
+    held = shaken(steady).steps[-1].amplitudes
+    watched = shaken(losing)
+    assert "Watched again" in watched.steps[2].decided
+    assert "lost from sight" in watched.steps[2].decided
+    assert losing.pieces[3].amplitudes == pytest.approx(losing.pieces[2].amplitudes)
+    assert watched.steps[-1].amplitudes == pytest.approx(held, rel=0.05)
 
 
 @pytest.mark.parametrize("count", [1, FLOWERS - 1])
@@ -237,7 +257,7 @@ def test_a_flower_that_is_lost_where_it_was_just_seen_takes_the_shake_further_ba
     weak = Limits(plant=PlantLimits(leaf_load=2.0))
     world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak, shown=[*[SIGHTED] * 3, few])
     watched = shaken(world)
-    first, second, again, held = (piece.amplitudes.max() for piece in world.pieces[1:5])
+    second, again, held = (piece.amplitudes.max() for piece in world.pieces[2:5])
     assert second == pytest.approx(again, rel=0.05)
     assert "Watched again" in watched.steps[2].decided
     assert "flowers were lost from sight" in watched.steps[3].decided

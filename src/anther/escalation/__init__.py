@@ -299,6 +299,12 @@ class Escalation:
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
         if self._loses(look):
+            if not self._doubted and self._fits(now):  # most are found again: they had not swung too far
+                self._doubted = True
+                again = min(amplitude, self._may[now].amplitude)
+                return self._only(
+                    now, again, self._watch(now), f"Watched again at {1e3 * again:.2g} mm: {OUT_OF_SIGHT}."
+                )
             return self._raised(now, amplitude, lost=True)
         seen, self._sure = self._told[now].seen, amplitude
         if seen.any():
