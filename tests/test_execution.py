@@ -42,13 +42,13 @@ class Plan:
 def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     arm, gripper = FakeArm(), FakeGripper(0.008)
     robot = fake_robot(arm, gripper)
-    seen: list[tuple[int, int]] = []
+    seen: list[tuple[int, int, str]] = []
     trial = execute(PLANNER, Plan(), robot, LIMITS, progress=lambda *step: seen.append(step))
     assert trial.finished
     assert trial.phases == PHASES
     assert np.all(trial.phase_times[:, 1] >= trial.phase_times[:, 0])
     assert np.all(np.diff(trial.phase_times[:, 0]) >= 0)
-    assert seen == [(i, len(PHASES)) for i in range(len(PHASES))]
+    assert seen == [(i, len(PHASES), name) for i, name in enumerate(PHASES)]
     assert gripper.commands == pytest.approx([Params().opening, 0.0085, 0.008, 0.0075, Params().opening])
     away = sawyer.forward(arm.joints())[:3, 3]
     assert away == pytest.approx(GRASP.pregrasp(Params().stand_off)[:3, 3], abs=1e-4)

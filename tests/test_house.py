@@ -25,6 +25,7 @@ AROUND = [
     "pictures",
     "report",
     "traits",
+    "log",
     "arm",
     "viewer",
     "drivers",

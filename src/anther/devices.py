@@ -347,6 +347,15 @@ class SafetyLimits:
             check_range(name, getattr(self, name), lower, upper, unit)
 
 
+Tap = Callable[[Robot, SafetyLimits, Array, Callable[[], float]], Robot]
+"""Returns the same machines, listened to; of (robot, limits, wrist camera on the flange (4, 4), robot's clock [s])."""
+
+
+def untapped(robot: Robot, limits: SafetyLimits, T_flange_cam: Array, clock: Callable[[], float]) -> Robot:
+    """Return the machines as they are: a `Tap`."""
+    return robot
+
+
 _RANGES = {
     "joint_margin": (0.0, 1.0, "rad"),
     "start_tolerance": (1e-4, 0.2, "rad"),

@@ -285,6 +285,7 @@ def _shaken(
             raise StageFailure(
                 "limits_exceeded", "a motor shakes only what a side camera watches, and flowers it knows."
             )
+        run.told("watched", watched)
         trial = run.stage(
             "execution",
             Trial.load,
@@ -294,7 +295,7 @@ def _shaken(
                 cell.robot if params.actuator == "gripper" else replace(cell.robot, motor=None),
                 cell.limits,
                 params.execution,
-                progress=advance,
+                progress=_phases_told(run, advance),
                 arrive=arrive,
                 watched=watched,
             ),
@@ -305,6 +306,16 @@ def _shaken(
         grasps = [g for i, g in enumerate(grasps) if i != planned]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
             return shake, trial
+
+
+def _phases_told(run: Run, advance: Advance) -> execution.Progress:
+    """Return what shows a trial's progress and says which phase begins."""
+
+    def begins(done: int, phases: int, phase: str) -> None:
+        advance(done, phases)
+        run.told("phase", phase)
+
+    return begins
 
 
 def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params: Params) -> Escalation | None:

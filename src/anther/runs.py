@@ -60,6 +60,8 @@ class Run:
 
     Attributes:
         seconds: stage -> time it took [s]; stages that were read back are absent.
+        told: hears of every stage's name and result as it arises, and of what else there is to tell; never waits and
+            raises nothing (`anther.log`).
 
     Raises:
         InputError: unknown stage to restart from, or no earlier run in the folder to go on with.
@@ -73,6 +75,7 @@ class Run:
             raise bad_input("restart-from", given=f"'{restart_from}'", allowed=allowed, do="Name one of these stages.")
         self.folder = made_folder(folder)
         self.seconds: dict[str, float] = {}
+        self.told: Callable[[str, Any], None] = lambda name, value: None
         self._restart_from = restart_from
         columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
         self._bars = Progress(*columns, console=Console(stderr=True), disable=quiet)
@@ -107,14 +110,18 @@ class Run:
         """
         order = list(FILES)
         if self._restart_from is not None and order.index(name) < order.index(self._restart_from):
-            return load(self.path(name))
+            result = load(self.path(name))
+            self.told(name, result)
+            return result
         self._restart_from = None  # once one stage is new, so is all that follows, also what is tried again
         self._note(name, "interrupted", f"the process ended during the {name}; go on with --restart-from '{name}'")
         try:
             result = self.timed(name, compute)
         except StageFailure as failure:
             self._note(name, failure.kind, str(failure))
+            self.told("failure", f"{name}: {failure}")
             raise
+        self.told(name, result)
         save(result, self.path(name))
         self._note(name, None, "done")
         return result

@@ -22,6 +22,7 @@ LEAST_DISK = 1e9
 FOR = {
     "cell": "trials: an arm that moves, simulated or real",
     "view": "the 3-D viewer",
+    "log": "the log of a trial, and its live view",
     "segmentation": "masks by Grounding DINO, SAM 2 and SAM 3",
     "bags": "RealSense and ROS bags, MCAP",
     "realsense": "a RealSense camera",

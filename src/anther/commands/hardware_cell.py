@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from anther.capture import Capture
 from anther.cells import CellFile, Part
 from anther.cells.owner import owned
 from anther.cloud import Cloud
-from anther.devices import JointTrajectory, Robot
+from anther.devices import JointTrajectory, Robot, Tap, untapped
 from anther.geometry import Array
 from anther.runs import Advance
 from anther.safety import guard
@@ -99,12 +100,12 @@ def connected(file: CellFile) -> Iterator[Robot]:
 
 
 @contextmanager
-def hardware_cell(file: CellFile, views: ViewParams) -> Iterator[HardwareCell]:
-    """Connect a cell for one trial; see `connected`."""
+def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Iterator[HardwareCell]:
+    """Connect a cell for one trial; see `connected`. `tap` listens to the bare machines."""
     limits, ratio = file.safety_limits(), file.limits.speed_ratio
     boxes = tuple(place.box for place in file.keep_out)
     with connected(file) as bare:
-        robot = guard(bare, limits)
+        robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits)
 
         def take_views(advance: Advance) -> Capture:
             begin = robot.arm.joints()

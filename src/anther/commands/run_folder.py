@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from anther.commands.trial_log import EARLIER, LOG
 from anther.commands.visit_record import FILE as VISIT
 from anther.errors import bad_input
 from anther.files import made_folder, read_object, write_json
@@ -31,6 +32,8 @@ WRITTEN = {
     SUMMARY,
     VISIT,
     FILM,
+    LOG,
+    EARLIER,
     *FILES.values(),
     FILES["cloud"].replace(".ply", ".npz"),
 }

@@ -16,7 +16,7 @@ from anther.arm.planner import Planner
 from anther.arm.views import FAST, Views, capture_time, cylinder_points, plan_views
 from anther.arm.views import Params as ViewParams
 from anther.capture import Capture
-from anther.devices import JointTrajectory, SafetyLimits
+from anther.devices import JointTrajectory, SafetyLimits, Tap, untapped
 from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.safety import guard
@@ -177,10 +177,11 @@ def build(
     truth: Truth = NOMINAL,
     actuator: Literal["arm", "gripper"] = "arm",
     visit: int = 0,
+    tap: Tap = untapped,
 ) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`, but for what `truth` says.
 
-    Another `visit` is to the same plant, with other errors of arm and cameras.
+    Another `visit` is to the same plant, with other errors of arm and cameras. `tap` listens to the bare machines.
 
     With the actuator "gripper" there is a motor in the gripper (`sim.carriage`), and `Robot.motor` to command it. The
     views are rendered, not driven to: the arm stands where it waits after the last of them.
@@ -225,7 +226,7 @@ def build(
                 space=place.arm_space,
                 params=replace(BRISK, home=tuple(WAITING.tolist())),
             ),
-            robot=guard(robot, limits),
+            robot=guard(tap(robot, limits, sawyer.T_FLANGE_CAM, lambda: mujoco.time), limits),
             workspace=place.workspace,
             limits=limits,
         ),

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from anther.commands.mask_source import MaskSource
+from anther.devices import Tap, untapped
 from anther.pipeline import Params
 from anther.vibration import Preset, with_preset
 
@@ -77,6 +78,8 @@ class Args:
     """Raise the shake in steps by what the side camera sees, or carry out the plan alone."""
     actuator: Literal["arm", "gripper"] | None = None
     """What shakes the plant: the arm, or a motor in the gripper (docs/gripper_motor.md), which is always watched."""
+    log: bool = True
+    """Write log.mcap, which Foxglove opens and `anther view --live` shows as it happens (docs/log.md)."""
     params: Params = field(default_factory=Params)
     """Parameters of the stages."""
 
@@ -91,6 +94,7 @@ def run(args: Args) -> int:
     from anther.checks import check_range
     from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run, parameters
+    from anther.commands.trial_log import TrialLog
     from anther.commands.trial_summary import print_summary, summarise
     from anther.commands.visit_record import remember
     from anther.errors import StageFailure, bad_input
@@ -124,8 +128,9 @@ def run(args: Args) -> int:
         ExitStack() as machines,
         open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=SAME) as run,
     ):
+        log = machines.enter_context(TrialLog(run, wanted=args.log))
         try:
-            cell = run.timed("cell", lambda _: machines.enter_context(_cell(args)))
+            cell = run.timed("cell", lambda _: machines.enter_context(_cell(args, log.tap)))
             done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks, earlier)
             done.shake.save(run.folder / EXECUTED)
             save_film(run.folder / FILM, done.trial.frames)
@@ -133,16 +138,15 @@ def run(args: Args) -> int:
         except StageFailure as stopped:
             failure = stopped
         summary = summarise(cell, done, verdict, failure, args.params)
-        summary |= {"seconds": dict(run.seconds), "parameters": parameters(args)}
+        summary |= {"seconds": dict(run.seconds), "parameters": parameters(args), **log.close(failure, verdict)}
         summary |= {"material_source": belief.source, "material_reason": belief.reason}
         write_json(run.folder / SUMMARY, summary)
         lost = remember(_record(args, out, began, summary, done), out, history)
     print_summary(finish(run))
     print(f"material to begin with: {belief.reason}")
-    if lost is not None:
-        print(f"anther trial: {lost}", file=sys.stderr)
-    if failure is not None:
-        print(f"anther trial: {failure}", file=sys.stderr)
+    for said in (lost, failure):
+        if said is not None:
+            print(f"anther trial: {said}", file=sys.stderr)
     if failure is not None or lost is not None:
         return 2
     return 0 if summary["success"] else 1
@@ -168,15 +172,15 @@ def _folder(args: Args) -> str:
 
 
 @contextmanager
-def _cell(args: Args) -> Iterator[SimulatedCell | HardwareCell]:
+def _cell(args: Args, tap: Tap) -> Iterator[SimulatedCell | HardwareCell]:
     """Give the simulated cell, or a real one whose machines are connected for the block."""
     if args.cell == SIMULATED:
-        yield _build(args)
+        yield _build(args, tap)
         return
     from anther.cells import read_cell
     from anther.commands.hardware_cell import hardware_cell
 
-    with hardware_cell(read_cell(args.cell), _views(args)) as cell:
+    with hardware_cell(read_cell(args.cell), _views(args), tap) as cell:
         yield cell
 
 
@@ -187,7 +191,7 @@ def _views(args: Args) -> ViewParams:
     return views if args.views is None else replace(views, count=args.views)
 
 
-def _build(args: Args) -> SimulatedCell:
+def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
     from anther.commands.simulated_cell import build
     from anther.sim.truth import NOMINAL, draw
 
@@ -200,6 +204,7 @@ def _build(args: Args) -> SimulatedCell:
         distance=args.distance,
         truth=truth,
         actuator=args.params.actuator,
+        tap=tap,
     )
 
 

@@ -35,7 +35,7 @@ from anther.swing import Swing, whole_shake
 __all__ = ["EARLY", "PHASES", "Line", "Params", "Planner", "Progress", "Shake", "Step", "Trial", "Watched", "execute"]
 
 DEFAULTS = Params()
-Progress = Callable[[int, int], None]  # called with (phases done, phases in all)
+Progress = Callable[[int, int, str], None]  # called with (phases done, phases in all, the phase that begins)
 THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
@@ -195,7 +195,7 @@ class _Work:
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         if self.progress:
-            self.progress(len(self.marks), len(PHASES))
+            self.progress(len(self.marks), len(PHASES), name)
         self.marks.append((name, self.clock, self.clock))
         try:
             yield
