@@ -52,9 +52,10 @@ class StageFailure(AntherError):
         return type(self), (self.kind, str(self))
 
 
-EXTRA_OF = dict.fromkeys(("embreex", "mujoco", "pinocchio", "coal", "roboplan"), "cell") | {
+EXTRA_OF = {
+    **dict.fromkeys(("embreex", "mujoco", "pinocchio", "coal", "roboplan"), "cell"),
+    **dict.fromkeys(("foxglove", "mcap"), "log"),
     "viser": "view",
-    "foxglove": "log",
 }
 """Module -> the extra that brings it, of those that whole rooms cannot do without."""
 

@@ -1,4 +1,4 @@
-"""Open a run in the 3-D viewer, or write it to one HTML file."""
+"""Open a run in the 3-D viewer, write it to one HTML file, or show a trial in Foxglove while it goes on."""
 
 from __future__ import annotations
 
@@ -19,21 +19,47 @@ class Args:
     """Write the scene to this HTML file instead of opening a viewer."""
     exaggeration: float = 5.0
     """By how much motions are shown larger [-]; in the live viewer a slider."""
-    port: int = 8080
-    """TCP port of the live viewer."""
+    live: bool = False
+    """Show a trial that is under way, or is about to begin, to Foxglove's app on this machine (docs/log.md)."""
+    port: int | None = None
+    """TCP port of the viewer, by default 8080; of --live 8765."""
 
 
 def run(args: Args) -> None:
     """Read the run and show it."""
-    from anther import viewer
     from anther.checks import check_range
+
+    check_range("port", 1 if args.port is None else args.port, 1, 65535)
+    if args.live:
+        _show(args)
+        return
+    from anther import viewer
     from anther.results import read_run
 
-    check_range("port", args.port, 1, 65535)
     check_range("exaggeration", args.exaggeration, 0, 1000)
     results = read_run(args.run)
     if args.html is None:
-        viewer.serve(results, args.port, exaggeration=args.exaggeration)
+        viewer.serve(results, args.port or 8080, exaggeration=args.exaggeration)
     else:
         viewer.write_html(args.html, results, exaggeration=args.exaggeration)
         print(f"scene: {args.html}")
+
+
+def _show(args: Args) -> None:
+    """Serve the trial's log until Ctrl-C."""
+    from anther.commands.trial_log import LOG
+    from anther.errors import bad_input
+    from anther.log.live import PORT, show
+
+    path = args.run / LOG
+    if args.html is not None:
+        raise bad_input("html", given="with --live", allowed="one of them", do="Leave one out.")
+
+    def ready(port: int) -> None:
+        print(
+            f"Open ws://localhost:{port} in Foxglove or Lichtblick (Open connection). Ctrl-C ends this, not the trial."
+        )
+        if not path.exists():
+            print(f"waiting for {path} ...")
+
+    show(path, args.port or PORT, ready=ready)

@@ -86,7 +86,7 @@ class Log:
         """
         self._clock, self._epoch = clock, time.time() - clock()
         self._scribe.meet(robot, limits, T_flange_cam)
-        self.say("cell", None)
+        self.say("cell", self._epoch)
         return heard(robot, self.say, self._look)
 
     def say(self, what: str, value: Any, when: float | None = None) -> None:

@@ -23,6 +23,7 @@ from foxglove.messages import (
 from foxglove.messages import Log as Event
 from foxglove.messages import LogLevel as Level
 
+from anther import __version__
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.devices import ArmSample, Frame, GripperState, JointTrajectory, Robot, SafetyLimits
@@ -46,7 +47,7 @@ WORLD, FLANGE, WRIST, SIDE, PLANT = "world", "flange", "wrist_camera", "side_cam
 NUMBER, TEXT = {"type": "number"}, {"type": "string"}
 GRIPPER = {"asked_m": NUMBER, "opening_m": NUMBER, "force_n": NUMBER, "held": {"type": "boolean"}}
 FORCE = {"force_n": NUMBER}
-STEP = {"begin_s": NUMBER, "end_s": NUMBER, "amplitude_m": NUMBER, "frequency_hz": NUMBER,
+STEP = {"steady_s": NUMBER, "amplitude_m": NUMBER, "frequency_hz": NUMBER,
         "flower_acceleration_median_ms2": NUMBER, "share_of_limit": NUMBER, "closest_limit": TEXT,
         "decided": TEXT}  # fmt: skip
 PLAN = {"amplitude_m": NUMBER, "frequency_hz": NUMBER, "duration_s": NUMBER, "press_n": NUMBER,
@@ -73,7 +74,7 @@ class Scribe:
         self._count = 0
 
     def meet(self, robot: Robot, limits: SafetyLimits, T_flange_cam: Array) -> None:
-        """Learn what shows where arm and cameras are; before anything else is written."""
+        """Learn what shows where arm and cameras are; before "cell" is written."""
         self._robot, self._limits, self._T_flange_cam = robot, limits, T_flange_cam
 
     def write(self, when: float, what: str, value: Any) -> int:
@@ -87,8 +88,8 @@ class Scribe:
         """
         before = self._count
         match what, value:
-            case "cell", None:
-                self._cell(when)
+            case "cell", float():
+                self._cell(when, value)
             case "arm", ArmSample():
                 self._arm(when, value)
             case "motion", JointTrajectory():
@@ -124,8 +125,9 @@ class Scribe:
         assert self._limits is not None
         return self._limits.forward(joints)
 
-    def _cell(self, when: float) -> None:
-        """Say where the cameras are and what they see."""
+    def _cell(self, when: float, epoch: float) -> None:
+        """Say where the cameras are and what they see, and when the robot's clock was zero [s since 1970]."""
+        self._writer.write_metadata("anther", {"version": __version__, "robot_clock_zero_s": repr(epoch)})
         robot = self._robot
         assert robot is not None
         for name, camera in ((WRIST, robot.wrist_camera), (SIDE, robot.side_camera)):
@@ -152,8 +154,7 @@ class Scribe:
 
     def _step(self, when: float, step: Step) -> None:
         said = {
-            "begin_s": step.begin,
-            "end_s": step.end,
+            "steady_s": step.end - step.begin,
             "amplitude_m": max(step.amplitudes),
             "frequency_hz": step.frequencies[int(np.argmax(step.amplitudes))],
             "share_of_limit": step.used,
