@@ -30,6 +30,7 @@ from anther.devices import (
 from anther.drivers.replay import ReplayCamera
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, Intrinsics
+from anther.log.machines import heard
 from anther.safety import GuardedGripper, guard
 from anther.sim.cell import Cell
 from anther.sim.faults import Fault, with_faults
@@ -42,6 +43,10 @@ def simulated() -> Robot:
 
 def guarded() -> Robot:
     return guard(fake_robot(), LIMITS)
+
+
+def logged() -> Robot:
+    return heard(fake_robot(), lambda what, value, when=None: None, lambda: None)
 
 
 def not_yet_faulty() -> Robot:
@@ -57,7 +62,13 @@ def replayed() -> Camera:
     return ReplayCamera(Capture(depth, Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5), poses, rgb))
 
 
-ROBOTS = {"fake": fake_robot, "simulated": simulated, "guarded": guarded, "not yet faulty": not_yet_faulty}
+ROBOTS = {
+    "fake": fake_robot,
+    "simulated": simulated,
+    "guarded": guarded,
+    "logged": logged,
+    "not yet faulty": not_yet_faulty,
+}
 
 
 @pytest.fixture(params=ROBOTS)

@@ -235,13 +235,13 @@ class Scribe:
         self._log(topic, message.encode(), when)
 
     def _log(self, topic: str, message: Any, when: float) -> None:
-        self._channels[topic].log(message, log_time=int(1e9 * when))
+        self._channels[topic].log(message, log_time=round(1e9 * when))
         self._count += 1
 
 
 def stamp(when: float) -> Timestamp:
     """Return a time [s since 1970] as Foxglove has it."""
-    return Timestamp(int(when), int(1e9 * (when % 1)))
+    return Timestamp(*divmod(round(1e9 * when), 10**9))
 
 
 def joints(q: Array, when: float) -> JointStates:
