@@ -35,10 +35,12 @@ from anther import skeleton, stem
 from anther.calibration.pose_file import read_poses
 from anther.capture import Capture
 from anther.cli import COMMANDS, main
+from anther.devices import GripperState
 from anther.files import read_json
 from anther.formats.clouds import read_cloud
 from anther.formats.skeletons import read_skeleton
 from anther.geometry import Intrinsics, inverse, transform_points
+from anther.log import Log
 from anther.samples import write_samples
 from anther.store import record_trial
 
@@ -211,7 +213,19 @@ def calibrated() -> dict[str, Any]:
     return {"images": images, "T_base_flange": poses, "intrinsics": camera}
 
 
-GIVEN: dict[str, Callable[[], Any]] = {"history.md": visited, "views.md": looked_at, "calibration.md": calibrated}
+def logged() -> None:
+    Path("runs/demo").mkdir(parents=True)
+    book = Log(Path("runs/demo/log.mcap"))
+    book.say("gripper", (0.04, GripperState(0.04, 0.0, False)))
+    book.close()
+
+
+GIVEN: dict[str, Callable[[], Any]] = {
+    "log.md": logged,
+    "history.md": visited,
+    "views.md": looked_at,
+    "calibration.md": calibrated,
+}
 """What the reader of a page has when its blocks begin: files, or the names that a text around a snippet explains."""
 
 
