@@ -5,7 +5,7 @@
 A fake Sawyer behind a ROS 1 master notes when each command arrives: 100 a second, of a joint swing at 1.9 Hz. The
 driver runs as in a trial (`apart`: in a process of its own) or in the process that writes the log (`beside`). That one
 also gets 30 frames of 480 x 480 pixels a second from a side camera. The log's disk is a file (`file`), takes 0.2 s for
-every write (`slow`), is full from the first half megabyte on (`full`), or hangs after that (`hangs`). Rounds with and
+every write (`slow`), is full after 100 kB (`full`), or hangs after that (`hangs`). Rounds with and
 without a log alternate, so that whatever else the machine does meets both.
 
 jitter: by how much a command's distance to the one before is off the period, over all rounds: its median, its 99th
@@ -55,7 +55,7 @@ from anther.log import Log
 
 PERIOD, FREQUENCY, AMPLITUDE = 0.01, 1.9, 0.03  # s, Hz, rad of every joint: 0.36 rad/s
 FRAMES = 30.0  # a second
-ROOM = 500_000  # bytes
+ROOM = 100_000  # bytes
 SAMPLE = Path(anther.__file__).parent / "samples" / "capture"
 DISKS = ("none", "file", "slow", "full", "hangs")
 

@@ -211,6 +211,20 @@ def test_a_trial_is_seen_live_also_by_who_comes_late_and_commands_nothing(tmp_pa
         received(port, {"/tf_static", "/joints/measured", "/events", "/side_camera/image", "/scene/arm"})
 
 
+def test_a_trial_that_is_done_anew_is_seen_too(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    first = Log(path)
+    done(first, tapped(first))
+    first.close()
+    with shown(path) as port:
+        received(port, {"/events"})
+        path.unlink()
+        second = Log(path)
+        second.told("step", STEP)
+        second.close()
+        received(port, {"/steps"})
+
+
 def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with shown(tmp_path / "log.mcap") as port:
         assert main(["view", str(tmp_path), "--live", "--port", str(port)]) == 2

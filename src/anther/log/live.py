@@ -45,6 +45,16 @@ class Tail:
     def __init__(self, path: Path) -> None:
         self.path, self.ended = path, False
         self._place, self._left, self._begun = 0, b"", False
+        self._inode: int | None = None
+
+    def replaced(self) -> bool:
+        """Return whether the file is another one than it was, as of a trial that is done anew."""
+        try:
+            found = self.path.stat()
+        except OSError:
+            return False
+        was, self._inode = self._inode, found.st_ino
+        return was not in (None, found.st_ino) or found.st_size < self._place
 
     def records(self) -> Iterator[McapRecord]:
         """Yield the schemas, channels and messages that have come since the last call, in the order of the file.
@@ -77,6 +87,8 @@ class Tail:
             with self.path.open("rb") as stream:
                 stream.seek(self._place)
                 new = stream.read()
+        except FileNotFoundError:  # it is to come
+            return b""
         except OSError as error:
             do = "Check its rights."
             raise bad_input(str(self.path), given=error.strerror, allowed="a readable file", do=do) from error
@@ -144,6 +156,14 @@ class Relay(ServerListener):
             own, message = self._last[channel.topic]
             own.base.log(message.data, log_time=message.log_time)
 
+    def forget(self) -> None:
+        """Take back all channels: another file has its own."""
+        for channel in self._channels.values():
+            channel.close()
+        self._schemas.clear()
+        self._channels.clear()
+        self._last.clear()
+
     def stop(self) -> None:
         """End the server."""
         self._server.stop()
@@ -152,7 +172,7 @@ class Relay(ServerListener):
 def show(
     path: Path, port: int = PORT, *, ready: Callable[[int], None], over: Callable[[], bool] = lambda: False
 ) -> None:
-    """Serve a log as it grows, until `over`: also when it has ended.
+    """Serve a log as it grows, until `over`: also when it has ended, and when another takes its place.
 
     Args:
         path: of the log; it is waited for.
@@ -167,9 +187,11 @@ def show(
     try:
         ready(relay.port)
         while not over():
-            if not tail.ended and path.exists():
-                for record in tail.records():
-                    relay.send(record)
+            if tail.replaced():
+                tail = Tail(path)
+                relay.forget()
+            for record in tail.records():
+                relay.send(record)
             time.sleep(PERIOD)
     finally:
         relay.stop()

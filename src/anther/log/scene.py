@@ -45,6 +45,8 @@ FLOWER = 0.02
 """Diameter that a flower is drawn with [m]."""
 MOST = 20_000
 """So many points of a cloud are shown."""
+ARM_THINNED = 3
+"""Of the balls of the arm's outline, which overlap, every third is drawn."""
 PATH = 50
 """A motion is drawn in so many pieces."""
 EXAGGERATION = 20.0
@@ -100,8 +102,9 @@ def motion(trajectory: JointTrajectory, forward: Callable[[Array], Array]) -> En
 
 
 def arm(balls: Array) -> Entity:
-    """Return the arm's outline, balls (S, 4) of centre and radius [m]; points without a radius are left out."""
-    return Entity(spheres=tuple(ball(b[:3], 2 * b[3], GREY) for b in balls if b[3] > 0))
+    """Return the arm's outline, balls (S, 4) of centre and radius [m], thinned; points without a radius are left out."""
+    solid = balls[balls[:, 3] > 0]
+    return Entity(spheres=tuple(ball(b[:3], 2 * b[3], GREY) for b in solid[::ARM_THINNED]))
 
 
 def grasp(one: Grasp, colour: Color) -> ArrowPrimitive:
