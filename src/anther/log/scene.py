@@ -102,7 +102,7 @@ def motion(trajectory: JointTrajectory, forward: Callable[[Array], Array]) -> En
 
 
 def arm(balls: Array) -> Entity:
-    """Return the arm's outline, balls (S, 4) of centre and radius [m], thinned; points without a radius are left out."""
+    """Return some balls of the arm's outline (S, 4), centre and radius [m]; points without a radius are left out."""
     solid = balls[balls[:, 3] > 0]
     return Entity(spheres=tuple(ball(b[:3], 2 * b[3], GREY) for b in solid[::ARM_THINNED]))
 
