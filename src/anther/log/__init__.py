@@ -37,8 +37,8 @@ class Kept:
     """What became of a log.
 
     Attributes:
-        messages: that were written.
-        dropped: things said that are not in the file.
+        messages: in the file.
+        dropped: messages that are not; what never became one counts as one.
         size: of the file [bytes].
         error: why some are missing; None if all are there.
     """
@@ -68,7 +68,7 @@ class Log:
         self._file = LogFile(path, opened)
         self._scribe = Scribe(self._file)
         self._clock: Callable[[], float] = time.time
-        self._epoch, self._messages, self._dropped, self._told = 0.0, 0, 0, 0
+        self._epoch, self._messages, self._safe, self._dropped, self._told = 0.0, 0, 0, 0, 0
         self._watched: Any = None
         self._steps = 0
         self._lock, self._ended, self._error, self._kept = Lock(), Event(), "", None
@@ -118,14 +118,15 @@ class Log:
             self._look()
             self._ended.set()
             self._thread.join(PATIENCE)
-            late = len(self._queue)
-            if self._thread.is_alive():
+            late, hangs = len(self._queue), self._thread.is_alive()
+            if hangs:
                 late += 1
                 self._error = self._error or f"the disk took longer than {PATIENCE:g} s"
+            lost = self._messages - self._safe if hangs or self._file.broken else 0
             error = self._file.error or self._error
             if not error and self._dropped:
                 error = "more was said at once than could be written"
-            self._kept = Kept(self._messages, self._dropped + late, self._file.size, error or None)
+            self._kept = Kept(self._messages - lost, self._dropped + late + lost, self._file.size, error or None)
             self._queue.clear()
         return self._kept
 
@@ -143,9 +144,14 @@ class Log:
             ended = self._ended.wait(PERIOD)
             self._drain()
             if time.monotonic() - flushed > FLUSH:
-                self._scribe.flush()
+                self._flush()
                 flushed = time.monotonic()
         self._scribe.close()
+
+    def _flush(self) -> None:
+        self._scribe.flush()
+        if not self._file.broken:
+            self._safe = self._messages
 
     def _drain(self) -> None:
         for count in range(len(self._queue)):

@@ -14,7 +14,7 @@ LARGEST = 256_000_000
 
 
 class LogFile:
-    """Attributes: `size` written so far [bytes]; `error`: why no more is written, "" if nothing is wrong.
+    """Attributes: `size` [bytes]; `error`: why no more is written, "" if nothing is wrong; `broken`: the disk is why.
 
     Args:
         path: of the file.
@@ -22,7 +22,7 @@ class LogFile:
     """
 
     def __init__(self, path: Path, opened: Callable[[Path], Any]) -> None:
-        self.size, self.error, self._whole, self._raw = 0, "", 0, None
+        self.size, self.error, self.broken, self._whole, self._raw = 0, "", False, 0, None
         try:
             self._raw = opened(path)
         except OSError as error:
@@ -67,7 +67,7 @@ class LogFile:
 
     def _fail(self, error: OSError) -> None:
         """Keep what was whole, and write no more."""
-        self.error = error.strerror or str(error)
+        self.error, self.broken = error.strerror or str(error), True
         if self._raw is not None:
             with suppress(OSError):
                 self._raw.truncate(self._whole)
