@@ -46,6 +46,7 @@ docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py benchmarks/cell.py
 	$(BIN)/python tools/record.py benchmarks/perception.py --figure docs/pictures/perception.png
 	$(BIN)/python tools/record.py benchmarks/sweep.py
+	$(BIN)/python tools/record.py benchmarks/log.py
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --page docs/reports/grasping.md
 	$(BIN)/python tools/record.py experiments/limits.py

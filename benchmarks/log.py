@@ -104,7 +104,7 @@ def swing(seconds: float) -> JointTrajectory:
 
 def driver(master: str) -> Sawyer:
     """Return the arm's driver, which does not give up where a busy machine makes it late: that is what is measured."""
-    sawyer_ros1.SILENCE = 1.0
+    sawyer_ros1.SILENCE = sawyer_ros1.STALE = 1.0
     return Sawyer(Node(master, "/anther", types()), mode="trajectory")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 LARGEST = 256_000_000
-"""A log grows no further than about this [bytes]; a trial is some 20 MB."""
+"""A log grows no further than about this [bytes]; a simulated trial makes 3 MB."""
 
 
 class LogFile:
