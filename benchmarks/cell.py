@@ -52,7 +52,7 @@ def motions(cell: Cell) -> tuple[JointTrajectory, JointTrajectory, JointTrajecto
         StageFailure: unreachable.
     """
     planner, goal = Planner(NOTHING, NOTHING), grasp_pose(cell)
-    for q in kinematics.inverse(goal, near=sawyer.READY):
+    for q in kinematics.inverse(sawyer.SAWYER, goal, near=sawyer.READY):
         try:
             out = planner.line(q, goal @ transform(np.eye(3), [0, 0, -BACK]))
             return (

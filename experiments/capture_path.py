@@ -65,7 +65,7 @@ def driven(views: Views, species: Species, seed: int) -> dict[str, float]:
     for arrival, dwell, T_world_cam in zip(arrivals, views.dwell, views.T_world_cam, strict=True):
         rows = np.flatnonzero(np.abs(record.times - arrival - dwell / 2) < LOOK)
         q = record.measured[rows]
-        sharp = sharpness.is_sharp(q, rates[rows], sawyer.T_FLANGE_CAM, points, camera)
+        sharp = sharpness.is_sharp(sawyer.SAWYER, q, rates[rows], sawyer.T_FLANGE_CAM, points, camera)
         begin, end = longest(sharp)
         spans.append(float(end - begin) * cell.params.timestep)
         at = sawyer.forward(q[begin:end]) @ sawyer.T_FLANGE_CAM

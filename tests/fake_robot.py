@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from anther.grasp import Grasp
 
 LIMITS = SafetyLimits(
     forward=sawyer.forward,
-    outline=outline,
+    outline=partial(outline, sawyer.SAWYER),
     joint_lower=sawyer.LOWER,
     joint_upper=sawyer.UPPER,
     joint_speed=sawyer.VELOCITY,

@@ -40,7 +40,7 @@ class SmallPlanner:
         return _timed(t, follow(q_from, T[:3, :3], path))
 
     def swing(self, q: Any, direction: Any, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
-        return swing_trajectory(q, direction, pieces, reach)
+        return swing_trajectory(sawyer.SAWYER, q, direction, pieces, reach)
 
 
 def follow(q: Any, rotation: Array, path: Array) -> Array:

@@ -59,15 +59,15 @@ def test_inverse_undoes_forward():
     margin = kinematics.LIMIT_MARGIN + 0.05
     for q in rng.uniform(sawyer.LOWER + margin, sawyer.UPPER - margin, (30, 7)):
         pose = sawyer.forward(q)
-        branches = kinematics.inverse(pose)
+        branches = kinematics.inverse(sawyer.SAWYER, pose)
         assert len(branches) > 0
         np.testing.assert_allclose(sawyer.forward(branches), np.broadcast_to(pose, (len(branches), 4, 4)), atol=1e-6)
         assert np.all((branches > sawyer.LOWER) & (branches < sawyer.UPPER))
 
 
 def test_inverse_branches_differ_and_near_comes_first():
-    near = kinematics.inverse(GRASP)[3]
-    branches = kinematics.inverse(GRASP, near=near)
+    near = kinematics.inverse(sawyer.SAWYER, GRASP)[3]
+    branches = kinematics.inverse(sawyer.SAWYER, GRASP, near=near)
     np.testing.assert_allclose(branches[0], near, atol=1e-5)
     gaps = np.abs(branches[:, None] - branches[None]).max(axis=2) + np.eye(len(branches))
     assert gaps.min() > kinematics.SAME
@@ -92,14 +92,14 @@ def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():
     way = np.array([0.8, 0, 0, 0, 0, 0, 0])
     rate = 30 * t**2 - 60 * t**3 + 30 * t**4
     motion = JointTrajectory(t, sawyer.NEUTRAL + share[:, None] * way, rate[:, None] * way)
-    speed = timing.flange_speed(motion)
-    calm = timing.slowed(motion, 0.5 * speed)
-    assert timing.flange_speed(calm) == pytest.approx(0.5 * speed, rel=1e-6)
+    speed = timing.flange_speed(sawyer.SAWYER, motion)
+    calm = timing.slowed(sawyer.SAWYER, motion, 0.5 * speed)
+    assert timing.flange_speed(sawyer.SAWYER, calm) == pytest.approx(0.5 * speed, rel=1e-6)
     assert calm.duration == pytest.approx(2 * motion.duration)
     np.testing.assert_array_equal(calm.positions, motion.positions)
-    assert timing.slowed(motion, 2 * speed).duration == pytest.approx(motion.duration)
+    assert timing.slowed(sawyer.SAWYER, motion, 2 * speed).duration == pytest.approx(motion.duration)
     hasty = JointTrajectory(t / 4, motion.positions, 4 * motion.velocities)
-    slow = timing.slowed(hasty, 100.0)
+    slow = timing.slowed(sawyer.SAWYER, hasty, 100.0)
     acceleration = CubicHermiteSpline(slow.times, slow.positions, slow.velocities)(slow.times, 2)
     assert 0.9 < np.abs(acceleration / sawyer.ACCELERATION).max() <= 1
 
@@ -113,7 +113,7 @@ def test_compiled_newton_step_is_the_damped_least_squares_step():
     error = np.concatenate([target[:, :3, 3] - at[:, :3, 3], turn], axis=1)
     J = sawyer.jacobian(q)
     step = np.swapaxes(J, -1, -2) @ np.linalg.solve(J @ np.swapaxes(J, -1, -2) + 1e-3 * np.eye(6), error[..., None])
-    got_step, got_error = newton_step(q, target, damping=1e-3)
+    got_step, got_error = newton_step(sawyer.SAWYER, q, target, damping=1e-3)
     np.testing.assert_allclose(got_error, error, atol=1e-12)
     np.testing.assert_allclose(got_step, step[..., 0], atol=1e-9)
 
@@ -129,8 +129,8 @@ def test_inverse_finds_the_bends_of_elbow_and_wrist_that_thirty_times_the_seeds_
         turn = rng.uniform(-1.3, 1.3)
         point = rng.uniform([0.6, -0.1, -0.2], [0.9, 0.1, 0.3])
         pose = flange_pose(point, [np.cos(turn), np.sin(turn), 0], (0, 0, rng.choice([-1, 1])))
-        every = bends(kinematics.inverse(pose, seeds=1500))
-        found, there = found + len(every & bends(kinematics.inverse(pose))), there + len(every)
+        every = bends(kinematics.inverse(sawyer.SAWYER, pose, seeds=1500))
+        found, there = found + len(every & bends(kinematics.inverse(sawyer.SAWYER, pose))), there + len(every)
     assert there > 30
     assert found >= 0.95 * there
 
@@ -138,35 +138,35 @@ def test_inverse_finds_the_bends_of_elbow_and_wrist_that_thirty_times_the_seeds_
 @pytest.mark.parametrize("approach", [(1, 0, 0), (-1, 0, 0)])
 @pytest.mark.parametrize("point", [(1.4, 0, 0.3), (5, 5, 5)])
 def test_out_of_reach_gives_no_branch(point, approach):
-    assert len(kinematics.inverse(flange_pose(point, approach))) == 0
+    assert len(kinematics.inverse(sawyer.SAWYER, flange_pose(point, approach))) == 0
 
 
 def test_turned_back_at_the_edge_of_reach_gives_no_branch():
-    assert len(kinematics.inverse(flange_pose([1.1, 0, 0.3], [1, 0, 0]))) > 0
-    assert len(kinematics.inverse(flange_pose([1.1, 0, 0.3], [-1, 0, 0]))) == 0
+    assert len(kinematics.inverse(sawyer.SAWYER, flange_pose([1.1, 0, 0.3], [1, 0, 0]))) > 0
+    assert len(kinematics.inverse(sawyer.SAWYER, flange_pose([1.1, 0, 0.3], [-1, 0, 0]))) == 0
 
 
 def test_inverse_refuses_a_matrix_that_is_no_pose():
     with pytest.raises(InputError, match="rigid"):
-        kinematics.inverse(np.diag([2.0, 1, 1, 1]))
+        kinematics.inverse(sawyer.SAWYER, np.diag([2.0, 1, 1, 1]))
 
 
 def test_collision_world():
     wall = np.stack(np.meshgrid([0.6], np.arange(-0.4, 0.4, 0.01), np.arange(-0.4, 0.6, 0.01)), axis=-1).reshape(-1, 3)
-    assert CollisionWorld(NOTHING, NOTHING).free(sawyer.NEUTRAL)
-    assert not CollisionWorld(NOTHING, wall - [0.15, 0, 0]).free(sawyer.NEUTRAL)
-    assert not CollisionWorld(NOTHING, NOTHING, [Box(np.array([0.3, 0, 0]), np.array([0.6, 0.3, 0.1]))]).free(
-        sawyer.NEUTRAL
-    )
+    assert CollisionWorld(sawyer.SAWYER, NOTHING, NOTHING).free(sawyer.NEUTRAL)
+    assert not CollisionWorld(sawyer.SAWYER, NOTHING, wall - [0.15, 0, 0]).free(sawyer.NEUTRAL)
+    assert not CollisionWorld(
+        sawyer.SAWYER, NOTHING, NOTHING, [Box(np.array([0.3, 0, 0]), np.array([0.6, 0.3, 0.1]))]
+    ).free(sawyer.NEUTRAL)
     folded = np.array([0, -3.7, 0, 3.0, 0, 0, 0])
-    assert not CollisionWorld(NOTHING, NOTHING).free(folded)
-    assert not CollisionWorld(NOTHING, NOTHING).free(sawyer.UPPER + 0.1)
+    assert not CollisionWorld(sawyer.SAWYER, NOTHING, NOTHING).free(folded)
+    assert not CollisionWorld(sawyer.SAWYER, NOTHING, NOTHING).free(sawyer.UPPER + 0.1)
 
 
 def test_only_the_gripper_may_touch_the_plant():
     hand = sawyer.forward(sawyer.NEUTRAL)[:3, 3] + [0, 0, -0.04]
     elbow = sawyer.link_poses(sawyer.NEUTRAL)[4, :3, 3]
-    at_hand, at_elbow = (CollisionWorld(np.tile(p, (5, 1)), NOTHING) for p in (hand, elbow))
+    at_hand, at_elbow = (CollisionWorld(sawyer.SAWYER, np.tile(p, (5, 1)), NOTHING) for p in (hand, elbow))
     assert not at_hand.free(sawyer.NEUTRAL)
     assert not at_elbow.free(sawyer.NEUTRAL)
     with at_hand.touching_plant(), at_elbow.touching_plant():
@@ -302,20 +302,23 @@ def test_shake_is_the_sinusoid_asked_for(planner, direction, frequency):
 def test_shake_limit_matches_the_facts():
     """Medians over IK solutions at the stem pose, within 15 % of facts: sawyer 6 (whose solutions are others)."""
     branches = np.concatenate(
-        [kinematics.inverse(flange_pose([0.72, 0, -0.05], [1, 0, 0], up)) for up in ([0, 0, 1], [0, 0, -1])]
+        [
+            kinematics.inverse(sawyer.SAWYER, flange_pose([0.72, 0, -0.05], [1, 0, 0], up))
+            for up in ([0, 0, 1], [0, 0, -1])
+        ]
     )
     for direction, medians in (
         ((0, 1, 0), (7.2, 1.8, 0.20)),
         ((1, 0, 0), (4.4, 1.1, 0.12)),
         ((0, 0, 1), (4.9, 1.2, 0.14)),
     ):
-        ours = 1e3 * np.median(shaking.amplitude_limit(branches, direction, [5, 10, 30]), axis=0)
+        ours = 1e3 * np.median(shaking.amplitude_limit(sawyer.SAWYER, branches, direction, [5, 10, 30]), axis=0)
         np.testing.assert_allclose(ours, medians, rtol=0.15)
 
 
 def test_shake_limit_is_the_best_over_elbow_motions():
     """No joint motion along the direction, of many tried, does better."""
-    q = kinematics.inverse(GRASP)[0]
+    q = kinematics.inverse(sawyer.SAWYER, GRASP)[0]
     J = sawyer.jacobian(q)
     null = np.linalg.svd(J)[2][6]
     rates = np.linalg.pinv(J) @ [0, 1, 0, 0, 0, 0] + np.linspace(-20, 20, 200_001)[:, None] * null
@@ -323,7 +326,7 @@ def test_shake_limit_is_the_best_over_elbow_motions():
     brute = (
         1 / np.maximum(omega / sawyer.VELOCITY, omega**2 / sawyer.ACCELERATION).__mul__(np.abs(rates)).max(axis=1).min()
     )
-    assert shaking.amplitude_limit(q, [0, 1, 0], [10])[0] == pytest.approx(brute, rel=1e-3)
+    assert shaking.amplitude_limit(sawyer.SAWYER, q, [0, 1, 0], [10])[0] == pytest.approx(brute, rel=1e-3)
 
 
 def test_too_strong_a_shake_is_refused(planner):
@@ -357,8 +360,8 @@ def test_planner_refuses_points_that_are_none():
 
 def test_joined_motions_follow_each_other():
     path = np.linspace(sawyer.NEUTRAL, sawyer.NEUTRAL + 0.1, 9)
-    there = timing.along_line(path, 0.1, 0.05)
-    back = timing.along_line(path[::-1], 0.1, 0.05)
+    there = timing.along_line(sawyer.SAWYER, path, 0.1, 0.05)
+    back = timing.along_line(sawyer.SAWYER, path[::-1], 0.1, 0.05)
     both = timing.joined([there, back])
     assert both.duration == pytest.approx(there.duration + back.duration)
     np.testing.assert_allclose(both.positions[[0, -1]], [path[0], path[0]], atol=1e-9)

@@ -84,7 +84,7 @@ def test_standing_times_leave_a_sharp_span_as_long_as_a_frame_and_no_longer(view
     curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
     for arrival, dwell in zip(arrivals[:-1], views.dwell, strict=False):
         t = np.arange(arrival - 0.1, arrival + dwell + 0.1, 5e-4)
-        sharp = sharpness.is_sharp(curve(t), curve(t, 1), HAND_EYE, POINTS, CAMERA)
+        sharp = sharpness.is_sharp(sawyer.SAWYER, curve(t), curve(t, 1), HAND_EYE, POINTS, CAMERA)
         edges = np.flatnonzero(~sharp)
         here = np.searchsorted(t, arrival + dwell / 2)
         span = t[edges[edges > here][0]] - t[edges[edges < here][-1]]
@@ -94,7 +94,7 @@ def test_standing_times_leave_a_sharp_span_as_long_as_a_frame_and_no_longer(view
 
 @pytest.mark.parametrize("worse", [{"exposure": 0.02}, {"blur": 0.1}, {"frame_rate": 15.0}, {"jitter": 0.01}])
 def test_a_worse_camera_or_clock_makes_the_arm_stand_longer(views: Views, worse: dict[str, float]) -> None:
-    longer = sharpness.standing_times(views.motions, HAND_EYE, POINTS, replace(CAMERA, **worse))
+    longer = sharpness.standing_times(sawyer.SAWYER, views.motions, HAND_EYE, POINTS, replace(CAMERA, **worse))
     assert np.all(longer >= views.dwell - 1e-9)
     assert longer.sum() > views.dwell.sum()
 
@@ -104,7 +104,7 @@ def test_a_translation_moves_the_image_by_focal_length_over_distance() -> None:
     T = sawyer.forward(q) @ HAND_EYE
     ahead = (T @ np.array([[0, 0, 0.5, 1], [0, 0, 0.8, 1], [0, 0, -0.3, 1], [5, 0, 0.5, 1]]).T).T[:, :3]
     rates = np.linalg.pinv(sawyer.jacobian(q)) @ np.r_[0.1 * T[:3, 0], 0, 0, 0]
-    speed = sharpness.image_speed(q[None], rates[None], HAND_EYE, ahead, 640.0)
+    speed = sharpness.image_speed(sawyer.SAWYER, q[None], rates[None], HAND_EYE, ahead, 640.0)
     assert speed[0] == pytest.approx(640 * 0.1 / 0.5, rel=1e-3)  # the nearest ahead; none behind or outside counts
 
 

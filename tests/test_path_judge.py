@@ -28,7 +28,7 @@ def test_both_engines_agree_on_what_is_free() -> None:
     """What the planner calls free is free in MuJoCo; what MuJoCo finds to overlap by a millimetre, the planner sees."""
     q = np.random.default_rng(0).uniform(sawyer.LOWER, sawyer.UPPER, (300, 7))
     boxes = {"bench": PLACE.solids[0], "side camera": PLACE.solids[1]}
-    world, other = CollisionWorld(NOTHING, NOTHING, boxes.values()), Surroundings(boxes, {})
+    world, other = CollisionWorld(sawyer.SAWYER, NOTHING, NOTHING, boxes.values()), Surroundings(boxes, {})
     nearest = np.array([min(other.clearance(row).values()) for row in q])
     free = np.array([world.free(row) for row in q])
     assert 0.1 < free.mean() < 0.9

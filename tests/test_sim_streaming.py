@@ -30,7 +30,7 @@ def cell() -> Cell:
 
 
 def motion(piece: Swing) -> JointTrajectory:
-    return swing_trajectory(sawyer.NEUTRAL, ALONG, [piece], 0.005)
+    return swing_trajectory(sawyer.SAWYER, sawyer.NEUTRAL, ALONG, [piece], 0.005)
 
 
 def swung(cell: Cell, note: Callable[[float], None] = lambda _: None) -> ArmRecord:
@@ -74,7 +74,7 @@ def test_joined_motions_are_one(cell: Cell) -> None:
 
 
 def test_a_motion_that_nothing_follows_is_as_it_was(cell: Cell) -> None:
-    whole = swing_trajectory(sawyer.NEUTRAL, ALONG, [Swing.first([4.0], [0.0], 0.6, 0.3)], 0.005)
+    whole = swing_trajectory(sawyer.SAWYER, sawyer.NEUTRAL, ALONG, [Swing.first([4.0], [0.0], 0.6, 0.3)], 0.005)
     plain = SimArm(cell).follow(whole)
     asked = SimArm(Cell(straight_plant())).follow(whole, None, lambda: None)
     assert np.ptp(plain.times) == pytest.approx(np.ptp(asked.times), abs=0.003)

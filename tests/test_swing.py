@@ -129,7 +129,7 @@ ALONG = np.array([0.0, 0.6, 0.8])
 
 def test_the_flange_moves_as_the_swing_says_and_motions_join() -> None:
     done = pieces([0.001, 0.001, 0.0005], [0.0, 0.004, 0.0], 0.0)
-    paths = [swing_trajectory(REST, ALONG, [piece], 0.006) for piece in done]
+    paths = [swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.006) for piece in done]
     for piece, path in zip(done, paths, strict=True):
         T = sawyer.forward(path.positions)
         away = T[:, :3, 3] - sawyer.forward(REST)[:3, 3]
@@ -147,11 +147,11 @@ def test_the_flange_moves_as_the_swing_says_and_motions_join() -> None:
 
 def test_a_piece_beyond_the_reach_of_the_shake_is_refused() -> None:
     piece = Swing.first(TONES, [0.002, 0.002, 0.0], 1.0, 0.4)
-    swing_trajectory(REST, ALONG, [piece], 0.004)
+    swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.004)
     with pytest.raises(InputError, match="displacement of a swing"):
-        swing_trajectory(REST, ALONG, [piece], 0.0039)
+        swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.0039)
     with pytest.raises(InputError, match="reach of a swing"):
-        swing_trajectory(REST, ALONG, [piece], 0.3)
+        swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.3)
 
 
 @pytest.mark.parametrize("side", [-1, 1])

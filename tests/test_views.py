@@ -41,7 +41,7 @@ def test_views_are_spread_wide(views):
 
 
 def test_motions_lead_from_view_to_view_without_touching_the_region(views):
-    world = CollisionWorld(cylinder_points(REGION), np.zeros((0, 3)), [BENCH])
+    world = CollisionWorld(sawyer.SAWYER, cylinder_points(REGION), np.zeros((0, 3)), [BENCH])
     here = sawyer.READY
     for motion, q in zip(views.motions, views.joints, strict=True):
         np.testing.assert_allclose(motion.positions[[0, -1]], [here, q], atol=1e-6)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.arm import sawyer, sharpness, timing
+from anther.arm import sharpness, timing
+from anther.arm.model import ArmModel
+from anther.arm.sawyer import SAWYER
 from anther.arm.views import Views
 from anther.capture import Capture
 from anther.devices import ArmRecord, ArmSample, Frame, JointTrajectory, Robot
@@ -32,7 +34,14 @@ def through_views(views: Views) -> tuple[JointTrajectory, Array]:
     return timing.joined(parts), np.array(arrivals)
 
 
-def take_views(robot: Robot, views: Views, T_flange_cam: Array, points: Array, params: sharpness.Params) -> Capture:
+def take_views(
+    robot: Robot,
+    views: Views,
+    T_flange_cam: Array,
+    points: Array,
+    params: sharpness.Params,
+    arm: ArmModel = SAWYER,
+) -> Capture:
     """Drive through the views and return their pictures, each at the pose that the arm read when it was taken.
 
     A frame is asked for as soon as the arm, braking, is slow enough for one; the camera, running freely, delivers the
@@ -45,12 +54,13 @@ def take_views(robot: Robot, views: Views, T_flange_cam: Array, points: Array, p
         T_flange_cam: (4, 4) hand-eye calibration.
         points: (P, 3) where the plant may be, world [m], see `views.cylinder_points`.
         params: camera and clocks, those that the views were planned with.
+        arm: the robot's.
 
     Raises:
         StageFailure: "device_fault" when fewer than `FEWEST` frames are sharp, or what arm and camera raise.
     """
     motion, arrivals = through_views(views)
-    asking = arrivals - sharpness.braking_times(views.motions, T_flange_cam, points, params)
+    asking = arrivals - sharpness.braking_times(arm, views.motions, T_flange_cam, points, params)
     samples, frames, camera = list[ArmSample](), list[Frame](), robot.wrist_camera
 
     def watch(sample: ArmSample) -> None:
@@ -60,7 +70,7 @@ def take_views(robot: Robot, views: Views, T_flange_cam: Array, points: Array, p
 
     record = robot.arm.follow(motion, watch)
     frames += [camera.read()] if len(frames) == len(asking) - 1 else []  # the arm stands at the last view
-    joints, sharp = _where(frames, record, T_flange_cam, points, params=params)
+    joints, sharp = _where(arm, frames, record, T_flange_cam, points, params=params)
     if sharp.sum() < FEWEST:
         given = f"{sharp.sum()} of {len(asking)} pictures are sharp; needed: {FEWEST}"
         raise StageFailure("device_fault", f"{given}. Look at the exposure and at the clocks of camera and arm.")
@@ -68,17 +78,23 @@ def take_views(robot: Robot, views: Views, T_flange_cam: Array, points: Array, p
     return Capture(
         np.stack([frame.depth for frame in kept]),
         camera.intrinsics,
-        sawyer.forward(joints[sharp]) @ T_flange_cam,
+        arm.forward(joints[sharp]) @ T_flange_cam,
         np.stack([frame.rgb for frame in kept]),
         joints[sharp],
     )
 
 
 def _where(
-    frames: list[Frame], record: ArmRecord, T_flange_cam: Array, points: Array, *, params: sharpness.Params
+    arm: ArmModel,
+    frames: list[Frame],
+    record: ArmRecord,
+    T_flange_cam: Array,
+    points: Array,
+    *,
+    params: sharpness.Params,
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the joints (V, 7) at which frames were taken, and which of them (V,) are sharp."""
+    """Return the joints (V, J) at which frames were taken, and which of them (V,) are sharp."""
     at = np.array([frame.time for frame in frames])
     rates = np.gradient(record.measured, record.times, axis=0)
     joints, rates = (np.array([np.interp(at, record.times, q) for q in rows.T]).T for rows in (record.measured, rates))
-    return joints, sharpness.is_sharp(joints, rates, T_flange_cam, points, params)
+    return joints, sharpness.is_sharp(arm, joints, rates, T_flange_cam, points, params)

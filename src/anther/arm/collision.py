@@ -10,61 +10,44 @@ from roboplan.core import Box as SceneBox
 from roboplan.core import OcTree, Scene, hasCollisionsAlongPath, loadUrdfSceneDescriptionFromXml
 from scipy.spatial.transform import Rotation
 
-from anther.arm import sawyer
-from anther.arm.sawyer import Capsule, Solid
+from anther.arm.model import BASE, CAMERA, FLANGE, GRIPPER, ArmModel, Capsule, Solid
 from anther.geometry import Array, Box, occupied_cells, transform
 
 GROUP = "arm"
 VOXEL = 0.008  # m, edge of the octree's cubes (facts: libraries, pin + coal: 20 us a check)
 ARM_MARGIN = 0.01  # m added around every arm link; the gripper has its true size
 FREE_STEP = 0.0015  # rad, spacing of the last check along a path (facts: libraries, gotchas)
-GRIPPER, CAMERA = "gripper", "camera"
-
-# Links so near each other in the chain that they cannot collide, or that always overlap by their shapes
-# (facts: sawyer 1e and 7, after sawyer_moveit's SRDF).
-NEIGHBOURS = (
-    *((f"right_l{i}", f"right_l{i + 1}") for i in range(6)),
-    *((f"right_l{i}", f"right_l{i + 2}") for i in range(5)),
-    ("base", "right_l0"),
-    ("base", "right_l1"),
-    ("base", "head"),
-    ("head", "right_l0"),
-    ("head", "right_l1"),
-    ("head", "right_l2"),
-    ("right_l0", "right_l3"),
-    ("right_l1", "right_l4"),
-    *((f"right_l{i}", tool) for i in (3, 4, 5, 6) for tool in (GRIPPER, CAMERA)),
-    (GRIPPER, CAMERA),
-)
 
 
 class CollisionWorld:
     """The arm among obstacles; answers whether joints, or the straight way between two, are free.
 
     Args:
+        arm: its description.
         plant: (N, 3) plant points, world [m].
         obstacles: (M, 3) points of pot, soil and bench [m].
         boxes: solid boxes, world; the floor is always there.
     """
 
-    def __init__(self, plant: Array, obstacles: Array, boxes: Iterable[Box] = ()) -> None:
-        self.scene = Scene("anther", loadUrdfSceneDescriptionFromXml(urdf()))
-        self.scene.addGroup(GROUP, list(sawyer.JOINTS))
-        self.scene.setCollisions(NEIGHBOURS, False)
-        self._still = ["base"]
+    def __init__(self, arm: ArmModel, plant: Array, obstacles: Array, boxes: Iterable[Box] = ()) -> None:
+        self.arm = arm
+        self.scene = Scene("anther", loadUrdfSceneDescriptionFromXml(urdf(arm)))
+        self.scene.addGroup(GROUP, list(arm.joints))
+        self.scene.setCollisions(arm.neighbours, False)
+        self._still = [BASE]
         self.has_plant = self._add_points("plant", plant)
         self._add_points("obstacles", obstacles)
-        floor = Box(np.array([-3.0, -3.0, sawyer.FLOOR_Z - 0.1]), np.array([3.0, 3.0, sawyer.FLOOR_Z]))
+        floor = Box(np.array([-3.0, -3.0, arm.floor - 0.1]), np.array([3.0, 3.0, arm.floor]))
         for i, box in enumerate((floor, *boxes)):
             self._add_box(f"box{i}", box)
 
     def free(self, q: Array) -> bool:
-        """Return whether joints (7,) are within limits and touch nothing."""
-        inside = bool(np.all((q >= sawyer.LOWER) & (q <= sawyer.UPPER)))
+        """Return whether joints (J,) are within limits and touch nothing."""
+        inside = bool(np.all((q >= self.arm.lower) & (q <= self.arm.upper)))
         return inside and not self.scene.hasCollisions(q)
 
     def path_free(self, path: Array, step: float = FREE_STEP) -> bool:
-        """Return whether joints (N, 7), and the straight ways between them, are free at every `step` [rad]."""
+        """Return whether joints (N, J), and the straight ways between them, are free at every `step` [rad]."""
         return self.free(path[0]) and not any(
             hasCollisionsAlongPath(self.scene, a, b, step, bisection=True) for a, b in zip(path, path[1:], strict=False)
         )
@@ -80,7 +63,9 @@ class CollisionWorld:
 
     def _let_touch_plant(self, allowed: bool) -> None:
         if self.has_plant:
-            self.scene.setCollisions([("plant", tool) for tool in (GRIPPER, CAMERA, "right_l6")], not allowed)
+            self.scene.setCollisions(
+                [("plant", tool) for tool in (GRIPPER, CAMERA, self.arm.links[-1].name)], not allowed
+            )
 
     def _add_points(self, name: str, points: Array) -> bool:
         if len(points) == 0:
@@ -115,35 +100,35 @@ def _pose(center: Array) -> Array:
     return np.asfortranarray(transform(np.eye(3), center))
 
 
-def urdf() -> str:
-    """Return the Sawyer with gripper, open fingers and wrist camera as URDF, every link with its collision shape."""
-    links = [_link("base", sawyer.BASE_CAPSULES, sawyer.BASE_SOLIDS)]
+def urdf(arm: ArmModel) -> str:
+    """Return an arm with gripper, open fingers and wrist camera as URDF, every link with its collision shape."""
+    links = [_link(BASE, arm.base_capsules, arm.base_solids)]
     joints = []
-    parents = ("base", *(link.name for link in sawyer.LINKS))
-    for i, (parent, link) in enumerate(zip(parents, sawyer.LINKS, strict=False)):
+    parents = (BASE, *(link.name for link in arm.links))
+    for i, (parent, link) in enumerate(zip(parents, arm.links, strict=False)):
         links.append(_link(link.name, link.capsules, (), ARM_MARGIN))
         joints.append(
-            f'<joint name="{sawyer.JOINTS[i]}" type="revolute"><parent link="{parent}"/><child link="{link.name}"/>'
+            f'<joint name="{arm.joints[i]}" type="revolute"><parent link="{parent}"/><child link="{link.name}"/>'
             f'{_origin(link.xyz, link.rpy)}<axis xyz="0 0 1"/>'
-            f'<limit lower="{sawyer.LOWER[i]}" upper="{sawyer.UPPER[i]}" velocity="{sawyer.VELOCITY[i]}"'
-            f' effort="{sawyer.EFFORT[i]}" acceleration="{sawyer.ACCELERATION[i]}"/>'
+            f'<limit lower="{arm.lower[i]}" upper="{arm.upper[i]}" velocity="{arm.velocity[i]}"'
+            f' effort="{arm.effort[i]}" acceleration="{arm.acceleration[i]}"/>'
             "</joint>"
         )
-    flange_rpy = Rotation.from_matrix(sawyer.T_L6_FLANGE[:3, :3]).as_euler("xyz")
-    open_gripper = (sawyer.GRIPPER_BODY, *sawyer.finger_solids(sawyer.STROKE))
+    tool, last = arm.tool, arm.links[-1].name
+    flange_rpy = Rotation.from_matrix(arm.T_last_flange[:3, :3]).as_euler("xyz")
     links += [
-        _link("head", sawyer.HEAD_CAPSULES, sawyer.HEAD_SOLIDS),
-        _link("right_hand", (), ()),
-        _link(GRIPPER, (), open_gripper),
-        _link(CAMERA, (), sawyer.CAMERA_SOLIDS),
+        *(_link(rider.name, rider.capsules, rider.solids) for rider in arm.riders),
+        _link(FLANGE, (), ()),
+        _link(GRIPPER, (), (tool.body, *tool.fingers(tool.stroke))),
+        _link(CAMERA, (), tool.camera),
     ]
     joints += [
-        _fixed("head_mount", "right_l0", "head", _origin(sawyer.HEAD_XYZ, (0, 0, 0))),
-        _fixed("flange_mount", "right_l6", "right_hand", _origin(sawyer.T_L6_FLANGE[:3, 3], flange_rpy)),
-        _fixed("gripper_mount", "right_hand", GRIPPER, ""),
-        _fixed("camera_mount", "right_hand", CAMERA, ""),
+        *(_fixed(f"{r.name}_mount", arm.links[r.link].name, r.name, _origin(r.xyz, (0, 0, 0))) for r in arm.riders),
+        _fixed("flange_mount", last, FLANGE, _origin(arm.T_last_flange[:3, 3], flange_rpy)),
+        _fixed("gripper_mount", FLANGE, GRIPPER, ""),
+        _fixed("camera_mount", FLANGE, CAMERA, ""),
     ]
-    return f'<robot name="sawyer" version="1.2">{"".join(links)}{"".join(joints)}</robot>'
+    return f'<robot name="{arm.name}" version="1.2">{"".join(links)}{"".join(joints)}</robot>'
 
 
 def _link(name: str, capsules: Sequence[Capsule], solids: Sequence[Solid], margin: float = 0.0) -> str:

@@ -1,40 +1,41 @@
-"""Damped Newton steps of the Sawyer towards a flange pose, compiled. K joint vectors."""
+"""Damped Newton steps of an arm towards a flange pose, compiled. K joint vectors."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
 from anther.geometry import Array
 
 
-def newton_step(q: Array, target: Array, *, damping: float) -> tuple[Array, Array]:
-    """Return the damped joint steps (K, 7) [rad] towards `target`, and the pose errors (K, 6) before them.
+def newton_step(arm: ArmModel, q: Array, target: Array, *, damping: float) -> tuple[Array, Array]:
+    """Return the damped joint steps (K, J) [rad] towards `target`, and the pose errors (K, 6) before them.
 
     A step is J^T (J J^T + damping I)^-1 e (Levenberg-Marquardt; Nakamura and Hanafusa 1986), e the
     translation [m] and rotation vector [rad], in the base frame, from where the flange is to the target.
 
     Args:
-        q: (K, 7) joints [rad].
+        q: (K, J) joints [rad].
         target: (4, 4) flange pose of all, or (K, 4, 4) of each.
         damping: added to the diagonal.
     """
-    steps, errors = np.empty((len(q), 7)), np.empty((len(q), 6))
+    steps, errors = np.empty(q.shape), np.empty((len(q), 6))
     targets = np.ascontiguousarray(np.broadcast_to(target, (len(q), 4, 4)))
-    _steps(np.ascontiguousarray(q), targets, damping, sawyer.LOCAL, sawyer.T_L6_FLANGE, steps, errors)
+    _steps(np.ascontiguousarray(q), targets, damping, arm.local, arm.T_last_flange, steps, errors)
     return steps, errors
 
 
 @njit(cache=True)
 def _steps(q, targets, damping, local, tip, steps, errors):
-    pose, turned = np.empty((3, 4)), np.empty((4, 4))
-    axes, origins, jacobian, square = np.empty((7, 3)), np.empty((7, 3)), np.empty((6, 7)), np.empty((6, 6))
+    count = q.shape[1]
+    pose, turned, square = np.empty((3, 4)), np.empty((4, 4)), np.empty((6, 6))
+    axes, origins, jacobian = np.empty((count, 3)), np.empty((count, 3)), np.empty((6, count))
     for k in range(len(q)):
         pose[:] = 0.0
         for a in range(3):
             pose[a, a] = 1.0
-        for i in range(7):
+        for i in range(count):
             c, s = np.cos(q[k, i]), np.sin(q[k, i])
             for a in range(3):
                 turned[a, 0] = local[i, a, 0] * c + local[i, a, 1] * s
@@ -44,7 +45,7 @@ def _steps(q, targets, damping, local, tip, steps, errors):
             axes[i], origins[i] = pose[:, 2], pose[:, 3]
         _append(pose, tip)
         _pose_error(pose, targets[k], errors[k])
-        for i in range(7):
+        for i in range(count):
             for a in range(3):
                 b, c = (a + 1) % 3, (a + 2) % 3
                 arm_b, arm_c = pose[b, 3] - origins[i, b], pose[c, 3] - origins[i, c]
@@ -53,7 +54,7 @@ def _steps(q, targets, damping, local, tip, steps, errors):
         for a in range(6):
             for b in range(a + 1):
                 square[a, b] = damping if a == b else 0.0
-                for i in range(7):
+                for i in range(count):
                     square[a, b] += jacobian[a, i] * jacobian[b, i]
         _solve_into(square, jacobian, errors[k], steps[k])
 
@@ -86,7 +87,7 @@ def _pose_error(pose, target, error):
 
 @njit(cache=True)
 def _solve_into(square, jacobian, error, step):
-    """Write J^T A^-1 e into `step` (7,), A given by its lower triangle, which is overwritten (Cholesky)."""
+    """Write J^T A^-1 e into `step` (J,), A given by its lower triangle, which is overwritten (Cholesky)."""
     x = error.copy()
     for a in range(6):
         for b in range(a + 1):
@@ -101,7 +102,7 @@ def _solve_into(square, jacobian, error, step):
         for i in range(a + 1, 6):
             x[a] -= square[i, a] * x[i]
         x[a] /= square[a, a]
-    for i in range(7):
+    for i in range(len(step)):
         step[i] = 0.0
         for a in range(6):
             step[i] += jacobian[a, i] * x[a]

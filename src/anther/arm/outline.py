@@ -1,26 +1,27 @@
-"""Where the Sawyer is in space: balls on its links, gripper, fingers and wrist camera, for checks against boxes."""
+"""Where an arm is in space: balls on its links, gripper, fingers and wrist camera, for checks against boxes."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.arm import sawyer
-from anther.arm.sawyer import Capsule, Solid
+from anther.arm.model import ArmModel, Capsule, Solid
 from anther.geometry import Array
 
 SPACING = 0.02  # m between balls, so that a box larger than that cannot slip between them
 
 
-def outline(q: ArrayLike) -> Array:
-    """Return balls (..., S, 4) for joints (..., 7) [rad]: centre in the base frame and radius [m].
+def outline(arm: ArmModel, q: ArrayLike) -> Array:
+    """Return balls (..., S, 4) for joints (..., J) [rad]: centre in the base frame and radius [m].
 
     A link is its capsules' axes in balls of their radius; gripper, open fingers and camera are points on their boxes.
-    They fill the shapes that `collision` plans with and never stand out of them. Base and head are left out.
+    They fill the shapes that `collision` plans with and never stand out of them. Base and riders are left out.
     """
-    poses = sawyer.link_poses(q)
+    poses = arm.link_poses(q)
     parts = []
-    for i, balls in enumerate(_BALLS):
+    for i, balls in enumerate(_balls(arm)):
         pose = poses[..., i, None, :, :]
         centres = (pose[..., :3, :3] @ balls[:, :3, None])[..., 0] + pose[..., :3, 3]
         radii = np.broadcast_to(balls[:, 3:], (*centres.shape[:-1], 1))
@@ -44,8 +45,8 @@ def _of_solid(solid: Solid) -> Array:
     return np.column_stack([centre + grid[on_surface], np.zeros(on_surface.sum())])
 
 
-_TOOL = (sawyer.GRIPPER_BODY, *sawyer.finger_solids(sawyer.STROKE), *sawyer.CAMERA_SOLIDS)
-_BALLS = (
-    *(np.concatenate([_of_capsule(c) for c in link.capsules]) for link in sawyer.LINKS),
-    np.concatenate([_of_solid(s) for s in _TOOL]),
-)
+@cache
+def _balls(arm: ArmModel) -> tuple[Array, ...]:
+    """Return the balls (S, 4) of each link and the tool, in their own frames."""
+    tool = np.concatenate([_of_solid(s) for s in arm.tool.solids(arm.tool.stroke)])
+    return (*(np.concatenate([_of_capsule(c) for c in link.capsules]) for link in arm.links), tool)

@@ -1,4 +1,4 @@
-"""Planner: what Sawyer can reach among obstacles, and how it moves there. B branches, N points, Q frequencies."""
+"""Planner: what an arm can reach among obstacles, and how it moves there. B branches, N points, Q frequencies."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathSh
 from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
-from anther.arm import dynamics, kinematics, sawyer, shaking, timing
+from anther.arm import dynamics, kinematics, shaking, timing
 from anther.arm.collision import ARM_MARGIN, FREE_STEP, GROUP, CollisionWorld, cube_centres
+from anther.arm.model import ArmModel
 from anther.arm.outline import outline
+from anther.arm.sawyer import SAWYER
 from anther.arm.tours import DETOUR, least_times
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
@@ -27,9 +29,6 @@ SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 REACH_STEP = 0.01  # m between the poses checked on a way in
 WAYS_FOLLOWED, WAYS_CONNECTED = 5, 2  # branches of a grasp of which the way in, and then the path there, is tried
 HURRY = 0.4  # share of the shake's amplitude that a second less on the way to a grasp is worth; an estimate
-WRIST = (-0.1345, -0.0525)
-"""Where the axis of right_l5's round end begins and ends on the flange's z axis [m]: `sawyer.LINKS`, `T_L6_FLANGE`."""
-WRIST_RADIUS = sawyer.LINKS[5].capsules[1].radius + ARM_MARGIN
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
 SEARCHES = 3  # for a path, each with half the step of the one before
@@ -52,7 +51,7 @@ class Params:
         back_out: how far the gripper draws back out of leaves before it moves freely [m].
         search_time: for a path around obstacles, in each of `SEARCHES` [s].
         reach_time: the same when only asked whether a grasp can be reached [s].
-        home: (7,) joints from which grasps must be reachable [rad].
+        home: (J,) joints from which grasps must be reachable [rad]; None is where the arm is ready.
         seed: of that search.
     """
 
@@ -64,13 +63,12 @@ class Params:
     back_out: float = 0.3
     search_time: float = 2.0
     reach_time: float = 0.2
-    home: tuple[float, ...] = tuple(sawyer.READY.tolist())
+    home: tuple[float, ...] | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_range("velocity share", self.velocity_share, 0.01, 1)
         check_range("acceleration share", self.acceleration_share, 0.01, 1)
-        check_array("home joints", self.home, (7,))
         check_range("approach speed", self.approach_speed, 0.001, 0.5, "m/s")
 
 
@@ -83,6 +81,7 @@ class Planner:
         boxes: solid boxes, such as the bench; the floor is always there.
         space: box that the flange does not leave in free motion; None is no limit.
         params: see `Params`.
+        arm: its description.
     """
 
     def __init__(
@@ -93,28 +92,31 @@ class Planner:
         *,
         space: Box | None = None,
         params: Params = Params(),
+        arm: ArmModel = SAWYER,
     ) -> None:
-        self.params, self.space = params, space
+        self.params, self.space, self.arm = params, space, arm
+        home = arm.ready if params.home is None else params.home
+        self.home = check_array("home joints", home, (arm.count,))
         points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
-        self.world = CollisionWorld(*points, boxes)
+        self.world = CollisionWorld(arm, *points, boxes)
         self.plant = cube_centres(points[0])
 
     def inverse(self, T_world_flange: ArrayLike, *, near: ArrayLike | None = None) -> Array:
-        """Return the collision-free joint solutions (B, 7) of a flange pose, those nearest to `near` (7,) first."""
-        branches = kinematics.inverse(T_world_flange, near=near)
+        """Return the collision-free joint solutions (B, J) of a flange pose, those nearest to `near` (J,) first."""
+        branches = kinematics.inverse(self.arm, T_world_flange, near=near)
         return branches[[self.world.free(q) for q in branches]] if len(branches) else branches
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
-        """Return joints (7,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
+        """Return joints (J,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
 
         On that way gripper and camera may touch the plant (grasp planning has judged that), the arm may not. Of several
         branches that can shake hard, in their worst direction, the one soonest reached is returned, if a path from
-        `Params.home` to its pre-grasp is found quickly. Satisfies `grasp.Reach`.
+        home to its pre-grasp is found quickly. Satisfies `grasp.Reach`.
         """
         grasp, pregrasp = check_transform("grasp", T_world_grasp), check_transform("pre-grasp", T_world_pregrasp)
         if self._wrist_in_plant(grasp, float(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]))):
             return None
-        branches = kinematics.inverse(grasp)
+        branches = kinematics.inverse(self.arm, grasp)
         if not len(branches):
             return None
         poses = _poses_between(grasp, pregrasp, REACH_STEP)
@@ -123,7 +125,7 @@ class Planner:
         return next((way[0] for way in islice(free, WAYS_CONNECTED) if self._connected(way[-1])), None)
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
-        """Return a free motion between two joint vectors (7,).
+        """Return a free motion between two joint vectors (J,).
 
         The straight joint line if it is free, else RRT-Connect, shortcut, checked again finely, timed by TOPP-RA. Where
         gripper or camera touch the plant at an end, the arm first draws back along the approach axis, or enters by it.
@@ -131,12 +133,12 @@ class Planner:
         Raises:
             StageFailure: "collision" (an end is not free) or "unreachable" (no path found).
         """
-        start, leave = self._backed_out(check_array("start joints", q_from, (7,)))
-        goal, enter = self._backed_out(check_array("goal joints", q_to, (7,)))
+        start, leave = self._backed_out(check_array("start joints", q_from, (self.arm.count,)))
+        goal, enter = self._backed_out(check_array("goal joints", q_to, (self.arm.count,)))
         parts = [] if leave is None else [leave]
         if np.abs(goal - start).max() > 1e-9 or (leave is None and enter is None):
             parts.append(self._free_motion(start, goal))
-        return dynamics.check_effort(timing.joined(parts if enter is None else [*parts, enter.backwards()]))
+        return dynamics.check_effort(self.arm, timing.joined(parts if enter is None else [*parts, enter.backwards()]))
 
     def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
         """Return a slow straight motion of the flange to a pose; gripper and camera may touch the plant.
@@ -149,100 +151,103 @@ class Planner:
         Raises:
             StageFailure: "unreachable" (the arm cannot follow the line) or "collision".
         """
-        q = check_array("start joints", q_from, (7,))
+        q = check_array("start joints", q_from, (self.arm.count,))
         target = check_transform("flange pose", T_world_to)
-        here = sawyer.forward(q)
-        path = kinematics.follow(q[None], _poses_between(here, target, self.params.line_step))[0]
+        here = self.arm.forward(q)
+        path = kinematics.follow(self.arm, q[None], _poses_between(here, target, self.params.line_step))[0]
         if not np.isfinite(path).all():
             raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
         with self.world.touching_plant():
             if not self.world.path_free(path):
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
         length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _angle(here, target)
-        motion = timing.along_line(path, max(float(length), 1e-4), speed or self.params.approach_speed)
-        return dynamics.check_effort(motion)
+        motion = timing.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
+        return dynamics.check_effort(self.arm, motion)
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-        """Return the amplitudes (Q,) [m] that `swing` can do at joints (7,): see `shake_limit`, and what is free."""
-        here, way = check_array("joints", q, (7,)), shaking.unit(direction)
-        rate = np.linalg.pinv(sawyer.jacobian(here))[:, :3] @ way
+        """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
+        here, way = check_array("joints", q, (self.arm.count,)), shaking.unit(direction)
+        rate = np.linalg.pinv(self.arm.jacobian(here))[:, :3] @ way
         room = next((size for size in ROOMS if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
-        return np.minimum(shake_limit(here, way, frequencies), room)
+        return np.minimum(shake_limit(self.arm, here, way, frequencies), room)
 
     def swing(self, q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
-        """Return joined pieces of a flange shake about joints (7,); see `shaking.swing_trajectory`.
+        """Return joined pieces of a flange shake about joints (J,); see `shaking.swing_trajectory`.
 
         Raises:
             InputError: a number out of range.
             StageFailure: "limits_exceeded", "unreachable" or "collision".
         """
-        q = check_array("joints", q, (7,))
-        shake = shaking.swing_trajectory(q, direction, pieces, reach)
+        q = check_array("joints", q, (self.arm.count,))
+        shake = shaking.swing_trajectory(self.arm, q, direction, pieces, reach)
         along = (away := shake.positions - q) @ away[np.linalg.norm(away, axis=1).argmax()]
         if not self._may_swing(q, shake.positions[[along.argmin(), along.argmax()]]):
             size = 1e3 * max(piece.reach for piece in pieces)
             raise StageFailure("collision", f"a shake of {size:.1f} mm hits something. Shake less.")
-        return dynamics.check_effort(shake)
+        return dynamics.check_effort(self.arm, shake)
 
     def _wrist_in_plant(self, T_world_flange: Array, length: float) -> bool:
-        """Return whether plant is where right_l5 is at the end of a straight way of `length` [m], whatever the joints.
+        """Return whether plant is where `ArmModel.wrist` is at the end of a straight way of `length` [m].
 
-        Its round end lies on the flange's axis. That settles most of the poses that are out of reach, in a twentieth of
-        the time.
+        That settles most of the poses that are out of reach, in a twentieth of the time.
         """
+        if self.arm.wrist is None:
+            return False
+        begin, end, radius = self.arm.wrist.start[2], self.arm.wrist.end[2], self.arm.wrist.radius + ARM_MARGIN
         across, along = np.split((self.plant - T_world_flange[:3, 3]) @ T_world_flange[:3, :3], [2], axis=1)
-        beside = along[:, 0] - np.clip(along[:, 0], WRIST[0] - length, WRIST[1])
-        return bool(np.any(np.sum(across**2, axis=1) + beside**2 < WRIST_RADIUS**2))
+        beside = along[:, 0] - np.clip(along[:, 0], begin - length, end)
+        return bool(np.any(np.sum(across**2, axis=1) + beside**2 < radius**2))
 
     def _ways_in(self, branches: Array, poses: Array) -> list[Array]:
-        """Return the joint ways (N, 7) from the grasp back through poses (N, 4, 4) that are free there.
+        """Return the joint ways (N, J) from the grasp back through poses (N, 4, 4) that are free there.
 
         Only those of the branches that shake hardest and are near home.
         """
         with self.world.touching_plant():
             free = branches[[self.world.free(q) for q in branches]]
-            worth = _shake_rank(free) * np.exp(-HURRY * least_times(free, np.array([self.params.home]))[:, 0])
+            worth = _shake_rank(self.arm, free) * np.exp(-HURRY * least_times(self.arm, free, self.home[None])[:, 0])
             ranked = free[np.argsort(-worth, kind="stable")]
-            followed = kinematics.follow(ranked[:WAYS_FOLLOWED], poses)
-            return [way for way in followed if _steady(way) and all(map(self.world.free, way))]
+            followed = kinematics.follow(self.arm, ranked[:WAYS_FOLLOWED], poses)
+            return [way for way in followed if _steady(self.arm, way) and all(map(self.world.free, way))]
 
     def _brushing_free(self, way: Array) -> bool:
-        """Return whether joints (N, 7) and the ways between them are free where gripper and camera touch the plant."""
+        """Return whether joints (N, J) and the ways between them are free where gripper and camera touch the plant."""
         with self.world.touching_plant():
             return self.world.path_free(way)
 
     def _may_swing(self, q: Array, swing: Array) -> bool:
-        """Return whether joints (N, 7) about the resting q (7,) are free, where gripper and camera touch the plant.
+        """Return whether joints (N, J) about the resting q (J,) are free, where gripper and camera touch the plant.
 
         A swing that moves no part of the arm by more than half of `ARM_MARGIN` needs no more than that q is free: asked
         for the whole margin, an arm that rests at its edge could not shake at all.
         """
-        moved = np.linalg.norm((outline(swing) - outline(q))[..., :3], axis=-1).max()
+        moved = np.linalg.norm((outline(self.arm, swing) - outline(self.arm, q))[..., :3], axis=-1).max()
         with self.world.touching_plant():
             return self.world.free(q) if moved <= ARM_MARGIN / 2 else self.world.path_free(swing)
 
     def _delay(self, q: Array) -> float:
-        """Return about how long the way from home to joints (7,) takes [s]."""
-        line = np.array([self.params.home, q])
-        return least_times(line[:1], line[1:])[0, 0] + (0.0 if self.world.path_free(line, SEARCH_STEP) else DETOUR)
+        """Return about how long the way from home to joints (J,) takes [s]."""
+        line = np.array([self.home, q])
+        return least_times(self.arm, line[:1], line[1:])[0, 0] + (
+            0.0 if self.world.path_free(line, SEARCH_STEP) else DETOUR
+        )
 
     def _connected(self, q: Array) -> bool:
         """Return whether a path from home to q, or to where q can be backed out to, is found quickly."""
-        home = np.asarray(self.params.home)
-        if not self.world.free(home):
+        if not self.world.free(self.home):
             return True
         try:
             goal = self._backed_out(q)[0]
         except StageFailure:
             return False
-        return self._search(home, goal, self.params.reach_time, SEARCH_STEP, self.params.seed) is not None
+        return self._search(self.home, goal, self.params.reach_time, SEARCH_STEP, self.params.seed) is not None
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
         p, line = self.params, np.stack([start, goal])
-        motion = timing.straight(start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
+        motion = timing.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
         return dynamics.within_effort(
-            motion if self._open(line, motion.positions, FREE_STEP) else self._around(start, goal)
+            self.arm, motion if self._open(line, motion.positions, FREE_STEP) else self._around(start, goal)
         )
 
     def _around(self, start: Array, goal: Array) -> JointTrajectory:
@@ -252,8 +257,8 @@ class Planner:
         rng = np.random.default_rng(self.params.seed)
         for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False) if ways else ():
             quickest, path = min(ways, key=lambda way: way[0].duration)
-            shifts = left * sawyer.VELOCITY / sawyer.VELOCITY.mean() * rng.normal(size=(len(path) - 2, 7))
-            moved = np.concatenate([path[:1], np.clip(path[1:-1] + shifts, sawyer.LOWER, sawyer.UPPER), path[-1:]])
+            shifts = left * self.arm.velocity / self.arm.velocity.mean() * rng.normal(size=path[1:-1].shape)
+            moved = np.concatenate([path[:1], np.clip(path[1:-1] + shifts, self.arm.lower, self.arm.upper), path[-1:]])
             better = self._timed(moved, BLENDS[:1], quickest.duration)
             ways += [better] if better else []
         for motion, _ in sorted(ways, key=lambda way: way[0].duration):
@@ -265,32 +270,34 @@ class Planner:
     def _timed(
         self, path: Array, blends: Sequence[float] = BLENDS, within: float = np.inf
     ) -> tuple[JointTrajectory, Array] | None:
-        """Return a motion by way of joints (N, 7), and them, if it lasts less than `within` [s]; else None.
+        """Return a motion by way of joints (N, J), and them, if it lasts less than `within` [s]; else None.
 
         It is free as far as steps of `SEARCH_STEP` tell.
         """
         p = self.params
-        if (np.abs(np.diff(path, axis=0)).sum(axis=0) / sawyer.VELOCITY).max() >= within * p.velocity_share:
+        if (np.abs(np.diff(path, axis=0)).sum(axis=0) / self.arm.velocity).max() >= within * p.velocity_share:
             return None
         for blend in blends:
             try:
-                rounded = timing.fastest(self.world.scene, path, p.velocity_share, p.acceleration_share, blend)
+                rounded = timing.fastest(
+                    self.arm, self.world.scene, path, p.velocity_share, p.acceleration_share, blend
+                )
             except RuntimeError:  # TOPP-RA's linear programs fail on some paths
                 continue
-            kept = timing.limit_share(rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
-            motion = timing.slowed(rounded, p.flange_speed)
+            kept = timing.limit_share(self.arm, rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
+            motion = timing.slowed(self.arm, rounded, p.flange_speed)
             if kept and motion.duration < within and self._open(motion.positions[::4], motion.positions):
                 return motion, path
-        motion = timing.stopping(path, p.velocity_share, p.acceleration_share, p.flange_speed)
+        motion = timing.stopping(self.arm, path, p.velocity_share, p.acceleration_share, p.flange_speed)
         return (motion, path) if motion.duration < within and self._open(path, motion.positions) else None
 
     def _open(self, path: Array, passed: Array, step: float = SEARCH_STEP) -> bool:
-        """Return whether the flange stays within its space at joints (T, 7) passed, and the path (N, 7) is free."""
-        inside = self.space is None or bool(self.space.contains(sawyer.forward(passed)[:, :3, 3]).all())
+        """Return whether the flange stays within its space at joints (T, J) passed, and the path (N, J) is free."""
+        inside = self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
         return inside and self.world.path_free(path, step)
 
     def _detours(self, start: Array, goal: Array) -> Iterator[Iterator[Array]]:
-        """Yield for each way found by RRT-Connect its waypoints (N, 7) shortened, and as they are.
+        """Yield for each way found by RRT-Connect its waypoints (N, J) shortened, and as they are.
 
         There are as many ways as seeds, unless it finds none: then it is asked again in smaller steps.
         """
@@ -311,7 +318,7 @@ class Planner:
 
     def _search(self, start: Array, goal: Array, seconds: float, step: float, seed: int) -> JointPath | None:
         """Return a path by RRT-Connect, checked at `step` [rad] only, or None."""
-        names = list(sawyer.JOINTS)
+        names = list(self.arm.joints)
         options = RRTOptions(
             group_name=GROUP,
             rrt_connect=True,
@@ -330,26 +337,28 @@ class Planner:
         """Return free joints straight back along the approach axis and the way there; None if q is free."""
         if self.world.free(q):
             return q, None
-        here = sawyer.forward(q)
+        here = self.arm.forward(q)
         behind = here @ transform(np.eye(3), [0, 0, -self.params.back_out])
-        path = kinematics.follow(q[None], _poses_between(here, behind, self.params.line_step))[0]
+        path = kinematics.follow(self.arm, q[None], _poses_between(here, behind, self.params.line_step))[0]
         for i in range(len(path)):
             with self.world.touching_plant():
                 if not (np.isfinite(path[i]).all() and self.world.free(path[i])):
                     break
             if i >= 8 and self.world.free(path[i]):
-                return path[i], timing.along_line(path[: i + 1], i * self.params.line_step, self.params.approach_speed)
+                return path[i], timing.along_line(
+                    self.arm, path[: i + 1], i * self.params.line_step, self.params.approach_speed
+                )
         raise StageFailure("collision", f"the flange at {here[:3, 3].round(3)} m is not free, nor straight behind it.")
 
 
-def shake_limit(q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-    """Return the amplitudes (Q,) [m] that `Planner.swing` can do at joints (7,): `SHAKE_SHARE` of the local limits.
+def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
+    """Return the amplitudes (Q,) [m] that `Planner.swing` can do at joints (J,): `SHAKE_SHARE` of the local limits.
 
     The limits are the joints' velocities, accelerations and torques.
     """
-    q = check_array("joints", q, (7,))
-    quick = shaking.amplitude_limit(q, direction, frequencies)
-    strong = dynamics.shake_amplitude(q, shaking.joint_rates(q, direction, frequencies), frequencies)
+    q = check_array("joints", q, (arm.count,))
+    quick = shaking.amplitude_limit(arm, q, direction, frequencies)
+    strong = dynamics.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
     return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
 
 
@@ -363,17 +372,17 @@ def _poses_between(start: Array, end: Array, step: float) -> Array:
     return poses
 
 
-def _shake_rank(branches: Array) -> Array:
+def _shake_rank(arm: ArmModel, branches: Array) -> Array:
     """Return (B,) the amplitude at 10 Hz in the worst of the three world directions [m]."""
-    return np.min([shaking.amplitude_limit(branches, axis, [10.0])[:, 0] for axis in np.eye(3)], axis=0)
+    return np.min([shaking.amplitude_limit(arm, branches, axis, [10.0])[:, 0] for axis in np.eye(3)], axis=0)
 
 
-def _steady(way: Array) -> bool:
+def _steady(arm: ArmModel, way: Array) -> bool:
     """Return whether a way in was followed to its end without nearing a joint limit or a singular pose.
 
     Near either the way back, or the same way in other steps, might not be found again.
     """
-    inside = np.all((way > sawyer.LOWER + 0.01) & (way < sawyer.UPPER - 0.01))
+    inside = np.all((way > arm.lower + 0.01) & (way < arm.upper - 0.01))
     return bool(inside and np.abs(np.diff(way, axis=0)).max() < STEADY)
 
 

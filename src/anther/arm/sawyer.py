@@ -1,4 +1,4 @@
-"""The Rethink Sawyer: constants and kinematics.
+"""The Rethink Sawyer, and the tool that is planned with on every arm: Rethink's gripper with a D455 beside it.
 
 Source of every number unless a line says otherwise: Rethink Robotics' sawyer_base.urdf.xacro v5.3.0 (joints,
 transforms, inertials, limits), sawyer_simulator's acceleration_limits.yaml, MuJoCo Menagerie's rethink_robotics_sawyer
@@ -11,14 +11,13 @@ Frames: base = world, z up, origin at the arm's mount (the floor is at z = -0.91
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import pi
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from anther.geometry import Array, transform
+from anther.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Rider, Solid, Tool
+from anther.geometry import transform
 from anther.grasp.clearance import Gripper
 
 JOINTS = tuple(f"right_j{i}" for i in range(7))
@@ -32,47 +31,16 @@ ROTOR_INERTIA = np.array([1.0, 1.0, 0.5, 0.5, 0.1, 0.1, 0.1])
 could not reach the SDK's own 12 rad/s^2, so the small joints have less. Our estimate."""
 NEUTRAL = np.array([0.0, -1.18, 0.0, 2.18, 0.0, 0.57, 3.3161])  # rad; the last is pi + the 10 degree mount twist
 READY = np.array([0.0, -1.57, 0.0, 2.57, 0.0, 0.57, 3.3161])  # rad; neutral drawn back from the plant, our choice
+WAITING = np.array([0.972, -0.046, 0.307, 1.759, -2.142, 1.903, 1.694])
+"""Joints [rad] at which the arm waits for what the views tell, driven to while masks, cloud and plan are computed. They
+are near those of most grasps of eight development captures: the way to the best took 1.1 s in the median, by a straight
+line of the joints in four of eight, instead of 1.8 s from the last view. The gripper's tip is 0.44 m from the
+plant's axis."""
+JOINT_STIFFNESS = np.array([843.0, 843.0, 843.0, 843.0, 250.0, 250.0, 250.0])
+"""Of a joint's spring [N m/rad]: Rethink's figures for Baxter, whose drives are of the same kind; remembered, none was
+found for Sawyer. With them, its first mode lies at 3 Hz; an arm that is sold to carry 4 kg to 0.1 mm has it at some
+8-24 Hz, which is a factor of 6-60."""
 FLOOR_Z = -0.913  # m
-
-
-@dataclass(frozen=True, slots=True)
-class Capsule:
-    """A cylinder with round ends: axis from `start` to `end` (3,) [m] in its link's frame, `radius` [m]."""
-
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    radius: float
-
-
-@dataclass(frozen=True, slots=True)
-class Solid:
-    """A box aligned with its frame: `center` and `half` extents (3,) [m]."""
-
-    name: str
-    center: tuple[float, float, float]
-    half: tuple[float, float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """A moving link.
-
-    Attributes:
-        name: as in the URDF; link i turns about its +z by joint i.
-        xyz, rpy: joint frame in the parent link's frame at zero angle [m], [rad], R = Rz(y) Ry(p) Rx(r).
-        mass: [kg].
-        com: centre of mass in the link frame [m].
-        inertia: ixx, iyy, izz, ixy, ixz, iyz about the centre of mass [kg m^2].
-        capsules: collision shape in the link frame.
-    """
-
-    name: str
-    xyz: tuple[float, float, float]
-    rpy: tuple[float, float, float]
-    mass: float
-    com: tuple[float, float, float]
-    inertia: tuple[float, float, float, float, float, float]
-    capsules: tuple[Capsule, ...]
 
 
 LINKS = (
@@ -148,12 +116,16 @@ BASE_SOLIDS = (
     Solid("controller_box", (-0.325, 0, -0.38), (0.11, 0.2, 0.265)),
     Solid("pedestal_feet", (-0.1225, 0, -0.758), (0.385, 0.35, 0.155)),
 )
-HEAD_XYZ = (0.0, 0.0, 0.2965)  # head frame in right_l0 [m]
-HEAD_MASS = 1.5795  # kg
-HEAD_COM = (0.0053207, -2.6549e-05, 0.1021)  # m
-HEAD_INERTIA = (0.011833, 0.0082709, 0.0049661, -4.4669e-06, 4.9425e-05, 4.2124e-07)  # kg m^2
-HEAD_CAPSULES = (Capsule((-0.005, 0, 0.02), (-0.005, 0, 0.205), 0.04),)
-HEAD_SOLIDS = (Solid("screen", (0.025, 0, 0.1), (0.01, 0.13, 0.08)),)
+HEAD = Rider(
+    "head",
+    0,
+    (0.0, 0.0, 0.2965),
+    1.5795,
+    (0.0053207, -2.6549e-05, 0.1021),
+    (0.011833, 0.0082709, 0.0049661, -4.4669e-06, 4.9425e-05, 4.2124e-07),
+    (Capsule((-0.005, 0, 0.02), (-0.005, 0, 0.205), 0.04),),
+    (Solid("screen", (0.025, 0, 0.1), (0.01, 0.13, 0.08)),),
+)
 
 T_L6_FLANGE = transform(Rotation.from_rotvec([0, 0, pi / 2]).as_matrix(), [0, 0, 0.0245])
 
@@ -168,7 +140,6 @@ FINGER_THICKNESS = 0.008  # m along y behind the pad; our estimate, the URDF's f
 FINGER_SPEED = 0.15  # m/s, the slowest the SDK accepts
 # The body's outline is our estimate from the gripper's mesh extents; no primitive is published for it.
 GRIPPER_BODY = Solid("gripper_body", (0, 0, 0.03), (0.032, 0.055, 0.03))
-T_FLANGE_GRASP = transform(np.eye(3), [0, 0, TIP_Z - PAD[2] / 2])  # centre between the pads
 
 # Wrist camera: Intel RealSense D455, 124 x 29 x 26 mm, 0.12 kg with bracket. The bracket is our choice: the camera sits
 # 9 cm beside the flange axis along +x with its long side along y and looks parallel to the approach axis. The nearest
@@ -181,58 +152,62 @@ CAMERA_SOLIDS = (
     Solid("bracket", (0.0575, 0, 0.003), (0.0325, 0.02, 0.003)),
 )
 
+TOOL = Tool(
+    mass=GRIPPER_MASS,
+    com=GRIPPER_COM,
+    stroke=STROKE,
+    finger=FINGER_Z,
+    tip=TIP_Z,
+    pad=PAD,
+    thickness=FINGER_THICKNESS,
+    speed=FINGER_SPEED,
+    body=GRIPPER_BODY,
+    camera_mass=CAMERA_MASS,
+    T_flange_cam=T_FLANGE_CAM,
+    camera=CAMERA_SOLIDS,
+)
 
-def finger_solids(opening: float) -> tuple[Solid, ...]:
-    """Return the two fingers, each a box of finger and pad together, in the flange frame.
+# Links so near each other in the chain that they cannot collide, or that always overlap by their shapes
+# (facts: sawyer 1e and 7, after sawyer_moveit's SRDF).
+NEIGHBOURS = (
+    *((f"right_l{i}", f"right_l{i + 1}") for i in range(6)),
+    *((f"right_l{i}", f"right_l{i + 2}") for i in range(5)),
+    ("base", "right_l0"),
+    ("base", "right_l1"),
+    ("base", "head"),
+    ("head", "right_l0"),
+    ("head", "right_l1"),
+    ("head", "right_l2"),
+    ("right_l0", "right_l3"),
+    ("right_l1", "right_l4"),
+    *((f"right_l{i}", tool) for i in (3, 4, 5, 6) for tool in (GRIPPER, CAMERA)),
+    (GRIPPER, CAMERA),
+)
 
-    Args:
-        opening: distance between the pads' faces [m].
-    """
-    half = (PAD[1] + FINGER_THICKNESS) / 2
-    y, z, half_z = opening / 2 + half, (FINGER_Z + TIP_Z) / 2, (TIP_Z - FINGER_Z) / 2
-    return tuple(
-        Solid(f"{side}_finger", (0, sign * y, z), (PAD[0] / 2, half, half_z))
-        for side, sign in (("left", 1), ("right", -1))
-    )
-
-
-def link_poses(q: ArrayLike) -> Array:
-    """Return the (..., 8, 4, 4) base-frame poses of right_l0..right_l6 and the flange for joints (..., 7) [rad]."""
-    q = np.asarray(q, dtype=np.float64)
-    local = LOCAL * np.ones((*q.shape, 1, 1))
-    c, s = np.cos(q)[..., None], np.sin(q)[..., None]
-    local[..., :, 0] = LOCAL[..., :, 0] * c + LOCAL[..., :, 1] * s
-    local[..., :, 1] = LOCAL[..., :, 1] * c - LOCAL[..., :, 0] * s
-    poses = np.empty((*q.shape[:-1], 8, 4, 4))
-    poses[..., 0, :, :] = local[..., 0, :, :]
-    for i in range(1, 7):
-        poses[..., i, :, :] = poses[..., i - 1, :, :] @ local[..., i, :, :]
-    poses[..., 7, :, :] = poses[..., 6, :, :] @ T_L6_FLANGE
-    return poses
-
-
-def forward(q: ArrayLike) -> Array:
-    """Return T_world_flange (..., 4, 4) for joints (..., 7) [rad]."""
-    return link_poses(q)[..., 7, :, :]
-
-
-def jacobian(q: ArrayLike) -> Array:
-    """Return the (..., 6, 7) Jacobian of the flange: linear [m/rad] above angular [rad/rad], both in the base frame."""
-    return jacobian_of(link_poses(q))
-
-
-def jacobian_of(poses: Array) -> Array:
-    """Return the (..., 6, 7) flange Jacobian from the (..., 8, 4, 4) result of `link_poses`."""
-    axes = poses[..., :7, :3, 2]
-    arms = poses[..., 7:, :3, 3] - poses[..., :7, :3, 3]
-    x, y, z = np.moveaxis(axes, -1, 0)
-    a, b, c = np.moveaxis(arms, -1, 0)
-    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a, x, y, z], axis=-2)  # numpy's cross is slow
-
-
-def _local_transforms() -> Array:
-    return np.stack([transform(Rotation.from_euler("xyz", link.rpy).as_matrix(), link.xyz) for link in LINKS])
-
-
-LOCAL = _local_transforms()
-"""(7, 4, 4) pose of right_l0..right_l6 in the link before, at joint angle 0."""
+SAWYER = ArmModel(
+    name="sawyer",
+    joints=JOINTS,
+    lower=LOWER,
+    upper=UPPER,
+    velocity=VELOCITY,
+    acceleration=ACCELERATION,
+    effort=EFFORT,
+    rotor_inertia=ROTOR_INERTIA,
+    stiffness=JOINT_STIFFNESS,
+    links=LINKS,
+    T_last_flange=T_L6_FLANGE,
+    tool=TOOL,
+    neutral=NEUTRAL,
+    ready=READY,
+    waiting=WAITING,
+    neighbours=NEIGHBOURS,
+    shoulder=np.array([0.0, 0.0, 0.317]),
+    reach=1.13,  # facts: sawyer 2
+    floor=FLOOR_Z,
+    base_capsules=BASE_CAPSULES,
+    base_solids=BASE_SOLIDS,
+    riders=(HEAD,),
+    wrist=Capsule((0, 0, -0.1345), (0, 0, -0.0525), LINKS[5].capsules[1].radius),  # right_l5's round end
+)
+T_FLANGE_GRASP = TOOL.T_flange_grasp
+finger_solids, link_poses, forward, jacobian = TOOL.fingers, SAWYER.link_poses, SAWYER.forward, SAWYER.jacobian

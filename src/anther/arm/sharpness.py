@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
 from anther.checks import check_range
 from anther.devices import JointTrajectory
 from anther.geometry import Array, inverse
@@ -60,18 +60,19 @@ class Params:
         return 1 / self.frame_rate + self.exposure
 
 
-def image_speed(q: Array, rates: Array, T_flange_cam: Array, points: Array, focal: float) -> Array:
+def image_speed(arm: ArmModel, q: Array, rates: Array, T_flange_cam: Array, points: Array, focal: float) -> Array:
     """Return (T,) how fast the fastest of the points (P, 3) within the image moves in it [px/s].
 
     Args:
-        q, rates: joints and their rates (T, 7) [rad, s].
+        arm: its description.
+        q, rates: joints and their rates (T, J) [rad, s].
         T_flange_cam: (4, 4) hand-eye calibration.
         points: world [m].
         focal: [px].
     """
 
     def seen(joints: Array) -> Array:
-        T_cam_world = inverse(sawyer.forward(joints) @ T_flange_cam)
+        T_cam_world = inverse(arm.forward(joints) @ T_flange_cam)
         p = np.einsum("tij,pj->tpi", T_cam_world[:, :3, :3], points) + T_cam_world[:, None, :3, 3]
         ahead = p[..., 2:] > 0.05
         return np.where(ahead, p[..., :2] / np.where(ahead, p[..., 2:], 1), np.nan)
@@ -81,32 +82,38 @@ def image_speed(q: Array, rates: Array, T_flange_cam: Array, points: Array, foca
     return np.where(np.abs(now).max(axis=2) <= WIDE, speed, 0).max(axis=1)
 
 
-def is_sharp(q: Array, rates: Array, T_flange_cam: Array, points: Array, params: Params) -> NDArray[np.bool_]:
+def is_sharp(
+    arm: ArmModel, q: Array, rates: Array, T_flange_cam: Array, points: Array, params: Params
+) -> NDArray[np.bool_]:
     """Return (T,) whether a frame then is neither blurred nor taken at a place not known; see `image_speed`."""
-    here, soon = (sawyer.forward(joints) @ T_flange_cam for joints in (q, q + SOON * rates))
+    here, soon = (arm.forward(joints) @ T_flange_cam for joints in (q, q + SOON * rates))
     travel = np.linalg.norm(soon[:, :3, 3] - here[:, :3, 3], axis=1) / SOON * params.jitter
-    blur = image_speed(q, rates, T_flange_cam, points, params.focal) * params.exposure
+    blur = image_speed(arm, q, rates, T_flange_cam, points, params.focal) * params.exposure
     return (blur <= params.blur) & (travel <= params.shift)
 
 
-def standing_times(motions: Sequence[JointTrajectory], T_flange_cam: Array, points: Array, params: Params) -> Array:
+def standing_times(
+    arm: ArmModel, motions: Sequence[JointTrajectory], T_flange_cam: Array, points: Array, params: Params
+) -> Array:
     """Return (V,) how long the arm must stand still after each of V motions [s], each to a view from the view before.
 
     After the last nothing follows: the arm waits for its frame.
     """
-    leaving = np.array([_sharp_time(motion, T_flange_cam, points, params) for motion in motions[1:]])
-    braking = braking_times(motions, T_flange_cam, points, params)
+    leaving = np.array([_sharp_time(arm, motion, T_flange_cam, points, params) for motion in motions[1:]])
+    braking = braking_times(arm, motions, T_flange_cam, points, params)
     return np.maximum(params.span - braking - np.append(leaving, 0), 0)
 
 
-def braking_times(motions: Sequence[JointTrajectory], T_flange_cam: Array, points: Array, params: Params) -> Array:
+def braking_times(
+    arm: ArmModel, motions: Sequence[JointTrajectory], T_flange_cam: Array, points: Array, params: Params
+) -> Array:
     """Return (V,) how long before its end each motion is slow enough for a sharp picture [s], `Params.span` at most."""
-    return np.array([_sharp_time(motion.backwards(), T_flange_cam, points, params) for motion in motions])
+    return np.array([_sharp_time(arm, motion.backwards(), T_flange_cam, points, params) for motion in motions])
 
 
-def _sharp_time(motion: JointTrajectory, T_flange_cam: Array, points: Array, params: Params) -> float:
+def _sharp_time(arm: ArmModel, motion: JointTrajectory, T_flange_cam: Array, points: Array, params: Params) -> float:
     """Return how long pictures stay sharp from the beginning of a motion [s]."""
     curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
     t = np.arange(0, min(params.span, motion.duration), STEP)
-    sharp = is_sharp(curve(t), curve(t, 1), T_flange_cam, points, params)
+    sharp = is_sharp(arm, curve(t), curve(t, 1), T_flange_cam, points, params)
     return STEP * float(np.logical_and.accumulate(sharp)[1:].sum())

@@ -7,8 +7,8 @@ from roboplan.core import JointPath, Scene
 from roboplan.toppra import PathParameterizerTOPPRA, SplineFittingMode, TOPPRAOptions
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from anther.arm import sawyer
 from anther.arm.collision import GROUP
+from anther.arm.model import ArmModel
 from anther.devices import JointTrajectory
 from anther.geometry import Array
 
@@ -19,23 +19,24 @@ RAMP = 0.15  # s to reach the speed of a slow line: a third of the joints' accel
 
 
 def straight(
-    start: Array, goal: Array, velocity_share: float, acceleration_share: float, flange_limit: float
+    arm: ArmModel, start: Array, goal: Array, velocity_share: float, acceleration_share: float, flange_limit: float
 ) -> JointTrajectory:
-    """Return the time-optimal motion from rest to rest along the straight line between two joint vectors (7,).
+    """Return the time-optimal motion from rest to rest along the straight line between two joint vectors (J,).
 
     On a straight line the joints' limits are one bound on the speed s' and one on s''; what the flange's limit [m/s]
     leaves of s' changes along the line. The highest speed everywhere below it, rising and falling no faster than s''
     lets it, is optimal (Bobrow, Dubowsky and Gibson 1985): one pass from either end.
 
     Args:
+        arm: its description.
         start, goal: joints [rad], not the same.
         velocity_share, acceleration_share: of the joints' limits.
         flange_limit: [m/s].
     """
     way, s = goal - start, np.linspace(0, 1, GRID + 1)
-    rate = np.linalg.norm(np.gradient(sawyer.forward(start + s[:, None] * way)[:, :3, 3], s, axis=0), axis=1)
-    room = velocity_share * (sawyer.VELOCITY / np.maximum(np.abs(way), 1e-12)).min()
-    gain = 2 * acceleration_share * (sawyer.ACCELERATION / np.maximum(np.abs(way), 1e-12)).min() * s
+    rate = np.linalg.norm(np.gradient(arm.forward(start + s[:, None] * way)[:, :3, 3], s, axis=0), axis=1)
+    room = velocity_share * (arm.velocity / np.maximum(np.abs(way), 1e-12)).min()
+    gain = 2 * acceleration_share * (arm.acceleration / np.maximum(np.abs(way), 1e-12)).min() * s
     square = np.minimum(room, flange_limit / np.maximum(rate, 1e-12)) ** 2
     square[[0, -1]] = 0
     square = np.minimum.accumulate(square - gain) + gain
@@ -49,13 +50,14 @@ def straight(
 
 
 def fastest(
-    scene: Scene, path: Array, velocity_share: float, acceleration_share: float, blend: float = BLEND
+    arm: ArmModel, scene: Scene, path: Array, velocity_share: float, acceleration_share: float, blend: float = BLEND
 ) -> JointTrajectory:
-    """Return the time-optimal motion along joints (N, 7) by TOPP-RA, corners rounded by at most `blend` [rad].
+    """Return the time-optimal motion along joints (N, J) by TOPP-RA, corners rounded by at most `blend` [rad].
 
     The caller checks it against limits and obstacles: a corner that cannot be rounded is left sharp.
 
     Args:
+        arm: its description.
         scene: knows the limits.
         path: waypoints [rad].
         velocity_share, acceleration_share: of the joints' limits.
@@ -68,24 +70,27 @@ def fastest(
         max_blend_deviation=blend,
     )
     waypoints = JointPath()
-    waypoints.joint_names = list(sawyer.JOINTS)
+    waypoints.joint_names = list(arm.joints)
     waypoints.positions = list(path)
     timed = PathParameterizerTOPPRA(scene, GROUP).generate(waypoints, options)
     return JointTrajectory(np.array(timed.times), np.array(timed.positions), np.array(timed.velocities))
 
 
-def stopping(path: Array, velocity_share: float, acceleration_share: float, flange_limit: float) -> JointTrajectory:
-    """Return the motion that follows joints (N, 7) exactly, stops at every waypoint; arguments as of `straight`."""
+def stopping(
+    arm: ArmModel, path: Array, velocity_share: float, acceleration_share: float, flange_limit: float
+) -> JointTrajectory:
+    """Return the motion that follows joints (N, J) exactly, stops at every waypoint; arguments as of `straight`."""
     legs = [leg for leg in zip(path, path[1:], strict=False) if np.abs(leg[1] - leg[0]).max() > 1e-9]
-    return joined([straight(*leg, velocity_share, acceleration_share, flange_limit) for leg in legs])
+    return joined([straight(arm, *leg, velocity_share, acceleration_share, flange_limit) for leg in legs])
 
 
-def along_line(path: Array, length: float, speed: float) -> JointTrajectory:
-    """Return the motion along joints (N, 7), evenly spaced on a line of the flange, smooth at both ends.
+def along_line(arm: ArmModel, path: Array, length: float, speed: float) -> JointTrajectory:
+    """Return the motion along joints (N, J), evenly spaced on a line of the flange, smooth at both ends.
 
     The speed rises and falls as a quintic within `RAMP`; all is slowed down evenly where a joint would be too fast.
 
     Args:
+        arm: its description.
         path: joints [rad].
         length: of the line, or any measure of its size [m].
         speed: of the flange between the ramps [m/s].
@@ -93,34 +98,32 @@ def along_line(path: Array, length: float, speed: float) -> JointTrajectory:
     joints = CubicSpline(np.linspace(0, 1, len(path)), path)
     ramp = min(RAMP, length / speed)
     duration = length / speed + ramp
-    slow = max(1.0, _excess(*_ramped(joints, duration, ramp)))
+    slow = max(1.0, _excess(arm, *_ramped(joints, duration, ramp)))
     times, positions, velocities = _ramped(joints, duration * slow, ramp * slow)
     return JointTrajectory(times, positions, velocities)
 
 
-def limit_share(trajectory: JointTrajectory) -> float:
+def limit_share(arm: ArmModel, trajectory: JointTrajectory) -> float:
     """Return the largest share of any joint's velocity or acceleration limit that the motion needs."""
     acceleration = np.diff(trajectory.velocities, axis=0) / np.diff(trajectory.times)[:, None]
-    return float(
-        max(np.abs(trajectory.velocities / sawyer.VELOCITY).max(), np.abs(acceleration / sawyer.ACCELERATION).max())
-    )
+    return float(max(np.abs(trajectory.velocities / arm.velocity).max(), np.abs(acceleration / arm.acceleration).max()))
 
 
-def slowed(trajectory: JointTrajectory, flange_limit: float) -> JointTrajectory:
+def slowed(arm: ArmModel, trajectory: JointTrajectory, flange_limit: float) -> JointTrajectory:
     """Return the same motion, evenly slowed down where the flange [m/s] or a joint's acceleration is beyond its limit.
 
     TOPP-RA's samples keep the joints' limits; between them a cubic, as a controller interpolates, may not.
     """
     curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
     ends = np.abs([curve(trajectory.times[:-1], 2), curve(np.nextafter(trajectory.times[1:], 0), 2)])
-    jolt = np.sqrt((ends / sawyer.ACCELERATION).max() / 0.98)
-    factor = max(1.0, float(jolt), flange_speed(trajectory) / flange_limit)
+    jolt = np.sqrt((ends / arm.acceleration).max() / 0.98)
+    factor = max(1.0, float(jolt), flange_speed(arm, trajectory) / flange_limit)
     return JointTrajectory(trajectory.times * factor, trajectory.positions, trajectory.velocities / factor)
 
 
-def flange_speed(trajectory: JointTrajectory) -> float:
+def flange_speed(arm: ArmModel, trajectory: JointTrajectory) -> float:
     """Return the greatest speed of the flange [m/s]."""
-    at = sawyer.forward(trajectory.positions)[:, :3, 3]
+    at = arm.forward(trajectory.positions)[:, :3, 3]
     return float((np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(trajectory.times)).max())
 
 
@@ -150,8 +153,8 @@ def _ramped(joints: CubicSpline, duration: float, ramp: float) -> tuple[Array, A
     return times, joints(s), joints(s, 1) * rate[:, None]
 
 
-def _excess(times: Array, positions: Array, velocities: Array) -> float:
+def _excess(arm: ArmModel, times: Array, positions: Array, velocities: Array) -> float:
     """Return the factor by which a motion must be slowed down to keep 90 % of the limits; below 1 if it does."""
     acceleration = np.gradient(velocities, times, axis=0)
-    fast = np.abs(velocities / sawyer.VELOCITY).max() / 0.9
-    return float(max(fast, np.sqrt(np.abs(acceleration / sawyer.ACCELERATION).max() / 0.9)))
+    fast = np.abs(velocities / arm.velocity).max() / 0.9
+    return float(max(fast, np.sqrt(np.abs(acceleration / arm.acceleration).max() / 0.9)))

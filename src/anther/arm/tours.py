@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
 from anther.geometry import Array
 
 DETOUR = 2.0  # s that a motion is taken to last longer when the straight joint line is not free: measured, 1 to 4 s
@@ -20,25 +20,28 @@ ROUNDS = 30  # of looking for a tour without such motions
 TRIALS, HOT = (3000, 400), (0.3, 0.05)  # orders tried, and the temperature [s] at first, in the first and later rounds
 
 Tour = list[tuple[int, Array]]
-"""(view, joints (7,)) in the order of the visits."""
+"""(view, joints (J,)) in the order of the visits."""
 
 
-def shortest_tour(free: Callable[[Array], bool], start: Array, choices: Sequence[Array], *, seed: int = 0) -> Tour:
+def shortest_tour(
+    arm: ArmModel, free: Callable[[Array], bool], start: Array, choices: Sequence[Array], *, seed: int = 0
+) -> Tour:
     """Return the shortest tour found, a straight joint line that is not free taken to last `DETOUR` longer.
 
     Lines are checked only when a tour uses them, and the tour is improved with what that taught (Bohlin and Kavraki
     2000, lazy collision checking).
 
     Args:
-        free: whether the straight line between two rows of joints (2, 7) is free.
-        start: (7,) joints the arm comes from.
-        choices: per view the joints (C, 7) to choose from.
+        arm: its description.
+        free: whether the straight line between two rows of joints (2, J) is free.
+        start: (J,) joints the arm comes from.
+        choices: per view the joints (C, J) to choose from.
         seed: of the search for an order.
     """
     stops = np.concatenate([start[None], *choices])
     ends = np.cumsum([1, *map(len, choices)])
     layers = [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
-    cost, rng = least_times(stops, stops), np.random.default_rng(seed)
+    cost, rng = least_times(arm, stops, stops), np.random.default_rng(seed)
     order, found, checked = list(range(len(choices))), list[tuple[list[int], NDArray[Any]]](), set[tuple[int, int]]()
     for turn in range(ROUNDS):
         again = int(turn > 0)
@@ -57,12 +60,12 @@ def shortest_tour(free: Callable[[Array], bool], start: Array, choices: Sequence
     return [(view, stops[pick]) for view, pick in zip(order, picks, strict=True)]
 
 
-def least_times(a: Array, b: Array) -> Array:
-    """Return (A, B) the times [s] from rest to rest between joints (A, 7) and (B, 7), each joint at its limits."""
+def least_times(arm: ArmModel, a: Array, b: Array) -> Array:
+    """Return (A, B) the times [s] from rest to rest between joints (A, J) and (B, J), each joint at its limits."""
     times = np.zeros((len(a), len(b)))
-    for joint in range(7):
+    for joint in range(arm.count):
         far = np.abs(a[:, None, joint] - b[None, :, joint])
-        v, acc = sawyer.VELOCITY[joint], sawyer.ACCELERATION[joint]
+        v, acc = arm.velocity[joint], arm.acceleration[joint]
         np.maximum(times, np.where(far > v**2 / acc, far / v + v / acc, 2 * np.sqrt(far / acc)), out=times)
     return times
 

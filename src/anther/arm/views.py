@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.arm import kinematics, sawyer, sharpness
+from anther.arm import kinematics, sharpness
+from anther.arm.model import ArmModel
 from anther.arm.planner import SEARCH_STEP, Planner
 from anther.arm.planner import Params as MotionParams
+from anther.arm.sawyer import SAWYER
 from anther.arm.tours import shortest_tour
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
@@ -63,7 +65,7 @@ class Views:
     """The views in the order they are taken.
 
     Attributes:
-        joints: (V, 7) [rad].
+        joints: (V, J) [rad].
         T_world_cam: (V, 4, 4) camera poses by kinematics and hand-eye calibration, as far as the planner knows them.
         motions: V motions; the first starts at the start joints.
         azimuth: (V,) of the camera around the plant's vertical axis [degrees]; 0 is the side of the arm,
@@ -81,7 +83,7 @@ class Views:
 
     def __post_init__(self) -> None:
         n = len(self.joints)
-        object.__setattr__(self, "joints", check_array("view joints", self.joints, (n, 7)))
+        object.__setattr__(self, "joints", check_array("view joints", self.joints, (n, None)))
         object.__setattr__(self, "dwell", check_array("dwell", self.dwell, (n,)))
         object.__setattr__(self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, n))
 
@@ -91,20 +93,22 @@ class Viewpoints:
     """Views that the arm can reach, to choose from.
 
     Attributes:
-        branches: V arrays (C, 7) of free joints [rad] that hold the camera there, upright or upside down.
+        branches: V arrays (C, J) of free joints [rad] that hold the camera there, upright or upside down.
         azimuth, elevation: (V,) as in `Views` [degrees].
         T_flange_cam: (4, 4) hand-eye calibration.
+        arm: that reaches them.
     """
 
     branches: tuple[Array, ...]
     azimuth: Array
     elevation: Array
     T_flange_cam: Array
+    arm: ArmModel
 
     @property
     def T_world_cam(self) -> Array:
         """(V, 4, 4) camera poses, each by its first branch."""
-        return sawyer.forward(np.array([choices[0] for choices in self.branches])) @ self.T_flange_cam
+        return self.arm.forward(np.array([choices[0] for choices in self.branches])) @ self.T_flange_cam
 
     def spread(self, count: int, first: tuple[float, float] | None = None) -> list[int]:
         """Return up to `count` of the views, each the farthest in direction from those before; see `Params.first`."""
@@ -117,9 +121,10 @@ def plan_views(
     boxes: Sequence[Box] = (),
     params: Params = Params(),
     *,
-    start: ArrayLike = sawyer.READY,
-    T_flange_cam: ArrayLike = sawyer.T_FLANGE_CAM,
+    start: ArrayLike | None = None,
+    T_flange_cam: ArrayLike | None = None,
     motion: MotionParams | None = None,
+    arm: ArmModel = SAWYER,
 ) -> Views:
     """Return reachable, collision-free views all around the side of the plant that the arm can reach.
 
@@ -131,17 +136,17 @@ def plan_views(
         region: where the plant may stand, from soil to top; kept free as an upright elliptic cylinder.
         boxes: solid boxes, such as bench and pot.
         params: see `Params`.
-        start: (7,) joints the arm comes from.
-        T_flange_cam: (4, 4) hand-eye calibration.
+        start: (J,) joints the arm comes from; None is where it is ready.
+        T_flange_cam: (4, 4) hand-eye calibration; None is where the tool's camera is meant to be.
         motion: how the arm moves; None takes sawyer_moveit's "fast" (facts: sawyer 1), as nothing is near.
+        arm: its description.
 
     Raises:
         StageFailure: "unreachable" when fewer than three views can be reached, "collision" when the arm starts within
             the region or an obstacle.
     """
-    planner = _planner(region, boxes, start, motion)
-    viewpoints = _reachable(region, planner, params, check_transform("T_flange_cam", T_flange_cam))
-    begin = np.asarray(start, dtype=np.float64)
+    planner, begin = _planner(arm, region, boxes, start, motion)
+    viewpoints = _reachable(region, planner, params, _hand_eye(arm, T_flange_cam))
     return _visit(viewpoints, viewpoints.spread(params.count, params.first), planner, begin, params, region)
 
 
@@ -150,12 +155,13 @@ def reachable_views(
     boxes: Sequence[Box] = (),
     params: Params = Params(),
     *,
-    start: ArrayLike = sawyer.READY,
-    T_flange_cam: ArrayLike = sawyer.T_FLANGE_CAM,
+    start: ArrayLike | None = None,
+    T_flange_cam: ArrayLike | None = None,
+    arm: ArmModel = SAWYER,
 ) -> Viewpoints:
     """Return all views that `plan_views` chooses from; the arguments and what is raised are the same."""
-    planner = _planner(region, boxes, start, None)
-    return _reachable(region, planner, params, check_transform("T_flange_cam", T_flange_cam))
+    planner = _planner(arm, region, boxes, start, None)[0]
+    return _reachable(region, planner, params, _hand_eye(arm, T_flange_cam))
 
 
 def visit_views(
@@ -165,15 +171,14 @@ def visit_views(
     boxes: Sequence[Box] = (),
     params: Params = Params(),
     *,
-    start: ArrayLike = sawyer.READY,
+    start: ArrayLike | None = None,
     motion: MotionParams | None = None,
 ) -> Views:
     """Return the chosen of the viewpoints with branches and in an order that keep the motion short.
 
     The other arguments and what is raised are as in `plan_views`.
     """
-    planner = _planner(region, boxes, start, motion)
-    begin = np.asarray(start, dtype=np.float64)
+    planner, begin = _planner(viewpoints.arm, region, boxes, start, motion)
     return _visit(viewpoints, list(chosen), planner, begin, params, region)
 
 
@@ -194,13 +199,21 @@ def cylinder_points(region: Box, spacing: float = 0.015) -> Array:
     return np.concatenate(layers + top)
 
 
-def _planner(region: Box, boxes: Sequence[Box], start: ArrayLike, motion: MotionParams | None) -> Planner:
-    """Return a planner that keeps out of the region; the arm must start outside."""
-    begin = check_array("start joints", start, (7,))
-    planner = Planner(cylinder_points(region), np.zeros((0, 3)), boxes, params=motion or FAST)
+def _planner(
+    arm: ArmModel, region: Box, boxes: Sequence[Box], start: ArrayLike | None, motion: MotionParams | None
+) -> tuple[Planner, Array]:
+    """Return a planner that keeps out of the region, and the start joints (J,); the arm must start outside."""
+    begin = check_array("start joints", arm.ready if start is None else start, (arm.count,))
+    planner = Planner(cylinder_points(region), np.zeros((0, 3)), boxes, params=motion or FAST, arm=arm)
     if not planner.world.free(begin):
-        raise StageFailure("collision", f"the start joints {begin.round(2)} are not free. Start from sawyer.READY.")
-    return planner
+        raise StageFailure(
+            "collision", f"the start joints {begin.round(2)} are not free. Start from the arm's `ready`."
+        )
+    return planner, begin
+
+
+def _hand_eye(arm: ArmModel, T_flange_cam: ArrayLike | None) -> Array:
+    return check_transform("T_flange_cam", arm.tool.T_flange_cam if T_flange_cam is None else T_flange_cam)
 
 
 def _visit(
@@ -214,15 +227,15 @@ def _visit(
     azimuth, elevation = viewpoints.azimuth, viewpoints.elevation
     more = _free_branches(viewpoints.T_world_cam[chosen], planner, viewpoints.T_flange_cam, MORE_SEEDS)
     choices = [q if len(q) else viewpoints.branches[i] for i, q in zip(chosen, more, strict=True)]
-    tour = shortest_tour(lambda line: planner.world.path_free(line, SEARCH_STEP), start, choices)
+    tour = shortest_tour(planner.arm, lambda line: planner.world.path_free(line, SEARCH_STEP), start, choices)
     kept, motions = _motions(planner, start, [(chosen[i], q) for i, q in tour])
     at = [i for i, _ in kept]
     joints = np.array([q for _, q in kept])
-    T_world_cam = sawyer.forward(joints) @ viewpoints.T_flange_cam
+    T_world_cam = planner.arm.forward(joints) @ viewpoints.T_flange_cam
     dwell = np.full(len(kept), params.dwell, dtype=float)
     if params.dwell is None:
         seen = cylinder_points(region, SEEN)
-        dwell = sharpness.standing_times(motions, viewpoints.T_flange_cam, seen, params.camera)
+        dwell = sharpness.standing_times(planner.arm, motions, viewpoints.T_flange_cam, seen, params.camera)
     return Views(joints, T_world_cam, tuple(motions), azimuth[at], elevation[at], dwell)
 
 
@@ -242,13 +255,13 @@ def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -
         raise StageFailure("unreachable", f"only {len(found)} views of {region} can be reached. Move the plant or arm.")
     order = sorted(found)
     azimuth, elevation = np.array([grid[i][:2] for i in order]).T
-    return Viewpoints(tuple(found[i] for i in order), azimuth, elevation, hand_eye)
+    return Viewpoints(tuple(found[i] for i in order), azimuth, elevation, hand_eye, planner.arm)
 
 
 def _free_branches(T_world_cam: Array, planner: Planner, hand_eye: Array, seeds: int) -> list[Array]:
-    """Return for each of (V, 4, 4) camera poses the free joints (C, 7) that hold it, upright or upside down."""
+    """Return for each of (V, 4, 4) camera poses the free joints (C, J) that hold it, upright or upside down."""
     poses = [T @ roll @ inverse(hand_eye) for T in T_world_cam for roll in _ROLLS]
-    solved = kinematics.inverse_many(np.array(poses).reshape(-1, 4, 4), seeds=seeds)
+    solved = kinematics.inverse_many(planner.arm, np.array(poses).reshape(-1, 4, 4), seeds=seeds)
     both = [np.concatenate(solved[k : k + len(_ROLLS)]) for k in range(0, len(solved), len(_ROLLS))]
     return [choices[[planner.world.free(q) for q in choices]] if len(choices) else choices for choices in both]
 

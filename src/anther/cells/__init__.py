@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
 from anther.arm.outline import outline
+from anther.arm.sawyer import SAWYER, TOOL
 from anther.calibration.hand_eye import HandEye
 from anther.cells import parts
 from anther.cells.reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
@@ -35,12 +37,12 @@ class Tool:
         mass: of gripper, camera and bracket [kg].
     """
 
-    tip: float = sawyer.TIP_Z
-    mass: float = sawyer.GRIPPER_MASS + sawyer.CAMERA_MASS
+    tip: float = TOOL.tip
+    mass: float = TOOL.mass + TOOL.camera_mass
 
     def __post_init__(self) -> None:
-        check_range("tip", self.tip, sawyer.TIP_Z - MODELLED[0], sawyer.TIP_Z + MODELLED[0], "m")
-        check_range("mass", self.mass, 0.0, sawyer.GRIPPER_MASS + sawyer.CAMERA_MASS + MODELLED[1], "kg")
+        check_range("tip", self.tip, TOOL.tip - MODELLED[0], TOOL.tip + MODELLED[0], "m")
+        check_range("mass", self.mass, 0.0, TOOL.mass + TOOL.camera_mass + MODELLED[1], "kg")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,7 @@ class CellFile:
         T_flange_cam: hand-eye calibration of the wrist camera.
         T_world_side_camera: where the side camera stands; None without one.
         tool, limits: see there.
+        model: the arm's description.
         workspace: where the plant stands.
         region: what the views look at; nothing enters it while they are taken.
         arm_space: where the flange may be.
@@ -134,6 +137,7 @@ class CellFile:
     shaker: Part | None = None
     tool: Tool = field(default_factory=Tool)
     limits: Limits = field(default_factory=Limits)
+    model: ArmModel = SAWYER
 
     @property
     def owner_name(self) -> str:
@@ -178,12 +182,12 @@ class CellFile:
         said.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
         with self.source.located(("limits",)):
             return SafetyLimits(
-                forward=sawyer.forward,
-                outline=outline,
-                joint_lower=sawyer.LOWER,
-                joint_upper=sawyer.UPPER,
-                joint_speed=ratio * sawyer.VELOCITY,
-                joint_acceleration=ratio * sawyer.ACCELERATION,
+                forward=self.model.forward,
+                outline=partial(outline, self.model),
+                joint_lower=self.model.lower,
+                joint_upper=self.model.upper,
+                joint_speed=ratio * self.model.velocity,
+                joint_acceleration=ratio * self.model.acceleration,
                 workspace=self.arm_space,
                 keep_out=tuple(place.box for place in self.keep_out),
                 **said,

@@ -162,7 +162,9 @@ def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTraj
 
     boxes = [place.box for place in file.keep_out]
     none = np.zeros((0, 3))
-    planner = Planner(none, none, boxes, space=file.arm_space, params=motion_params(file.limits.speed_ratio))
+    planner = Planner(
+        none, none, boxes, space=file.arm_space, params=motion_params(file.limits.speed_ratio), arm=file.model
+    )
     here = arm.joints()
     there = here + way * np.eye(len(here))[joint]
     if not planner.world.path_free(np.stack([here, there])):
@@ -171,12 +173,11 @@ def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTraj
 
 
 def _arm_seen(arm: Any, file: CellFile) -> list[str]:
-    from anther.arm import sawyer
-
     q, limits = arm.joints(), file.safety_limits()
     margin = np.rad2deg(np.minimum(q - limits.joint_lower, limits.joint_upper - q).min())
-    place = ", ".join(f"{x:.3f}" for x in sawyer.forward(q)[:3, 3])
-    inside = "inside" if limits.workspace.contains(sawyer.forward(q)[:3, 3]) else "OUTSIDE"
+    flange = file.model.forward(q)[:3, 3]
+    place = ", ".join(f"{x:.3f}" for x in flange)
+    inside = "inside" if limits.workspace.contains(flange) else "OUTSIDE"
     seen = [
         "joints " + " ".join(f"{x:.3f}" for x in q) + f" rad; {margin:.0f} degrees from the nearest end",
         f"flange at {place} m, {inside} its space",

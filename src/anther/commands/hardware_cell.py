@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther import pipeline
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
+from anther.arm.sawyer import SAWYER
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, plan_views
 from anther.capture import Capture
@@ -61,13 +62,13 @@ class SlowPlanner(Planner):
         return self._ratio * super().shake_limit(q, direction, frequencies)
 
 
-def motion_params(ratio: float, home: Array = sawyer.READY) -> MotionParams:
+def motion_params(ratio: float, home: Array | None = None) -> MotionParams:
     """Return how an arm moves that may use this share of its speeds."""
     return MotionParams(
         velocity_share=max(0.9 * ratio, 0.01),
         acceleration_share=max(0.7 * ratio, 0.01),
         flange_speed=1.45 * ratio,
-        home=tuple(home.tolist()),
+        home=None if home is None else tuple(home.tolist()),
     )
 
 
@@ -110,18 +111,26 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Ite
         def take_views(advance: Advance) -> Capture:
             begin = robot.arm.joints()
             planned = plan_views(
-                file.region, boxes, views, start=begin, T_flange_cam=file.T_flange_cam, motion=motion_params(ratio)
+                file.region,
+                boxes,
+                views,
+                start=begin,
+                T_flange_cam=file.T_flange_cam,
+                motion=motion_params(ratio),
+                arm=file.model,
             )
-            return look_around(robot, planned, file.T_flange_cam, advance)
+            return look_around(robot, planned, file.T_flange_cam, advance, file.model)
 
         def plan_around(cloud: Cloud) -> Planner:
             params = motion_params(ratio, robot.arm.joints())
-            return SlowPlanner(ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params)
+            return SlowPlanner(
+                ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params, arm=file.model
+            )
 
         yield HardwareCell(pipeline.Cell(take_views, plan_around, robot, file.workspace, limits))
 
 
-def look_around(robot: Robot, views: Views, T_flange_cam: Array, advance: Advance) -> Capture:
+def look_around(robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER) -> Capture:
     """Go to each view, stand still, take a picture; return them with the poses that the arm read.
 
     Raises:
@@ -137,7 +146,7 @@ def look_around(robot: Robot, views: Views, T_flange_cam: Array, advance: Advanc
     return Capture(
         np.stack([frame.depth for frame in frames]),
         robot.wrist_camera.intrinsics,
-        sawyer.forward(np.array(joints)) @ T_flange_cam,
+        model.forward(np.array(joints)) @ T_flange_cam,
         np.stack([frame.rgb for frame in frames]),
         np.array(joints),
     )

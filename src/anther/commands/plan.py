@@ -115,8 +115,9 @@ def arm_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
     if grasp.joints is None:
         return sawyer_limit(grasp, direction, frequencies)
     from anther.arm.planner import shake_limit  # needs the extra `cell`
+    from anther.arm.sawyer import SAWYER
 
-    return shake_limit(grasp.joints, direction, frequencies)
+    return shake_limit(SAWYER, grasp.joints, direction, frequencies)
 
 
 ACTUATORS: dict[str, Actuator] = {"arm": ArmShaker(arm_limit), "gripper": VibratingGripper()}

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from anther.arm import sawyer
+from anther.arm.sawyer import SAWYER
 from anther.arm.shaking import amplitude_limit
 from anther.checks import check_range
 from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant
@@ -173,7 +173,7 @@ def arm_amplitude(frequencies: Array) -> Array:
 
     The joints' limits bound it (`anther.arm.shaking`); the cap is the largest shake the planner gives a plant.
     """
-    limit = amplitude_limit(sawyer.NEUTRAL, (1.0, 0.0, 0.0), frequencies)
+    limit = amplitude_limit(SAWYER, SAWYER.neutral, (1.0, 0.0, 0.0), frequencies)
     return np.minimum(limit, ShakeParams().most_amplitude)
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
 
 from anther import pipeline
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
 from anther.arm.outline import outline
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
+from anther.arm.sawyer import SAWYER
 from anther.arm.views import FAST, Views, capture_time, cylinder_points, plan_views
 from anther.arm.views import Params as ViewParams
 from anther.capture import Capture
@@ -40,12 +41,6 @@ USUAL_DISTANCE = 0.72
 BRISK = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1)
 """How the arm moves to a grasp: between sawyer_moveit's "medium" and "fast" (facts: sawyer 1). With "fast" some motions
 pass the safety limits: flange speed, and joint acceleration where a corner is rounded."""
-
-WAITING = np.array([0.972, -0.046, 0.307, 1.759, -2.142, 1.903, 1.694])
-"""Joints [rad] at which the arm waits for what the views tell, driven to while masks, cloud and plan are computed. They
-are near those of most grasps of eight development captures: the way to the best took 1.1 s in the median, by a straight
-line of the joints in four of eight, instead of 1.8 s from the last view. The gripper's tip is 0.44 m from the
-plant's axis."""
 
 PRESETS = {"full": ViewParams(), "fast": ViewParams(count=10, widest=75.0, first=(-52.5, -5.0))}
 """How the views are sought. `fast` takes a third of the time: docs/reports/views.md measures what that costs. Of the 80
@@ -97,15 +92,15 @@ def layout(distance: float, *, beyond: bool = False) -> Layout:
     )
 
 
-def safety_limits(place: Layout) -> SafetyLimits:
-    """Return what no command of a Sawyer in this cell may exceed."""
+def safety_limits(place: Layout, arm: ArmModel = SAWYER) -> SafetyLimits:
+    """Return what no command of an arm in this cell may exceed."""
     return SafetyLimits(
-        forward=sawyer.forward,
-        outline=outline,
-        joint_lower=sawyer.LOWER,
-        joint_upper=sawyer.UPPER,
-        joint_speed=sawyer.VELOCITY,
-        joint_acceleration=sawyer.ACCELERATION,
+        forward=arm.forward,
+        outline=partial(outline, arm),
+        joint_lower=arm.lower,
+        joint_upper=arm.upper,
+        joint_speed=arm.velocity,
+        joint_acceleration=arm.acceleration,
         workspace=place.arm_space,
         keep_out=(*place.solids, place.pot),
     )
@@ -153,18 +148,18 @@ def in_wind(plant: SimPlant, scene: Scene, views: Views, truth: Truth) -> Sight:
 
 
 @cache
-def views_at(distance: float, views: ViewParams) -> Views:
+def views_at(distance: float, views: ViewParams, arm: ArmModel = SAWYER) -> Views:
     """Return the views of a pot `distance` [m] in front of the arm: the same for every plant."""
     place = layout(distance)
-    return plan_views(place.region, place.solids, views)
+    return plan_views(place.region, place.solids, views, arm=arm)
 
 
 @cache
-def to_waiting(distance: float, views: ViewParams) -> JointTrajectory:
-    """Return the motion from the last view to `WAITING`, around where the plant may be."""
+def to_waiting(distance: float, views: ViewParams, arm: ArmModel = SAWYER) -> JointTrajectory:
+    """Return the motion from the last view to where the arm waits, around where the plant may be."""
     place = layout(distance)
-    planner = Planner(cylinder_points(place.region), np.zeros((0, 3)), place.solids, params=FAST)
-    return planner.move(views_at(distance, views).joints[-1], WAITING)
+    planner = Planner(cylinder_points(place.region), np.zeros((0, 3)), place.solids, params=FAST, arm=arm)
+    return planner.move(views_at(distance, views, arm).joints[-1], arm.waiting)
 
 
 def build(
@@ -178,6 +173,7 @@ def build(
     actuator: Literal["arm", "gripper"] = "arm",
     visit: int = 0,
     tap: Tap = untapped,
+    arm: ArmModel = SAWYER,
 ) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`, but for what `truth` says.
 
@@ -187,15 +183,15 @@ def build(
     views are rendered, not driven to: the arm stands where it waits after the last of them.
 
     Raises:
-        StageFailure: "unreachable" when the arm reaches fewer than three views of the plant, or no way to `WAITING`.
+        StageFailure: "unreachable" when the arm reaches fewer than three views, or not where it waits.
     """
     place = layout(distance, beyond=actuator == "gripper")
-    planned, last = views_at(distance, views), to_waiting(distance, views)
+    planned, last = views_at(distance, views, arm), to_waiting(distance, views, arm)
     plant = grow(species, seed, viewpoint, distance, truth)
     noise = np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit])
     scene = Scene.of_plant(plant)
     motor = carriage.Params() if actuator == "gripper" else None
-    mujoco = world.Cell(plant, WAITING, world.Params(arm=arm_model.Params(motor=motor)), truth)
+    mujoco = world.Cell(plant, arm.waiting, world.Params(arm=arm_model.Params(motor=motor)), truth, arm)
     robot = robot_of(
         mujoco,
         errors=camera_errors(truth),
@@ -203,7 +199,7 @@ def build(
         seed=int(noise.integers(1 << 31)),
         scene=scene,
     )
-    limits = safety_limits(place)
+    limits = safety_limits(place, arm)
     return SimulatedCell(
         plant=plant,
         world=mujoco,
@@ -218,15 +214,17 @@ def build(
                 visit,
                 progress=advance,
                 truth=truth,
+                arm=arm,
             )[0],
             plan_around=lambda cloud: Planner(
                 cloud.points,
                 cloud.obstacles,
                 place.solids,
                 space=place.arm_space,
-                params=replace(BRISK, home=tuple(WAITING.tolist())),
+                params=replace(BRISK, home=tuple(arm.waiting.tolist())),
+                arm=arm,
             ),
-            robot=guard(tap(robot, limits, sawyer.T_FLANGE_CAM, lambda: mujoco.time), limits),
+            robot=guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits),
             workspace=place.workspace,
             limits=limits,
         ),
@@ -242,20 +240,21 @@ def photograph(
     *,
     progress: Advance | None = None,
     truth: Truth = NOMINAL,
+    arm: ArmModel = SAWYER,
 ) -> tuple[Capture, CaptureTruth]:
-    """Return what the wrist camera sees of a plant from joints (V, 7) [rad], and the truth, which is for judges.
+    """Return what the wrist camera sees of a plant from joints (V, J) [rad], and the truth, which is for judges.
 
     Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed`, `viewpoint` [deg] and
     `visit`; `truth` says how large they are.
     """
     sight, camera = (np.random.default_rng([seed, int(viewpoint), k + 10 * visit]) for k in range(2))
-    T_flange_cam_true = perturbed_hand_eye(sawyer.T_FLANGE_CAM, camera, factor=truth.hand_eye_error)
+    T_flange_cam_true = perturbed_hand_eye(arm.tool.T_flange_cam, camera, factor=truth.hand_eye_error)
     return capture_views(
         plant,
         joints,
-        sawyer.forward,
+        arm.forward,
         T_flange_cam_true,
-        sawyer.T_FLANGE_CAM,
+        arm.tool.T_flange_cam,
         rng=sight,
         errors=camera_errors(truth),
         progress=progress,

@@ -1,4 +1,4 @@
-"""The Sawyer and its gripper as MuJoCo bodies with servos. Numbers of the robot come from `anther.arm.sawyer`."""
+"""An arm and its gripper as MuJoCo bodies with servos. Numbers of the robot come from its description."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import mujoco as mujoco_module
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from anther.arm import sawyer
+from anther.arm.model import BASE, FLANGE, ArmModel, Capsule, Solid
 from anther.geometry import Array
 from anther.sim import carriage
-from anther.sim.truth import JOINT_STIFFNESS, NOMINAL, Truth
+from anther.sim.truth import NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
@@ -49,31 +49,28 @@ def flex_name(joint: str) -> str:
     return f"{joint}_flex"
 
 
-def add_arm(spec: Any, params: Params, truth: Truth = NOMINAL, *, contype: int, conaffinity: int) -> None:
-    """Add base, links `right_l0`.., flange, gripper, wrist camera and their actuators to a world.
+def add_arm(
+    spec: Any, arm: ArmModel, params: Params, truth: Truth = NOMINAL, *, contype: int, conaffinity: int
+) -> None:
+    """Add base, links, riders, flange, gripper, wrist camera and their actuators to a world.
 
-    Actuators, in order: 7 positions, 7 velocities, 7 torques (feed-forward), 1 half opening of the gripper; with a
+    Actuators, in order: J positions, J velocities, J torques (feed-forward), 1 half opening of the gripper; with a
     motor its place, speed and force.
-    Joints: `right_j0`.., `left_finger`, `right_finger` (each the half opening [m]). Where the truth has them, also
-    `right_j0_flex`.. [rad], and of each pad on its finger, in the flange's frame, `left_pad_x`, `left_pad_z` [m] and
+    Joints: those of the arm, `left_finger`, `right_finger` (each the half opening [m]). Where the truth has them, also
+    those of `flex_name` [rad], and of each pad on its finger, in the flange's frame, `left_pad_x`, `left_pad_z` [m] and
     `left_pad_turn` about y [rad]. With a motor also
     `motor` [m], along the flange's y.
     """
     bits = {"contype": contype, "conaffinity": conaffinity}
-    base = spec.worldbody.add_body(name="base")
-    _capsules(base, "base", sawyer.BASE_CAPSULES, bits)
-    _solids(base, sawyer.BASE_SOLIDS, bits)
+    base = spec.worldbody.add_body(name=BASE)
+    _capsules(base, BASE, arm.base_capsules, bits)
+    _solids(base, arm.base_solids, bits)
     body = base
-    for i, link in enumerate(sawyer.LINKS):
-        body = _add_link(body, i, link, truth.joint_stiffness * JOINT_STIFFNESS[i], bits)
-        if i == 0:
-            head = body.add_body(name="head", pos=sawyer.HEAD_XYZ, gravcomp=1)
-            _inertial(head, sawyer.HEAD_MASS, sawyer.HEAD_COM, sawyer.HEAD_INERTIA)
-            _capsules(head, "head", sawyer.HEAD_CAPSULES, bits)
-            _solids(head, sawyer.HEAD_SOLIDS, bits)
-    _add_gripper(spec, body, params, truth, bits)
+    for i in range(arm.count):
+        body = _add_link(body, arm, i, truth, bits)
+    _add_gripper(spec, body, arm, params, truth, bits)
     for kind in ("position", "velocity", "torque"):
-        for name in sawyer.JOINTS:
+        for name in arm.joints:
             actuator = spec.add_actuator(name=f"{kind}_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             actuator.gainprm[0] = 1.0
     grip = spec.add_actuator(name="grip", target="left_finger", trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -84,15 +81,15 @@ def add_arm(spec: Any, params: Params, truth: Truth = NOMINAL, *, contype: int, 
         carriage.add_coil(spec, params.motor, FINGER_MASS)
 
 
-def tune_servos(model: Any, truth: Truth) -> None:
+def tune_servos(model: Any, arm: ArmModel, truth: Truth) -> None:
     """Set the joint servos' gains from the inertia at neutral: kp = J w^2, kv = 2 J w (critically damped).
 
     Published simulation gains (kp 800, about 4 Hz) are too soft to shake with (facts: sawyer 2). The joints' springs,
     which the servos do not know, are damped by the inertia of their links at neutral.
     """
     data = mujoco.MjData(model)
-    joints = [model.joint(name) for name in sawyer.JOINTS]
-    for joint, q in zip(joints, sawyer.NEUTRAL, strict=True):
+    joints = [model.joint(name) for name in arm.joints]
+    for joint, q in zip(joints, arm.neutral, strict=True):
         data.qpos[joint.qposadr[0]] = q
     mujoco.mj_forward(model, data)
     mass = np.zeros((model.nv, model.nv))
@@ -101,58 +98,64 @@ def tune_servos(model: Any, truth: Truth) -> None:
     for i, joint in enumerate(joints):
         inertia = mass[joint.dofadr[0], joint.dofadr[0]]
         kp, kv = inertia * omega**2, 2 * inertia * omega
-        for actuator, slot, gain in ((i, 1, kp), (7 + i, 2, kv)):
+        for actuator, slot, gain in ((i, 1, kp), (arm.count + i, 2, kv)):
             model.actuator_gainprm[actuator, 0] = gain
             model.actuator_biastype[actuator] = mujoco.mjtBias.mjBIAS_AFFINE
             model.actuator_biasprm[actuator, slot] = -gain
         if np.isfinite(truth.joint_stiffness):
-            flex = model.joint(flex_name(sawyer.JOINTS[i])).dofadr[0]
-            stiffness = truth.joint_stiffness * JOINT_STIFFNESS[i]
+            flex = model.joint(flex_name(arm.joints[i])).dofadr[0]
+            stiffness = truth.joint_stiffness * arm.stiffness[i]
             model.dof_damping[flex] = 2 * FLEX_DAMPING * np.sqrt(stiffness * mass[flex, flex])
 
 
-def _add_link(parent: Any, i: int, link: sawyer.Link, stiffness: float, bits: dict[str, int]) -> Any:
+def _add_link(parent: Any, arm: ArmModel, i: int, truth: Truth, bits: dict[str, int]) -> Any:
+    link, stiffness = arm.links[i], truth.joint_stiffness * arm.stiffness[i]
     body = parent.add_body(name=link.name, pos=link.xyz, quat=_quaternion(link.rpy), gravcomp=1)
     _inertial(body, link.mass, link.com, link.inertia)
-    joint = body.add_joint(name=sawyer.JOINTS[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-    joint.range = [sawyer.LOWER[i], sawyer.UPPER[i]]
+    joint = body.add_joint(name=arm.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+    joint.range = [arm.lower[i], arm.upper[i]]
     joint.limited = 1
-    joint.armature = sawyer.ROTOR_INERTIA[i]
+    joint.armature = arm.rotor_inertia[i]
     joint.actgravcomp = 1  # the motors carry the arm's weight too: it counts against their efforts
-    joint.actfrclimited, joint.actfrcrange = 1, [-sawyer.EFFORT[i], sawyer.EFFORT[i]]
+    joint.actfrclimited, joint.actfrcrange = 1, [-arm.effort[i], arm.effort[i]]
     if np.isfinite(stiffness):
-        flex = body.add_joint(name=flex_name(sawyer.JOINTS[i]), type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        flex = body.add_joint(name=flex_name(arm.joints[i]), type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         flex.stiffness, flex.armature = [stiffness, 0, 0], _least_inertia(stiffness)
     _capsules(body, link.name, link.capsules, bits)
+    for rider in (rider for rider in arm.riders if rider.link == i):
+        riding = body.add_body(name=rider.name, pos=rider.xyz, gravcomp=1)
+        _inertial(riding, rider.mass, rider.com, rider.inertia)
+        _capsules(riding, rider.name, rider.capsules, bits)
+        _solids(riding, rider.solids, bits)
     return body
 
 
-def _add_gripper(spec: Any, wrist: Any, params: Params, truth: Truth, bits: dict[str, int]) -> None:
-    T = sawyer.T_L6_FLANGE
+def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, params: Params, truth: Truth, bits: dict[str, int]) -> None:
+    T, tool = arm.T_last_flange, arm.tool
     quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
-    flange = wrist.add_body(name="flange", pos=T[:3, 3], quat=quat, gravcomp=1)
-    body = sawyer.GRIPPER_MASS - 2 * FINGER_MASS
-    weight = np.array([body, sawyer.CAMERA_MASS])
-    centre = weight @ np.array([sawyer.GRIPPER_COM, sawyer.CAMERA_SOLIDS[0].center]) / weight.sum()
+    flange = wrist.add_body(name=FLANGE, pos=T[:3, 3], quat=quat, gravcomp=1)
+    body = tool.mass - 2 * FINGER_MASS
+    weight = np.array([body, tool.camera_mass])
+    centre = weight @ np.array([tool.com, tool.camera[0].center]) / weight.sum()
     _inertial(flange, weight.sum(), centre, (4e-4, 1.2e-3, 1.1e-3, 0, 0, 0))
-    _solids(flange, (sawyer.GRIPPER_BODY, *sawyer.CAMERA_SOLIDS), bits)
-    pad_z = sawyer.TIP_Z - sawyer.PAD[2] / 2
-    half_z = (sawyer.TIP_Z - sawyer.FINGER_Z) / 2
+    _solids(flange, (tool.body, *tool.camera), bits)
+    pad_z = tool.tip - tool.pad[2] / 2
+    half_z = (tool.tip - tool.finger) / 2
     holder = flange if params.motor is None else carriage.add_carriage(flange, params.motor)
     for side, sign, wear in (("left", 1, truth.pad_wear), ("right", -1, 0.0)):
         finger = holder.add_body(name=f"{side}_finger", gravcomp=1)
         _inertial(finger, FINGER_MASS, (0, 0.01 * sign, pad_z), (2e-5, 2e-5, 4e-6, 0, 0, 0))
         joint = finger.add_joint(name=f"{side}_finger", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, sign, 0])
-        joint.range, joint.limited, joint.armature = [0, sawyer.STROKE / 2], 1, FINGER_ARMATURE
-        back = sawyer.PAD[1] + sawyer.FINGER_THICKNESS / 2
-        stick = sawyer.Solid(
+        joint.range, joint.limited, joint.armature = [0, tool.stroke / 2], 1, FINGER_ARMATURE
+        back = tool.pad[1] + tool.thickness / 2
+        stick = Solid(
             f"{side}_stick",
-            (0, sign * back, sawyer.FINGER_Z + half_z),
-            (sawyer.PAD[0] / 2, sawyer.FINGER_THICKNESS / 2, half_z),
+            (0, sign * back, tool.finger + half_z),
+            (tool.pad[0] / 2, tool.thickness / 2, half_z),
         )
         _solids(finger, (stick,), bits)
-        backing, centre = _pad_holder(finger, side, np.array([0, sign * sawyer.PAD[1] / 2, pad_z]), truth)
-        pad = _box(backing, f"{side}_pad", centre, np.array(sawyer.PAD) / 2, bits)
+        backing, centre = _pad_holder(finger, side, np.array([0, sign * tool.pad[1] / 2, pad_z]), tool.pad, truth)
+        pad = _box(backing, f"{side}_pad", centre, np.array(tool.pad) / 2, bits)
         pad.condim, pad.priority, pad.friction = 4, 1, [truth.pad_friction * (1 - wear), 0.003, 0.0001]
         pad.solref, pad.solimp = [params.pad_softness, 1.0], [0.95, 0.99, 0.001, 0.5, 2]
     coupling = spec.add_equality(
@@ -162,7 +165,9 @@ def _add_gripper(spec: Any, wrist: Any, params: Params, truth: Truth, bits: dict
     coupling.solref = [0.004, 1.0]
 
 
-def _pad_holder(finger: Any, side: str, centre: Array, truth: Truth) -> tuple[Any, Array]:
+def _pad_holder(
+    finger: Any, side: str, centre: Array, size: tuple[float, float, float], truth: Truth
+) -> tuple[Any, Array]:
     """Return the body that carries a pad, and the pad's centre (3,) in it [m]: a finger, or its own on springs.
 
     Along the closing axis the pad is fixed: there the contact itself is soft.
@@ -184,7 +189,7 @@ def _pad_holder(finger: Any, side: str, centre: Array, truth: Truth) -> tuple[An
         return finger, centre
     finger.mass -= PAD_MASS
     pad = finger.add_body(name=f"{side}_pad", pos=centre, gravcomp=1)
-    x, y, z = np.square(sawyer.PAD)
+    x, y, z = np.square(size)
     _inertial(pad, PAD_MASS, (0, 0, 0), (*(PAD_MASS / 12 * np.array([y + z, x + z, x + y])), 0, 0, 0))
     ratio, frequency = PAD_DAMPING
     for name, kind, axis, stiffness in springs:
@@ -199,7 +204,7 @@ def _least_inertia(stiffness: float) -> float:
     return stiffness / (2 * np.pi * FASTEST) ** 2
 
 
-def _capsules(body: Any, name: str, capsules: tuple[sawyer.Capsule, ...], bits: dict[str, int]) -> None:
+def _capsules(body: Any, name: str, capsules: tuple[Capsule, ...], bits: dict[str, int]) -> None:
     for i, capsule in enumerate(capsules):
         body.add_geom(
             name=f"{name}_{i}",
@@ -211,7 +216,7 @@ def _capsules(body: Any, name: str, capsules: tuple[sawyer.Capsule, ...], bits: 
         )
 
 
-def _solids(body: Any, solids: tuple[sawyer.Solid, ...], bits: dict[str, int]) -> None:
+def _solids(body: Any, solids: tuple[Solid, ...], bits: dict[str, int]) -> None:
     for solid in solids:
         _box(body, solid.name, solid.center, solid.half, bits)
 

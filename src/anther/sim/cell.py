@@ -1,4 +1,4 @@
-"""The simulated cell: Sawyer, gripper, plant, pot and bench in one MuJoCo world, and a log of all that happens in it.
+"""The simulated cell: arm, gripper, plant, pot and bench in one MuJoCo world, and a log of all that happens in it.
 
 The world runs only while somebody commands it (`run`). Ground truth stays here: stages see devices, not this module.
 T log samples, C contacts, K plant segments.
@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
+from anther.arm.sawyer import SAWYER
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
 from anther.sim import arm_model, plant_mechanics
@@ -61,8 +62,8 @@ class CellLog:
     Attributes:
         times: (T,) [s].
         qpos: (T, nq) generalised positions of the whole world.
-        joints: (T, 7) of the arm's motors [rad].
-        torques: (T, 7) of its motors [N m].
+        joints: (T, J) of the arm's motors [rad].
+        torques: (T, J) of its motors [N m].
         grip_command, opening: (T,) commanded and true distance between the pads [m].
         contact_sample: (C,) log sample of each contact of the robot with plant, pot or bench.
         contact_pad: (C,) 0 left pad, 1 right pad, 2 any other part of the robot.
@@ -87,11 +88,12 @@ class CellLog:
 
 
 class Cell:
-    """One plant in front of one Sawyer.
+    """One plant in front of one arm.
 
     Attributes:
         plant: ground truth.
         truth: of air, pads, arm and side camera.
+        arm: its description.
         model, data: MuJoCo's.
         mechanics: the plant's part of the model.
     """
@@ -99,29 +101,32 @@ class Cell:
     def __init__(
         self,
         plant: SimPlant,
-        joints: ArrayLike = sawyer.NEUTRAL,
+        joints: ArrayLike | None = None,
         params: Params | None = None,
         truth: Truth = NOMINAL,
+        arm: ArmModel = SAWYER,
     ) -> None:
-        """Build the world, plant at rest under gravity, arm at `joints` (7,) [rad], gripper open."""
-        self.plant, self.params, self.truth = plant, params or Params(), truth
+        """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open."""
+        self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
         spec = _world(self.params.timestep, plant)
         pieces = plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
         add_blades(spec, plant, pieces, contype=PLANT_BIT, conaffinity=0)
-        arm_model.add_arm(spec, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
+        arm_model.add_arm(spec, arm, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
-        self._arm = np.array([self.model.joint(name).qposadr[0] for name in sawyer.JOINTS])
-        self._arm_dofs = np.array([self.model.joint(name).dofadr[0] for name in sawyer.JOINTS])
+        self._arm = np.array([self.model.joint(name).qposadr[0] for name in arm.joints])
+        self._arm_dofs = np.array([self.model.joint(name).dofadr[0] for name in arm.joints])
         self._fingers = [self.model.joint(f"{side}_finger").qposadr[0] for side in ("left", "right")]
-        self._flex = _addresses(self.model, [arm_model.flex_name(name) for name in sawyer.JOINTS])
+        self._flex = _addresses(self.model, [arm_model.flex_name(name) for name in arm.joints])
         self._motor = _addresses(self.model, ["motor"])
         self._give = [_addresses(self.model, [f"left_pad_{way}", f"right_pad_{way}"]) for way in arm_model.PAD_WAYS]
-        errors = np.random.default_rng([plant.seed, 8]).normal(size=7)
+        errors = np.random.default_rng([plant.seed, 8]).normal(size=arm.count)
         self._expected = 1 + truth.feedforward_error * errors
-        self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, sawyer.STROKE / 2
-        self.data.ctrl[:7], self.data.ctrl[21] = joints, sawyer.STROKE / 2
-        arm_model.tune_servos(self.model, truth)
+        self._grip = 3 * arm.count  # after the joints' positions, velocities and torques
+        joints = arm.neutral if joints is None else joints
+        self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, arm.tool.stroke / 2
+        self.data.ctrl[: arm.count], self.data.ctrl[self._grip] = joints, arm.tool.stroke / 2
+        arm_model.tune_servos(self.model, arm, truth)
         self.mechanics = PlantMechanics(self.model, plant, pieces, self.params.plant)
         self._air = Air(self.mechanics, truth.wind, plant.seed)
         self._codes = _contact_codes(self.model)
@@ -156,7 +161,7 @@ class Cell:
 
     @property
     def joints(self) -> Array:
-        """(7,) true angles of the arm's motors, which its encoders read [rad]."""
+        """(J,) true angles of the arm's motors, which its encoders read [rad]."""
         return self.data.qpos[self._arm].copy()
 
     @property
@@ -167,23 +172,23 @@ class Cell:
     @property
     def grip_command(self) -> float:
         """Commanded distance between the pads [m]."""
-        return 2 * float(self.data.ctrl[21])
+        return 2 * float(self.data.ctrl[self._grip])
 
     @property
     def arm_command(self) -> Array:
-        """(7,) last commanded joint angles [rad]."""
-        return self.data.ctrl[:7].copy()
+        """(J,) last commanded joint angles [rad]."""
+        return self.data.ctrl[: self.arm.count].copy()
 
     @property
     def motor_command(self) -> tuple[float, float]:
         """Last commanded place [m] and speed [m/s] of the gripper's motor, which the truth's gain does not change."""
-        place, speed = self.data.ctrl[22:24] / self.truth.motor_gain
+        place, speed = self.data.ctrl[self._grip + 1 : self._grip + 3] / self.truth.motor_gain
         return float(place), float(speed)
 
     @property
     def grip_force(self) -> float:
         """Force of either finger on what is between them [N]."""
-        return float(abs(self.data.actuator_force[21]) / 2)
+        return float(abs(self.data.actuator_force[self._grip]) / 2)
 
     def carriage_at(self, qpos: Array | None = None) -> Array:
         """Return where the motor has the fingers now, or at logged `qpos` (..., nq), along the flange's y [m].
@@ -209,13 +214,13 @@ class Cell:
         """Advance one timestep per row of joint references; return the measured joints.
 
         Args:
-            joints, velocities: (N, 7) references [rad], [rad/s].
+            joints, velocities: (N, J) references [rad], [rad/s].
             openings: (N,) commanded distance between the pads [m].
-            accelerations: (N, 7) references [rad/s^2]; None takes the differences of the velocities.
+            accelerations: (N, J) references [rad/s^2]; None takes the differences of the velocities.
             motor: (N, 3) references of the gripper's motor: place [m], speed [m/s], acceleration [m/s^2]; None: still.
 
         Returns:
-            (N, 7) measured joints after each step [rad].
+            (N, J) measured joints after each step [rad].
         """
         if accelerations is None:
             accelerations = np.diff(velocities, axis=0, append=velocities[-1:]) / self.timestep
@@ -232,10 +237,11 @@ class Cell:
         motion = np.zeros(m.nv)  # arm and plant share no joint: one product serves both
         motion[self._arm_dofs], motion[plant] = a, d.qvel[plant]
         mujoco.mj_mulM(m, d, inertia, motion)
-        d.ctrl[:7], d.ctrl[7:14], d.ctrl[21] = q, v, opening / 2
-        d.ctrl[14:21] = self._expected * inertia[self._arm_dofs]
+        n, grip = self.arm.count, self._grip
+        d.ctrl[:n], d.ctrl[n : 2 * n], d.ctrl[grip] = q, v, opening / 2
+        d.ctrl[2 * n : grip] = self._expected * inertia[self._arm_dofs]
         if len(self._motor):
-            d.ctrl[22:] = self._coil(motor)
+            d.ctrl[grip + 1 :] = self._coil(motor)
         d.qfrc_applied[plant] = -self.mechanics.mass_damping * inertia[plant]
         self._air.push(d, m.opt.timestep)
         mujoco.mj_step(m, d)
@@ -292,7 +298,7 @@ class Cell:
         """Return T_world_flange (..., 4, 4) now, or at logged `qpos` (..., nq): where the links truly are."""
         at: Array = self.data.qpos if qpos is None else qpos
         links = at[..., self._arm]
-        return sawyer.forward(links + at[..., self._flex] if len(self._flex) else links)
+        return self.arm.forward(links + at[..., self._flex] if len(self._flex) else links)
 
     def pads_pose(self, qpos: Array | None = None) -> Array:
         """Return T_world_pads (4, 4) now, or at a logged `qpos` (nq,): the flange's frame, carried along by the pads.
@@ -302,7 +308,7 @@ class Cell:
         at: Array = self.data.qpos if qpos is None else qpos
         y = float(self.carriage_at(at))
         x, z, turn = (float(at[ways].mean()) if len(ways) else 0.0 for ways in self._give)
-        centre = sawyer.T_FLANGE_GRASP[:3, 3]
+        centre = self.arm.tool.T_flange_grasp[:3, 3]
         R = Rotation.from_rotvec([0, turn, 0]).as_matrix()
         return self.flange_pose(at) @ transform(R, centre - R @ centre + np.array([x, y, z]))
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
-from anther.arm import sawyer
 from anther.checks import check_array
 from anther.errors import FailureKind
 from anther.geometry import Array, inverse
@@ -136,7 +135,7 @@ def judge(
     harm = Harm(_strain(cell, log, shaking) | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed))
     dosed = slice(*np.searchsorted(log.times[shaking], steady or (-np.inf, np.inf)))
     motion = _flower_motion(cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency)
-    effort = np.abs(log.torques / sawyer.EFFORT).max(axis=0)
+    effort = np.abs(log.torques / cell.arm.effort).max(axis=0)
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
         (push > params.push, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),

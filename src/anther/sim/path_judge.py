@@ -14,9 +14,9 @@ import mujoco as mujoco_module
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.arm import sawyer
-from anther.arm.collision import CAMERA, GRIPPER, NEIGHBOURS
 from anther.arm.dynamics import torques
+from anther.arm.model import CAMERA, FLANGE, GRIPPER, ArmModel
+from anther.arm.sawyer import SAWYER
 from anther.devices import JointTrajectory
 from anther.geometry import Array, Box
 from anther.sim import arm_model
@@ -29,7 +29,7 @@ SIGHT = 0.05
 """m, distances beyond this are not measured."""
 ROBOT, SCENERY = 1, 2
 SELF = "itself"
-_BODIES = {GRIPPER: ("flange", "left_finger", "right_finger"), CAMERA: ("flange",)}
+_BODIES = {GRIPPER: (FLANGE, "left_finger", "right_finger"), CAMERA: (FLANGE,)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,9 +58,11 @@ class Surroundings:
     Args:
         boxes: by name.
         cylinders: by name; each the upright cylinder inscribed in a box of square base.
+        arm: its description.
     """
 
-    def __init__(self, boxes: dict[str, Box], cylinders: dict[str, Box]) -> None:
+    def __init__(self, boxes: dict[str, Box], cylinders: dict[str, Box], arm: ArmModel = SAWYER) -> None:
+        self.arm = arm
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         kinds = ((mujoco.mjtGeom.mjGEOM_BOX, boxes), (mujoco.mjtGeom.mjGEOM_CYLINDER, cylinders))
@@ -71,8 +73,8 @@ class Surroundings:
                 spec.worldbody.add_geom(
                     name=name, type=kind, pos=(box.lower + box.upper) / 2, size=size, contype=SCENERY, conaffinity=ROBOT
                 )
-        arm_model.add_arm(spec, arm_model.Params(), contype=ROBOT, conaffinity=ROBOT | SCENERY)
-        for pair in NEIGHBOURS:
+        arm_model.add_arm(spec, arm, arm_model.Params(), contype=ROBOT, conaffinity=ROBOT | SCENERY)
+        for pair in arm.neighbours:
             first, second = (_BODIES.get(link, (link,)) for link in pair)
             for a, b in ((a, b) for a in first for b in second if a != b):
                 spec.add_exclude(bodyname1=a, bodyname2=b)
@@ -80,13 +82,13 @@ class Surroundings:
             geom.margin = SIGHT
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
-        self._arm = [self._model.joint(name).qposadr[0] for name in sawyer.JOINTS]
+        self._arm = [self._model.joint(name).qposadr[0] for name in arm.joints]
         for side in ("left", "right"):
-            self._data.qpos[self._model.joint(f"{side}_finger").qposadr[0]] = sawyer.STROKE / 2
+            self._data.qpos[self._model.joint(f"{side}_finger").qposadr[0]] = arm.tool.stroke / 2
         self._names = [*boxes, *cylinders]
 
     def clearance(self, q: Array) -> dict[str, float]:
-        """Return the distance to each thing, and to `SELF`, at joints (7,) [m], `SIGHT` at most."""
+        """Return the distance to each thing, and to `SELF`, at joints (J,) [m], `SIGHT` at most."""
         m, d = self._model, self._data
         d.qpos[self._arm] = q
         mujoco.mj_kinematics(m, d)
@@ -108,21 +110,21 @@ def judge_path(motions: Sequence[JointTrajectory], surroundings: Surroundings, e
         surroundings: what they must not touch.
         every: distances are measured at every so many of the samples only.
     """
-    parts = [_sampled(motion) for motion in motions]
+    arm, parts = surroundings.arm, [_sampled(motion) for motion in motions]
     q, v, a = (np.concatenate([part[i] for part in parts]) for i in range(3))
     seen = [surroundings.clearance(row) for row in np.concatenate([part[0][::every] for part in parts])]
     return PathVerdict(
         seconds=sum(motion.duration for motion in motions),
-        room=float(np.minimum(q - sawyer.LOWER, sawyer.UPPER - q).min()),
-        velocity=float(np.abs(v / sawyer.VELOCITY).max()),
-        acceleration=float(np.abs(a / sawyer.ACCELERATION).max()),
-        effort=float(np.abs(torques(q, v, a) / sawyer.EFFORT).max()),
+        room=float(np.minimum(q - arm.lower, arm.upper - q).min()),
+        velocity=float(np.abs(v / arm.velocity).max()),
+        acceleration=float(np.abs(a / arm.acceleration).max()),
+        effort=float(np.abs(torques(arm, q, v, a) / arm.effort).max()),
         clearance={name: min(s[name] for s in seen) for name in seen[0]},
     )
 
 
 def _sampled(motion: JointTrajectory) -> tuple[Array, Array, Array]:
-    """Return joints, rates and their differences at 1 kHz, each (T, 7)."""
+    """Return joints, rates and their differences at 1 kHz, each (T, J)."""
     curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
     t = np.append(np.arange(0, motion.duration, PERIOD), motion.duration)
     v = curve(t, 1)

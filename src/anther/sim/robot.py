@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.arm import sawyer
 from anther.checks import check_range
 from anther.devices import (
     LEAD,
@@ -34,20 +33,20 @@ SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames 
 
 
 class SimArm:
-    """The Sawyer. `follow` advances the cell; the gripper keeps its command meanwhile."""
+    """The arm. `follow` advances the cell; the gripper keeps its command meanwhile."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell
 
     def joints(self) -> Array:
-        """Return the measured joint angles (7,) [rad]."""
+        """Return the measured joint angles (J,) [rad]."""
         return self.cell.joints
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s."""
         dt, start, told, ends = self.cell.params.timestep, self.cell.time, more is None, trajectory.duration
         q, v = _references(trajectory, 0.0, dt, last=told)
-        measured = np.empty((0, 7))
+        measured = np.empty((0, self.cell.arm.count))
         try:
             while len(measured) < len(q):
                 if not told and dt * len(measured) >= ends - LEAD:
@@ -77,7 +76,7 @@ class SimArm:
 
 
 def _references(trajectory: JointTrajectory, begin: float, dt: float, *, last: bool) -> tuple[Array, Array]:
-    """Return joints and rates (N, 7) of a trajectory that begins at `begin` [s], at the multiples of dt after that.
+    """Return joints and rates (N, J) of a trajectory that begins at `begin` [s], at the multiples of dt after that.
 
     The last one is held for another 0.1 s.
     """
@@ -94,10 +93,8 @@ def _references(trajectory: JointTrajectory, begin: float, dt: float, *, last: b
 class SimGripper:
     """The electric gripper: closes at 0.15 m/s, the slowest its SDK accepts, up to its holding force."""
 
-    stroke = sawyer.STROKE
-
     def __init__(self, cell: Cell) -> None:
-        self.cell = cell
+        self.cell, self.stroke = cell, cell.arm.tool.stroke
 
     def move(self, opening: float) -> GripperState:
         """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
@@ -107,7 +104,7 @@ class SimGripper:
         """
         check_range("gripper opening", opening, 0, self.stroke, "m")
         dt, start = self.cell.params.timestep, self.cell.grip_command
-        ramp = abs(opening - start) / sawyer.FINGER_SPEED
+        ramp = abs(opening - start) / self.cell.arm.tool.speed
         settling = 0.3 if ramp > 0.01 else 0.1 if ramp > dt else 0.02  # a short way is soon settled, and no way at once
         command = np.interp(np.arange(1, round((ramp + settling) / dt) + 1) * dt, [0, ramp + 1e-9], [start, opening])
         q = np.tile(self.cell.arm_command, (len(command), 1))
@@ -282,7 +279,7 @@ def robot_of(
     """
     scene = scene or Scene.of_plant(cell.plant)
     T_side = side_pose(cell) if T_world_side_camera is None else T_world_side_camera
-    wrist = SimCamera(cell, scene, d455(), lambda: cell.flange_pose() @ sawyer.T_FLANGE_CAM, errors, seed=seed)
+    wrist = SimCamera(cell, scene, d455(), lambda: cell.flange_pose() @ cell.arm.tool.T_flange_cam, errors, seed=seed)
     side = SimCamera(
         cell,
         scene,

@@ -84,7 +84,7 @@ class Truth:
         pad_wear: share of the friction that one of the pads has lost [-].
         servo_bandwidth: of the arm's joint servos [Hz].
         feedforward_error: standard deviation of each joint's relative error in the torque that the arm expects [-].
-        joint_stiffness: factor on `JOINT_STIFFNESS` [-]; inf: rigid joints.
+        joint_stiffness: factor on the arm's `stiffness` [-]; inf: rigid joints.
         motor_gain: what the gripper's motor moves over what it was asked to [-].
         pose_error, hand_eye_error: factors on the errors of the arm's poses and of the hand-eye calibration [-].
         clock_offset: by which the side camera's clock is late on the arm's [s].
@@ -124,11 +124,6 @@ class Truth:
 
 
 NOMINAL = Truth()
-
-JOINT_STIFFNESS = (843.0, 843.0, 843.0, 843.0, 250.0, 250.0, 250.0)
-"""Of a joint's spring [N m/rad]: Rethink's figures for Baxter, whose drives are of the same kind; remembered, none was
-found for Sawyer. With them, its first mode lies at 3 Hz; an arm that is sold to carry 4 kg to 0.1 mm has it at some
-8-24 Hz, which is a factor of 6-60."""
 
 WIDE: dict[str, dict[str, Spread]] = {
     # Plants in pots stand, if barely: 1.1; 6 is a height margin of 1.8 over Greenhill's limit (height ~ E^(1/3)).

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.arm import sawyer
+from anther.arm.model import ArmModel
+from anther.arm.sawyer import SAWYER
 from anther.elastic_rod.motion import Drive
 from anther.elastic_rod.response import steady_motion
 from anther.execution import Trial
@@ -37,13 +38,15 @@ class Motion:
     """A shake in time.
 
     Attributes:
+        arm: that shook.
         times: (T,) from its begin [s].
-        joints: (T, 7) as the arm read them [rad].
+        joints: (T, J) as the arm read them [rad].
         opening: of the gripper [m].
         nodes: (T, N, 3) displacement of the plant model's nodes that follows from how the grip moved [m].
         flowers: (T, F, 3) where the camera found the flowers, world [m]; NaN where it did not.
     """
 
+    arm: ArmModel
     times: Array
     joints: Array
     opening: float
@@ -61,13 +64,17 @@ def motion_of(results: RunResults) -> Motion | None:
     times = np.arange(begin, end, 1 / max(RATE, PICTURES * frequency))
     joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
-    return Motion(times - begin, joints, opening, _swayed(plant, shake, trial, times), _filmed(results, times))
+    arm = SAWYER
+    return Motion(
+        arm, times - begin, joints, opening, _swayed(arm, plant, shake, trial, times), _filmed(results, times)
+    )
 
 
-def _swayed(plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
+def _swayed(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
     """Return (T, N, 3) what the rods do as linear theory says, to the grip's own swing at each step's frequencies."""
-    along = (sawyer.forward(trial.measured)[:, :3, :3] @ sawyer.T_FLANGE_GRASP[:3, 3]) @ shake.direction
-    along += sawyer.forward(trial.measured)[:, :3, 3] @ shake.direction
+    flange = arm.forward(trial.measured)
+    along = (flange[:, :3, :3] @ arm.tool.T_flange_grasp[:3, 3]) @ shake.direction
+    along += flange[:, :3, 3] @ shake.direction
     grip = pad_nodes(plant, grip_rows(plant, shake.grasp.point[None]), shake.pads.width)[0]
     moved = np.zeros((len(times), len(plant.rods.nodes), 3))
     ends = [step.end for step in trial.steps[:-1]] + [np.inf]

@@ -27,7 +27,7 @@ class Player:
     def __init__(self, server: Any, results: RunResults, motion: Motion, handles: Handles) -> None:
         assert results.plant is not None
         self.motion, self._handles, self._plant = motion, handles, results.plant
-        self.robot = Robot(server.scene, motion.opening)
+        self.robot = Robot(server.scene, motion.arm, motion.opening)
         for rest in handles.layers.pop("flowers at rest", []):
             rest.remove()
         add = server.scene.add_icosphere

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from anther.arm import sawyer
-from anther.arm.sawyer import Capsule, Solid
+from anther.arm.model import ArmModel, Capsule, Solid
 from anther.geometry import Array
 from anther.viewer.placed import placed
 
@@ -17,27 +16,28 @@ GREY, DARK = (165, 168, 175), (70, 72, 80)
 
 
 class Robot:
-    """The Sawyer with its gripper, at NEUTRAL until it is moved.
+    """An arm with its gripper, neutral until it is moved.
 
     Args:
         scene: viser's.
+        arm: its description.
         opening: between the pads [m].
     """
 
-    def __init__(self, scene: Any, opening: float) -> None:
-        base = [_capsule(c) for c in sawyer.BASE_CAPSULES] + [_box(s) for s in sawyer.BASE_SOLIDS]
+    def __init__(self, scene: Any, arm: ArmModel, opening: float) -> None:
+        self._arm = arm
+        base = [_capsule(c) for c in arm.base_capsules] + [_box(s) for s in arm.base_solids]
         _add(scene, "/robot/base", base, GREY)
         self._frames = []
-        tool = (sawyer.GRIPPER_BODY, *sawyer.finger_solids(opening), *sawyer.CAMERA_SOLIDS)
-        parts = [([_capsule(c) for c in link.capsules], GREY) for link in sawyer.LINKS]
-        for i, (shapes, colour) in enumerate([*parts, ([_box(s) for s in tool], DARK)]):
+        parts = [([_capsule(c) for c in link.capsules], GREY) for link in arm.links]
+        for i, (shapes, colour) in enumerate([*parts, ([_box(s) for s in arm.tool.solids(opening)], DARK)]):
             self._frames.append(scene.add_frame(f"/robot/{i}", show_axes=False))
             _add(scene, f"/robot/{i}/shape", shapes, colour)
-        self.move(sawyer.NEUTRAL)
+        self.move(arm.neutral)
 
     def move(self, joints: Array) -> None:
-        """Show the arm at joints (7,) [rad]."""
-        for frame, T in zip(self._frames, sawyer.link_poses(joints), strict=True):
+        """Show the arm at joints (J,) [rad]."""
+        for frame, T in zip(self._frames, self._arm.link_poses(joints), strict=True):
             frame.position, frame.wxyz = placed(T)
 
 

@@ -1,0 +1,242 @@
+"""Any arm by its description: joints, links, limits, shapes and tool, and the kinematics that follow. J joints.
+
+Frames: base = world, z up, origin at the arm's mount. Link i turns about its own +z by joint i. The tool approaches
+along the flange's +z, and its fingers close along the flange's +-y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from anther.checks import check_array, check_transform
+from anther.errors import bad_input
+from anther.geometry import Array, transform
+
+FEWEST = 6
+"""Joints with which a flange can be put anywhere in any orientation."""
+GRIPPER, CAMERA = "gripper", "camera"
+BASE, FLANGE = "base", "flange"
+
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """A cylinder with round ends: axis from `start` to `end` (3,) [m] in its link's frame, `radius` [m]."""
+
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A box aligned with its frame: `center` and `half` extents (3,) [m]."""
+
+    name: str
+    center: tuple[float, float, float]
+    half: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A moving link.
+
+    Attributes:
+        name: as in the URDF; link i turns about its +z by joint i.
+        xyz, rpy: joint frame in the parent link's frame at zero angle [m], [rad], R = Rz(y) Ry(p) Rx(r).
+        mass: [kg].
+        com: centre of mass in the link frame [m].
+        inertia: ixx, iyy, izz, ixy, ixz, iyz about the centre of mass [kg m^2].
+        capsules: collision shape in the link frame.
+    """
+
+    name: str
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    mass: float
+    com: tuple[float, float, float]
+    inertia: tuple[float, float, float, float, float, float]
+    capsules: tuple[Capsule, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Rider:
+    """What sits on a link and never moves against it; the fields as of `Link`.
+
+    Attributes:
+        link: number of the link that carries it.
+        xyz: its frame in that link's, not turned [m].
+        solids: collision shape beside the capsules.
+    """
+
+    name: str
+    link: int
+    xyz: tuple[float, float, float]
+    mass: float
+    com: tuple[float, float, float]
+    inertia: tuple[float, float, float, float, float, float]
+    capsules: tuple[Capsule, ...]
+    solids: tuple[Solid, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tool:
+    """A parallel gripper and a camera on the flange, in its frame.
+
+    Attributes:
+        mass, com: of the whole gripper [kg], [m].
+        stroke: largest opening between the pads [m].
+        finger: where the fingers leave the body, along z [m].
+        tip: where they end [m].
+        pad: width along x, thickness along y, length along z, ending at the tip [m].
+        thickness: of a finger behind its pad, along y [m].
+        speed: of the pads [m/s].
+        body: outline of the gripper without fingers.
+        camera_mass: with its bracket [kg].
+        T_flange_cam: (4, 4) where the camera is meant to be.
+        camera: outline of camera and bracket; the camera itself first.
+    """
+
+    mass: float
+    com: tuple[float, float, float]
+    stroke: float
+    finger: float
+    tip: float
+    pad: tuple[float, float, float]
+    thickness: float
+    speed: float
+    body: Solid
+    camera_mass: float
+    T_flange_cam: Array
+    camera: tuple[Solid, ...]
+
+    @property
+    def T_flange_grasp(self) -> Array:
+        """(4, 4) the centre between the pads."""
+        return transform(np.eye(3), [0, 0, self.tip - self.pad[2] / 2])
+
+    def fingers(self, opening: float) -> tuple[Solid, ...]:
+        """Return the two fingers, each a box of finger and pad together, in the flange frame.
+
+        Args:
+            opening: distance between the pads' faces [m].
+        """
+        half = (self.pad[1] + self.thickness) / 2
+        y, z, half_z = opening / 2 + half, (self.finger + self.tip) / 2, (self.tip - self.finger) / 2
+        return tuple(
+            Solid(f"{side}_finger", (0, sign * y, z), (self.pad[0] / 2, half, half_z))
+            for side, sign in (("left", 1), ("right", -1))
+        )
+
+    def solids(self, opening: float) -> tuple[Solid, ...]:
+        """Return gripper, fingers and camera; see `fingers`."""
+        return (self.body, *self.fingers(opening), *self.camera)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmModel:
+    """An arm of J joints with its tool.
+
+    Attributes:
+        name: of the arm.
+        joints: J names.
+        lower, upper: (J,) range [rad].
+        velocity, acceleration: (J,) [rad/s], [rad/s^2].
+        effort: (J,) torque of the motors at the joints [N m].
+        rotor_inertia: (J,) seen at the joints [kg m^2].
+        stiffness: (J,) of the joints' springs, in the simulator [N m/rad].
+        links: J, from the base outwards.
+        T_last_flange: (4, 4) the flange in the last link's frame.
+        tool: on the flange.
+        neutral: (J,) where servos are tuned [rad].
+        ready: (J,) drawn back from the plant; views begin there [rad].
+        waiting: (J,) near most grasps; the arm waits there for what the views tell [rad].
+        neighbours: pairs of links, riders, "base", "gripper" and "camera" that are never checked against each other.
+        shoulder: (3,) a point, and
+        reach: the farthest that the flange gets from it [m].
+        floor: height of the floor [m].
+        base_capsules, base_solids: what never moves against the base.
+        riders: what sits on links.
+        wrist: of the link before the last, what lies on the flange's axis whatever the joints, in the flange's frame;
+            None where there is no such thing. It saves planning time.
+        local: (J, 4, 4) pose of each link in the one before, at joint angle 0; follows from `links`.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    rotor_inertia: Array
+    stiffness: Array
+    links: tuple[Link, ...]
+    T_last_flange: Array
+    tool: Tool
+    neutral: Array
+    ready: Array
+    waiting: Array
+    neighbours: tuple[tuple[str, str], ...]
+    shoulder: Array
+    reach: float
+    floor: float
+    base_capsules: tuple[Capsule, ...] = ()
+    base_solids: tuple[Solid, ...] = ()
+    riders: tuple[Rider, ...] = ()
+    wrist: Capsule | None = None
+    local: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        count = len(self.joints)
+        if count < FEWEST or len(self.links) != count:
+            given = f"{count} joints, {len(self.links)} links"
+            raise bad_input(f"arm {self.name}", given=given, allowed=f">= {FEWEST}, as many links", do="List them all.")
+        per_joint = ("lower", "upper", "velocity", "acceleration", "effort", "rotor_inertia", "stiffness")
+        for name in (*per_joint, "neutral", "ready", "waiting"):
+            object.__setattr__(self, name, check_array(f"{self.name}'s {name}", getattr(self, name), (count,)))
+        for name in ("neutral", "ready", "waiting"):
+            q = getattr(self, name)
+            if np.any((q < self.lower) | (q > self.upper)):
+                raise bad_input(
+                    f"{self.name}'s {name}", given=f"{q}", allowed="joints within its range", do="Move them."
+                )
+        object.__setattr__(self, "T_last_flange", check_transform("flange", self.T_last_flange))
+        turned = [transform(Rotation.from_euler("xyz", link.rpy).as_matrix(), link.xyz) for link in self.links]
+        object.__setattr__(self, "local", np.stack(turned))
+
+    @property
+    def count(self) -> int:
+        """How many joints, J."""
+        return len(self.joints)
+
+    def link_poses(self, q: ArrayLike) -> Array:
+        """Return the (..., J + 1, 4, 4) base-frame poses of all links and the flange for joints (..., J) [rad]."""
+        q = np.asarray(q, dtype=np.float64)
+        local = self.local * np.ones((*q.shape, 1, 1))
+        c, s = np.cos(q)[..., None], np.sin(q)[..., None]
+        local[..., :, 0] = self.local[..., :, 0] * c + self.local[..., :, 1] * s
+        local[..., :, 1] = self.local[..., :, 1] * c - self.local[..., :, 0] * s
+        count = self.count
+        poses = np.empty((*q.shape[:-1], count + 1, 4, 4))
+        poses[..., 0, :, :] = local[..., 0, :, :]
+        for i in range(1, count):
+            poses[..., i, :, :] = poses[..., i - 1, :, :] @ local[..., i, :, :]
+        poses[..., count, :, :] = poses[..., count - 1, :, :] @ self.T_last_flange
+        return poses
+
+    def forward(self, q: ArrayLike) -> Array:
+        """Return T_world_flange (..., 4, 4) for joints (..., J) [rad]."""
+        return self.link_poses(q)[..., self.count, :, :]
+
+    def jacobian(self, q: ArrayLike) -> Array:
+        """Return the (..., 6, J) Jacobian of the flange: linear [m/rad] above angular [rad/rad], in the base frame."""
+        poses = self.link_poses(q)
+        axes = poses[..., :-1, :3, 2]
+        arms = poses[..., -1:, :3, 3] - poses[..., :-1, :3, 3]
+        x, y, z = np.moveaxis(axes, -1, 0)
+        a, b, c = np.moveaxis(arms, -1, 0)
+        return np.stack([y * c - z * b, z * a - x * c, x * b - y * a, x, y, z], axis=-2)  # numpy's cross is slow
