@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
+from anther.arm.model import ArmModel
 from anther.arm.shaking import swing_trajectory
 from anther.devices import JointTrajectory
 from anther.geometry import Array
@@ -18,12 +19,15 @@ RATE = 50  # samples per second
 
 
 class SmallPlanner:
-    """Plans in joint space; `line` follows a Cartesian line by damped least squares."""
+    """Plans in joint space; `line` follows a Cartesian line by damped least squares. Only `move` knows other arms."""
+
+    def __init__(self, arm: ArmModel = sawyer.SAWYER) -> None:
+        self.arm = arm
 
     def move(self, q_from: Any, q_to: Any) -> JointTrajectory:
         q_from, q_to = np.asarray(q_from, dtype=float), np.asarray(q_to, dtype=float)
         way = np.abs(q_to - q_from)
-        slow, gentle = 1.875 * way / (0.4 * sawyer.VELOCITY), np.sqrt(5.8 * way / (0.4 * sawyer.ACCELERATION))
+        slow, gentle = 1.875 * way / (0.4 * self.arm.velocity), np.sqrt(5.8 * way / (0.4 * self.arm.acceleration))
         duration = max(float(slow.max()), float(gentle.max()), 0.1)
         t = np.linspace(0, duration, int(duration * RATE) + 2)
         s = t / duration

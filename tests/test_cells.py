@@ -16,6 +16,7 @@ from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer
 
 from anther.arm import sawyer
+from anther.arm.arms import named
 from anther.cells import CellFile, parts, read_cell
 from anther.cells.owner import owned
 from anther.cli import main
@@ -59,6 +60,13 @@ def test_a_cell_file_says_what_stands_where_and_what_it_may(write: Write) -> Non
     assert limits.keep_out[0].upper[2] == -0.48
 
 
+def test_a_cell_file_may_name_another_arm(write: Write) -> None:
+    cell = read_cell(write(('mode = "trajectory"', 'mode = "trajectory"\nmodel = "ur5e"')))
+    assert cell.model is named("ur5e")
+    assert cell.safety_limits().joint_speed == pytest.approx(0.3 * cell.model.velocity)
+    assert cell.safety_limits().outline(np.zeros((2, 6))).shape[0] == 2
+
+
 def test_the_manuals_example_is_a_cell_file(tmp_path: Path) -> None:
     found = re.search(r"```toml\n(.+?)```", PAGE.read_text(), re.DOTALL)
     assert found is not None
@@ -71,6 +79,11 @@ def test_the_manuals_example_is_a_cell_file(tmp_path: Path) -> None:
 
 WRONG = [
     ("mode = ", "moed = ", r"line 5: arm.moed: got an unknown key .moed.; allowed: .*Did you mean mode"),
+    (
+        '"trajectory"',
+        '"trajectory"\nmodel = "robby"',
+        r"line 6: arm.model: arm: got 'robby'; allowed: sawyer, ur5e, fr3",
+    ),
     ('"trajectory"', '"torque"', r'line 5: arm.mode: got "torque"; allowed: "position", "trajectory"'),
     ("speed_ratio = 0.3", 'speed_ratio = "slow"', r'line 37: limits.speed_ratio: got "slow"; allowed: a number'),
     ("speed_ratio = 0.3", "speed_ratio = 3", r"line 36: limits: speed_ratio: got 3; allowed: 0.01 <="),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from fake_robot import LIMITS, fake_robot
 from live_cameras import Bench, FakeWebcam, realsense, running, webcam
+from made_arm import six
 from small_planner import SmallPlanner
 from straight_plant import straight_plant
 
@@ -41,6 +42,10 @@ def simulated() -> Robot:
     return robot_of(Cell(straight_plant()))
 
 
+def with_six_joints() -> Robot:
+    return robot_of(Cell(straight_plant(), arm=six()))
+
+
 def guarded() -> Robot:
     return guard(fake_robot(), LIMITS)
 
@@ -65,10 +70,15 @@ def replayed() -> Camera:
 ROBOTS = {
     "fake": fake_robot,
     "simulated": simulated,
+    "six joints": with_six_joints,
     "guarded": guarded,
     "logged": logged,
     "not yet faulty": not_yet_faulty,
 }
+
+
+def planner(robot: Robot) -> SmallPlanner:
+    return SmallPlanner(six() if len(robot.arm.joints()) == 6 else sawyer.SAWYER)
 
 
 @pytest.fixture(params=ROBOTS)
@@ -102,20 +112,20 @@ def test_a_protocol_has_five_methods_at_most(protocol: type) -> None:
 
 def test_arm_goes_where_it_is_told_and_says_so(robot: Robot) -> None:
     start = robot.arm.joints()
-    assert start.shape == (7,)
+    assert start.shape in ((6,), (7,))
     goal = start + 0.05
-    record = robot.arm.follow(SmallPlanner().move(start, goal))
+    record = robot.arm.follow(planner(robot).move(start, goal))
     assert np.all(np.diff(record.times) > 0)
-    assert record.commanded.shape == record.measured.shape == (len(record.times), 7)
+    assert record.commanded.shape == record.measured.shape == (len(record.times), len(start))
     assert record.commanded[-1] == pytest.approx(goal, abs=1e-6)
     assert robot.arm.joints() == pytest.approx(goal, abs=2e-3)
-    again = robot.arm.follow(SmallPlanner().move(robot.arm.joints(), start))
+    again = robot.arm.follow(planner(robot).move(robot.arm.joints(), start))
     assert again.times[0] >= record.times[-1]
 
 
 def test_arm_shows_its_readings_on_the_way(robot: Robot) -> None:
     start, seen = robot.arm.joints(), list[ArmSample]()
-    record = robot.arm.follow(SmallPlanner().move(start, start + 0.05), seen.append)
+    record = robot.arm.follow(planner(robot).move(start, start + 0.05), seen.append)
     times = np.array([s.time for s in seen])
     assert np.all(np.diff(times) > 0)
     assert np.diff(times).max() <= 0.0201
@@ -128,7 +138,7 @@ def test_arm_shows_its_readings_on_the_way(robot: Robot) -> None:
 @pytest.mark.parametrize("error", [DeviceError("enough"), KeyboardInterrupt()])
 def test_arm_stops_where_its_watcher_raises(robot: Robot, error: BaseException) -> None:
     start = robot.arm.joints()
-    path = SmallPlanner().move(start, start + 0.2)
+    path = planner(robot).move(start, start + 0.2)
 
     def watch(sample: ArmSample) -> None:
         if np.abs(sample.measured - start).max() > 0.1:
@@ -183,7 +193,7 @@ def test_camera_records_while_the_arm_moves(robot: Robot) -> None:
     camera = robot.side_camera
     assert camera is not None
     camera.start(20.0)
-    robot.arm.follow(SmallPlanner().move(robot.arm.joints(), robot.arm.joints() + 0.02))
+    robot.arm.follow(planner(robot).move(robot.arm.joints(), robot.arm.joints() + 0.02))
     frames = camera.stop()
     assert len(frames) >= 4
     assert np.all(np.diff([f.time for f in frames]) > 0)

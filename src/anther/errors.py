@@ -53,7 +53,7 @@ class StageFailure(AntherError):
 
 
 EXTRA_OF = {
-    **dict.fromkeys(("embreex", "mujoco", "pinocchio", "coal", "roboplan"), "cell"),
+    **dict.fromkeys(("embreex", "mujoco", "pinocchio", "coal", "roboplan", "airo_models"), "cell"),
     **dict.fromkeys(("foxglove", "mcap"), "log"),
     "viser": "view",
 }

@@ -87,6 +87,16 @@ class RunResults:
         return f"{self.params.get('plant', 'plant')}, {label or 'seed ' + str(self.params.get('seed', '?'))}"
 
     @property
+    def arm(self) -> str:
+        """Name of the arm; runs of older versions have none: a Sawyer's."""
+        return str(self.params.get("arm") or "sawyer")
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it was in the simulated cell."""
+        return self.params.get("cell", "simulated") == "simulated"
+
+    @property
     def subtitle(self) -> str:
         """When and with what."""
         return f"{self.params.get('started', '')} · Anther {self.params.get('anther', '')} · {self.folder.name}"

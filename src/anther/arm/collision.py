@@ -10,12 +10,11 @@ from roboplan.core import Box as SceneBox
 from roboplan.core import OcTree, Scene, hasCollisionsAlongPath, loadUrdfSceneDescriptionFromXml
 from scipy.spatial.transform import Rotation
 
-from anther.arm.model import BASE, CAMERA, FLANGE, GRIPPER, ArmModel, Capsule, Solid
+from anther.arm.model import ARM_MARGIN, BASE, CAMERA, FLANGE, GRIPPER, ArmModel, Capsule, Solid, rpy
 from anther.geometry import Array, Box, occupied_cells, transform
 
 GROUP = "arm"
 VOXEL = 0.008  # m, edge of the octree's cubes (facts: libraries, pin + coal: 20 us a check)
-ARM_MARGIN = 0.01  # m added around every arm link; the gripper has its true size
 FREE_STEP = 0.0015  # rad, spacing of the last check along a path (facts: libraries, gotchas)
 
 
@@ -115,7 +114,7 @@ def urdf(arm: ArmModel) -> str:
             "</joint>"
         )
     tool, last = arm.tool, arm.links[-1].name
-    flange_rpy = Rotation.from_matrix(arm.T_last_flange[:3, :3]).as_euler("xyz")
+    flange_rpy = rpy(Rotation.from_matrix(arm.T_last_flange[:3, :3]))
     links += [
         *(_link(rider.name, rider.capsules, rider.solids) for rider in arm.riders),
         _link(FLANGE, (), ()),
@@ -146,7 +145,7 @@ def _capsule(capsule: Capsule, margin: float) -> tuple[str, str]:
     start, end, radius = np.array(capsule.start), np.array(capsule.end), capsule.radius + margin
     length = float(np.linalg.norm(end - start))
     turn = Rotation.align_vectors([(end - start) / length], [[0, 0, 1]])[0]
-    return _origin((start + end) / 2, turn.as_euler("xyz")), f'<cylinder radius="{radius}" length="{length}"/>'
+    return _origin((start + end) / 2, rpy(turn)), f'<cylinder radius="{radius}" length="{length}"/>'
 
 
 def _fixed(name: str, parent: str, child: str, origin: str) -> str:

@@ -6,7 +6,8 @@ along the flange's +z, and its fingers close along the flange's +-y.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,7 @@ FEWEST = 6
 """Joints with which a flange can be put anywhere in any orientation."""
 GRIPPER, CAMERA = "gripper", "camera"
 BASE, FLANGE = "base", "flange"
+ARM_MARGIN = 0.01  # m added around every arm link in planning; the gripper has its true size
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,6 +210,20 @@ class ArmModel:
         turned = [transform(Rotation.from_euler("xyz", link.rpy).as_matrix(), link.xyz) for link in self.links]
         object.__setattr__(self, "local", np.stack(turned))
 
+    def raised(self, height: float) -> ArmModel:
+        """Return the same arm on a mount so much higher [m]."""
+
+        def up(place: tuple[float, float, float]) -> tuple[float, float, float]:
+            return place[0], place[1], place[2] + height
+
+        return replace(
+            self,
+            links=(replace(self.links[0], xyz=up(self.links[0].xyz)), *self.links[1:]),
+            base_capsules=tuple(replace(c, start=up(c.start), end=up(c.end)) for c in self.base_capsules),
+            base_solids=tuple(replace(s, center=up(s.center)) for s in self.base_solids),
+            shoulder=self.shoulder + np.array([0, 0, height]),
+        )
+
     @property
     def count(self) -> int:
         """How many joints, J."""
@@ -240,3 +256,9 @@ class ArmModel:
         x, y, z = np.moveaxis(axes, -1, 0)
         a, b, c = np.moveaxis(arms, -1, 0)
         return np.stack([y * c - z * b, z * a - x * c, x * b - y * a, x, y, z], axis=-2)  # numpy's cross is slow
+
+
+def rpy(turn: Rotation) -> Array:
+    """Return roll, pitch and yaw (3,) as a URDF writes them. At a pitch of 90 degrees any roll and yaw will do."""
+    with warnings.catch_warnings(action="ignore"):
+        return turn.as_euler("xyz")

@@ -29,14 +29,15 @@ def outline(arm: ArmModel, q: ArrayLike) -> Array:
     return np.concatenate(parts, axis=-2)
 
 
-def _of_capsule(capsule: Capsule) -> Array:
+def of_capsule(capsule: Capsule) -> Array:
+    """Return balls (S, 4) of its radius along a capsule's axis: centre and radius [m]."""
     start, end = np.array(capsule.start), np.array(capsule.end)
     count = int(np.ceil(np.linalg.norm(end - start) / SPACING)) + 1
     centres = start + np.linspace(0, 1, count)[:, None] * (end - start)
     return np.column_stack([centres, np.full(count, capsule.radius)])
 
 
-def _of_solid(solid: Solid) -> Array:
+def of_solid(solid: Solid) -> Array:
     """Return points (S, 4) of radius 0 all over the surface of a box."""
     centre, half = np.array(solid.center), np.array(solid.half)
     axes = [np.linspace(-h, h, int(np.ceil(2 * h / SPACING)) + 1) for h in half]
@@ -48,5 +49,5 @@ def _of_solid(solid: Solid) -> Array:
 @cache
 def _balls(arm: ArmModel) -> tuple[Array, ...]:
     """Return the balls (S, 4) of each link and the tool, in their own frames."""
-    tool = np.concatenate([_of_solid(s) for s in arm.tool.solids(arm.tool.stroke)])
-    return (*(np.concatenate([_of_capsule(c) for c in link.capsules]) for link in arm.links), tool)
+    tool = np.concatenate([of_solid(s) for s in arm.tool.solids(arm.tool.stroke)])
+    return (*(np.concatenate([of_capsule(c) for c in link.capsules]) for link in arm.links), tool)

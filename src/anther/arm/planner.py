@@ -13,8 +13,8 @@ from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
 from anther.arm import dynamics, kinematics, shaking, timing
-from anther.arm.collision import ARM_MARGIN, FREE_STEP, GROUP, CollisionWorld, cube_centres
-from anther.arm.model import ArmModel
+from anther.arm.collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
+from anther.arm.model import ARM_MARGIN, ArmModel
 from anther.arm.outline import outline
 from anther.arm.sawyer import SAWYER
 from anther.arm.tours import DETOUR, least_times

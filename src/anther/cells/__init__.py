@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from anther.arm.arms import named
 from anther.arm.model import ArmModel
 from anther.arm.outline import outline
 from anther.arm.sawyer import SAWYER, TOOL
@@ -215,7 +216,8 @@ def read_cell(path: Path | str) -> CellFile:
     own, side = table["wrist_camera"], table.get("side_camera")
     cell = CellFile(
         source=source,
-        arm=_part(source, "arm", parts.ARMS),
+        arm=_part(source, "arm", parts.ARMS, besides=("model",)),
+        model=_model(source),
         gripper=_part(source, "gripper", parts.GRIPPERS),
         T_flange_cam=_hand_eye(source, own),
         wrist_camera=_part(source, "wrist_camera", parts.CAMERAS, besides=("T_flange_cam", "calibration")),
@@ -249,6 +251,11 @@ def _part(source: Source, name: str, drivers: dict[str, Callable[..., Any]], bes
     rest = {key: value for key, value in table.items() if key not in ("driver", *besides)}
     fitted(source, (name,), rest, make, parts.GIVEN)
     return Part(driver, make, rest, (name,))
+
+
+def _model(source: Source) -> ArmModel:
+    with source.located(("arm", "model")):
+        return named(str(source.table["arm"].get("model", "sawyer")))
 
 
 def _hand_eye(source: Source, table: dict[str, Any]) -> Array:

@@ -99,7 +99,7 @@ def run(args: Args) -> None:
     """
     plant, grasps = read_plant(args)
     params = _params(args)
-    plan = plan_shake(plant, grasps, ACTUATORS[args.actuator], params)
+    plan = plan_shake(plant, grasps, _actuator(args), params)
     if args.out is not None:
         plan.save(args.out / "shake_plan.json")
         with replacing(args.out / "shake_plan.png") as temporary:
@@ -110,17 +110,22 @@ def run(args: Args) -> None:
         _print(args, plan, _crop(args))
 
 
-def arm_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
-    """Return what the arm manages at the grasp's joints, or by the Sawyer's table where no arm was asked."""
-    if grasp.joints is None:
-        return sawyer_limit(grasp, direction, frequencies)
-    from anther.arm.planner import shake_limit  # needs the extra `cell`
-    from anther.arm.sawyer import SAWYER
+def _actuator(args: Args) -> Actuator:
+    """Return what shakes: of a run its arm, by the Sawyer's table where no arm was asked for the grasp."""
+    if args.actuator == "gripper":
+        return VibratingGripper()
+    params = args.source / PARAMS
+    name = str(read_object(params).get("arm") or "sawyer") if params.is_file() else "sawyer"
 
-    return shake_limit(SAWYER, grasp.joints, direction, frequencies)
+    def limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
+        if grasp.joints is None:
+            return sawyer_limit(grasp, direction, frequencies)
+        from anther.arm.arms import named  # needs the extra `cell`
+        from anther.arm.planner import shake_limit
 
+        return shake_limit(named(name), grasp.joints, direction, frequencies)
 
-ACTUATORS: dict[str, Actuator] = {"arm": ArmShaker(arm_limit), "gripper": VibratingGripper()}
+    return ArmShaker(limit)
 
 
 def _params(args: Args) -> Params:

@@ -36,7 +36,7 @@ from anther.sim.truth import NOMINAL, Truth
 Species = Literal["tomato", "pepper"]
 
 USUAL_DISTANCE = 0.72
-"""Of the pot's axis in front of the arm [m]: where facts: sawyer 6 tabulates what the arm can shake."""
+"""Of the pot's axis in front of the Sawyer [m]: where facts: sawyer 6 tabulates what the arm can shake."""
 
 BRISK = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1)
 """How the arm moves to a grasp: between sawyer_moveit's "medium" and "fast" (facts: sawyer 1). With "fast" some motions
@@ -45,6 +45,11 @@ pass the safety limits: flange speed, and joint acceleration where a corner is r
 PRESETS = {"full": ViewParams(), "fast": ViewParams(count=10, widest=75.0, first=(-52.5, -5.0))}
 """How the views are sought. `fast` takes a third of the time: docs/reports/views.md measures what that costs. Of the 80
 directions it can have, its spread begins at the one with the shortest tour of those that leave the smallest gaps."""
+
+
+def usual_distance(arm: ArmModel) -> float:
+    """Return how far in front of an arm the pot's axis stands [m]: as far as its reach goes, by the Sawyer's."""
+    return round(USUAL_DISTANCE * arm.reach / SAWYER.reach, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +173,7 @@ def build(
     viewpoint: float,
     views: ViewParams,
     *,
-    distance: float = USUAL_DISTANCE,
+    distance: float | None = None,
     truth: Truth = NOMINAL,
     actuator: Literal["arm", "gripper"] = "arm",
     visit: int = 0,
@@ -185,6 +190,7 @@ def build(
     Raises:
         StageFailure: "unreachable" when the arm reaches fewer than three views, or not where it waits.
     """
+    distance = usual_distance(arm) if distance is None else distance
     place = layout(distance, beyond=actuator == "gripper")
     planned, last = views_at(distance, views, arm), to_waiting(distance, views, arm)
     plant = grow(species, seed, viewpoint, distance, truth)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from anther.vibration import EarlierShake
 
 SIMULATED = "simulated"
-SAME = ("cell", "label", "plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
+SAME = ("cell", "arm", "label", "plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
 """Arguments that make the plant and how it is seen: a run cannot be gone on with as another's."""
 
 
@@ -45,8 +45,10 @@ class Args:
     """Which plant; all noise comes from it too."""
     viewpoint: float = 0.0
     """Turn the plant about its pot's axis [degrees]."""
-    distance: float = 0.72
-    """Of the pot in front of the arm [m]."""
+    arm: Literal["sawyer", "ur5e", "fr3"] | None = None
+    """Which arm, by default a Sawyer; a cell file names its own (docs/arm.md)."""
+    distance: float | None = None
+    """Of the pot in front of the arm [m]; by default what suits the arm: 0.72 for a Sawyer."""
     preset: Literal["full", "fast"] = "full"
     """Views all around, or few views along a short way (docs/reports/views.md says what that costs)."""
     views: int | None = None
@@ -108,7 +110,6 @@ def run(args: Args) -> int:
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
     check_range("views", 3 if args.views is None else args.views, 3, 200)
-    check_range("distance", args.distance, 0.3, 3.0, "m")
     out = args.out or Path("runs") / _folder(args)
     if args.restart_from == WHERE_IT_STOPPED and stage_under_way(out) in ("response", "report"):
         args = replace(args, restart_from="execution")
@@ -119,7 +120,7 @@ def run(args: Args) -> int:
             allowed="a stage up to 'execution'",
             do="The simulated world and its video are not kept: restart from execution.",
         )
-    args = replace(args, params=_params(args))
+    args = replace(_resolved(args), params=_params(args))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     belief, earlier, began = _belief(args), _earlier(args), datetime.now(UTC)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
@@ -150,6 +151,26 @@ def run(args: Args) -> int:
     if failure is not None or lost is not None:
         return 2
     return 0 if summary["success"] else 1
+
+
+def _resolved(args: Args) -> Args:
+    """Return the arguments with the arm, and in the simulated cell the distance, that they leave open."""
+    from anther.checks import check_range
+    from anther.errors import bad_input
+
+    if args.cell == SIMULATED:
+        from anther.arm.arms import in_simulated_cell
+        from anther.commands.simulated_cell import usual_distance
+
+        name = args.arm or "sawyer"
+        distance = usual_distance(in_simulated_cell(name)) if args.distance is None else args.distance
+        check_range("distance", distance, 0.3, 3.0, "m")
+        return replace(args, arm=name, distance=distance)
+    from anther.cells import read_cell
+
+    if args.arm is not None:
+        raise bad_input("arm", given=f"{args.arm} and a cell file", allowed="one of the two", do="Name it in the file.")
+    return replace(args, arm=read_cell(args.cell).model.name)
 
 
 def _params(args: Args) -> Params:
@@ -192,6 +213,7 @@ def _views(args: Args) -> ViewParams:
 
 
 def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
+    from anther.arm.arms import in_simulated_cell
     from anther.commands.simulated_cell import build
     from anther.sim.truth import NOMINAL, draw
 
@@ -205,6 +227,7 @@ def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
         truth=truth,
         actuator=args.params.actuator,
         tap=tap,
+        arm=in_simulated_cell(args.arm or "sawyer"),
     )
 
 

@@ -104,13 +104,13 @@ class SimMotor:
         return np.column_stack([place[:-1], speed, acceleration])
 
     def _rest(self, watch: Watch | None) -> Array:
-        """Hold the pads still for 0.1 s, until the steps outside are in time again; return the arm's joints (N, 7)."""
+        """Hold the pads still for 0.1 s, until the steps outside are in time again; return the arm's joints (N, J)."""
         dt = self.cell.timestep
         late = -round(self.cell.time / dt) % round(self.cell.params.timestep / dt)
         return self._run(np.zeros((round(0.1 / dt) + late, 3)), watch)
 
     def _run(self, rows: Array, watch: Watch | None) -> Array:
-        """Follow (N, 3) references with arm and gripper still; return the arm's measured joints (N, 7)."""
+        """Follow (N, 3) references with arm and gripper still; return the arm's measured joints (N, J)."""
         cycle = round(CYCLE / self.cell.timestep)
         return np.concatenate([self._cycle(rows[k : k + cycle], watch) for k in range(0, len(rows), cycle)])
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.arm.arms import in_simulated_cell, named
 from anther.arm.model import ArmModel
-from anther.arm.sawyer import SAWYER
 from anther.elastic_rod.motion import Drive
 from anther.elastic_rod.response import steady_motion
 from anther.execution import Trial
@@ -64,7 +64,7 @@ def motion_of(results: RunResults) -> Motion | None:
     times = np.arange(begin, end, 1 / max(RATE, PICTURES * frequency))
     joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
-    arm = SAWYER
+    arm = (in_simulated_cell if results.simulated else named)(results.arm)
     return Motion(
         arm, times - begin, joints, opening, _swayed(arm, plant, shake, trial, times), _filmed(results, times)
     )
