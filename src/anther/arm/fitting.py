@@ -98,10 +98,9 @@ def _along(points: Array, axis: Array) -> Capsule:
     beside = np.linalg.norm(flat - centre, axis=1)
     radius, along = float(beside.max()), points @ axis
     cap = np.sqrt(np.maximum(radius**2 - beside**2, 0))
-    low, high = (along + cap).min(), (along - cap).max()
-    low, high = min(low, high, (low + high - SHORTEST) / 2), max(low, high, (low + high + SHORTEST) / 2)
-    if (along + cap).min() > (along - cap).max():  # a ball holds them
-        low, high = ((along - cap).max() + (along + cap).min() + np.array([-1, 1]) * SHORTEST) / 2
+    low, high = (along + cap).min(), (along - cap).max()  # the other way round where a ball holds them
+    middle, half = (low + high) / 2, max(high - low, SHORTEST) / 2
+    low, high = middle - half, middle + half
     start, end = (tuple(float(x) for x in centre - (centre @ axis) * axis + t * axis) for t in (low, high))
     return Capsule(start, end, radius)  # type: ignore[arg-type]
 

@@ -31,8 +31,8 @@ class Args:
     the gripper find its ends; jog: move one joint a little, within all limits. The last two ask first."""
     file: Annotated[Path, tyro.conf.Positional]
     """The cell file."""
-    joint: int = 6
-    """Which joint to jog, from 0."""
+    joint: int | None = None
+    """Which joint to jog, from 0; by default the last."""
     by: float = 2.0
     """How far [degrees]."""
 
@@ -114,8 +114,8 @@ def enable(file: CellFile) -> int:
     return 0
 
 
-def jog(file: CellFile, joint: int, degrees: float) -> int:
-    """Move one joint a little and tell where it went, after a yes.
+def jog(file: CellFile, joint: int | None, degrees: float) -> int:
+    """Move one joint, None is the last, a little and tell where it went, after a yes.
 
     Raises:
         StageFailure: the way is not free, or passes a limit; nothing moved.
@@ -126,7 +126,9 @@ def jog(file: CellFile, joint: int, degrees: float) -> int:
 
     check_range("by", abs(degrees), 0.01, FARTHEST, "degrees")
     limits = file.safety_limits()
-    check_range("joint", joint, 0, len(limits.joint_lower) - 1)
+    last = len(limits.joint_lower) - 1
+    joint = last if joint is None else joint
+    check_range("joint", joint, 0, last)
     with ExitStack() as stack:
         stack.enter_context(owned(file.owner_name))
         arm = file.connect(file.arm)
