@@ -43,6 +43,9 @@ class NoFiles:
 
     timed = stage
 
+    def told(self, name: str, value: Any) -> None:
+        pass
+
 
 class Meets(FakeGripper):
     """Meets something else at each attempt: widths in turn [m]. Closing after opening begins a new one."""

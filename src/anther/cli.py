@@ -151,7 +151,8 @@ OWN = ("positional arguments", "options")
 
 def _short_help(name: str, parse: Callable[[], Any]) -> None:
     """Print the help that `parse` prints without the parameters of the stages, name their groups, and end likewise."""
-    said = io.TextIOWrapper(io.BytesIO(), (sys.stdout.encoding or "ascii").lower())  # tyro draws boxes in "utf-8" only
+    encoding = (sys.stdout.encoding or "utf-8").lower()  # tyro draws boxes in "utf-8" only
+    said = io.TextIOWrapper(io.BytesIO(), encoding, errors="replace")
     try:
         with redirect_stdout(said):
             parse()
