@@ -38,12 +38,12 @@ from rich.table import Table
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_robot import LIMITS, FakeCamera, fake_robot
 from fake_ros_master import FakeMaster
-from fake_sawyer import FakeSawyer
+from fake_sawyer import FakeSawyer, swing
 
 import anther
 from anther.arm import sawyer
 from anther.capture import Capture
-from anther.devices import ArmSample, Frame, JointTrajectory, Robot
+from anther.devices import ArmSample, Frame, Robot
 from anther.drivers import sawyer_ros1
 from anther.drivers.apart import ArmApart
 from anther.drivers.intera import types
@@ -53,7 +53,7 @@ from anther.files import write_json
 from anther.geometry import Array
 from anther.log import Log
 
-PERIOD, FREQUENCY, AMPLITUDE = 0.01, 1.9, 0.03  # s, Hz, rad of every joint: 0.36 rad/s
+PERIOD, AMPLITUDE = 0.01, 0.03  # s, rad of every joint: 0.36 rad/s
 FRAMES = 30.0  # a second
 ROOM = 100_000  # bytes
 SAMPLE = Path(anther.__file__).parent / "samples" / "capture"
@@ -93,15 +93,6 @@ class Watching(FakeCamera):
         return Frame(time.monotonic(), self._seen[self.reads % 4], np.zeros((1, 1), np.float32))
 
 
-def swing(seconds: float) -> JointTrajectory:
-    """Return a swing about the neutral joints that begins and ends at rest."""
-    t = np.arange(0, seconds, 0.002)
-    share = np.clip(np.minimum(t, t[-1] - t) / 0.5, 0, 1)
-    q = AMPLITUDE * share**2 * (3 - 2 * share) * np.sin(2 * np.pi * FREQUENCY * t)
-    joints = sawyer.NEUTRAL + q[:, None] * np.ones(7)
-    return JointTrajectory(t, joints, np.gradient(joints, t, axis=0))
-
-
 def driver(master: str) -> Sawyer:
     """Return the arm's driver, which does not give up where a busy machine makes it late: that is what is measured."""
     sawyer_ros1.SILENCE = sawyer_ros1.STALE = 1.0
@@ -125,7 +116,7 @@ def drive(master: str, where: str, disk: str, seconds: float) -> None:
                 seen()
 
         print("ready", flush=True)
-        robot.arm.follow(swing(seconds), watch)
+        robot.arm.follow(swing(seconds, AMPLITUDE), watch)
         kept = None if book is None else book.close()
         print(json.dumps({} if kept is None else {"messages": kept.messages, "dropped": kept.dropped}), flush=True)
     os._exit(0)  # a disk that hangs is left hanging

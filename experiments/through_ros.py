@@ -26,35 +26,25 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_ros_master import FakeMaster
-from fake_sawyer import FakeSawyer
+from fake_sawyer import FakeSawyer, swing
 
 from anther.arm import sawyer
-from anther.devices import JointTrajectory
 from anther.drivers.intera import types
 from anther.drivers.ros1 import Node
 from anther.drivers.sawyer_ros1 import Sawyer
 from anther.files import write_json
 from anther.geometry import Array
 
-FREQUENCY, AMPLITUDE = 1.9, 0.05  # Hz, rad of every joint: 0.6 rad/s
+AMPLITUDE = 0.05  # rad of every joint: 0.6 rad/s
 STILL = 0.01  # rad/s
 PERIOD = 0.01  # s
-
-
-def swing(seconds: float) -> JointTrajectory:
-    """Return a swing about the neutral joints that begins and ends at rest."""
-    t = np.arange(0, seconds, 0.002)
-    share = np.clip(np.minimum(t, t[-1] - t) / 0.5, 0, 1)
-    q = AMPLITUDE * share**2 * (3 - 2 * share) * np.sin(2 * np.pi * FREQUENCY * t)
-    joints = sawyer.NEUTRAL + q[:, None] * np.ones(7)
-    return JointTrajectory(t, joints, np.gradient(joints, t, axis=0))
 
 
 def drive(master: str, seconds: float) -> None:
     """Follow the swing: the driver's own process."""
     with closing(Sawyer(Node(master, "/anther", types()), mode="trajectory")) as arm:
         print("ready", flush=True)
-        arm.follow(swing(seconds))
+        arm.follow(swing(seconds, AMPLITUDE))
 
 
 @contextmanager

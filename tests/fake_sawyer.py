@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from anther.arm import sawyer
+from anther.devices import JointTrajectory
 from anther.drivers.intera import types
 from anther.drivers.priority import served_first
 from anther.drivers.ros1 import Node
@@ -143,3 +144,12 @@ class FakeSawyer:
             "right_cuff", '{"type": "bool", "role": "input"}', f"[{str(self.cuff).lower()}]", status
         )
         self._io.publish(make["intera_core_msgs/msg/IODeviceStatus"](stamp, device, [], [signal], [], []))
+
+
+def swing(seconds: float, amplitude: float) -> JointTrajectory:
+    """Return a swing of every joint [rad] about the neutral ones, at 1.9 Hz, that begins and ends at rest."""
+    t = np.arange(0, seconds, 0.002)
+    share = np.clip(np.minimum(t, t[-1] - t) / 0.5, 0, 1)
+    q = amplitude * share**2 * (3 - 2 * share) * np.sin(2 * np.pi * 1.9 * t)
+    joints = sawyer.NEUTRAL + q[:, None] * np.ones(len(sawyer.NEUTRAL))
+    return JointTrajectory(t, joints, np.gradient(joints, t, axis=0))

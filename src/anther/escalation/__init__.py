@@ -300,11 +300,7 @@ class Escalation:
             return self._rest(look)
         if self._loses(look):
             if not self._doubted and self._fits(now):  # most are found again: they had not swung too far
-                self._doubted = True
-                again = min(amplitude, self._may[now].amplitude)
-                return self._only(
-                    now, again, self._watch(now), f"Watched again at {1e3 * again:.2g} mm: {OUT_OF_SIGHT}."
-                )
+                return self._again(now, min(amplitude, self._may[now].amplitude), OUT_OF_SIGHT)
             return self._raised(now, amplitude, lost=True)
         seen, self._sure = self._told[now].seen, amplitude
         if seen.any():
@@ -319,6 +315,11 @@ class Escalation:
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
         sizes = np.where(np.arange(len(self._hertz)) == shake, amplitude, 0.0)
         return Next(sizes, seconds, self._ramp(shake), words)
+
+    def _again(self, shake: int, amplitude: float, why: str) -> Next:
+        self._doubted = True
+        words = f"Watched again at {1e3 * amplitude:.2g} mm: {why}."
+        return self._only(shake, amplitude, self._watch(shake), words)
 
     def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
         most, tones, planned = self._may[shake], self.plan.tones, float(self._planned[shake])
@@ -354,9 +355,7 @@ class Escalation:
             self._doubted = False
             return self._only(shake, higher, self._watch(shake), f"Raised to {1e3 * higher:.2g} mm.")
         if not self._doubted and why not in LASTING:
-            self._doubted = True
-            words = f"Watched again at {1e3 * higher:.2g} mm: {why}."
-            return self._only(shake, higher, self._watch(shake), words)
+            return self._again(shake, higher, why)
         self._last = True
         best = max(self._tried, key=lambda n: self._tried[n], default=shake)
         if best != shake and self._tried[best] > (ENOUGH * now * self._worth(shake), 0.0):

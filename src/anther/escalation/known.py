@@ -198,7 +198,7 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
     swing = semi_major(flowers)
-    members = {kind: foresight.load(kind, one.members) for kind in LOADS}
+    members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
     members["joint_strain"] = foresight.pedicels(one.members, np.where(seen, swing, np.nan))
     loads = {kind: float(margined(members[kind], SEEN_ERROR[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts

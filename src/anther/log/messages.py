@@ -28,7 +28,7 @@ from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.devices import ArmSample, Frame, GripperState, JointTrajectory, Robot, SafetyLimits
 from anther.execution import Step, Trial
-from anther.geometry import Array, Intrinsics, pose7, transform
+from anther.geometry import Array, Intrinsics, inverse, pose7, transform
 from anther.log import scene
 from anther.log.file import LogFile
 from anther.skeleton import Skeleton
@@ -200,7 +200,7 @@ class Scribe:
         for number, (rgb, place) in enumerate(zip(capture.rgb, capture.T_world_cam, strict=True)):
             then = when - VIEW_APART * (capture.views - number)
             self._image(then, WRIST, rgb)
-            flange = place @ np.linalg.inv(self._T_flange_cam)
+            flange = place @ inverse(self._T_flange_cam)
             self._put("/tf", FrameTransforms(transforms=[moved(WORLD, FLANGE, flange, then)]), then)
 
     def _image(self, when: float, name: str, rgb: Any) -> None:
@@ -264,8 +264,8 @@ def moved(parent: str, child: str, T_parent_child: Array, when: float) -> FrameT
 
 def calibration(name: str, camera: Intrinsics, when: float) -> CameraCalibration:
     """Return what a pinhole camera sees; its images have no distortion."""
-    K = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
-    P = [*K[:3], 0.0, *K[3:6], 0.0, *K[6:], 0.0]
+    matrix = camera.matrix
+    K, P = matrix.ravel().tolist(), np.column_stack([matrix, np.zeros(3)]).ravel().tolist()
     R = np.eye(3).ravel().tolist()
     width, height = camera.width, camera.height
     return CameraCalibration(timestamp=stamp(when), frame_id=name, width=width, height=height, K=K, R=R, P=P)

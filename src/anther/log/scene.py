@@ -25,6 +25,7 @@ from foxglove.messages import (
 )
 from foxglove.messages import PackedElementFieldNumericType as Kind
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from anther.cloud import Cloud
 from anther.devices import JointTrajectory
@@ -154,11 +155,7 @@ def arrow(start: Array, direction: Array, length: float, colour: Color) -> Arrow
 
 def turned(direction: Array) -> Sequence[float]:
     """Return the quaternion (x, y, z, w) that turns +x to a direction (3,)."""
-    d = direction / np.linalg.norm(direction)
-    if d[0] < -1 + 1e-9:
-        return 0.0, 0.0, 1.0, 0.0
-    q = np.array([0.0, -d[2], d[1], 1 + d[0]])
-    return (q / np.linalg.norm(q)).tolist()
+    return Rotation.align_vectors([direction], [[1.0, 0.0, 0.0]])[0].as_quat().tolist()
 
 
 def pose(place: ArrayLike, turn: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
