@@ -2,12 +2,50 @@
 
 from __future__ import annotations
 
+import shutil
+import socket
+import subprocess
 import threading
+import time
 from collections import defaultdict
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 from xmlrpc.client import ServerProxy
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
+
+DEBIAN = "/usr/bin/python3"  # what Debian's ROS is installed for
+NO_ROSCORE = "roscore is not installed: apt-get install python3-roslaunch python3-rospy"
+
+
+def has_roscore() -> bool:
+    return shutil.which("roscore") is not None
+
+
+@contextmanager
+def debian_roscore() -> Iterator[str]:
+    """Run ROS' own master; gives its address."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    uri, quiet = f"http://127.0.0.1:{port}", subprocess.DEVNULL
+    with subprocess.Popen(
+        [DEBIAN, "/usr/bin/rosmaster", "--core", "-p", str(port)], stdout=quiet, stderr=quiet
+    ) as core:
+        for _ in range(100):
+            if _answers(uri):
+                break
+            time.sleep(0.1)
+        try:
+            yield uri
+        finally:
+            core.terminate()
+
+
+def _answers(uri: str) -> bool:
+    try:
+        return ServerProxy(uri).getPid("/test")[0] == 1  # type: ignore[index]
+    except OSError:
+        return False
 
 
 class AnyPath(SimpleXMLRPCRequestHandler):

@@ -53,7 +53,19 @@ def colours(frame: int) -> np.ndarray:
 class SoftwareCamera:
     """Attributes: rs, the SDK; device; sensors (a D405 has but one) and profiles, depth before colour."""
 
-    def __init__(self, rs: Any, *, serial: str = "0123", joined: bool = True, one_sensor: bool = False) -> None:
+    def __init__(
+        self,
+        rs: Any,
+        *,
+        serial: str = "0123",
+        joined: bool = True,
+        one_sensor: bool = False,
+        depth: dict[str, float] = DEPTH,
+        colour: dict[str, float] = COLOR,
+        lens: tuple[float, ...] = LENS,
+        turn: float = TURN,
+        shift: tuple[float, float, float] = SHIFT,
+    ) -> None:
         self.rs, self.device = rs, rs.software_device()
         for info, text in (("name", "RealSense D4xx"), ("serial_number", serial), ("usb_type_descriptor", "3.2")):
             self.device.register_info(getattr(rs.camera_info, info), text)
@@ -61,13 +73,13 @@ class SoftwareCamera:
         self.sensors = [stereo, stereo if one_sensor else self.device.add_sensor("RGB Camera")]
         self.sensors[0].add_read_only_option(rs.option.depth_units, UNIT)
         self.profiles = [
-            self.sensors[0].add_video_stream(self._stream(rs.stream.depth, rs.format.z16, 1, 2, DEPTH, (0.0,) * 5)),
-            self.sensors[1].add_video_stream(self._stream(rs.stream.color, rs.format.rgb8, 2, 3, COLOR, LENS)),
+            self.sensors[0].add_video_stream(self._stream(rs.stream.depth, rs.format.z16, 1, 2, depth, (0.0,) * 5)),
+            self.sensors[1].add_video_stream(self._stream(rs.stream.color, rs.format.rgb8, 2, 3, colour, lens)),
         ]
         if joined:
             extrinsics = rs.extrinsics()
-            c, s = np.cos(TURN), np.sin(TURN)
-            extrinsics.rotation, extrinsics.translation = [c, s, 0, -s, c, 0, 0, 0, 1], list(SHIFT)  # by columns
+            c, s = np.cos(turn), np.sin(turn)
+            extrinsics.rotation, extrinsics.translation = [c, s, 0, -s, c, 0, 0, 0, 1], list(shift)  # by columns
             self.profiles[0].register_extrinsics_to(self.profiles[1], extrinsics)
         self.device.create_matcher(rs.matchers.default)
 
@@ -81,10 +93,25 @@ class SoftwareCamera:
         return stream
 
     def show(self, number: int, stamp: float, *, late: float = 0.001, domain: str = "global_time") -> None:
-        """Deliver a pair of frames; colour is `late` after depth [s]."""
-        for k, (image, bpp) in enumerate(((depth_steps(number % 8), 2), (colours(number % 8), 3))):
+        """Deliver a pair of made-up frames; colour is `late` after depth [s]."""
+        self.deliver(number, stamp, depth_steps(number % 8), colours(number % 8), late=late, domain=domain)
+
+    def deliver(
+        self,
+        number: int,
+        stamp: float,
+        depth: np.ndarray,
+        rgb: np.ndarray,
+        *,
+        late: float = 0.0,
+        domain: str = "hardware_clock",
+        rate: float = 30.0,
+    ) -> None:
+        """Deliver a pair of frames: depth (H, W) uint16 in steps of `UNIT`, rgb (H, W, 3) uint8; [s] and [Hz]."""
+        for k, (image, bpp) in enumerate(((depth, 2), (rgb, 3))):
             sensor, frame = self.sensors[k], self.rs.software_video_frame()
-            sensor.set_metadata(self.rs.frame_metadata_value.actual_fps, 30000)  # else nothing is ever paired
+            told = round(1e3 * rate)  # above the true rate nothing is ever paired
+            sensor.set_metadata(self.rs.frame_metadata_value.actual_fps, told)
             frame.pixels, frame.bpp, frame.stride = np.ascontiguousarray(image), bpp, bpp * image.shape[1]
             frame.timestamp, frame.frame_number = 1e3 * (stamp + k * late), number
             frame.domain = getattr(self.rs.timestamp_domain, domain)

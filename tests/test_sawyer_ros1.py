@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import socket
 import subprocess
 import sys
@@ -12,12 +11,11 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
-from xmlrpc.client import ServerProxy
 
 import numpy as np
 import pytest
 from fake_robot import LIMITS
-from fake_ros_master import FakeMaster
+from fake_ros_master import DEBIAN, NO_ROSCORE, FakeMaster, debian_roscore, has_roscore
 from fake_sawyer import CLOCK, FakeSawyer
 from slow_clock import AGAIN_IF_HELD_UP, SLOWER, clock, sleep
 from small_planner import SmallPlanner
@@ -32,7 +30,6 @@ from anther.safety import GuardedArm
 
 HERE = Path(__file__).parent
 pytestmark = AGAIN_IF_HELD_UP
-DEBIAN = "/usr/bin/python3"  # what Debian's rospy is installed for
 
 
 def free_port() -> int:
@@ -40,28 +37,12 @@ def free_port() -> int:
         return taken.getsockname()[1]
 
 
-def answers(uri: str) -> bool:
-    try:
-        return ServerProxy(uri).getPid("/test")[0] == 1  # type: ignore[index]
-    except OSError:
-        return False
-
-
 @pytest.fixture(scope="module")
 def roscore() -> Iterator[str]:
-    if shutil.which("roscore") is None:
-        pytest.skip("roscore is not installed: apt-get install python3-roslaunch python3-rospy")
-    port = free_port()
-    uri, quiet = f"http://127.0.0.1:{port}", subprocess.DEVNULL
-    with subprocess.Popen(
-        [DEBIAN, "/usr/bin/rosmaster", "--core", "-p", str(port)], stdout=quiet, stderr=quiet
-    ) as core:
-        for _ in range(100):
-            if answers(uri):
-                break
-            time.sleep(0.1)
+    if not has_roscore():
+        pytest.skip(NO_ROSCORE)
+    with debian_roscore() as uri:
         yield uri
-        core.terminate()
 
 
 @pytest.fixture

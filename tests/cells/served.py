@@ -1,0 +1,77 @@
+"""Drivers of a served cell (`served_cell.py`): Anther's own, going by the cell's clock.
+
+The cameras' frames come over a socket and are handed to the SDK's `software_device`, which the driver then reads.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from multiprocessing.connection import Client
+from pathlib import Path
+from typing import Any
+
+sys.path.append(str(Path(__file__).parents[1]))
+from made_realsense import SoftwareCamera
+from served_world import World
+
+from anther.drivers import free_running, realsense
+from anther.drivers.intera import types
+from anther.drivers.robotiq import Robotiq2F, open_line
+from anther.drivers.ros1 import Node
+from anther.drivers.sawyer_ros1 import Sawyer
+from anther.geometry import Intrinsics
+
+IDLE = 0.5
+"""Between two frames that nobody records [s]: rendering costs more than a camera does."""
+free_running.STALLED = realsense.STALLED = 30.0  # s of the wall: the cell is slower
+
+
+def arm(master: str, *, world: str, speed_ratio: float) -> Sawyer:
+    time = World(world)
+    node = Node(master, "/anther", types())
+    return Sawyer(node, mode="trajectory", speed_ratio=speed_ratio, clock=time.clock, sleep=time.sleep)
+
+
+def gripper(port: str, *, world: str, counts: tuple[int, int]) -> Robotiq2F:
+    time = World(world)
+    return Robotiq2F(open_line(port), counts=counts, clock=time.clock, sleep=time.sleep)
+
+
+class ServedCamera(free_running.FreeRunningCamera):
+    """A RealSense of the SDK's own making that shows what a served cell renders.
+
+    Between recordings it gives fewer frames, to spare the machine.
+    """
+
+    def __init__(self, port: int, *, world: str, rate: float = 30.0) -> None:
+        self._world, self._rate, self._over = World(world), rate, threading.Event()
+        self._line: Any = Client(("127.0.0.1", port))
+        self._eye = _software(self._line.recv())
+        source = realsense.RealSense(clock=self._world.clock, devices=lambda: [self._eye.device])
+        threading.Thread(target=self._feed, daemon=True).start()
+        super().__init__(source, warm_up=1)
+
+    def close(self) -> None:
+        self._over.set()
+        super().close()
+
+    def _feed(self) -> None:
+        number, last = 0, -1.0
+        while not self._over.is_set():
+            recording = getattr(self, "_recording", None) is not None
+            period = 1 / self._rate if recording or number < 5 else IDLE
+            self._world.sleep(min(max(last + period - self._world.clock(), 0.0), 1 / self._rate))
+            if self._world.clock() < last + period:
+                continue
+            self._line.send("next")
+            time, depth, rgb = self._line.recv()
+            last, number = self._world.clock(), number + 1
+            self._eye.deliver(number, time, depth, rgb, rate=0.9 / period)
+
+
+def _software(camera: Intrinsics) -> SoftwareCamera:
+    seen = {"width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy}
+    seen |= {"ppx": camera.cx, "ppy": camera.cy}
+    words: dict[str, Any] = {"depth": seen, "colour": seen, "lens": (0.0,) * 5, "turn": 0.0, "shift": (0.0,) * 3}
+    return SoftwareCamera(realsense.load_sdk(), **words)

@@ -1,0 +1,284 @@
+"""MuJoCo's cell served as machines: a Sawyer over ROS 1, a Robotiq over Modbus, cameras that `cells/served.py` shows
+as RealSense. As a program it serves one plant until its input ends, and judges what was done to it.
+
+    python tests/served_cell.py FOLDER MASTER SPECIES SEED [--truth wide]
+
+FOLDER gets the cell file that `anther trial --cell` takes, and the world that all share.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection, Listener
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from fake_robotiq import FakeRobotiq
+from fake_sawyer import FakeSawyer
+from made_realsense import UNIT
+from served_world import World
+
+from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
+from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.sim import arm_model, cell
+from anther.sim.capture import camera_errors, perturbed_hand_eye
+from anther.sim.feeling import contact_vector
+from anther.sim.judge import judge
+from anther.sim.render import Scene, d455
+from anther.sim.robot import SimCamera, cut_out
+from anther.sim.truth import NOMINAL, Truth, draw
+
+TEMPLATE = Path(__file__).parent / "cells" / "sawyer_ros1.toml"
+BATCH = 2  # steps of the world at once, of 1 ms
+TOLD = 10  # steps between two readings that the arm tells
+INTERPOLATED = 0.015  # s in which the arm's controller goes from where it is to where it was told to be
+FORCE = 20.0  # N: the least a Robotiq 2F-85 can be set to
+STROKE = 0.085  # m, of a 2F-85; the fingers of this cell open `SAWYER.tool.stroke`
+
+
+@dataclass(frozen=True)
+class Plant:
+    """Which plant is served."""
+
+    species: Species
+    seed: int
+    truth: str
+
+    def drawn(self) -> Truth:
+        return draw(self.seed) if self.truth == "wide" else NOMINAL
+
+    def world(self) -> cell.Cell:
+        truth = self.drawn()
+        params = cell.Params(arm=arm_model.Params(grip_force=FORCE))
+        return cell.Cell(grow(self.species, self.seed, 0.0, USUAL_DISTANCE, truth), SAWYER.waiting, params, truth)
+
+
+class ServedSawyer(FakeSawyer):
+    """The fake Sawyer's topics, with MuJoCo's arm behind them. It has no thread: `references` and `tell` are called.
+
+    Between two commands its controller goes from where it is to where the last one will be.
+    """
+
+    def __init__(self, master: str, world: cell.Cell) -> None:
+        self._world, self._push = world, np.zeros(7)
+        super().__init__(master, joints=world.joints, clock=lambda: world.time)
+        self._from, self._taken = (world.joints, np.zeros(7), world.time), None
+
+    def _run(self) -> None:
+        pass
+
+    def references(self, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return joints, rates and accelerations (steps, 7) of the next steps of the world."""
+        dt, now = self._world.timestep, self._world.time
+        rows = []
+        for step in range(steps):
+            if self._target is not self._taken:
+                self._taken, self._from = self._target, (self.q.copy(), self.v.copy(), now + step * dt)
+            self._move(now + (step + 1) * dt, dt)
+            rows.append((self.q.copy(), self.v.copy()))
+        q, v = zip(*rows, strict=True)
+        return np.array(q), np.array(v), np.tile(self._push, (steps, 1))
+
+    def _command(self, message: Any) -> None:
+        super()._command(message)
+        order = [message.names.index(name) for name in SAWYER.joints]
+        self._push = message.acceleration[order] if message.mode == 4 else np.zeros(7)
+
+    def _move(self, now: float, dt: float) -> None:
+        before = self.q.copy()
+        if self._target is None or not self.enabled:
+            self.v = np.zeros(7)
+            return
+        told, mode, q, rate = self._target
+        if mode == 1:
+            self.q = self.q + np.clip(q - self.q, -VELOCITY * dt, VELOCITY * dt)
+        elif now - told <= self.timeout:
+            q0, v0, begin = self._from
+            s = min((now - begin) / INTERPOLATED, 1.0)
+            ahead = max(INTERPOLATED, now - begin)
+            there, rate = q + rate * ahead + self._push * ahead**2 / 2, rate + self._push * ahead
+            h = np.array([2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2])
+            if s < 1:
+                self.q = h[0] * q0 + h[1] * INTERPOLATED * v0 + h[2] * there + h[3] * INTERPOLATED * rate
+            else:
+                self.q = there
+        else:
+            less = np.clip(self.v, -ACCELERATION * dt, ACCELERATION * dt)
+            self.q = self.q + (self.v - less) * dt
+        self.v = (self.q - before) / dt
+
+    def tell(self) -> None:
+        """Publish what its encoders read, and the force at its flange."""
+        reference, self.q = self.q, self._world.joints
+        self.force = float(np.linalg.norm(contact_vector(self._world)))
+        self._tell()
+        self.q = reference
+
+
+class ServedRobotiq(FakeRobotiq):
+    """The fake Robotiq's registers, with MuJoCo's fingers behind them: they close until they press with `FORCE`.
+
+    Attributes: `command`, the opening that the fingers are sent to [m].
+    """
+
+    def __init__(self, world: cell.Cell) -> None:
+        self._world, self.command, self._met, self._heard, self._closing = world, world.opening, 3, 0, False
+        super().__init__()
+        self.active = True
+
+    def step(self, seconds: float) -> None:
+        """Go on with the motion that was commanded."""
+        world, count = self._world, STROKE / (self.highest - self.lowest)
+        way, here = SAWYER.tool.speed * seconds, world.opening
+        goal = min(STROKE - count * (self._goal - self.lowest), SAWYER.tool.stroke)
+        if len(self.writes) > self._heard:
+            self._heard, self._met, self._closing = len(self.writes), 0, goal < here
+        if not self._word & 8 or self._met:
+            return
+        if self.command != goal and (self._closing == (goal < self.command)):
+            self.command += min(max(goal - self.command, -way), way)
+        elif abs(here - goal) <= 0.5 * count or not self._closing:
+            self._met = 3 if abs(here - goal) < count else 0
+        elif here > goal and world.grip_force < 0.9 * FORCE:
+            self.command = max(self.command - 0.1 * way, 0.0)
+        else:
+            self._met = 2
+
+    def _move(self) -> None:
+        self.count = self.lowest + (STROKE - self._world.opening) * (self.highest - self.lowest) / STROKE
+
+    def _status(self) -> list[int]:
+        bits = 1 | self._word & 8 | 3 << 4 | self._met << 6
+        return [bits << 8, self.fault << 8 | self._goal, round(self.count) << 8]
+
+
+def show(plant: Plant, which: str, path: str, pipe: Connection) -> None:
+    """Render what one camera sees of the shared world, as often as somebody asks: a process of its own."""
+    place, world = plant.world(), World(path)
+    truth, rng = plant.drawn(), np.random.default_rng([plant.seed, 1])
+    errors, scene = camera_errors(truth), Scene.of_plant(place.plant)
+    if which == "wrist":
+        T_flange_cam = perturbed_hand_eye(SAWYER.tool.T_flange_cam, rng, factor=truth.hand_eye_error)
+        camera = SimCamera(place, scene, d455(), lambda: place.flange_pose() @ T_flange_cam, errors, seed=plant.seed)
+    else:
+        T_side, middle = layout(USUAL_DISTANCE).T_world_side_camera, cut_out(d455(848, 480), 480, 480)
+        camera = SimCamera(
+            place, scene, middle, lambda: T_side, errors, seed=plant.seed + 1, late=truth.clock_offset
+        )
+    listener = Listener(("127.0.0.1", 0))
+    pipe.send(listener.address)
+    while True:
+        with listener.accept() as client:
+            client.send(camera.intrinsics)
+            try:
+                while True:
+                    client.recv()
+                    place.data.time, place.data.qpos[:] = world.clock(), world.qpos()
+                    mujoco.mj_kinematics(place.model, place.data)
+                    frame = camera.read()
+                    steps = np.rint(frame.depth / UNIT)
+                    far = steps > np.iinfo(np.uint16).max
+                    client.send((frame.time, np.where(far, 0, steps).astype(np.uint16), frame.rgb))
+            except (EOFError, OSError):
+                pass
+
+
+class Served:
+    """The machines of one plant, served while `go_on` is called.
+
+    Attributes: `file`, the cell file; `place`, MuJoCo's world.
+    """
+
+    def __init__(self, plant: Plant, folder: Path, master: str, rate: float) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.place = plant.world()
+        self._shared = World(folder / "world", count=self.place.model.nq, rate=rate)
+        self._share()
+        self._arm, self._gripper = ServedSawyer(master, self.place), ServedRobotiq(self.place)
+        self._renderers, ports = [], {}
+        for which in ("wrist", "side"):
+            ours, theirs = get_context("spawn").Pipe()
+            words = (plant, which, str(folder / "world"), theirs)
+            process = get_context("spawn").Process(target=show, args=words, daemon=True)
+            process.start()
+            self._renderers.append(process)
+            ports[which] = ours
+        told = {"MASTER": master, "GRIPPER": f"tcp://127.0.0.1:{self._gripper.port}", "WORLD": str(folder / "world")}
+        told |= {which.upper(): pipe.recv()[1] for which, pipe in ports.items()}
+        text = TEMPLATE.read_text()
+        for word, value in told.items():
+            text = text.replace(f'"{word}"', json.dumps(value))
+        self.file = folder / "cell.toml"
+        self.file.write_text(text)
+        self._since = time.monotonic() - self.place.time / rate
+
+    def close(self) -> None:
+        for process in self._renderers:
+            process.kill()
+        self._arm.node.close()
+        self._gripper.close()
+
+    def go_on(self) -> None:
+        """Advance the world by a batch of steps, no faster than its rate."""
+        place, dt = self.place, self.place.timestep
+        q, v, a = self._arm.references(BATCH)
+        openings = np.empty(BATCH)
+        for i in range(BATCH):
+            self._gripper.step(dt)
+            openings[i] = self._gripper.command
+        place.run(q, v, openings, a)
+        self._share()
+        if round(place.time / dt) % TOLD < BATCH:
+            self._arm.tell()
+        ahead = place.time / self._shared.rate - (time.monotonic() - self._since)
+        if ahead > 0:
+            time.sleep(ahead)
+        elif ahead < -0.05:
+            self._since -= ahead  # what was lost is not made up for
+
+    def _share(self) -> None:
+        self._shared.step(self.place.time, self.place.data.qpos)
+
+
+def serve(served: Served, ask: Callable[[], dict[str, Any] | None]) -> dict[str, Any] | None:
+    """Serve until somebody says which shake is to be judged; return what was said."""
+    said: list[dict[str, Any] | None] = []
+    threading.Thread(target=lambda: said.append(ask()), daemon=True).start()
+    while not said:
+        served.go_on()
+    return said[0]
+
+
+def main() -> None:
+    """Serve, then judge."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("master")
+    parser.add_argument("species", choices=("tomato", "pepper"))
+    parser.add_argument("seed", type=int)
+    parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
+    parser.add_argument("--rate", type=float, default=0.33, help="of the cell's time by the wall's, at most")
+    args = parser.parse_args()
+    plant = Plant(args.species, args.seed, args.truth)
+    with closing(Served(plant, args.folder, args.master, args.rate)) as served:
+        print(served.file, flush=True)
+        asked = serve(served, lambda: json.loads(sys.stdin.readline() or "null"))
+        if asked is not None:
+            verdict = judge(served.place, asked["shake"], asked["frequency"], asked["steady"])
+            peaks = verdict.flower_acceleration_peak.tolist()
+            told = {"held": verdict.held, "unharmed": verdict.unharmed, "reason": verdict.reason, "peaks": peaks}
+            print(json.dumps(told | {"harm": verdict.harm.probability, "robot_s": served.place.time}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,50 @@
+"""The state of a served cell as its machines share it: a file of numbers, and the clock that is in it.
+
+MuJoCo may be slower than the wall: all machines of a served cell go by the cell's own time.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from anther.devices import DeviceError
+
+TIME, RATE, FIRST = 0, 1, 2
+DEAD = 20.0  # s of the wall without a step
+
+
+class World:
+    """Attributes: `rate`, how fast the cell's time goes at most, by the wall's."""
+
+    def __init__(self, path: Path | str, *, count: int = 0, rate: float = 1.0) -> None:
+        """Look at a world, or begin one of `count` positions."""
+        if count:
+            self._numbers = np.memmap(path, float, "w+", shape=FIRST + count)
+            self._numbers[RATE] = rate
+        else:
+            self._numbers = np.memmap(path, float, "r")
+        self.rate = float(self._numbers[RATE])
+
+    def step(self, now: float, qpos: np.ndarray) -> None:
+        self._numbers[FIRST:] = qpos
+        self._numbers[TIME] = now
+
+    def qpos(self) -> np.ndarray:
+        return np.array(self._numbers[FIRST:])
+
+    def clock(self) -> float:
+        return float(self._numbers[TIME])
+
+    def sleep(self, seconds: float) -> None:
+        now, last = self.clock(), time.monotonic()
+        until = now + seconds
+        while now < until:
+            time.sleep(max(0.8 * (until - now) / self.rate, 3e-4))
+            before, now = now, self.clock()
+            if now > before:
+                last = time.monotonic()
+            elif time.monotonic() - last > DEAD:
+                raise DeviceError("the served cell stands still")
