@@ -1,4 +1,4 @@
-"""One trial of `anther trial --cell` whose machines are MuJoCo's cell behind their real protocols. For `through_ros.py`.
+"""For `through_ros.py`: a trial of `anther trial --cell` whose machines are MuJoCo's cell behind their real protocols.
 
 ROS' own master where it is installed, a small one elsewhere; a process serves the plant (`tests/served_cell.py`), and
 `anther trial` runs as a person would run it. Who serves judges, by truth.
@@ -16,13 +16,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-TESTS = Path(__file__).parents[1] / "tests"
-sys.path.append(str(TESTS))
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_ros_master import FakeMaster, debian_roscore, has_roscore
 
 from anther.execution.trial import Trial
 from anther.vibration import ShakePlan
 
+TESTS = Path(__file__).parents[1] / "tests"
 LONGEST = 1200.0  # s of a trial
 KEPT = ("failure", "message", "shaking_seconds", "shake_ended_by", "plan_alone_because", "seconds", "log_error")
 
@@ -40,10 +40,22 @@ def master() -> Iterator[str]:
 
 
 def served(row: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return what became of a trial: {"species", "seed", "truth", "rate", "preset"} -> its row."""
-    words = [str(folder / "cell"), row["species"], str(row["seed"]), "--truth", row["truth"], "--rate", str(row["rate"])]
+    """Return what became of a trial: {"species", "seed", "truth", "rate", "preset"} -> its row.
+
+    "held", "unharmed" and "peaks" [m/s2] are who served's, by truth; "said" is what Anther says of the hold.
+    """
+    words = [
+        str(folder / "cell"),
+        row["species"],
+        str(row["seed"]),
+        "--truth",
+        row["truth"],
+        "--rate",
+        str(row["rate"]),
+    ]
     with master() as uri, _serving([words[0], uri, *words[1:]]) as server:
-        assert server.stdin is not None and server.stdout is not None
+        assert server.stdin is not None
+        assert server.stdout is not None
         cell, began = server.stdout.readline().strip(), time.monotonic()
         code = _anther(row, cell, folder)
         wall = time.monotonic() - began
@@ -51,7 +63,9 @@ def served(row: dict[str, Any], folder: Path) -> dict[str, Any]:
         server.stdin.write(json.dumps(asked) + "\n")
         server.stdin.flush()
         verdict = json.loads(server.stdout.readline() or "{}")
-    summary = json.loads((folder / "run" / "trial.json").read_text()) if (folder / "run" / "trial.json").exists() else {}
+    summary = (
+        json.loads((folder / "run" / "trial.json").read_text()) if (folder / "run" / "trial.json").exists() else {}
+    )
     kept = {name: summary.get(name) for name in KEPT}
     return {"code": code, "wall_s": wall, "said": bool(summary.get("held")), **kept, **verdict}
 

@@ -1,10 +1,14 @@
-"""A fake Sawyer behind a ROS 1 master: how evenly it is commanded, and how soon it stands when the driver is killed.
+"""Anther through the machines' own protocols: whole trials, evenness of the commands, and a driver that is killed.
 
-    python tools/record.py experiments/through_ros.py
+    python tools/record.py experiments/through_ros.py --out runs/through_ros
 
-The driver runs in a process of its own and follows a joint swing at 1.9 Hz, as a shake does, in trajectory mode at 100
-commands a second. The fake notes when each command arrives. Then, with as many busy processes beside it as there are
-cores, the same again; and KILLS times the driver is killed (SIGKILL) in full motion.
+**Trials**: `anther trial --cell` grasps and shakes plants of MuJoCo's cell, which is served as machines: a Sawyer
+behind a ROS 1 master, a Robotiq over Modbus TCP, cameras of the RealSense SDK (`tests/served_cell.py`). The cell's time
+goes at `RATE` of the wall's at most. Each trial is kept in --out and is not run again.
+
+**A fake Sawyer**: the driver runs in a process of its own and follows a joint swing at 1.9 Hz, as a shake does, in
+trajectory mode at 100 commands a second. The fake notes when each command arrives. Then, with as many busy processes
+beside it as there are cores, the same again; and KILLS times the driver is killed (SIGKILL) in full motion.
 
 It is the real protocol on one machine's loopback: neither a network nor an arm is in it.
 """
@@ -27,6 +31,8 @@ import numpy as np
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer, swing
+from served_trial import served
+from swept import swept
 
 from anther.arm import sawyer
 from anther.drivers.intera import types
@@ -35,6 +41,9 @@ from anther.drivers.sawyer_ros1 import Sawyer
 from anther.files import write_json
 from anther.geometry import Array
 
+RATE = 0.33
+FIRST = 9800
+"""The first of the plants, tomatoes and peppers in turn; in no other table."""
 AMPLITUDE = 0.05  # rad of every joint: 0.6 rad/s
 STILL = 0.01  # rad/s
 PERIOD = 0.01  # s
@@ -111,18 +120,40 @@ def measure(kills: int, seconds: float) -> dict[str, Any]:
     }
 
 
+def trials(count: int, truth: str, out: Path) -> dict[str, Any]:
+    """Return the flat table of `count` trials through the served cell."""
+    asked = [
+        {"species": ("tomato", "pepper")[i % 2], "seed": FIRST + i // 2, "truth": truth, "rate": RATE, "preset": "full"}
+        for i in range(count)
+    ]
+    rows = swept(served, asked, out, 1, lambda reason: {"held": False, "unharmed": False, "message": reason})
+    for row in rows:
+        print(f"{row['species']} {row['seed']}: {'held' if row['held'] else row.get('message') or row.get('reason')}")
+    done = [row for row in rows if row.get("robot_s")]
+    return {
+        "trials": count,
+        "success_20": sum(bool(row["held"] and row["unharmed"]) for row in rows),
+        "held": sum(bool(row["held"]) for row in rows),
+        "robot_s": float(np.median([row["robot_s"] for row in done])) if done else float("nan"),
+    }
+
+
 def main() -> None:
     """Measure, and write a flat table of metrics."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="3 kills and 5 s instead of 20 and 60 s")
+    parser.add_argument("--quick", action="store_true", help="2 trials, 3 kills and 5 s instead of 20, 20 and 60 s")
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
+    parser.add_argument("--out", type=Path, default=Path("runs/through_ros"))
     parser.add_argument("--drive", help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, default=60.0, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.drive:
         drive(args.drive, args.seconds)
         return
-    metrics = measure(3, 5.0) if args.quick else measure(20, args.seconds)
+    metrics = trials(2 if args.quick else args.trials, args.truth, args.out)
+    metrics |= measure(3, 5.0) if args.quick else measure(20, args.seconds)
     print(json.dumps(metrics, indent=2))
     if args.json:
         write_json(args.json, metrics)

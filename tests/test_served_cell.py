@@ -1,0 +1,84 @@
+"""MuJoCo's cell served as machines, spoken to through their own protocols by Anther's drivers."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_ros_master import NO_ROSCORE, debian_roscore, has_roscore
+from made_realsense import sdk
+from served_cell import Plant, Served
+from slow_clock import AGAIN_IF_HELD_UP
+from small_planner import SmallPlanner
+
+from anther.cells import CellFile, read_cell
+from anther.commands.hardware_cell import connected
+from anther.devices import Robot
+
+pytestmark = AGAIN_IF_HELD_UP
+sys.path.append(str(Path(__file__).parent / "cells"))
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, CellFile, Robot]]:
+    if not has_roscore():
+        pytest.skip(NO_ROSCORE)
+    sdk()
+    over = threading.Event()
+    with (
+        debian_roscore() as master,
+        closing(Served(Plant("tomato", 0, "nominal"), tmp_path_factory.mktemp("cell"), master, rate=0.2)) as served,
+    ):
+
+        def go_on() -> None:
+            while not over.is_set():
+                served.go_on()
+
+        thread = threading.Thread(target=go_on, daemon=True)
+        thread.start()
+        file = read_cell(served.file)
+        with connected(file) as robot:
+            yield served, file, robot
+        over.set()
+        thread.join()
+
+
+def test_the_arm_goes_where_it_is_told(machines: tuple[Served, CellFile, Robot]) -> None:
+    served, file, robot = machines
+    begin = robot.arm.joints()
+    record = robot.arm.follow(SmallPlanner().move(begin, begin + 0.1))
+    assert np.abs(served.place.joints - begin - 0.1).max() < 0.005
+    lag = np.abs(record.commanded - record.measured).max()
+    assert lag < file.safety_limits().tracking
+
+
+def test_the_pads_stand_as_far_apart_as_is_read(machines: tuple[Served, CellFile, Robot]) -> None:
+    served, _, robot = machines
+    for opening in (0.02, 0.0, 0.04):
+        state = robot.gripper.move(opening)
+        assert state.opening == pytest.approx(served.place.opening, abs=4e-4)  # a count is 0.38 mm
+        assert state.opening == pytest.approx(opening, abs=1e-3)
+        assert not state.is_gripping
+
+
+def test_the_cameras_see_the_plant_where_it_is(machines: tuple[Served, CellFile, Robot]) -> None:
+    served, file, robot = machines
+    assert robot.side_camera is not None
+    camera, T_world_cam = robot.side_camera.intrinsics, file.T_world_side_camera
+    frame: Any = robot.side_camera.read()
+    flowers = served.place.plant.flower_position @ np.eye(3)
+    inside = np.linalg.inv(T_world_cam) @ np.column_stack([flowers, np.ones(len(flowers))]).T
+    u, v = camera.fx * inside[0] / inside[2] + camera.cx, camera.fy * inside[1] / inside[2] + camera.cy
+    seen = (u > 5) & (u < camera.width - 6) & (v > 5) & (v < camera.height - 6)
+    assert seen.any()
+    near = [
+        np.abs(frame.depth[int(y) - 5 : int(y) + 6, int(x) - 5 : int(x) + 6] - z).min()
+        for x, y, z in zip(u[seen], v[seen], inside[2][seen], strict=True)
+    ]
+    assert np.median(near) < 0.02
