@@ -40,19 +40,11 @@ def master() -> Iterator[str]:
 
 
 def served(row: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return what became of a trial: {"species", "seed", "truth", "rate", "preset"} -> its row.
+    """Return what became of a trial: {"species", "seed", "truth", "preset"} -> its row.
 
     "held", "unharmed" and "peaks" [m/s2] are who served's, by truth; "said" is what Anther says of the hold.
     """
-    words = [
-        str(folder / "cell"),
-        row["species"],
-        str(row["seed"]),
-        "--truth",
-        row["truth"],
-        "--rate",
-        str(row["rate"]),
-    ]
+    words = [str(folder / "cell"), row["species"], str(row["seed"]), "--truth", row["truth"]]
     with master() as uri, _serving([words[0], uri, *words[1:]]) as server:
         assert server.stdin is not None
         assert server.stdout is not None

@@ -4,7 +4,7 @@
 
 **Trials**: `anther trial --cell` grasps and shakes plants of MuJoCo's cell, which is served as machines: a Sawyer
 behind a ROS 1 master, a Robotiq over Modbus TCP, cameras of the RealSense SDK (`tests/served_cell.py`). The cell's time
-goes at `RATE` of the wall's at most. Each trial is kept in --out and is not run again.
+goes slower than the wall's. Each trial is kept in --out and is not run again.
 
 **A fake Sawyer**: the driver runs in a process of its own and follows a joint swing at 1.9 Hz, as a shake does, in
 trajectory mode at 100 commands a second. The fake notes when each command arrives. Then, with as many busy processes
@@ -41,7 +41,6 @@ from anther.drivers.sawyer_ros1 import Sawyer
 from anther.files import write_json
 from anther.geometry import Array
 
-RATE = 0.33
 FIRST = 9800
 """The first of the plants, tomatoes and peppers in turn; in no other table."""
 AMPLITUDE = 0.05  # rad of every joint: 0.6 rad/s
@@ -123,7 +122,7 @@ def measure(kills: int, seconds: float) -> dict[str, Any]:
 def trials(count: int, truth: str, out: Path) -> dict[str, Any]:
     """Return the flat table of `count` trials through the served cell."""
     asked = [
-        {"species": ("tomato", "pepper")[i % 2], "seed": FIRST + i // 2, "truth": truth, "rate": RATE, "preset": "full"}
+        {"species": ("tomato", "pepper")[i % 2], "seed": FIRST + i // 2, "truth": truth, "preset": "full"}
         for i in range(count)
     ]
     rows = swept(served, asked, out, 1, lambda reason: {"held": False, "unharmed": False, "message": reason})

@@ -39,6 +39,7 @@ from anther.sim.robot import SimCamera, cut_out
 from anther.sim.truth import NOMINAL, Truth, draw
 
 TEMPLATE = Path(__file__).parent / "cells" / "sawyer_ros1.toml"
+RENDERED = 0.15  # of the wall's time: in which 30 frames a second can be rendered
 BATCH = 2  # steps of the world at once, of 1 ms
 TOLD = 10  # steps between two readings that the arm tells
 INTERPOLATED = 0.015  # s in which the arm's controller goes from where it is to where it was told to be
@@ -197,10 +198,11 @@ class Served:
     Attributes: `file`, the cell file; `place`, MuJoCo's world.
     """
 
-    def __init__(self, plant: Plant, folder: Path, master: str, rate: float) -> None:
+    def __init__(self, plant: Plant, folder: Path, master: str, rate: float = 0.4) -> None:
+        """Begin to serve; rate: how fast the cell's time goes at most, by the wall's."""
         folder.mkdir(parents=True, exist_ok=True)
-        self.place = plant.world()
-        self._shared = World(folder / "world", count=self.place.model.nq, rate=rate)
+        self.place, self._rate = plant.world(), rate
+        self._shared = World(folder / "world", count=self.place.model.nq)
         self._share()
         self._arm, self._gripper = ServedSawyer(master, self.place), ServedRobotiq(self.place)
         self._renderers, ports = [], {}
@@ -218,7 +220,7 @@ class Served:
             text = text.replace(f'"{word}"', json.dumps(value))
         self.file = folder / "cell.toml"
         self.file.write_text(text)
-        self._since = time.monotonic() - self.place.time / rate
+        self._due = time.monotonic()
 
     def close(self) -> None:
         for process in self._renderers:
@@ -238,14 +240,16 @@ class Served:
         self._share()
         if round(place.time / dt) % TOLD < BATCH:
             self._arm.tell()
-        ahead = place.time / self._shared.rate - (time.monotonic() - self._since)
-        if ahead > 0:
-            time.sleep(ahead)
-        elif ahead < -0.05:
-            self._since -= ahead  # what was lost is not made up for
+        self._due += BATCH * dt / self._now
+        time.sleep(max(self._due - time.monotonic(), 0.0))
+        self._due = max(self._due, time.monotonic())  # what was lost is not made up for
+
+    @property
+    def _now(self) -> float:
+        return min(self._rate, RENDERED) if self._shared.recorded else self._rate
 
     def _share(self) -> None:
-        self._shared.step(self.place.time, self.place.data.qpos)
+        self._shared.step(self.place.time, self.place.data.qpos, self._now)
 
 
 def serve(served: Served, ask: Callable[[], dict[str, Any] | None]) -> dict[str, Any] | None:
@@ -265,10 +269,9 @@ def main() -> None:
     parser.add_argument("species", choices=("tomato", "pepper"))
     parser.add_argument("seed", type=int)
     parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
-    parser.add_argument("--rate", type=float, default=0.33, help="of the cell's time by the wall's, at most")
     args = parser.parse_args()
     plant = Plant(args.species, args.seed, args.truth)
-    with closing(Served(plant, args.folder, args.master, args.rate)) as served:
+    with closing(Served(plant, args.folder, args.master)) as served:
         print(served.file, flush=True)
         asked = serve(served, lambda: json.loads(sys.stdin.readline() or "null"))
         if asked is not None:

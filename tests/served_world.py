@@ -12,25 +12,33 @@ import numpy as np
 
 from anther.devices import DeviceError
 
-TIME, RATE, FIRST = 0, 1, 2
+TIME, RATE, RECORDED, FIRST = 0, 1, 2, 3
 DEAD = 20.0  # s of the wall without a step
 
 
 class World:
-    """Attributes: `rate`, how fast the cell's time goes at most, by the wall's."""
+    """What was written last into the file."""
 
-    def __init__(self, path: Path | str, *, count: int = 0, rate: float = 1.0) -> None:
+    def __init__(self, path: Path | str, *, count: int = 0) -> None:
         """Look at a world, or begin one of `count` positions."""
         if count:
             self._numbers = np.memmap(path, float, "w+", shape=FIRST + count)
-            self._numbers[RATE] = rate
         else:
-            self._numbers = np.memmap(path, float, "r")
-        self.rate = float(self._numbers[RATE])
+            self._numbers = np.memmap(path, float, "r+")
 
-    def step(self, now: float, qpos: np.ndarray) -> None:
-        self._numbers[FIRST:] = qpos
+    def step(self, now: float, qpos: np.ndarray, rate: float) -> None:
+        """Note a step; rate: how fast the cell's time goes at most, by the wall's."""
+        self._numbers[FIRST:], self._numbers[RATE] = qpos, rate
         self._numbers[TIME] = now
+
+    @property
+    def recorded(self) -> bool:
+        """Whether a camera records: then every frame must be rendered in its time."""
+        return bool(self._numbers[RECORDED])
+
+    @recorded.setter
+    def recorded(self, value: bool) -> None:
+        self._numbers[RECORDED] = value
 
     def qpos(self) -> np.ndarray:
         return np.array(self._numbers[FIRST:])
@@ -42,7 +50,7 @@ class World:
         now, last = self.clock(), time.monotonic()
         until = now + seconds
         while now < until:
-            time.sleep(max(0.8 * (until - now) / self.rate, 3e-4))
+            time.sleep(max(0.8 * (until - now) / max(float(self._numbers[RATE]), 0.05), 3e-4))
             before, now = now, self.clock()
             if now > before:
                 last = time.monotonic()

@@ -15,6 +15,7 @@ sys.path.append(str(Path(__file__).parents[1]))
 from made_realsense import SoftwareCamera
 from served_world import World
 
+from anther.devices import Frame
 from anther.drivers import free_running, realsense
 from anther.drivers.intera import types
 from anther.drivers.robotiq import Robotiq2F, open_line
@@ -46,11 +47,20 @@ class ServedCamera(free_running.FreeRunningCamera):
 
     def __init__(self, port: int, *, world: str, rate: float = 30.0) -> None:
         self._world, self._rate, self._over = World(world), rate, threading.Event()
+        self._records = False
         self._line: Any = Client(("127.0.0.1", port))
         self._eye = _software(self._line.recv())
         source = realsense.RealSense(clock=self._world.clock, devices=lambda: [self._eye.device])
         threading.Thread(target=self._feed, daemon=True).start()
         super().__init__(source, warm_up=1)
+
+    def start(self, rate: float) -> None:
+        self._world.recorded = self._records = True
+        super().start(rate)
+
+    def stop(self) -> list[Frame]:
+        self._world.recorded = self._records = False
+        return super().stop()
 
     def close(self) -> None:
         self._over.set()
@@ -59,8 +69,7 @@ class ServedCamera(free_running.FreeRunningCamera):
     def _feed(self) -> None:
         number, last = 0, -1.0
         while not self._over.is_set():
-            recording = getattr(self, "_recording", None) is not None
-            period = 1 / self._rate if recording or number < 5 else IDLE
+            period = 1 / self._rate if self._records or number < 5 else IDLE
             self._world.sleep(min(max(last + period - self._world.clock(), 0.0), 1 / self._rate))
             if self._world.clock() < last + period:
                 continue

@@ -19,6 +19,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, SafetyLimits, Watch
+from anther.drivers.priority import BESIDE, served_first
 from anther.errors import AntherError, InputError, StageFailure
 from anther.geometry import Array
 from anther.safety import GuardedArm
@@ -221,16 +222,17 @@ def _serve(
     pipe: Connection, make: Callable[..., Any], options: dict[str, Any], limits: SafetyLimits, parent: int
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both: the other one asks for the stop
-    try:
-        arm = make(**options)
-    except Exception as error:
-        pipe.send(("failed", _told(error)))
-        return
-    pipe.send(("done", [name for name in dir(arm) if not name.startswith("_")]))
-    try:
-        _Server(pipe, parent).serve(arm, GuardedArm(arm, limits))
-    finally:
-        getattr(arm, "close", lambda: None)()
+    with served_first(BESIDE, threads_too=True):
+        try:
+            arm = make(**options)
+        except Exception as error:
+            pipe.send(("failed", _told(error)))
+            return
+        pipe.send(("done", [name for name in dir(arm) if not name.startswith("_")]))
+        try:
+            _Server(pipe, parent).serve(arm, GuardedArm(arm, limits))
+        finally:
+            getattr(arm, "close", lambda: None)()
 
 
 def _told(error: Exception) -> tuple[str, str, str]:
