@@ -87,9 +87,12 @@ def _check_joints(trajectory: JointTrajectory, times: Array, limits: SafetyLimit
 def _check_keep_out(q: Array, limits: SafetyLimits) -> None:
     for some in np.array_split(q, len(q) // 1000 + 1) if limits.keep_out else ():
         balls = limits.outline(some)
+        least, most = ((balls[..., :3] + sign * balls[..., 3:]) for sign in (-1, 1))
+        least, most = least.min(axis=0), most.max(axis=0)
         for box in limits.keep_out:
-            gap = np.maximum(np.maximum(box.lower - balls[..., :3], balls[..., :3] - box.upper), 0)
-            if np.any(np.linalg.norm(gap, axis=-1) <= balls[..., 3]):
+            near = balls[:, np.all((least <= box.upper) & (most >= box.lower), axis=1)]  # else never in reach of it
+            gap = np.maximum(np.maximum(box.lower - near[..., :3], near[..., :3] - box.upper), 0)
+            if np.any(np.linalg.norm(gap, axis=-1) <= near[..., 3]):
                 where = f"{box.lower} .. {box.upper} m"
                 raise StageFailure(
                     "limits_exceeded", f"arm or tool would enter the keep-out box {where}. Plan around it."

@@ -6,6 +6,7 @@ P points, T frames, K tones. Pixels are (column, row).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import cv2
@@ -127,10 +128,12 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
     if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
         return Swings(phasors, std, at.axes)
     basis = _basis(times, tones)
-    gains = [_gain(frame) for frame in frames]
-    paths = np.swapaxes(_paths(at, [_picture(f, gain) for f, gain in zip(frames, gains, strict=True)]), 0, 1)
-    seeing = at.shown[: len(at.flowers)].any()
-    images = [smoothed(f) * gain for f, gain in zip(frames, gains, strict=True)] if seeing else []
+    with ThreadPoolExecutor() as pool:  # OpenCV lets go of Python's lock
+        gains = list(pool.map(_gain, frames))
+        pictures = pool.map(_picture, frames, gains)
+        seeing = at.shown[: len(at.flowers)].any()
+        images = list(pool.map(_smoothed, frames, gains)) if seeing else []
+        paths = np.swapaxes(_paths(at, list(pictures)), 0, 1)
     for point, around in zip(np.flatnonzero(at.shown), paths, strict=True):
         flower, scale, path = point < len(at.flowers), at.per_pixel[point], around
         guess = None if expected is None or not flower else expected[point]
@@ -158,6 +161,10 @@ def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bo
 def _gain(frame: Frame) -> float:
     """Return what brings the median grey of a frame to `BRIGHT`."""
     return BRIGHT / max(float(np.median(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY))), 1.0)
+
+
+def _smoothed(frame: Frame, gain: float) -> Image:
+    return smoothed(frame) * gain
 
 
 def _picture(frame: Frame, gain: float) -> NDArray[np.uint8]:
