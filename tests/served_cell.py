@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, Listener
@@ -165,6 +166,7 @@ class ServedRobotiq(FakeRobotiq):
 
 def show(plant: Plant, which: str, path: str, pipe: Connection) -> None:
     """Render what one camera sees of the shared world, as often as somebody asks: a process of its own."""
+    threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
     place, world = plant.world(), World(path)
     truth, rng = plant.drawn(), np.random.default_rng([plant.seed, 1])
     errors, scene = camera_errors(truth), Scene.of_plant(place.plant)
@@ -192,6 +194,13 @@ def show(plant: Plant, which: str, path: str, pipe: Connection) -> None:
                 pass
 
 
+def _end_with(pipe: Connection) -> None:
+    """End this process when whoever began it is gone."""
+    with suppress(EOFError, OSError):
+        pipe.recv()
+    os._exit(0)
+
+
 class Served:
     """The machines of one plant, served while `go_on` is called.
 
@@ -205,16 +214,17 @@ class Served:
         self._shared = World(folder / "world", count=self.place.model.nq)
         self._share()
         self._arm, self._gripper = ServedSawyer(master, self.place), ServedRobotiq(self.place)
-        self._renderers, ports = [], {}
+        self._renderers, self._pipes = [], dict[str, Connection]()
         for which in ("wrist", "side"):
             ours, theirs = get_context("spawn").Pipe()
             words = (plant, which, str(folder / "world"), theirs)
             process = get_context("spawn").Process(target=show, args=words, daemon=True)
             process.start()
             self._renderers.append(process)
-            ports[which] = ours
+            theirs.close()
+            self._pipes[which] = ours
         told = {"MASTER": master, "GRIPPER": f"tcp://127.0.0.1:{self._gripper.port}", "WORLD": str(folder / "world")}
-        told |= {which.upper(): pipe.recv()[1] for which, pipe in ports.items()}
+        told |= {which.upper(): pipe.recv()[1] for which, pipe in self._pipes.items()}
         text = TEMPLATE.read_text()
         for word, value in told.items():
             text = text.replace(f'"{word}"', json.dumps(value))
