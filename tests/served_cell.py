@@ -172,9 +172,7 @@ def show(plant: Plant, which: str, path: str, pipe: Connection) -> None:
         camera = SimCamera(place, scene, d455(), lambda: place.flange_pose() @ T_flange_cam, errors, seed=plant.seed)
     else:
         T_side, middle = layout(USUAL_DISTANCE).T_world_side_camera, cut_out(d455(848, 480), 480, 480)
-        camera = SimCamera(
-            place, scene, middle, lambda: T_side, errors, seed=plant.seed + 1, late=truth.clock_offset
-        )
+        camera = SimCamera(place, scene, middle, lambda: T_side, errors, seed=plant.seed + 1, late=truth.clock_offset)
     listener = Listener(("127.0.0.1", 0))
     pipe.send(listener.address)
     while True:

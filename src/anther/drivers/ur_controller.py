@@ -78,7 +78,7 @@ class Controller:
             DeviceError: it is not heard, or its dashboard server does not answer.
         """
         self.receive, self.program, self._dashboard, self._clock = receive, program, dashboard, clock
-        self._offset, self._heard = float("nan"), (float("nan"), float("-inf"))
+        self._offset, self._heard = float("nan"), (float("nan"), clock())
         try:
             self.wait(self._is_heard, "is not heard")
             said = re.search(r"(\d+)\.(\d+)", str(self.ask("polyscopeVersion")))
@@ -100,12 +100,7 @@ class Controller:
             DeviceError: it is stale, or no numbers.
         """
         stamp, joints, force = self._state()
-        now = self._clock()
-        if stamp != self._heard[0]:
-            passed, lag = max(now - self._heard[1], 0.0), now - stamp
-            self._offset = lag if np.isnan(self._offset) else min(lag, self._offset + DRIFT * passed)
-            self._heard = (stamp, now)
-        age = now - stamp - self._offset
+        age = self._set_clocks(stamp) - stamp - self._offset
         if not age <= STALE:
             given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * STALE:.0f} ms"
             raise DeviceError(f"{given}. Check network and controller; then start anew.")
@@ -211,14 +206,20 @@ class Controller:
                 return state
         return says.getTimestamp(), says.getActualQ(), says.getActualTCPForce()
 
+    def _set_clocks(self, stamp: float) -> float:
+        """Return the time on this machine's clock [s]; a new stamp sets the controller's behind it."""
+        now, (before, at) = self._clock(), self._heard
+        if stamp != before:
+            if not np.isnan(before):  # the first stamp that is found may be old
+                lag, drifted = now - stamp, self._offset + DRIFT * (now - at)
+                self._offset = lag if np.isnan(drifted) else min(lag, drifted)
+            self._heard = (stamp, now)
+        return now
+
     def _is_heard(self) -> bool:
-        """Return whether another reading than the first has come: that one may be old."""
-        before = self._heard[0]
         with suppress(RuntimeError):
-            stamp = self.receive.getTimestamp()
-            self._heard = (stamp, self._clock())
-            return not np.isnan(before) and stamp != before
-        return False
+            self._set_clocks(self.receive.getTimestamp())
+        return not np.isnan(self._offset)
 
 
 def open_controller(host: str) -> Controller:
