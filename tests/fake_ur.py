@@ -13,10 +13,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from small_planner import SmallPlanner
 
+from anther.arm.arms import named
+from anther.devices import Arm, JointTrajectory
 from anther.drivers.priority import served_first
+from anther.drivers.ur_controller import Controller
+from anther.drivers.ur_rtde import UniversalRobot
 from anther.geometry import Array
 
+MODEL = named("ur5e")
 CLOCK = 3.7  # s by which the controller's clock is ahead
 FOLLOWS = 0.02  # s, the servo's time constant
 GAP = 0.012  # s without a command after which the servo goes on by itself
@@ -25,7 +31,8 @@ READY = (0.36, -1.08, 2.62, -1.54, 1.94, 1.57)
 
 class FakeUR:
     """Attributes: `q` where it is, `log` of (time, joints), `heard` of (time, target) of servoJ [s] on its `clock`,
-    `calls` of names by every object, `programs` started; the rest is set by tests."""
+    `calls` of names by every object, `programs` started; the rest is set by tests, such as whether a
+    protective stop `pauses` a program, or ends it."""
 
     def __init__(
         self,
@@ -38,7 +45,7 @@ class FakeUR:
         self.clock, self.sleep, self.rate, self.acceleration = clock, sleep, rate, acceleration
         self.q, self.v = np.array(READY), np.zeros(6)
         self.version, self.model, self.remote, self.mode = "5.11.1.108318", "UR5", True, 7
-        self.pressed = self.protective = self.paused = self.mute = self.dead = self.unlockable = False
+        self.pressed = self.protective = self.paused = self.mute = self.dead = self.unlockable = self.pauses = False
         self.safeguard, self.connected, self.slider, self.scaling, self.force = False, True, 1.0, 1.0, 1.0
         self.lag, self.ahead, self.offset = 0.0, CLOCK, np.zeros(6)
         self.log, self.heard, self.calls = list[tuple[float, Array]](), list[tuple[float, Array]](), list[str]()
@@ -51,7 +58,8 @@ class FakeUR:
         self._thread.start()
 
     def start(self) -> FakeControl:
-        if self.mode != 7 or self.protective or self.pressed or not self.remote:
+        local = not self.remote and not self.version.startswith("3")
+        if self.mode != 7 or self.protective or self.pressed or local:
             raise RuntimeError("ur_rtde: Failed to start control script, before timeout of 5 seconds")
         self.programs += 1
         self.program = FakeControl(self)
@@ -85,12 +93,14 @@ class FakeUR:
     def _move(self, now: float, dt: float) -> None:
         if self.pressed:
             self.mode = 3
-        if self.program is not None and (self.pressed or self.protective or self.mode != 7):
+        if self.pressed or self.mode != 7 or (self.protective and not self.pauses):
             self.program = None
+        self.paused = self.paused or (self.protective and self.program is not None)
         program = self.program
         if program is not None and program.watchdog and now - program.heard > 1 / program.watchdog:
-            self.program, self.protective = None, True
-        target = program.target if program is not None and program is self.program and not self.paused else None
+            self.program, self.protective = program if self.pauses else None, True
+        runs = program is not None and program is self.program and not (self.paused or self.protective)
+        target = program.target if program is not None and runs else None
         if target is None or program is None:
             self.v = self.v - np.clip(self.v, -self.acceleration * dt, self.acceleration * dt)
         elif now - program.told <= GAP:
@@ -251,3 +261,13 @@ class FakeDashboard:
             raise RuntimeError("not connected")
         self._ur.calls.append(name)
         return answer
+
+
+def connected(ur: FakeUR, **options: Any) -> UniversalRobot:
+    given: dict[str, Any] = {"names": MODEL.joints, "acceleration": MODEL.acceleration, "model": "ur5e", **options}
+    make = lambda: Controller(FakeReceive(ur), FakeDashboard(ur), ur.start, clock=ur.clock)  # noqa: E731
+    return UniversalRobot(make, clock=ur.clock, sleep=ur.sleep, **given)
+
+
+def far(arm: Arm, way: float = 0.3) -> JointTrajectory:
+    return SmallPlanner(MODEL).move(arm.joints(), arm.joints() + way)

@@ -1,9 +1,7 @@
-"""The driver of Universal Robots arms: a fake controller behind ur_rtde's three objects, and the real ones' methods."""
+"""The driver of Universal Robots arms in motion, with a fake controller behind ur_rtde's three objects."""
 
 from __future__ import annotations
 
-import inspect
-import re
 import subprocess
 import sys
 import threading
@@ -12,26 +10,17 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from multiprocessing.managers import BaseManager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from fake_ur import READY, FakeControl, FakeDashboard, FakeReceive, FakeUR
+from fake_ur import READY, FakeDashboard, FakeReceive, FakeUR, connected, far
 from slow_clock import AGAIN_IF_HELD_UP, SLOWER, clock, sleep
-from small_planner import SmallPlanner
 
-from anther.arm.arms import named
-from anther.cells import parts, read_cell
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory
-from anther.drivers.ur_controller import Controller
 from anther.drivers.ur_rtde import SILENCE, WATCHDOG, UniversalRobot
-from anther.errors import InputError, MissingExtra
-from anther.safety import GuardedArm
 
 HERE = Path(__file__).parent
-MODEL = named("ur5e")
-NO_UR_RTDE = "no ur_rtde; run: pip install 'ur-rtde>=1.6'"
 STANDS = 1 / WATCHDOG + 0.6 / 5.0 + 0.05
 """An arm at 0.6 rad/s stands so long after the last command [s]: the watchdog, the fake's braking, and some slack."""
 pytestmark = AGAIN_IF_HELD_UP
@@ -48,16 +37,6 @@ def arm(ur: FakeUR) -> Iterator[UniversalRobot]:
     with closing(connected(ur)) as driver:
         yield driver
         ur.dead = False
-
-
-def connected(ur: FakeUR, **options: Any) -> UniversalRobot:
-    given: dict[str, Any] = {"names": MODEL.joints, "acceleration": MODEL.acceleration, "model": "ur5e", **options}
-    make = lambda: Controller(FakeReceive(ur), FakeDashboard(ur), ur.start, clock=clock)  # noqa: E731
-    return UniversalRobot(make, clock=clock, sleep=sleep, **given)
-
-
-def far(arm: Arm, way: float = 0.3) -> JointTrajectory:
-    return SmallPlanner(MODEL).move(arm.joints(), arm.joints() + way)
 
 
 def begun(arm: Arm, speed: float = 0.5, seconds: float = 0.5) -> JointTrajectory:
@@ -236,6 +215,7 @@ def test_a_motion_that_begins_elsewhere_is_refused(arm: UniversalRobot, ur: Fake
 REASONS = [
     ({"pressed": True}, "emergency stop is pressed"),
     ({"protective": True}, "made a protective stop: .*anther cell enable"),
+    ({"protective": True, "pauses": True}, "made a protective stop"),
     ({"safeguard": True}, "safety system says safeguard stop"),
     ({"mode": 5}, r"motors are not on \(idle\): anther cell enable"),
     ({"slider": 0.5}, "speed slider stands at 50%"),
@@ -261,9 +241,9 @@ def test_the_robots_own_reasons_end_a_motion_and_refuse_the_next(
         arm.follow(path)
     assert stopped_after(ur, since[0]) < 0.4
     commands = len(ur.heard)
-    if "paused" in change:
-        assert ur.program is None  # stopped, so that it does not go on when somebody presses play
-        message = "program on it was stopped"
+    if "connected" not in change and "slider" not in change and "scaling" not in change and "safeguard" not in change:
+        assert ur.program is None  # stopped: it does not go on when the stop is released, or somebody presses play
+    message = "program on it was stopped" if "paused" in change else message
     with pytest.raises(DeviceError, match=message):
         arm.follow(far(arm, 0.01))
     assert len(ur.heard) == commands
@@ -353,182 +333,3 @@ def test_a_driver_that_is_killed_leaves_an_arm_at_rest(ur: FakeUR) -> None:
         killed, speed = clock(), np.abs(ur.v).max()
     assert stopped_after(ur, killed) < 1 / WATCHDOG + 1.2 * speed / 5.0 + 0.05
     assert ur.protective
-
-
-def test_a_person_enables_it_after_a_protective_stop(arm: UniversalRobot, ur: FakeUR) -> None:
-    ur.protective = True
-    with pytest.raises(DeviceError, match="until 5s after"):
-        arm.enable()
-    ur.unlockable = True
-    before = ur.q.copy()
-    arm.enable()
-    assert not ur.protective
-    assert ur.q == pytest.approx(before)
-    arm.follow(far(arm, 0.02))
-
-
-def test_a_person_enables_it_after_an_emergency_stop(arm: UniversalRobot, ur: FakeUR) -> None:
-    ur.pressed = True
-    sleep(0.05)
-    with pytest.raises(DeviceError, match="turn it until it comes out"):
-        arm.enable()
-    ur.pressed, before = False, ur.q.copy()
-    ur.calls.clear()
-    arm.enable()
-    assert [name for name in ur.calls if name in ("powerOn", "brakeRelease")] == ["powerOn", "brakeRelease"]
-    assert ur.q == pytest.approx(before)
-    arm.follow(far(arm, 0.02))
-    arm.disable()
-    assert ur.mode == 3
-    with pytest.raises(DeviceError, match="motors are not on"):
-        arm.follow(far(arm, 0.02))
-
-
-def test_enable_stops_a_program_that_was_held_up_before_it_releases_anything(arm: UniversalRobot, ur: FakeUR) -> None:
-    other = ur.start()
-    ur.paused = ur.protective = ur.unlockable = True
-    ur._over = True  # the fake's own thread would end it
-    sleep(0.05)
-    ur.program = other
-    ur.calls.clear()
-    ur._over = False
-    with suppress(DeviceError):
-        arm.enable()
-    assert ur.calls.index("stop") < ur.calls.index("unlockProtectiveStop")
-
-
-def test_nothing_is_released_without_a_person(arm: UniversalRobot, ur: FakeUR) -> None:
-    ur.protective = ur.unlockable = True
-    sleep(0.05)
-    ur.calls.clear()
-    with pytest.raises(DeviceError):
-        arm.follow(far(arm, 0.02))
-    arm.hold()
-    arm.close()
-    assert not {"unlockProtectiveStop", "powerOn", "brakeRelease"} & set(ur.calls)
-
-
-@pytest.mark.parametrize(("version", "rate"), [("5.11.1.108318", 500), ("3.15.8.106339", 125)])
-def test_the_controller_gives_the_rate(ur: FakeUR, version: str, rate: int) -> None:
-    ur.version, ur.remote = version, version[0] == "5"
-    if rate == 125:
-        ur.start = lambda: setattr(ur, "program", FakeControl(ur)) or ur.program  # type: ignore[method-assign]
-    with closing(connected(ur, model="ur5")) as arm:
-        assert f"{rate} a second" in " ".join(arm.seen())
-    if rate == 125:
-        with pytest.raises(DeviceError, match=r"rate: got 500 .* allowed: <= 125"):
-            connected(ur, model="ur5", rate=500)
-        with pytest.raises(DeviceError, match="not the arm that the model describes"):
-            connected(ur, model="ur5e")
-
-
-def test_another_arm_is_refused(ur: FakeUR) -> None:
-    ur.model = "UR10"
-    with pytest.raises(DeviceError, match="says UR10, PolyScope 5; the cell's model is ur5e"):
-        connected(ur)
-    assert ur.programs == 0
-
-
-def test_an_arm_that_is_off_is_connected_to_and_told_about(ur: FakeUR) -> None:
-    ur.mode = 3
-    with closing(connected(ur)) as arm:
-        assert arm.joints() == pytest.approx(READY)
-        assert any("cannot move: its motors are not on (power off)" in line for line in arm.seen())
-    assert ur.programs == 0
-
-
-CELL = (HERE / "cells" / "sawyer.toml").read_text()
-ARM = 'driver = "ur"\nhost = "ur.local"\nmodel = "ur5e"'
-
-
-def cell_file(folder: Path, *lines: str) -> Path:
-    words = re.sub(r'driver = "sawyer-ros1"\nmaster = "MASTER"\nmode = "trajectory"', "\n".join((ARM, *lines)), CELL)
-    (folder / "cell.toml").write_text(words.replace("speed_ratio = 0.3", "speed_ratio = 1.0"))
-    return folder / "cell.toml"
-
-
-@pytest.fixture
-def library(ur: FakeUR, monkeypatch: pytest.MonkeyPatch) -> FakeUR:
-    """ur_rtde's three modules, with the fake in them."""
-    monkeypatch.setattr("slow_clock.SLOWER", 1.0)
-    monkeypatch.setitem(sys.modules, "rtde_control", SimpleNamespace(RTDEControlInterface=lambda host: ur.start()))
-    monkeypatch.setitem(sys.modules, "rtde_receive", SimpleNamespace(RTDEReceiveInterface=lambda host: FakeReceive(ur)))
-    monkeypatch.setitem(
-        sys.modules, "dashboard_client", SimpleNamespace(DashboardClient=lambda host: FakeDashboard(ur))
-    )
-    return ur
-
-
-def test_a_cell_file_names_it(tmp_path: Path, library: FakeUR) -> None:
-    cell = read_cell(cell_file(tmp_path, "rate = 250", "gain = 300"))
-    assert cell.owner_name == "ur ur.local"
-    with closing(cell.connect(cell.arm)) as arm:
-        assert any("250 a second" in line and "gain 300" in line for line in arm.seen())
-    options = read_cell(cell_file(tmp_path)).arm
-    assert parts.takes(options.make, "arm_model")
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("rate = 1000", r"rate: got 1000 commands a second; allowed: 100 <="),
-        ("lookahead = 0.5", r"lookahead: got 0.5 s; allowed: 0.03 <= .* <= 0.2"),
-        ("gain = 50", r"gain: got 50"),
-        ("gian = 500", r"arm.gian: got an unknown key 'gian'.*Did you mean gain"),
-        ('rate = "fast"', r'line 6: arm.rate: got "fast"; allowed: a number'),
-    ],
-)
-def test_bad_values_in_the_cell_file_are_told(tmp_path: Path, ur: FakeUR, line: str, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        (cell := read_cell(cell_file(tmp_path, line))).connect(cell.arm)
-    assert ur.calls == []
-
-
-def test_without_the_library_the_command_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rtde_control", None)
-    cell = read_cell(cell_file(tmp_path))
-    with pytest.raises(MissingExtra, match=r"pip install 'anther\[ur\]'"):
-        cell.connect(cell.arm)
-
-
-def test_behind_the_guard_it_is_an_arm(arm: UniversalRobot, ur: FakeUR, tmp_path: Path) -> None:
-    guarded = GuardedArm(arm, read_cell(cell_file(tmp_path)).safety_limits())
-    record = guarded.follow(far(arm, 0.05))
-    assert guarded.joints() == pytest.approx(record.commanded[-1], abs=5e-3)
-    ur.force = 30.0
-    with pytest.raises(Exception, match="contact force"):
-        guarded.follow(far(arm, -0.05))
-
-
-REAL = [
-    ("rtde_control", "RTDEControlInterface", FakeControl),
-    ("rtde_receive", "RTDEReceiveInterface", FakeReceive),
-    ("dashboard_client", "DashboardClient", FakeDashboard),
-]
-
-
-@pytest.mark.parametrize(("module", "name", "fake"), REAL)
-def test_the_fake_has_only_methods_of_the_real_library(module: str, name: str, fake: type) -> None:
-    """Its docstrings begin with the signature: name(self: ..., arg0: list[float], a: float = 10.0) -> bool."""
-    real = getattr(pytest.importorskip(module, reason=NO_UR_RTDE), name)
-    for method, mine in vars(fake).items():
-        if method.startswith("_") or not inspect.isfunction(mine):
-            continue
-        theirs = getattr(real, method).__doc__.splitlines()[0]
-        assert theirs.startswith(f"{method}(self")
-        arguments = re.findall(r"(\w+): [^,()]*(=)?", re.sub(r"\[[^]]*\]", "", theirs.partition("self")[2]))
-        wanted = [(key, p.default is not p.empty) for key, p in inspect.signature(mine).parameters.items()][1:]
-        told = [(key, bool(default)) for key, default in arguments if key not in ("", "self")]
-        told = [
-            (mine_key if key.startswith("arg") else key, d)
-            for (key, d), (mine_key, _) in zip(told, wanted, strict=True)
-        ]
-        assert told == wanted, theirs
-
-
-def test_an_absent_controller_is_told_by_the_real_library() -> None:
-    pytest.importorskip("rtde_receive", reason=NO_UR_RTDE)
-    from anther.drivers.ur_controller import open_controller  # noqa: PLC0415
-
-    with pytest.raises(DeviceError, match=r"no Universal Robots controller answers at 127.0.0.1"):
-        open_controller("127.0.0.1")
