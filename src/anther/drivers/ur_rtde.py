@@ -198,10 +198,9 @@ class UniversalRobot:
         far = float(np.abs(start - here).max()) if start.shape == here.shape else float("inf")
         if far > NEAR:
             raise DeviceError(f"the motion begins {far:.3g} rad from where the arm is; allowed: {NEAR:g}. Plan anew.")
+        self._sent = (here, np.zeros(len(here)))  # from here on `hold` has a watchdog to end
         if not self._control.setWatchdog(WATCHDOG):
-            self._forget()
-            raise DeviceError("the controller does not set its watchdog: nothing is moved. Look at its pendant.")
-        self._sent = (here, np.zeros(len(here)))
+            raise DeviceError("the controller does not set its watchdog. Look at its pendant.")
 
     def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
         last = begin = due = self._clock()
