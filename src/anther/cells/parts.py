@@ -6,9 +6,11 @@ import importlib
 import inspect
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from anther.arm.model import ArmModel
 from anther.devices import Arm
 from anther.drivers.free_running import FreeRunningCamera
 from anther.drivers.intera import types
@@ -17,12 +19,14 @@ from anther.drivers.rethink_gripper import RethinkGripper
 from anther.drivers.robotiq import Name, Robotiq2F, open_line
 from anther.drivers.ros1 import Node
 from anther.drivers.sawyer_ros1 import Mode, Sawyer
+from anther.drivers.ur_controller import open_controller
+from anther.drivers.ur_rtde import UniversalRobot
 from anther.drivers.uvc import open_uvc
 from anther.drivers.voice_coil import VoiceCoil, open_port
 from anther.errors import InputError, bad_input
 from anther.geometry import Intrinsics
 
-GIVEN = ("arm", "speed_ratio", "arm_master")
+GIVEN = ("arm", "speed_ratio", "arm_master", "arm_model")
 NAME = "/anther"
 GRIPPER_NAME = "/anther_gripper"
 
@@ -37,6 +41,21 @@ def sawyer_ros1(
     except BaseException:
         node.close()
         raise
+
+
+def ur(
+    host: str, *, arm_model: ArmModel, rate: float | None = None, lookahead: float = 0.03, gain: float = 2000.0
+) -> UniversalRobot:
+    """Return a Universal Robots arm at its controller's address, such as "192.168.1.20"."""
+    return UniversalRobot(
+        partial(open_controller, host),
+        names=arm_model.joints,
+        acceleration=arm_model.acceleration,
+        model=arm_model.name,
+        rate=rate,
+        lookahead=lookahead,
+        gain=gain,
+    )
 
 
 def rethink(*, arm_master: str) -> RethinkGripper:
@@ -84,7 +103,7 @@ def uvc(
     return open_uvc(where, Intrinsics(width, height, fx, fy, cx, cy), rate=rate, latency=latency)
 
 
-ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1}
+ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ur": ur}
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}

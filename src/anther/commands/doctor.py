@@ -27,6 +27,7 @@ FOR = {
     "bags": "RealSense and ROS bags, MCAP",
     "realsense": "a RealSense camera",
     "sawyer": "a Sawyer over ROS 1",
+    "ur": "a Universal Robots arm",
     "gripper": "a Robotiq gripper",
     "motor": "a motor in the gripper",
     "cuda": "rods on a GPU",
