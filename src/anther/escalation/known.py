@@ -50,10 +50,8 @@ WORDS = {
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
 seen: a tone is not taken for what it might do."""
-FALSE = 0.05
-"""How probable it is that in one look any flower counts as measured at any tone that does not move there. A flower that
-counts tells how far its pedicel and those of hidden flowers are bent: with 3 standard deviations (of 14 tones and 8
-flowers, 4 a look) plants shaken above 20 Hz by a motor seemed to swing twice as far as they did."""
+SIGNIFICANCE = 3.0
+"""A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
 
 LATE = np.arange(-0.005, 0.0451, 0.0025)
 """By how much a camera's clock may be late on the robot's [s]; what fits best is taken."""
@@ -189,8 +187,7 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     """
     own, omega = foresight.where["flowers"], 2 * np.pi * hertz
     moved = np.einsum("mfx,fxa->mfa", one.members[:, own], one.axes)
-    chances = max(one.std.size, 1) * len(foresight.tones)
-    least = np.sqrt(2 * np.log(chances / FALSE)) * one.std  # a phasor of noise has a Rayleigh distribution
+    least = SIGNIFICANCE * one.std
     shown, unsure = (np.sqrt(np.nansum(np.abs(part) ** 2, axis=1)) for part in (one.flowers, least))
     may = np.where(np.isfinite(one.std[:, 0]), np.hypot(shown, unsure), np.nan)
     believed = np.fmin(np.quantile(semi_major(one.members[:, own]), UNSEEN, axis=0), may)
