@@ -65,7 +65,8 @@ def served(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 def _anther(row: dict[str, Any], cell: str, folder: Path) -> int:
     words = ["trial", "--cell", cell, "--plant", row["species"], "--label", f"served {row['seed']}"]
     words += ["--preset", row["preset"], "--out", str(folder / "run"), "--history", str(folder / "history.sqlite")]
-    environment = os.environ | {"PYTHONPATH": str(TESTS / "cells")}
+    paths = os.pathsep.join(filter(None, [str(TESTS / "cells"), os.environ.get("PYTHONPATH")]))
+    environment = os.environ | {"PYTHONPATH": paths}
     with (folder / "said.txt").open("w") as said:
         run = [sys.executable, "-m", "anther.cli", *words]
         return subprocess.run(run, env=environment, stdout=said, stderr=said, timeout=LONGEST, check=False).returncode
