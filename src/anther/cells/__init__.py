@@ -143,7 +143,8 @@ class CellFile:
     @property
     def owner_name(self) -> str:
         """What the lock of its arm is called: the same for every file with that arm."""
-        return f"{self.arm.driver} {self.arm.table.get('master', '')}".strip()
+        table = self.arm.table
+        return f"{self.arm.driver} {table.get('master', table.get('controller', ''))}".strip()
 
     def connect(self, part: Part, **given: Any) -> Any:
         """Return a part's driver, connected; nothing moves.
@@ -169,7 +170,13 @@ class CellFile:
         return ArmApart(self.arm.make, options, self.safety_limits())
 
     def _given(self, part: Part, given: dict[str, Any]) -> dict[str, Any]:
-        rest = {"speed_ratio": self.limits.speed_ratio, "arm_master": self.arm.table.get("master", ""), **given}
+        rest = {
+            "speed_ratio": self.limits.speed_ratio,
+            "arm_master": self.arm.table.get("master", ""),
+            "joint_names": self.model.joints,
+            "joint_acceleration": self.model.acceleration,
+            **given,
+        }
         return {name: value for name, value in rest.items() if parts.takes(part.make, name)}
 
     def safety_limits(self) -> SafetyLimits:

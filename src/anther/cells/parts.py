@@ -16,13 +16,15 @@ from anther.drivers.realsense import open_realsense
 from anther.drivers.rethink_gripper import RethinkGripper
 from anther.drivers.robotiq import Name, Robotiq2F, open_line
 from anther.drivers.ros1 import Node
+from anther.drivers.ros2 import JointTrajectoryArm
+from anther.drivers.ros2 import Node as Ros2Node
 from anther.drivers.sawyer_ros1 import Mode, Sawyer
 from anther.drivers.uvc import open_uvc
 from anther.drivers.voice_coil import VoiceCoil, open_port
 from anther.errors import InputError, bad_input
-from anther.geometry import Intrinsics
+from anther.geometry import Array, Intrinsics
 
-GIVEN = ("arm", "speed_ratio", "arm_master")
+GIVEN = ("arm", "speed_ratio", "arm_master", "joint_names", "joint_acceleration")
 NAME = "/anther"
 GRIPPER_NAME = "/anther_gripper"
 
@@ -34,6 +36,37 @@ def sawyer_ros1(
     node = Node(master, NAME, types(), host)
     try:
         return Sawyer(node, mode=mode, rate=rate, speed_ratio=speed_ratio)
+    except BaseException:
+        node.close()
+        raise
+
+
+def ros2(
+    *,
+    joint_names: tuple[str, ...],
+    joint_acceleration: Array,
+    joints: list[str] | None = None,
+    controller: str = "/joint_trajectory_controller",
+    rate: float = 100.0,
+    states: str = "/joint_states",
+    wrench: str = "",
+) -> JointTrajectoryArm:
+    """Return an arm under ROS 2's joint_trajectory_controller.
+
+    Args:
+        joint_names, joint_acceleration: of the arm's model.
+        joints: how the robot calls them, in the model's order; None: as the model does.
+        controller, rate, states, wrench: see `JointTrajectoryArm`.
+    """
+    names = joint_names if joints is None else tuple(joints)
+    if len(names) != len(joint_names):
+        wanted = f"{len(joint_names)}, in the order of {', '.join(joint_names)}"
+        raise bad_input("joints", given=f"{len(names)} names", allowed=wanted, do="Correct it.")
+    node = Ros2Node(NAME.strip("/"))
+    try:
+        return JointTrajectoryArm(
+            node, names, joint_acceleration, controller=controller, rate=rate, states=states, wrench=wrench
+        )
     except BaseException:
         node.close()
         raise
@@ -84,7 +117,7 @@ def uvc(
     return open_uvc(where, Intrinsics(width, height, fx, fy, cx, cy), rate=rate, latency=latency)
 
 
-ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1}
+ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2}
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}
