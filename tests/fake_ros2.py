@@ -182,13 +182,16 @@ class RosNode:
         self._node.create_subscription(
             JointTrajectory,
             "/joint_trajectory_controller/joint_trajectory",
-            lambda message: self.deliver(message),
+            self._take,
             qos_profile_system_default,
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
+
+    def _take(self, message: Any) -> None:
+        self.deliver(message)
 
     def _spin(self) -> None:
         from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
