@@ -195,7 +195,7 @@ def test_it_stops_where_its_watcher_raises(
         if np.abs(sample.measured - start).max() > 0.1:
             raise error
 
-    with pytest.raises(type(error)):
+    with pytest.raises(type(error), match=str(error)):
         arm.follow(far(arm), watch)
     sleep(0.1)
     there = arm.joints()
@@ -450,6 +450,14 @@ def cell(tmp_path: Path) -> Callable[[str], Any]:
 def test_a_cell_files_wrong_words_are_told(cell: Callable[[str], Any], keys: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         cell(keys)
+
+
+def test_the_manuals_example_is_read(cell: Callable[[str], Any]) -> None:
+    page = (HERE.parent / "docs" / "real_robot.md").read_text().split("## Any arm under ROS 2")[1]
+    keys = page.split('model = "ur5e"', 1)[1].split("\n", 1)[1].split("```")[0]
+    table = cell(keys).arm.table
+    assert set(table) == {"controller", "rate", "states", "wrench", "joints"}
+    assert len(table["joints"]) == 6
 
 
 def test_a_cell_file_gives_what_its_model_says(
