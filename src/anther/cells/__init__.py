@@ -143,7 +143,8 @@ class CellFile:
     @property
     def owner_name(self) -> str:
         """What the lock of its arm is called: the same for every file with that arm."""
-        place = self.arm.table.get("master") or self.arm.table.get("host", "")
+        table = self.arm.table
+        place = table.get("master") or table.get("host") or table.get("controller", "")
         return f"{self.arm.driver} {place}".strip()
 
     def connect(self, part: Part, **given: Any) -> Any:

@@ -18,6 +18,8 @@ from anther.drivers.realsense import open_realsense
 from anther.drivers.rethink_gripper import RethinkGripper
 from anther.drivers.robotiq import Name, Robotiq2F, open_line
 from anther.drivers.ros1 import Node
+from anther.drivers.ros2 import JointTrajectoryArm
+from anther.drivers.ros2 import Node as Ros2Node
 from anther.drivers.sawyer_ros1 import Mode, Sawyer
 from anther.drivers.ur_controller import open_controller
 from anther.drivers.ur_rtde import UniversalRobot
@@ -56,6 +58,36 @@ def ur(
         lookahead=lookahead,
         gain=gain,
     )
+
+
+def ros2(
+    *,
+    arm_model: ArmModel,
+    joints: list[str] | None = None,
+    controller: str = "/joint_trajectory_controller",
+    rate: float = 100.0,
+    states: str = "/joint_states",
+    wrench: str = "",
+) -> JointTrajectoryArm:
+    """Return an arm under ROS 2's joint_trajectory_controller.
+
+    Args:
+        arm_model: its description.
+        joints: how the robot calls them, in the model's order; None: as the model does.
+        controller, rate, states, wrench: see `JointTrajectoryArm`.
+    """
+    names = arm_model.joints if joints is None else tuple(joints)
+    if len(names) != len(arm_model.joints):
+        wanted = f"{len(arm_model.joints)}, in the order of {', '.join(arm_model.joints)}"
+        raise bad_input("joints", given=f"{len(names)} names", allowed=wanted, do="Correct it.")
+    node = Ros2Node(NAME.strip("/"))
+    try:
+        return JointTrajectoryArm(
+            node, names, arm_model.acceleration, controller=controller, rate=rate, states=states, wrench=wrench
+        )
+    except BaseException:
+        node.close()
+        raise
 
 
 def rethink(*, arm_master: str) -> RethinkGripper:
@@ -103,7 +135,7 @@ def uvc(
     return open_uvc(where, Intrinsics(width, height, fx, fy, cx, cy), rate=rate, latency=latency)
 
 
-ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ur": ur}
+ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2, "ur": ur}
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}

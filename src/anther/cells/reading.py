@@ -138,6 +138,9 @@ def checked(source: Source, keys: Keys, value: Any, hint: Any) -> Any:
         kinds = get_args(hint)
         if isinstance(value, list) and len(value) == len(kinds) and all(map(_fits, value, kinds)):
             return tuple(kind(x) for kind, x in zip(kinds, value, strict=True))
+    elif get_origin(hint) is list:
+        if isinstance(value, list) and all(_fits(x, get_args(hint)[0]) for x in value):
+            return value
     elif _fits(value, hint):
         return hint(value) if hint is float else value
     raise source.error(keys, given=_shown(value), allowed=_name(hint), do="Correct it.")
@@ -160,6 +163,8 @@ def _name(hint: Any) -> str:
         return f"{len(get_args(hint))} numbers: [" + ", ".join(["0.0"] * len(get_args(hint))) + "]"
     if get_origin(hint) is UnionType:
         return " or ".join(_name(kind) for kind in get_args(hint) if kind is not NoneType)
+    if get_origin(hint) is list:
+        return f"[..., ...] of {_name(get_args(hint)[0])}"
     return (
         "a path in quotes"
         if hint is Path

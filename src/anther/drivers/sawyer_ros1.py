@@ -4,95 +4,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from anther.arm import sawyer
 from anther.checks import check_range
-from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
+from anther.devices import DeviceError
 from anther.drivers.intera import IoDevice
-from anther.drivers.priority import quick_turns, served_first
+from anther.drivers.readings import STALE
 from anther.drivers.reference import Reference, braking
 from anther.drivers.ros1 import Node
+from anther.drivers.streamed import NEAR, StreamedArm
 from anther.geometry import Array
 
-STALE = 0.05
-"""Joints read longer ago than this are not believed [s]."""
 SILENCE = 0.03
 """The arm stops by itself when it hears no command for so long [s] (joint_command_timeout), and so does the driver when
 it could not give one."""
-SETTLE = 0.1
-"""The end of a motion is commanded for so long before it counts as over [s]."""
-WAITING = 5.0
-"""Something of a robot that is on is heard within this [s]."""
-DRIFT = 1e-4
-"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
-NEAR = 0.05
-"""An arm further than this from where it was sent is held where it is instead [rad]."""
 
 LIMB = "/robot/limb/right/"
 Mode = Literal["position", "trajectory"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """Joints (J,) [rad] read at `time` [s] on this machine's clock, by the robot's stamp."""
-
-    time: float
-    joints: Array
-
-
-class Readings:
-    """The joints as they come in, put in order by their names.
-
-    Attributes:
-        last: the newest; None before the first.
-        trouble: why what comes in cannot be used; empty while it can.
-        offset: the robot's clock is behind this machine's by so much, less the quickest message's way [s].
-        rate: readings a second, of the last hundred.
-    """
-
-    def __init__(self, names: Sequence[str], clock: Callable[[], float]) -> None:
-        self.last: Reading | None = None
-        self.trouble, self.offset, self.rate = "", float("nan"), float("nan")
-        self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
-
-    def hear(self, message: Any) -> None:
-        """Take a sensor_msgs/JointState; one of other joints only is passed over."""
-        arrival, stamp = self._clock(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        places = {name: i for i, name in enumerate(message.name)}
-        if not any(name in places for name in self._names):
-            return
-        missing = [name for name in self._names if name not in places]
-        if missing or len(places) != len(message.name) or len(message.position) != len(message.name):
-            told = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
-            self.trouble = f"joints: got {', '.join(message.name)}: {told}; allowed: {', '.join(self._names)}"
-            return
-        joints = np.array([message.position[places[name]] for name in self._names], dtype=float)
-        if not np.isfinite(joints).all():
-            self.trouble = f"joints: got {joints} rad"
-            return
-        self._set_clocks(arrival, stamp)
-        self.trouble = ""
-        if self.last is None or stamp + self.offset > self.last.time:
-            self.last = Reading(stamp + self.offset, joints)
-
-    def age(self) -> float:
-        """Return how old the newest is [s]; infinite before the first."""
-        return float("inf") if self.last is None else self._clock() - self.last.time
-
-    def _set_clocks(self, arrival: float, stamp: float) -> None:
-        passed = arrival - self._arrivals[-1] if self._arrivals else 0.0
-        lag = arrival - stamp
-        self.offset = lag if np.isnan(self.offset) else min(lag, self.offset + DRIFT * passed)
-        self._arrivals = [*self._arrivals[-99:], arrival]
-        if len(self._arrivals) > 1:
-            self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)
-
-
-class Sawyer:
+class Sawyer(StreamedArm):
     """A Sawyer behind a ROS master, streamed to at `rate`. It must have been enabled, see `enable`.
 
     In "position" mode the robot's own controller limits the speed and avoids self-collision: for bring-up. A shake
@@ -131,11 +65,10 @@ class Sawyer:
         """
         check_range("rate", rate, 50, 800, "commands a second")
         check_range("speed ratio", speed_ratio, 0.01, 1)
-        self.node, self._names, self._acceleration, self._mode = node, tuple(names), acceleration, mode
-        self._period, self._clock, self._sleep = 1 / rate, clock, sleep
-        self.readings = Readings(names, clock)
+        super().__init__(names, rate=rate, stale=STALE, silence=SILENCE, clock=clock, sleep=sleep)
+        self.node, self._acceleration, self._mode = node, acceleration, mode
         self._state: Any = None
-        self._collided, self._force = False, (float("-inf"), float("nan"))
+        self._collided = False
         self._sent: tuple[Array, Array] | None = None
         node.subscribe("/robot/joint_states", "sensor_msgs/msg/JointState", self.readings.hear)
         node.subscribe("/robot/state", "intera_core_msgs/msg/RobotAssemblyState", self._hear_state)
@@ -157,38 +90,6 @@ class Sawyer:
         self._wait(lambda: self._commands.readers > 0, "does not listen to joint_command")
         first = self._message(np.zeros(len(self._names)))
         node.types.serialize_ros1(first, "intera_core_msgs/msg/JointCommand")  # slow at first
-
-    def joints(self) -> Array:
-        """Return the measured joint angles (J,) [rad].
-
-        Raises:
-            DeviceError: they are stale, or cannot be read.
-        """
-        reading, age = self.readings.last, self.readings.age()
-        if self.readings.trouble:
-            raise DeviceError(f"{self.readings.trouble}. Check the robot's description, and start anew.")
-        if reading is None or age > STALE:
-            given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * STALE:.0f} ms"
-            raise DeviceError(f"{given}. Check network, robot, and both clocks; then start anew.")
-        return reading.joints.copy()
-
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
-        """Follow a trajectory as `anther.devices.Arm` says; commands go on while `more` is thought about.
-
-        Raises:
-            DeviceError: the arm cannot move, is stopped, says nothing, or the commands came too late; it holds.
-        """
-        samples, reference = list[ArmSample](), Reference(trajectory, more)
-        try:
-            self.check_able()
-            with quick_turns(), served_first():
-                self._stream(reference, watch, samples)
-        except BaseException:
-            self.hold()
-            raise
-        finally:
-            reference.close()
-        return ArmRecord.of(samples)
 
     def hold(self) -> None:
         """Brake if it moves, and hold. What cannot move (stopped, not enabled, in somebody's hand) is left alone."""
@@ -227,24 +128,12 @@ class Sawyer:
 
     def seen(self) -> list[str]:
         """Return in words what is heard of the robot."""
-        why, r = self.cannot(), self.readings
+        why = self.cannot()
         return [
-            f"{r.rate:.0f} readings a second, the newest {1e3 * r.age():.0f} ms old; its clock is "
-            f"{-1e3 * (r.offset - self._clock() + time.time()):+.0f} ms ahead of this machine's",
+            self._seen(),
             f"commands: {self._mode}, {1 / self._period:g} a second; force {self._felt(self._clock()):.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
-
-    def check_able(self) -> None:
-        """Check that the arm can be moved and is heard.
-
-        Raises:
-            DeviceError: why not.
-        """
-        why = self.cannot()
-        if why:
-            raise DeviceError(f"the arm cannot move: {why}.")
-        self.joints()
 
     def enable(self) -> None:
         """Switch the motors on; after a stop that was released, reset it first. The arm holds where it is.
@@ -279,37 +168,14 @@ class Sawyer:
         says, what = self._make("std_msgs/msg/Bool", on), f"is not {'en' if on else 'dis'}abled"
         self._wait(lambda: self._state.enabled == on, what, lambda: self._enable.publish(says))
 
-    def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
-        last = begin = due = self._clock()
-        seen = begin - STALE if self.readings.last is None else self.readings.last.time
-        while True:
-            now = self._clock()
-            if now - last > SILENCE:
-                late = f"{1e3 * (now - last):.0f} ms after the one before; allowed: {1e3 * SILENCE:.0f} ms"
-                raise DeviceError(f"a command came {late}. Let nothing else run on this machine.")
-            reference.look_ahead(now - begin)
-            self._command(*reference.at(now - begin))
-            last = now
-            self.check_able()
-            reading = self.readings.last
-            if reading is not None and reading.time > seen:
-                seen = reading.time
-                wanted = reference.at(seen - begin)[0]
-                samples.append(ArmSample(seen, wanted, reading.joints, self._felt(now)))
-                if watch:
-                    watch(samples[-1])
-            if reference.whole and now - begin >= reference.ends + SETTLE:
-                break
-            due = max(due + self._period, now)
-            self._sleep(max(due - self._clock(), 0))
-        self._rest(reference.at(reference.ends)[0])
+    def _aim(self, reference: Reference, t: float) -> None:
+        self._command(*reference.at(t))
 
     def _command(self, q: Array, rate: Array, acceleration: Array) -> None:
         self._commands.publish(self._message(q, rate, acceleration))
         self._sent = (q, rate)
 
     def _rest(self, q: Array) -> None:
-        """Command joints (J,) at which the arm then stays without being told again."""
         self._commands.publish(self._message(q))
         self._sent = (q, np.zeros(len(self._names)))
 
@@ -338,22 +204,11 @@ class Sawyer:
         self._collided = bool(message.collision_state)
 
     def _hear_force(self, message: Any) -> None:
-        f = message.wrench.force
-        self._force = (self._clock(), float(np.linalg.norm([f.x, f.y, f.z])))
-
-    def _felt(self, now: float) -> float:
-        return self._force[1] if now - self._force[0] < 2 * STALE else float("nan")
+        force = message.wrench.force
+        self._feel(force.x, force.y, force.z)
 
     def _check_names(self) -> None:
         told = self.node.parameter("/robot_config/right_config/joint_names")
         if told is not None and set(told) != set(self._names):
             given = f"joints: the robot has {', '.join(map(str, told))}; allowed: {', '.join(self._names)}"
             raise DeviceError(f"{given}. This is not the arm that Anther's model describes.")
-
-    def _wait(self, done: Callable[[], bool], what: str, ask: Callable[[], None] = lambda: None) -> None:
-        until = time.monotonic() + WAITING
-        while not done():
-            if time.monotonic() > until:
-                raise DeviceError(f"the robot {what} within {WAITING:g} s. {self.readings.trouble or 'Is it on?'}")
-            ask()
-            time.sleep(0.05)
