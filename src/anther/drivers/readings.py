@@ -25,6 +25,23 @@ class Reading:
     joints: Array
 
 
+class RobotClock:
+    """A robot's clock, set behind this machine's by the message that came quickest.
+
+    Attributes:
+        offset: this machine's time less the robot's [s]; NaN before the first message.
+    """
+
+    def __init__(self) -> None:
+        self.offset = self._heard = float("nan")
+
+    def hear(self, stamp: float, arrival: float) -> None:
+        """Take the stamp of a message [s], and when it arrived on this machine's clock [s]."""
+        lag, drifted = arrival - stamp, self.offset + DRIFT * (arrival - self._heard)
+        self.offset = lag if np.isnan(drifted) else min(lag, drifted)
+        self._heard = arrival
+
+
 class Readings:
     """The joints as they come in, put in order by their names.
 
@@ -32,15 +49,20 @@ class Readings:
         last: the newest; None before the first.
         trouble: why what comes in cannot be used; empty while it can.
         others: names of the joints that came in without any of the arm's.
-        offset: the robot's clock is behind this machine's by so much, less the quickest message's way [s].
         rate: readings a second, of the last hundred.
     """
 
     def __init__(self, names: Sequence[str], clock: Callable[[], float]) -> None:
         self.last: Reading | None = None
-        self.trouble, self.offset, self.rate = "", float("nan"), float("nan")
+        self.trouble, self.rate = "", float("nan")
         self.others: tuple[str, ...] = ()
         self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
+        self._robot = RobotClock()
+
+    @property
+    def offset(self) -> float:
+        """See `RobotClock`."""
+        return self._robot.offset
 
     def hear(self, message: Any) -> None:
         """Take a sensor_msgs/JointState; one of other joints only is passed over."""
@@ -58,7 +80,10 @@ class Readings:
         if not np.isfinite(joints).all():
             self.trouble = f"joints: got {joints} rad"
             return
-        self._set_clocks(arrival, stamp)
+        self._robot.hear(stamp, arrival)
+        self._arrivals = [*self._arrivals[-99:], arrival]
+        if len(self._arrivals) > 1:
+            self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)
         self.trouble = ""
         if self.last is None or stamp + self.offset > self.last.time:
             self.last = Reading(stamp + self.offset, joints)
@@ -80,11 +105,3 @@ class Readings:
             given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * stale:.0f} ms"
             raise DeviceError(f"{given}. Check network, robot, and both clocks; then start anew.")
         return reading
-
-    def _set_clocks(self, arrival: float, stamp: float) -> None:
-        passed = arrival - self._arrivals[-1] if self._arrivals else 0.0
-        lag = arrival - stamp
-        self.offset = lag if np.isnan(self.offset) else min(lag, self.offset + DRIFT * passed)
-        self._arrivals = [*self._arrivals[-99:], arrival]
-        if len(self._arrivals) > 1:
-            self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)

@@ -16,15 +16,12 @@ from typing import Any
 import numpy as np
 
 from anther.devices import DeviceError
+from anther.drivers.readings import STALE, RobotClock
 from anther.errors import MissingExtra
 from anther.geometry import Array
 
-STALE = 0.05
-"""Joints read longer ago than this are not believed [s]."""
 WAITING, POWERING = 5.0, 60.0
 """The controller answers within the first; motors are on and brakes released within the second [s]."""
-DRIFT = 1e-4
-"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
 FULL = 0.99
 """Speed slider and speed scaling below this are slower than what was planned."""
 
@@ -78,7 +75,7 @@ class Controller:
             DeviceError: it is not heard, or its dashboard server does not answer.
         """
         self.receive, self.program, self._dashboard, self._clock = receive, program, dashboard, clock
-        self._offset, self._heard = float("nan"), (float("nan"), clock())
+        self._robot, self._stamp = RobotClock(), float("nan")
         try:
             self.wait(self._is_heard, "is not heard")
             said = re.search(r"(\d+)\.(\d+)", str(self.ask("polyscopeVersion")))
@@ -100,14 +97,14 @@ class Controller:
             DeviceError: it is stale, or no numbers.
         """
         stamp, joints, force = self._state()
-        age = self._set_clocks(stamp) - stamp - self._offset
+        age = self._set_clocks(stamp) - stamp - self._robot.offset
         if not age <= STALE:
             given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * STALE:.0f} ms"
             raise DeviceError(f"{given}. Check network and controller; then start anew.")
         q = np.array(joints, dtype=float)
         if not np.isfinite(q).all():
             raise DeviceError(f"joints: got {q} rad. The arm does not tell where it is.")
-        return Reading(stamp + self._offset, q, float(np.linalg.norm(force[:3])))
+        return Reading(stamp + self._robot.offset, q, float(np.linalg.norm(force[:3])))
 
     def stopped(self) -> str:
         """Return what keeps the arm from moving at all; empty if nothing does."""
@@ -208,18 +205,15 @@ class Controller:
 
     def _set_clocks(self, stamp: float) -> float:
         """Return the time on this machine's clock [s]; a new stamp sets the controller's behind it."""
-        now, (before, at) = self._clock(), self._heard
-        if stamp != before:
-            if not np.isnan(before):  # the first stamp that is found may be old
-                lag, drifted = now - stamp, self._offset + DRIFT * (now - at)
-                self._offset = lag if np.isnan(drifted) else min(lag, drifted)
-            self._heard = (stamp, now)
+        now, before, self._stamp = self._clock(), self._stamp, stamp
+        if stamp != before and not np.isnan(before):  # the first stamp that is found may be old
+            self._robot.hear(stamp, now)
         return now
 
     def _is_heard(self) -> bool:
         with suppress(RuntimeError):
             self._set_clocks(self.receive.getTimestamp())
-        return not np.isnan(self._offset)
+        return not np.isnan(self._robot.offset)
 
 
 def open_controller(host: str) -> Controller:

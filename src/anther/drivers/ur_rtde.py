@@ -18,8 +18,9 @@ import numpy as np
 from anther.checks import check_range
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
 from anther.drivers.priority import quick_turns, served_first
+from anther.drivers.readings import STALE
 from anther.drivers.reference import Reference, braking
-from anther.drivers.ur_controller import PAUSING, PLAYING, STALE, STOPPED, Controller, Reading
+from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller, Reading
 from anther.geometry import Array
 
 SILENCE = 0.03
