@@ -72,9 +72,9 @@ class ServedSawyer(FakeSawyer):
     """
 
     def __init__(self, master: str, world: cell.Cell) -> None:
-        self._world, self._push = world, np.zeros(7)
+        self._world = world
         super().__init__(master, joints=world.joints, clock=lambda: world.time)
-        self._from, self._taken = (world.joints, np.zeros(7), world.time), None
+        self._from, self._taken = (world.joints, np.zeros(7), world.time), self._target
 
     def _run(self) -> None:
         pass
@@ -84,36 +84,35 @@ class ServedSawyer(FakeSawyer):
         dt, now = self._world.timestep, self._world.time
         rows = []
         for step in range(steps):
-            if self._target is not self._taken:
-                self._taken, self._from = self._target, (self.q.copy(), self.v.copy(), now + step * dt)
+            target = self._target
+            if target is not self._taken:
+                self._taken, self._from = target, (self.q.copy(), self.v.copy(), now + step * dt)
             self._move(now + (step + 1) * dt, dt)
             rows.append((self.q.copy(), self.v.copy()))
         q, v = zip(*rows, strict=True)
-        return np.array(q), np.array(v), np.tile(self._push, (steps, 1))
+        push = np.zeros(7) if self._taken is None else self._taken[-1]
+        return np.array(q), np.array(v), np.tile(push, (steps, 1))
 
     def _command(self, message: Any) -> None:
-        super()._command(message)
         order = [message.names.index(name) for name in SAWYER.joints]
-        self._push = message.acceleration[order] if message.mode == 4 else np.zeros(7)
+        streamed = (message.velocity[order], message.acceleration[order]) if message.mode == 4 else np.zeros((2, 7))
+        self._target = (self.clock(), message.mode, message.position[order], *streamed)
 
     def _move(self, now: float, dt: float) -> None:
         before = self.q.copy()
-        if self._target is None or not self.enabled:
+        if self._taken is None or not self.enabled:
             self.v = np.zeros(7)
             return
-        told, mode, q, rate = self._target
-        if mode == 1:
-            self.q = self.q + np.clip(q - self.q, -VELOCITY * dt, VELOCITY * dt)
-        elif now - told <= self.timeout:
+        told, mode, q, rate, push = self._taken  # another thread may put a new one into its place
+        if mode == 1 or now - told <= self.timeout:
             q0, v0, begin = self._from
-            s = min((now - begin) / INTERPOLATED, 1.0)
-            ahead = max(INTERPOLATED, now - begin)
-            there, rate = q + rate * ahead + self._push * ahead**2 / 2, rate + self._push * ahead
+            seconds = INTERPOLATED if mode == 4 else max(INTERPOLATED, 2 * float((np.abs(q - q0) / VELOCITY).max()))
+            s, rate = min((now - begin) / seconds, 1.0), rate if mode == 4 else np.zeros(7)
+            ahead = max(seconds, now - begin)
+            there, rate = q + rate * ahead + push * ahead**2 / 2, rate + push * ahead
             h = np.array([2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2])
-            if s < 1:
-                self.q = h[0] * q0 + h[1] * INTERPOLATED * v0 + h[2] * there + h[3] * INTERPOLATED * rate
-            else:
-                self.q = there
+            joined = h[0] * q0 + h[1] * seconds * v0 + h[2] * there + h[3] * seconds * rate
+            self.q = joined if s < 1 else there
         else:
             less = np.clip(self.v, -ACCELERATION * dt, ACCELERATION * dt)
             self.q = self.q + (self.v - less) * dt

@@ -17,6 +17,7 @@ from served_cell import Plant, Served
 from slow_clock import AGAIN_IF_HELD_UP
 from small_planner import SmallPlanner
 
+from anther.arm.sawyer import SAWYER
 from anther.cells import CellFile, read_cell
 from anther.commands.hardware_cell import connected
 from anther.devices import Robot
@@ -56,6 +57,8 @@ def test_the_arm_goes_where_it_is_told(machines: tuple[Served, CellFile, Robot])
     assert np.abs(served.place.joints - begin - 0.1).max() < 0.005
     lag = np.abs(record.commanded - record.measured).max()
     assert lag < file.safety_limits().tracking
+    share = np.abs(served.place.log().torques).max(axis=0) / SAWYER.effort
+    assert share.max() < 0.9  # what the served controller makes of commands is no burden of its own
 
 
 def test_the_pads_stand_as_far_apart_as_is_read(machines: tuple[Served, CellFile, Robot]) -> None:
