@@ -27,6 +27,7 @@ FOR = {
     "bags": "RealSense and ROS bags, MCAP",
     "realsense": "a RealSense camera",
     "sawyer": "a Sawyer over ROS 1",
+    "ros2": "an arm under ROS 2, where none is sourced",
     "ur": "a Universal Robots arm",
     "gripper": "a Robotiq gripper",
     "motor": "a motor in the gripper",
