@@ -71,8 +71,8 @@ class ServedSawyer(FakeSawyer):
     Between two commands its controller goes from where it is to where the last one will be.
     """
 
-    def __init__(self, master: str, world: cell.Cell) -> None:
-        self._world = world
+    def __init__(self, master: str, world: cell.Cell, shared: World) -> None:
+        self._world, self._shared = world, shared
         super().__init__(master, joints=world.joints, clock=lambda: world.time)
         self._from, self._taken = (world.joints, np.zeros(7), world.time), self._target
 
@@ -96,7 +96,9 @@ class ServedSawyer(FakeSawyer):
     def _command(self, message: Any) -> None:
         order = [message.names.index(name) for name in SAWYER.joints]
         streamed = (message.velocity[order], message.acceleration[order]) if message.mode == 4 else np.zeros((2, 7))
-        self._target = (self.clock(), message.mode, message.position[order], *streamed)
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        told = self._shared.clock() - (time.time() - stamp) * self._shared.rate  # threads may have kept it waiting
+        self._target = (told, message.mode, message.position[order], *streamed)
 
     def _move(self, now: float, dt: float) -> None:
         before = self.q.copy()
@@ -108,7 +110,7 @@ class ServedSawyer(FakeSawyer):
             q0, v0, begin = self._from
             seconds = INTERPOLATED if mode == 4 else max(INTERPOLATED, 2 * float((np.abs(q - q0) / VELOCITY).max()))
             s, rate = min((now - begin) / seconds, 1.0), rate if mode == 4 else np.zeros(7)
-            ahead = max(seconds, now - begin)
+            ahead = max(begin + seconds, now) - told
             there, rate = q + rate * ahead + push * ahead**2 / 2, rate + push * ahead
             h = np.array([2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2])
             joined = h[0] * q0 + h[1] * seconds * v0 + h[2] * there + h[3] * seconds * rate
@@ -212,7 +214,7 @@ class Served:
         self.place, self._rate = plant.world(), rate
         self._shared = World(folder / "world", count=self.place.model.nq)
         self._share()
-        self._arm, self._gripper = ServedSawyer(master, self.place), ServedRobotiq(self.place)
+        self._arm, self._gripper = ServedSawyer(master, self.place, self._shared), ServedRobotiq(self.place)
         self._renderers, self._pipes = [], dict[str, Connection]()
         for which in ("wrist", "side"):
             ours, theirs = get_context("spawn").Pipe()

@@ -12,7 +12,8 @@ import numpy as np
 
 from anther.devices import DeviceError
 
-TIME, RATE, RECORDED, FIRST = 0, 1, 2, 3
+TIME, WALL, RATE, RECORDED, FIRST = 0, 1, 2, 3, 4
+STEP = 0.002  # s: time goes on evenly between two steps, but no further
 DEAD = 20.0  # s of the wall without a step
 
 
@@ -29,7 +30,7 @@ class World:
     def step(self, now: float, qpos: np.ndarray, rate: float) -> None:
         """Note a step; rate: how fast the cell's time goes at most, by the wall's."""
         self._numbers[FIRST:], self._numbers[RATE] = qpos, rate
-        self._numbers[TIME] = now
+        self._numbers[TIME : WALL + 1] = now, time.monotonic()
 
     @property
     def recorded(self) -> bool:
@@ -43,16 +44,21 @@ class World:
     def qpos(self) -> np.ndarray:
         return np.array(self._numbers[FIRST:])
 
+    @property
+    def rate(self) -> float:
+        return float(self._numbers[RATE])
+
     def clock(self) -> float:
-        return float(self._numbers[TIME])
+        now, wall = self._numbers[TIME : WALL + 1]
+        return float(now) + min(max(time.monotonic() - float(wall), 0.0) * self.rate, STEP)
 
     def sleep(self, seconds: float) -> None:
         now, last = self.clock(), time.monotonic()
         until = now + seconds
         while now < until:
-            time.sleep(max(0.8 * (until - now) / max(float(self._numbers[RATE]), 0.05), 3e-4))
+            time.sleep(max(0.8 * (until - now) / max(self.rate, 0.05), 3e-4))
             before, now = now, self.clock()
-            if now > before:
+            if now > before + 1e-9:
                 last = time.monotonic()
             elif time.monotonic() - last > DEAD:
                 raise DeviceError("the served cell stands still")
