@@ -22,11 +22,15 @@ def has_roscore() -> bool:
     return shutil.which("roscore") is not None
 
 
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        return taken.getsockname()[1]
+
+
 @contextmanager
 def debian_roscore() -> Iterator[str]:
     """Run ROS' own master; gives its address."""
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
+    port = free_port()
     uri, quiet = f"http://127.0.0.1:{port}", subprocess.DEVNULL
     with subprocess.Popen(
         [DEBIAN, "/usr/bin/rosmaster", "--core", "-p", str(port)], stdout=quiet, stderr=quiet

@@ -27,6 +27,7 @@ import numpy as np
 from fake_robotiq import FakeRobotiq
 from fake_sawyer import FakeSawyer
 from made_realsense import UNIT
+from scipy.interpolate import CubicHermiteSpline
 from served_world import World
 
 from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
@@ -35,8 +36,7 @@ from anther.sim import arm_model, cell
 from anther.sim.capture import camera_errors, perturbed_hand_eye
 from anther.sim.feeling import contact_vector
 from anther.sim.judge import judge
-from anther.sim.render import Scene, d455
-from anther.sim.robot import SimCamera, cut_out
+from anther.sim.robot import robot_of
 from anther.sim.truth import NOMINAL, Truth, draw
 
 TEMPLATE = Path(__file__).parent / "cells" / "sawyer_ros1.toml"
@@ -109,12 +109,10 @@ class ServedSawyer(FakeSawyer):
         if mode == 1 or now - told <= self.timeout:
             q0, v0, begin = self._from
             seconds = INTERPOLATED if mode == 4 else max(INTERPOLATED, 2 * float((np.abs(q - q0) / VELOCITY).max()))
-            s, rate = min((now - begin) / seconds, 1.0), rate if mode == 4 else np.zeros(7)
             ahead = max(begin + seconds, now) - told
             there, rate = q + rate * ahead + push * ahead**2 / 2, rate + push * ahead
-            h = np.array([2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2])
-            joined = h[0] * q0 + h[1] * seconds * v0 + h[2] * there + h[3] * seconds * rate
-            self.q = joined if s < 1 else there
+            joined = now < begin + seconds
+            self.q = CubicHermiteSpline([begin, begin + seconds], [q0, there], [v0, rate])(now) if joined else there
         else:
             less = np.clip(self.v, -ACCELERATION * dt, ACCELERATION * dt)
             self.q = self.q + (self.v - less) * dt
@@ -168,15 +166,14 @@ class ServedRobotiq(FakeRobotiq):
 def show(plant: Plant, which: str, path: str, pipe: Connection) -> None:
     """Render what one camera sees of the shared world, as often as somebody asks: a process of its own."""
     threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
-    place, world = plant.world(), World(path)
-    truth, rng = plant.drawn(), np.random.default_rng([plant.seed, 1])
-    errors, scene = camera_errors(truth), Scene.of_plant(place.plant)
+    place, world, truth = plant.world(), World(path), plant.drawn()
+    T_side = layout(USUAL_DISTANCE).T_world_side_camera
+    robot = robot_of(place, errors=camera_errors(truth), T_world_side_camera=T_side, seed=plant.seed)
+    camera: Any = robot.side_camera if which == "side" else robot.wrist_camera
     if which == "wrist":
+        rng = np.random.default_rng([plant.seed, 1])
         T_flange_cam = perturbed_hand_eye(SAWYER.tool.T_flange_cam, rng, factor=truth.hand_eye_error)
-        camera = SimCamera(place, scene, d455(), lambda: place.flange_pose() @ T_flange_cam, errors, seed=plant.seed)
-    else:
-        T_side, middle = layout(USUAL_DISTANCE).T_world_side_camera, cut_out(d455(848, 480), 480, 480)
-        camera = SimCamera(place, scene, middle, lambda: T_side, errors, seed=plant.seed + 1, late=truth.clock_offset)
+        camera.pose = lambda: place.flange_pose() @ T_flange_cam
     listener = Listener(("127.0.0.1", 0))
     pipe.send(listener.address)
     while True:

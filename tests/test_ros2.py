@@ -21,8 +21,9 @@ import pytest
 from fake_robot import LIMITS
 from fake_ros2 import CLOCK, FakeController, FakeNode, RosNode, moments, refusal, sampled
 from made_arm import six
-from slow_clock import AGAIN_IF_HELD_UP, SLOWER, clock, sleep
+from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
+from streamed_motions import halfway, raising_beyond, thought_about, three_pieces
 
 from anther.arm.outline import outline
 from anther.cells import parts, read_cell
@@ -78,10 +79,6 @@ def connected(wire: Any, **options: Any) -> ros2.JointTrajectoryArm:
 
 def far(arm: Arm, way: float = 0.4) -> JointTrajectory:
     return SmallPlanner(MODEL).move(arm.joints(), arm.joints() + way)
-
-
-def halfway(path: JointTrajectory, do: Callable[[], Any]) -> None:
-    threading.Timer(SLOWER * path.duration / 2, do).start()
 
 
 def stopped_after(robot: FakeController, since: float) -> float:
@@ -156,18 +153,8 @@ def test_nothing_is_said_before_anything_moves(arm: ros2.JointTrajectoryArm, rob
 def test_motions_join_without_a_stop_while_the_next_is_thought_about(
     arm: ros2.JointTrajectoryArm, robot: FakeController
 ) -> None:
-    t = np.linspace(0, 0.6, 60)[:, None]
-    start, along = arm.joints(), np.ones(6)
-    begin = JointTrajectory(t[:, 0], start + 0.25 * t**2 * along, 0.5 * t * along)
-    middle = JointTrajectory(t[:, 0], begin.positions[-1] + 0.3 * t * along, np.tile(0.3 * along, (60, 1)))
-    end = JointTrajectory(t[:, 0], middle.positions[-1] + (0.3 * t - 0.25 * t**2) * along, (0.3 - 0.5 * t) * along)
-    left = iter([middle, end, None])
-
-    def more() -> JointTrajectory | None:
-        sleep(0.1)
-        return next(left)
-
-    record = arm.follow(begin, None, more)
+    begin, middle, end = three_pieces(arm.joints())
+    record = arm.follow(begin, None, thought_about(middle, end))
     assert record.commanded[-1] == pytest.approx(end.positions[-1], abs=1e-6)
     times, speed = robot.speed()
     moving = times[speed > 0.01]
@@ -190,13 +177,8 @@ def test_it_stops_where_its_watcher_raises(
     arm: ros2.JointTrajectoryArm, robot: FakeController, error: BaseException
 ) -> None:
     start = arm.joints()
-
-    def watch(sample: ArmSample) -> None:
-        if np.abs(sample.measured - start).max() > 0.1:
-            raise error
-
     with pytest.raises(type(error), match="enough"):
-        arm.follow(far(arm), watch)
+        arm.follow(far(arm), raising_beyond(start, error))
     sleep(0.1)
     there = arm.joints()
     assert np.abs(there - start).max() == pytest.approx(0.1, abs=0.06)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -15,10 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_robot import LIMITS
-from fake_ros_master import DEBIAN, NO_ROSCORE, FakeMaster, debian_roscore, has_roscore
+from fake_ros_master import DEBIAN, NO_ROSCORE, FakeMaster, debian_roscore, free_port, has_roscore
 from fake_sawyer import CLOCK, FakeSawyer
-from slow_clock import AGAIN_IF_HELD_UP, SLOWER, clock, sleep
+from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
+from streamed_motions import halfway, raising_beyond, thought_about, three_pieces
 
 from anther.arm import sawyer
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory
@@ -30,11 +29,6 @@ from anther.safety import GuardedArm
 
 HERE = Path(__file__).parent
 pytestmark = AGAIN_IF_HELD_UP
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        return taken.getsockname()[1]
 
 
 @pytest.fixture(scope="module")
@@ -87,10 +81,6 @@ def stopped_after(robot: FakeSawyer, since: float) -> float:
     return max(float(times[speed > 1e-3].max()) - since, 0.0)
 
 
-def halfway(path: JointTrajectory, do: Callable[[], Any]) -> None:
-    threading.Timer(SLOWER * path.duration / 2, do).start()
-
-
 @WITH_ROS
 def test_it_goes_where_it_is_told_and_says_so(arm: Sawyer, robot: FakeSawyer) -> None:
     conforms: Arm = arm
@@ -120,18 +110,8 @@ def test_in_position_mode_the_arm_takes_its_time(master: str, robot: FakeSawyer)
 
 
 def test_motions_join_without_a_stop_while_the_next_is_thought_about(arm: Sawyer, robot: FakeSawyer) -> None:
-    t = np.linspace(0, 0.6, 60)[:, None]
-    start, along = arm.joints(), np.ones(7)
-    begin = JointTrajectory(t[:, 0], start + 0.25 * t**2 * along, 0.5 * t * along)
-    middle = JointTrajectory(t[:, 0], begin.positions[-1] + 0.3 * t * along, np.tile(0.3 * along, (60, 1)))
-    end = JointTrajectory(t[:, 0], middle.positions[-1] + (0.3 * t - 0.25 * t**2) * along, (0.3 - 0.5 * t) * along)
-    left = iter([middle, end, None])
-
-    def more() -> JointTrajectory | None:
-        sleep(0.1)
-        return next(left)
-
-    record = arm.follow(begin, None, more)
+    begin, middle, end = three_pieces(arm.joints())
+    record = arm.follow(begin, None, thought_about(middle, end))
     assert record.commanded[-1] == pytest.approx(end.positions[-1], abs=1e-6)
     times, speed = robot.speed()
     moving = times[speed > 0.01]
@@ -151,13 +131,8 @@ def test_what_comes_too_late_ends_in_a_braked_hold(arm: Sawyer, robot: FakeSawye
 @pytest.mark.parametrize("error", [DeviceError("enough"), KeyboardInterrupt()])
 def test_it_stops_where_its_watcher_raises(arm: Sawyer, error: BaseException) -> None:
     start = arm.joints()
-
-    def watch(sample: ArmSample) -> None:
-        if np.abs(sample.measured - start).max() > 0.1:
-            raise error
-
     with pytest.raises(type(error)):
-        arm.follow(far(arm), watch)
+        arm.follow(far(arm), raising_beyond(start, error))
     sleep(0.1)
     there = arm.joints()
     assert np.abs(there - start).max() == pytest.approx(0.1, abs=0.06)

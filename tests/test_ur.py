@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, suppress
 from multiprocessing.managers import BaseManager
 from pathlib import Path
@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_ur import READY, FakeDashboard, FakeReceive, FakeUR, connected, far
-from slow_clock import AGAIN_IF_HELD_UP, SLOWER, clock, sleep
+from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
+from streamed_motions import halfway, raising_beyond, thought_about, three_pieces
 
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory
 from anther.drivers.ur_rtde import SILENCE, WATCHDOG, UniversalRobot
@@ -52,10 +53,6 @@ def stopped_after(ur: FakeUR, since: float) -> float:
     times, speed = ur.speed()
     assert speed[-10:].max() < 1e-3
     return max(float(times[speed > 5e-3].max(initial=0.0)) - since, 0.0)
-
-
-def halfway(path: JointTrajectory, do: Callable[[], Any]) -> None:
-    threading.Timer(SLOWER * path.duration / 2, do).start()
 
 
 def test_it_goes_where_it_is_told_and_says_so(arm: UniversalRobot, ur: FakeUR) -> None:
@@ -95,17 +92,8 @@ def test_every_motion_has_its_own_program_and_watchdog_and_none_is_left_armed(ar
 
 
 def test_motions_join_without_a_stop_while_the_next_is_thought_about(arm: UniversalRobot, ur: FakeUR) -> None:
-    begin = begun(arm, 0.3, 0.6)
-    t = np.linspace(0, 0.6, 60)[:, None]
-    middle = JointTrajectory(t[:, 0], begin.positions[-1] + 0.3 * t, np.full((60, 6), 0.3))
-    end = JointTrajectory(t[:, 0], middle.positions[-1] + 0.3 * t - 0.25 * t**2, np.tile(0.3 - 0.5 * t, (1, 6)))
-    left = iter([middle, end, None])
-
-    def more() -> JointTrajectory | None:
-        sleep(0.1)
-        return next(left)
-
-    record = arm.follow(begin, None, more)
+    begin, middle, end = three_pieces(arm.joints())
+    record = arm.follow(begin, None, thought_about(middle, end))
     assert record.commanded[-1] == pytest.approx(end.positions[-1], abs=1e-6)
     times, speed = ur.speed()
     moving = times[speed > 0.01]
@@ -142,13 +130,8 @@ def test_it_stops_where_its_watcher_raises_and_goes_on_after(
     arm: UniversalRobot, ur: FakeUR, error: BaseException
 ) -> None:
     start = arm.joints()
-
-    def watch(sample: ArmSample) -> None:
-        if np.abs(sample.measured - start).max() > 0.1:
-            raise error
-
     with pytest.raises(type(error)):
-        arm.follow(far(arm), watch)
+        arm.follow(far(arm), raising_beyond(start, error))
     there = arm.joints()
     assert np.abs(there - start).max() == pytest.approx(0.1, abs=0.08)
     arm.hold()

@@ -20,6 +20,7 @@ from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, M
 from anther.drivers.priority import quick_turns, served_first
 from anther.drivers.readings import STALE
 from anther.drivers.reference import Reference, braking
+from anther.drivers.streamed import SETTLE
 from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller, Reading
 from anther.geometry import Array
 
@@ -28,8 +29,6 @@ SILENCE = 0.03
 WATCHDOG = 20.0
 """The controller ends the program when commands come less often than this [1/s]: after 50 ms, so that a driver that
 lives brakes first."""
-SETTLE = 0.1
-"""The end of a motion is commanded for so long before it counts as over [s]."""
 SHOWN = 0.008
 """Readings go to the watcher this far apart [s]: 125 a second, whatever the controller's rate."""
 NEAR = 0.05
