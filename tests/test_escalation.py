@@ -48,7 +48,10 @@ def most(world: World, tone: int) -> tuple[float, float]:
     margin = {
         k: median * np.exp(norm.isf(WATCHED * world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()
     }
-    caps = [limit / (margin[k] * loads[k]) for k, limit in limits_of(world.limits, world.plan.press).items()]
+    caps = [
+        limit / (margin[k] * loads[k])
+        for k, limit in limits_of(world.limits, world.plan.press, float(TONES[tone])).items()
+    ]
     caps += [
         world.plan.tones.reach[tone, 0],
         world.params.target / np.median(flowers),

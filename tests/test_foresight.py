@@ -18,6 +18,7 @@ from anther.escalation.known import Known, Look, answered, gripper_motion, known
 from anther.plant import TOMATO, build_plant
 from anther.swing import Swing
 from anther.vibration.observables import observables, semi_major
+from anther.vibration.plant_limits import FAST
 
 known_module = import_module("anther.escalation.known")
 ROWS = np.arange(FLOWERS + POINTS)
@@ -210,6 +211,30 @@ def test_a_flower_that_moves_less_than_the_camera_can_tell_is_not_measured() -> 
     assert not one.seen.any()
     expected = (2 * np.pi * TONES[1]) ** 2 * semi_major(of(foresight)[:, :FLOWERS].mean(axis=0))
     assert np.abs(np.log(one.flowers / expected)).max() < 1.0
+
+
+def test_one_flower_that_swings_unlike_all_others_is_taken_for_something_else() -> None:
+    foresight = made_foresight(3, unsure=0.1)
+    at = look(World(foresight, foresight.vectors[5]))
+    before = told(foresight, at, 1, 0.0, 0.5)
+    for times, measured in ((8.0, True), (20.0, False)):
+        phasors = at.swings.phasors.copy()
+        phasors[2] *= times
+        after = told(foresight, at._replace(swings=at.swings._replace(phasors=phasors)), 1, 0.0, 0.5)
+        assert after.seen.tolist() == [measured or k != 2 for k in range(FLOWERS)]
+    assert after.loads == pytest.approx(before.loads, rel=0.1), "nothing is concluded from what is mistaken"
+    all_of_them = at.swings._replace(phasors=20 * at.swings.phasors)
+    assert told(foresight, at._replace(swings=all_of_them), 1, 0.0, 0.5).seen.all(), (
+        "a plant may answer unlike its model"
+    )
+
+
+def test_depth_tells_nothing_of_fast_tones() -> None:
+    foresight = made_foresight(3)
+    world = World(foresight, foresight.vectors[5], depth=True)
+    for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], False)):
+        quick = foresight._replace(tones=factor * TONES)
+        assert np.isfinite(answered(quick, look(world), 1, 0.0).std[:, 2]).all() == told_by_depth
 
 
 def test_all_counts_per_metre_that_was_commanded() -> None:

@@ -31,7 +31,8 @@ from anther.vibration import (
 from anther.vibration.choice import PRESS, _worth, plant_limits
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.pads import friction_force, grip_rows, pad_nodes
-from anther.vibration.params import FLOWER_SPREAD
+from anther.vibration.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, load_error
+from anther.vibration.plant_limits import FAST
 from anther.vibration.search import Version, gains, scenarios
 from anther.vibration.verification import steadily_shaken, verified
 
@@ -76,7 +77,7 @@ def test_the_grips_force_is_that_of_a_cantilever() -> None:
 def test_a_shake_that_the_nonlinear_solver_finds_too_strong_is_made_smaller(plant: PlantModel) -> None:
     node, also = (int(n) for n in plant.stem_nodes[[14, 15]])
     shake = Drive(node, np.array([1.0, 0, 0]), 2e-3, 6.0, 0, (also,))
-    limits = plant_limits(Params())
+    limits = plant_limits(Params(), shake.frequency)
     peaks = steadily_shaken(plant, shake).peaks
     tight = {name: 0.5 * peaks[name] if name.startswith("stem") else 1e9 for name in limits}
     smaller, done, notes = verified(plant, shake, tight)
@@ -184,7 +185,7 @@ def test_the_papers_shake_is_twelve_millimetres_whatever_the_limits(plant: Plant
     assert (plan.amplitude, plan.frequency, plan.press) == pytest.approx((0.012, 1.9, PRESSING.holding))
     assert "No limit of the plant is kept and slip is not prevented" in plan.reason
     shares = {name: share for name, _, _, share in plan.limits}
-    for name in (PRESS, *list(plant_limits(tight))[:2]):
+    for name in (PRESS, *list(plant_limits(tight, 1.9))[:2]):
         assert shares[name] > 1, "what is passed is told"
     weak = ArmShaker(lambda g, d, f: np.full(len(f), 5e-3))
     held_back = plan_shake(plant, grasps, weak, with_preset("paper", QUICK))
@@ -210,8 +211,27 @@ def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: Plant
 
 def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:
     with pytest.raises(StageFailure, match=r"the largest is .* mm at .* Hz\. The limit that binds is leaf-base") as no:
-        plan_shake(plant, grasps, params=replace(QUICK, plant=PlantLimits(leaf_load=1e-3)))
+        plan_shake(plant, grasps, params=replace(QUICK, highest=10, plant=PlantLimits(leaf_load=1e-3)))
     assert no.value.kind == "limits_exceeded"
+
+
+def test_a_leaf_s_load_binds_up_to_the_tones_of_an_arm_and_strain_above(plant: PlantModel, grasps: list[Grasp]) -> None:
+    light = PlantLimits(leaf_load=2.0)
+    slow, fast = (
+        plan_shake(plant, grasps, VibratingGripper(), replace(QUICK, plant=light, lowest=a, highest=b))
+        for a, b in ((10.0, FAST), (FAST + 1, 30.0))
+    )
+    slow_rows, fast_rows = ({name: share for name, _, _, share in plan.limits} for plan in (slow, fast))
+    assert max(slow_rows, key=lambda name: slow_rows[name]) == "leaf-base load [m/s2]"
+    assert "leaf-base load [m/s2]" not in fast_rows
+    assert max(fast_rows.values()) == pytest.approx(1, rel=0.05), "another limit binds instead"
+
+
+def test_a_margin_is_that_of_the_tone() -> None:
+    median, spread = load_error("joint_strain", np.array([[2.0], [FAST], [FAST + 0.1]]))
+    assert median.shape == spread.shape == (3, 1)
+    assert (median[0], spread[0]) == (median[1], spread[1]) == LOAD_ERROR["joint_strain"]
+    assert (median[2], spread[2]) == FAST_LOAD_ERROR["joint_strain"]
 
 
 def test_flowers_that_grow_from_the_stem_itself_are_planned_for() -> None:

@@ -115,10 +115,10 @@ class Escalation:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
-        self._limits, self._risk = limits_of(limits, plan.press), min(WATCHED * limits.risk, 0.5)
-        tones = plan.tones
+        self._risk, tones = min(WATCHED * limits.risk, 0.5), plan.tones
         self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
         self._hertz = tones.frequencies[self._tone]
+        self._limits = [limits_of(limits, plan.press, hertz) for hertz in self._hertz.tolist()]
         self._reach, self._planned = tones.reach.ravel(), tones.amplitudes.ravel()
         self._answers: list[list[Answer]] = []
         self._may: dict[int, Allowed] = {}
@@ -243,7 +243,7 @@ class Escalation:
         return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
 
     def _learned(self, shake: int, one: Known) -> None:
-        self._may[shake] = allowed(one, self._limits, float(self._reach[shake]), self.params)
+        self._may[shake] = allowed(one, self._limits[shake], float(self._reach[shake]), self.params)
         self._told[shake] = one
 
     def _looked_at(self, shake: int, one: Known) -> None:
@@ -380,8 +380,11 @@ class Escalation:
         amplitudes = np.abs(look.commanded)
         felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(amplitudes, told, strict=True)))
         flowers = np.where(told[0].seen, felt, np.nan)
-        loads = {k: sum(a * one.loads[k] for a, one in zip(amplitudes, told, strict=True)) for k in self._limits}
-        shares = {WORDS[k]: float(loads[k] / limit) for k, limit in self._limits.items()}
+        limits = [self._limits[n] for n in np.flatnonzero(self._piece.amplitudes)]
+        used = [
+            {k: a * one.loads[k] / may[k] for k in may} for a, one, may in zip(amplitudes, told, limits, strict=True)
+        ]
+        shares = {WORDS[k]: float(sum(one[k] for one in used)) for k in used[0]}
         step = Step(
             *when,
             tuple(self._foresight.tones[look.tones].tolist()),

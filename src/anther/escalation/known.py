@@ -19,6 +19,8 @@ from anther.response.points import Swings
 from anther.vibration import Params as Limits
 from anther.vibration.choice import margined
 from anther.vibration.observables import ComplexArray, semi_major
+from anther.vibration.params import FLOWER_SPREAD
+from anther.vibration.plant_limits import FAST
 
 SEEN_ERROR = {
     "stem_strain": (0.9, 0.42),
@@ -32,6 +34,9 @@ as `vibration.params.LOAD_ERROR` but after the camera has seen a tone. Measured 
 500-519; the stem's spread also on 9600-9607) whose truth no stage believes, two grips, seven tones from 2 to 11 Hz,
 points seen with an error of 12 %: 5 % of the loads pass what they say at that risk. Of pedicels (`Foresight.pedicels`):
 on 21 plants shaken in the whole cell (7752-7754, 9572-9579). Of the grip's force: that of the model."""
+
+FAST_SEEN_ERROR = SEEN_ERROR | {"joint_strain": (0.5, 0.55), "base_strain": (1.1, 0.85)}
+"""The same above `FAST`, as `vibration.params.FAST_LOAD_ERROR`."""
 
 WATCHED = 3.0
 """So many times the plan's risk is allowed once the camera has seen the shake. With 1, 2 and 4 times the median flower
@@ -52,6 +57,10 @@ UNSEEN = 0.2
 seen: a tone is not taken for what it might do."""
 SIGNIFICANCE = 3.0
 """A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
+
+MISTAKEN = 4.0
+"""Nor when a flower seems to swing exp(4 `FLOWER_SPREAD`), 13, times as far as the members say of it while the others
+do not: something else was followed."""
 
 LATE = np.arange(-0.005, 0.0451, 0.0025)
 """By how much a camera's clock may be late on the robot's [s]; what fits best is taken."""
@@ -160,7 +169,10 @@ def answered(foresight: Foresight, look: Look, i: int, late: float) -> Answer:
     """
     motion, std = _turned(foresight, look, i, late)
     own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
-    found = narrowed(_members(foresight, look, i), *_used(foresight, look, motion, std))
+    members = _members(foresight, look, i)
+    mistaken = ~_like_the_others(members[:, foresight.where["flowers"]], motion[own], std[own], look.swings.axes[own])
+    motion[own][mistaken] = std[own][mistaken] = np.nan
+    found = narrowed(members, *_used(foresight, look, motion, std))
     return Answer(found, motion[own], std[own], look.swings.axes[own])
 
 
@@ -200,9 +212,21 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     swing = semi_major(flowers)
     members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
     members["joint_strain"] = foresight.pedicels(one.members, np.where(seen, swing, np.nan))
-    loads = {kind: float(margined(members[kind], SEEN_ERROR[kind], risk)) for kind in LOADS}
+    errors = seen_error(hertz)
+    loads = {kind: float(margined(members[kind], errors[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts
     return Known(omega**2 * np.where(seen, swing, believed), seen, loads, picture)
+
+
+def _like_the_others(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> NDArray[np.bool_]:
+    """Return (F,) whether a flower swings about as much more than members (M, F, 3) say as others that are seen do."""
+    used, seen = np.isfinite(std), np.any(np.abs(motion) >= SIGNIFICANCE * std, axis=1)
+    said = np.where(used, np.sqrt(np.mean(np.abs(np.einsum("mfx,fxa->mfa", members, axes)) ** 2, axis=0)), 0.0)
+    shown = np.linalg.norm(np.where(used, motion, 0.0), axis=1)
+    more = shown / np.maximum(np.linalg.norm(said, axis=1), 1e-12)
+    others = [np.delete(more, k)[np.delete(seen, k)] for k in range(len(more))]
+    usual = np.array([max(1.0, float(np.median(rest))) if len(rest) else 1.0 for rest in others])
+    return ~seen | (more <= usual * np.exp(MISTAKEN * FLOWER_SPREAD))
 
 
 def allowed(one: Known, limits: Mapping[str, float], reach: float, params: Params) -> Allowed:
@@ -230,10 +254,15 @@ def _away(motion: ComplexArray) -> ComplexArray:
     return np.asarray(size * np.exp(1j * np.angle(motion.mean(axis=0))), dtype=np.complex128)
 
 
-def limits_of(limits: Limits, press: float) -> dict[str, float]:
-    """Return by kind what the plant may bear, and what pads hold that press with `press` [N]."""
+def seen_error(hertz: float) -> Mapping[str, tuple[float, float]]:
+    """Return `SEEN_ERROR` of a tone."""
+    return FAST_SEEN_ERROR if hertz > FAST else SEEN_ERROR
+
+
+def limits_of(limits: Limits, press: float, hertz: float) -> dict[str, float]:
+    """Return by kind what the plant may bear at a tone [Hz], and what pads hold that press with `press` [N]."""
     plant, slip = limits.plant, 2 * limits.pad_friction * press
-    values = (plant.stem_strain, plant.pedicel_strain, plant.base_strain, plant.leaf_load, slip)
+    values = (plant.stem_strain, plant.pedicel_strain, plant.base_strain, float(plant.leaf_load_at(hertz)), slip)
     return dict(zip(LOADS, values, strict=True))
 
 
@@ -242,9 +271,14 @@ def _members(foresight: Foresight, look: Look, i: int) -> ComplexArray:
 
 
 def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[ComplexArray, Array]:
-    """Return (F + P, 3) motion per metre commanded, as `Swings` has it, and its standard deviation."""
-    turned = np.exp(2j * np.pi * foresight.tones[look.tones[i]] * late) / look.commanded[i]
-    return np.asarray(look.swings.phasors[:, i] * turned), look.swings.std * abs(turned)
+    """Return (F + P, 3) motion per metre commanded, as `Swings` has it, and its standard deviation.
+
+    Above `FAST` without depth: what it is read to is 0.1 to 0.3 mm, there as much as flowers move.
+    """
+    tone = float(foresight.tones[look.tones[i]])
+    parts = np.array([1.0, 1.0, np.nan if tone > FAST else 1.0])
+    turned = parts * np.exp(2j * np.pi * tone * late) / look.commanded[i]
+    return np.asarray(look.swings.phasors[:, i] * turned), look.swings.std * np.abs(turned)
 
 
 def _used(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 
 from anther.geometry import Array
@@ -19,7 +19,7 @@ from anther.pressing import PRESSING, Pressing
 from anther.vibration.actuators import Actuator
 from anther.vibration.breeze import FLOWERS
 from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.params import LOAD_ERROR, Params
+from anther.vibration.params import LOAD_ERROR, Params, load_error
 from anther.vibration.search import Gains
 from anther.vibration.shake_plan import EarlierShake, Tones
 from anther.vibration.verification import PEAKS
@@ -91,14 +91,14 @@ class Bound(NamedTuple):
     """Something that grows with the amplitude, and how large it may be."""
 
     values: Array  # (M or 1, Q, G, D) per metre of amplitude
-    limit: float | Array  # (G, 1) where it is not the same for every grip
-    error: tuple[float, float] | None = None  # see `LOAD_ERROR`; None: it is known
+    limit: float | Array  # (G, 1) or (Q, 1, 1) where it is not the same for all
+    error: tuple[Array, Array] | None = None  # see `load_error`; None: it is known
 
 
-def plant_limits(params: Params) -> dict[str, float]:
-    """Return what `PEAKS` may reach."""
+def plant_limits(params: Params, frequencies: ArrayLike) -> dict[str, float | Array]:
+    """Return what `PEAKS` may reach at frequencies [Hz]; what depends on them has their shape."""
     may = params.plant
-    values = (may.stem_strain, may.pedicel_strain, may.base_strain, may.leaf_load)
+    values = (may.stem_strain, may.pedicel_strain, may.base_strain, may.leaf_load_at(frequencies))
     return dict(zip(PEAKS, values, strict=True))
 
 
@@ -108,8 +108,8 @@ def checked_limits(found: Search, at: Place, params: Params) -> dict[str, float]
         return dict.fromkeys(PEAKS, np.inf)
     believed = {name: float(found.believed[name][at]) for name in PEAKS}
     return {
-        name: limit * believed[name] / float(found.bounds[name][0][at]) if believed[name] > 0 else limit
-        for name, limit in plant_limits(params).items()
+        name: float(limit) * (believed[name] / float(found.bounds[name][0][at]) if believed[name] > 0 else 1.0)
+        for name, limit in plant_limits(params, found.frequencies[at[0]]).items()
     }
 
 
@@ -128,7 +128,8 @@ def search(
     The plant's loads are lognormal, where and as wide as scenarios and `LOAD_ERROR` say. A limit must hold but for a
     share `Params.risk` of that.
     """
-    omega = 2 * np.pi * frequencies[:, None, None]
+    hertz = frequencies[:, None, None]
+    omega = 2 * np.pi * hertz
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
     acceleration = response.flower * omega[..., None] ** 2
@@ -136,11 +137,11 @@ def search(
         f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], params.arm_share),
         "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
         "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, params.most_speed),
-        PRESS: Bound(response.grip_force / (2 * params.pad_friction), grips.press, LOAD_ERROR["grip_force"]),
+        PRESS: Bound(response.grip_force / (2 * params.pad_friction), grips.press, load_error("grip_force", hertz)),
         FLOWERS: Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
     }
-    for (name, limit), kind in zip(plant_limits(params).items(), LOAD_ERROR, strict=False):
-        per_metre[name] = Bound(getattr(response, kind), limit, LOAD_ERROR[kind])
+    for (name, limit), kind in zip(plant_limits(params, hertz).items(), LOAD_ERROR, strict=False):
+        per_metre[name] = Bound(getattr(response, kind), limit, load_error(kind, hertz))
 
     bounds = {
         name: (margined(bound.values, bound.error, params.risk), np.atleast_2d(bound.limit))
@@ -154,7 +155,7 @@ def search(
     return Search(frequencies, duration, amplitude, score, bounds, believed)
 
 
-def margined(values: Array, error: tuple[float, float] | None, risk: float) -> Array:
+def margined(values: Array, error: tuple[float | Array, float | Array] | None, risk: float) -> Array:
     """Return (...) what a lognormal load of which scenarios have values (M, ...) passes with probability `risk`."""
     if error is None:
         return values.mean(axis=0)
@@ -247,13 +248,13 @@ def as_earlier(found: Search, grips: Grips, grasps: int, earlier: EarlierShake) 
 
 
 def limit_rows(found: Search, at: Place) -> list[tuple[str, float, float, float]]:
-    """Return (name, value, limit, share used) of every limit at one shake."""
+    """Return (name, value, limit, share used) of every limit that there is at one shake."""
     size = float(found.amplitude[at])
     values = {
         name: (size * float(value[at]), float(np.broadcast_to(limit, value.shape)[at]))
         for name, (value, limit) in found.bounds.items()
     }
-    return [(name, value, limit, value / limit) for name, (value, limit) in values.items()]
+    return [(name, value, limit, value / limit) for name, (value, limit) in values.items() if np.isfinite(limit)]
 
 
 def press(limits: Sequence[tuple[str, float, float, float]], least: float) -> float:

@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from anther.checks import check_range
 from anther.errors import bad_input
+from anther.geometry import Array
 from anther.vibration.pads import PADS, Pads
-from anther.vibration.plant_limits import DEFAULT, PRESETS, PlantLimits
+from anther.vibration.plant_limits import DEFAULT, FAST, PRESETS, PlantLimits
 
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
@@ -26,6 +30,18 @@ LOAD_ERROR = {
 beside what scenarios explain. Measured by us on 85 simulated plants whose truth no stage believes
 (docs/reports/wide_truth.md), three grips and 1-17 Hz; of leaves on 16 of them; of the force that friction bears in the
 grip on 20 plants, tomatoes and peppers 3 and 40-48, 1.3-15 Hz."""
+
+FAST_LOAD_ERROR = LOAD_ERROR | {"joint_strain": (0.4, 0.8), "base_strain": (0.9, 0.95)}
+"""The same above `FAST`: 24 plants (seeds 500-511), two grips, 17 to 38 Hz (docs/reports/loads.md)."""
+
+
+def load_error(kind: str, frequencies: ArrayLike) -> tuple[Array, Array]:
+    """Return median and spread of a kind of load, each of the shape of the frequencies [Hz]."""
+    fast = np.asarray(frequencies, dtype=np.float64) > FAST
+    median, spread = (
+        np.where(fast, quick, slow) for quick, slow in zip(FAST_LOAD_ERROR[kind], LOAD_ERROR[kind], strict=True)
+    )
+    return median, spread
 
 
 @dataclass(frozen=True, slots=True)
