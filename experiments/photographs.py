@@ -1,6 +1,7 @@
 """Masks by colour on photographs of tomatoes in greenhouses, against labels by hand of open flowers and stems.
 
-    python tools/record.py experiments/photographs.py --folder PHOTOS --page docs/reports/photographs.md
+    python tools/record.py experiments/photographs.py --folder PHOTOS --page docs/reports/masks.md \\
+        --pictures docs/pictures
 
 The labels are in real/photographs.json; the images are not part of Anther. That file says by repository, commit, path
 and sha256 where each comes from: put them all into one folder (--folder or $ANTHER_PHOTOS). What is missing is named
@@ -12,7 +13,10 @@ patch in an "ignore" box counts neither way. A stem is found where half of its c
 within 2 px, the precision of the hand. Shares have Wilson's 95 % interval, as if independent; frames of one video are
 not.
 
-Keys of --json, GROUP_... for all, each light, distance, half and source: images, flowers, flowers_found, patches,
+Half of the images were looked at when the rule for golden petals was chosen; the others are held out.
+
+Keys of --json, GROUP_... for all, each light, distance and source, and of the images held out for all, each light and
+each distance: images, flowers, flowers_found, patches,
 patches_right, flower_recall, flower_precision, stems, stems_found, stem_recall, stem_length_covered (share of all
 centre lines), mask_on_stems (share of the mask's pixels that lie on labelled stems), other, other_masked,
 other_masked_share (of the points without plant), each share with _low and _high.
@@ -58,7 +62,10 @@ LEAST_PATCH = 20
 HALF = 0.5
 """A stem is found if this share of its centre line is masked."""
 
-GROUPS = ("light", "distance", "half", "source")
+PICTURED = ("sample-0508", "sample-0346")
+"""Images shown in the report."""
+
+GROUPS = ("light", "distance", "source")
 
 
 def photograph(path: Path) -> NDArray[Any]:
@@ -172,11 +179,15 @@ def metrics(group: Sequence[Judged]) -> dict[str, float]:
 
 
 def groups(found: Sequence[Judged]) -> dict[str, list[Judged]]:
-    """Return all images, and those of each light, distance, half and source."""
-    named = {"all": list(found)}
-    for kind in GROUPS:
-        for value in dict.fromkeys(one.row[kind] for one in found):
-            named[f"{kind}_{value}"] = [one for one in found if one.row[kind] == value]
+    """Return all images, those of each light, distance and source, and the same of those held out."""
+    kept = [one for one in found if one.row["half"] == "report"]
+    named: dict[str, list[Judged]] = {}
+    for start, part, kinds in (("", found, GROUPS), ("held_out_", kept, GROUPS[:2])):
+        if part:
+            named[f"{start}all"] = list(part)
+        for kind in kinds:
+            for value in sorted({one.row[kind] for one in part}):
+                named[f"{start}{kind}_{value}"] = [one for one in part if one.row[kind] == value]
     return named
 
 
@@ -231,12 +242,13 @@ def images(folder: Path, console: Console) -> list[tuple[dict[str, Any], Path]]:
 
 
 def main() -> None:
-    """Run, print the table, write --json, --page and --sheet."""
+    """Run, print the table, write --json, --page, --sheet and --pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the images; default: $ANTHER_PHOTOS")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--page", type=Path, help="write the table into this docs page")
     parser.add_argument("--sheet", type=Path, help="write a picture of what fails here; not to be published")
+    parser.add_argument("--pictures", type=Path, help="write photographs_lamps.jpg here, of CC BY 4.0 images")
     args = parser.parse_args()
     console = Console()
     have = images(args.folder, console) if args.folder else []
@@ -254,6 +266,9 @@ def main() -> None:
         insert(args.page, markdown(shown))
     if args.sheet:
         contact_sheet(args.sheet, found)
+    if args.pictures:
+        shown_lamps = [one for one in found if one.row["file"].startswith(PICTURED)]
+        contact_sheet(args.pictures / "photographs_lamps.jpg", shown_lamps, height=380)
     if args.json:
         write_json(args.json, {f"{group}_{key}": v for group, row in values.items() for key, v in row.items()})
 

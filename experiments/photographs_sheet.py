@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 FOUND, MISSED, WRONG, MASK = (60, 220, 60), (255, 40, 40), (255, 0, 255), (0, 110, 255)
 
-_HEIGHT, _COLUMNS = 700, 6  # of a picture [px], pictures side by side
+_WIDTH = 4200  # greatest, of a row of pictures [px]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,21 +41,25 @@ class Judged:
     other_masked: list[bool]
 
 
-def contact_sheet(path: Path, found: Sequence[Judged]) -> None:
-    """Write all images side by side.
+def contact_sheet(path: Path, found: Sequence[Judged], height: int = 700) -> None:
+    """Write all images side by side, each `height` px high.
 
     The mask's outline is blue; flowers are green (found) or red (missed), wrong patches magenta; stems are drawn red
-    where the mask misses them; points without plant that are masked are magenta crosses.
+    where the mask misses some of them, else green; points without plant that are masked are magenta crosses.
     """
-    tiles = [_tile(one) for one in found]
-    width = max(tile.shape[1] for tile in tiles)
-    tiles = [cv2.copyMakeBorder(tile, 0, 6, 0, width - tile.shape[1] + 6, cv2.BORDER_CONSTANT) for tile in tiles]
-    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % _COLUMNS)
-    rows = [np.hstack(tiles[start : start + _COLUMNS]) for start in range(0, len(tiles), _COLUMNS)]
-    cv2.imwrite(str(path), np.vstack(rows)[..., ::-1])
+    rows: list[list[NDArray[Any]]] = [[]]
+    for one in found:
+        tile = cv2.copyMakeBorder(_tile(one, height), 0, 6, 0, 6, cv2.BORDER_CONSTANT)
+        if sum(other.shape[1] for other in rows[-1]) + tile.shape[1] > _WIDTH:
+            rows.append([])
+        rows[-1].append(tile)
+    lines = [np.hstack(row) for row in rows]
+    width = max(line.shape[1] for line in lines)
+    lines = [cv2.copyMakeBorder(line, 0, 0, 0, width - line.shape[1], cv2.BORDER_CONSTANT) for line in lines]
+    cv2.imwrite(str(path), np.vstack(lines)[..., ::-1])
 
 
-def _tile(one: Judged) -> NDArray[Any]:
+def _tile(one: Judged, height: int) -> NDArray[Any]:
     image = one.rgb.copy()
     outlines, _ = cv2.findContours((one.labels > 0).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(image, outlines, -1, MASK, 1)
@@ -71,5 +75,5 @@ def _tile(one: Judged) -> NDArray[Any]:
     for (x, y), hit in zip(one.row["other"], one.other_masked, strict=True):
         if hit:
             cv2.drawMarker(image, (int(x), int(y)), WRONG, cv2.MARKER_CROSS, 16, 3)
-    scale = _HEIGHT / image.shape[0]
-    return cv2.resize(image, (round(image.shape[1] * scale), _HEIGHT), interpolation=cv2.INTER_AREA)
+    scale = height / image.shape[0]
+    return cv2.resize(image, (round(image.shape[1] * scale), height), interpolation=cv2.INTER_AREA)

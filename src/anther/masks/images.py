@@ -20,7 +20,7 @@ LEAST_PATCH, PETAL_PATCH, GOLDEN_PATCH = 2e-5, 1e-3, 3e-3
 
 GOLDEN_SATURATION, GOLDEN_GAIN = 0.7, 0.7
 """Least saturation of golden petals, 0..1, and their least brightness relative to bright leaves. Chosen on half of the
-photographs of docs/reports/photographs.md."""
+photographs of docs/reports/masks.md."""
 
 WHITE_SCENE = 0.05
 """Where more than this share of the image is white, small white patches are gaps in the foliage, not petals."""
