@@ -132,6 +132,25 @@ def test_an_image_alone_shows_stem_leaf_and_flower() -> None:
     assert not labels[:, :150].any()
 
 
+def test_golden_petals_are_a_flower_and_yellow_leaves_are_plant() -> None:
+    image = picture()
+    cv2.circle(image[0], (200, 56), 5, (235, 205, 40), -1)
+    cv2.circle(image[0], (255, 190), 5, (170, 175, 70), -1)
+    labels = segment_images(image).labels[0]
+    assert labels[56, 200] == FLOWER
+    assert labels[190, 255] == PLANT
+
+
+def test_gaps_between_leaves_before_white_film_are_no_flowers() -> None:
+    image = np.full((1, 300, 400, 3), (235, 232, 238), dtype=np.uint8)
+    image[0, 60:260, 100:300] = (70, 120, 40)
+    cv2.circle(image[0], (200, 150), 5, (235, 232, 238), -1)
+    labels = segment_images(image).labels[0]
+    assert labels[150, 200] == BACKGROUND
+    assert not (labels == FLOWER).any()
+    assert labels[200, 200] == PLANT
+
+
 def test_images_without_green_are_a_failure_of_its_own_kind() -> None:
     with pytest.raises(StageFailure) as failure:
         segment_images(np.full((1, 60, 60, 3), 128, np.uint8))

@@ -180,7 +180,7 @@ def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
         rule = green_rule(light, params)
 
         def label_image(view: int) -> None:
-            labels[view] = labels_of_image(images[view], rule, light.leaf)
+            labels[view] = labels_of_image(images[view], rule, light)
 
         each_view(label_image, len(images))
     _require_plant(labels, "Is it green, and the light not that of red grow lamps?")

@@ -8,34 +8,53 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.masks.light import GREEN, WHITE, YELLOW, ColourRule
+from anther.masks.light import GREEN, WHITE, YELLOW, ColourRule, Light
 
 _BESIDE = 5  # how close to green a petal comes [px]
 
 LEAST_SHADE = 0.25
 """What is darker than this share of lit leaves is not looked at."""
 
-LEAST_PATCH, PETAL_PATCH = 2e-5, 1e-3
-"""Least share of the image that a green patch has, and greatest that a petal patch has."""
+LEAST_PATCH, PETAL_PATCH, GOLDEN_PATCH = 2e-5, 1e-3, 3e-3
+"""Least share of the image that a green patch has, and greatest that a petal patch has: any, and a golden one."""
+
+GOLDEN_SATURATION, GOLDEN_GAIN = 0.7, 0.7
+"""Least saturation of golden petals, 0..1, and their least brightness relative to bright leaves. Chosen on half of the
+photographs of docs/reports/masks.md."""
+
+WHITE_SCENE = 0.05
+"""Where more than this share of the image is white, small white patches are gaps in the foliage, not petals."""
 
 
-def labels_of_image(rgb: NDArray[Any], rule: ColourRule, leaf: float) -> NDArray[np.uint8]:
+def labels_of_image(rgb: NDArray[Any], rule: ColourRule, light: Light) -> NDArray[np.uint8]:
     """Return the labels (H, W) uint8 of one image (H, W, 3): 0 background, 1 plant, 2 flower.
 
-    What is much darker than lit leaves (brightness `leaf`) has no trustworthy colour: a black cloth in a JPEG is green
-    in places. Green patches smaller than `LEAST_PATCH` of the image are noise. Small patches that touch green
-    are petals if they are white; yellow ones are plant, because pods and young leaves are as yellow.
+    What is much darker than lit leaves has no trustworthy colour: a black cloth in a JPEG is green in places. Green
+    patches smaller than `LEAST_PATCH` of the image are noise. Of the small patches that touch green, golden ones are
+    petals, and white ones too if little else is white: before white film or sky each gap between leaves looks like a
+    petal. Other yellow ones are plant, because pods and young leaves are as yellow.
     """
     image = cv2.medianBlur(rgb, 3)
     classes = rule.classes(image)
-    lit = image.max(axis=2) >= LEAST_SHADE * leaf
+    lit = image.max(axis=2) >= LEAST_SHADE * light.leaf
     green = _patches((classes == GREEN) & lit, least=LEAST_PATCH * classes.size)
     window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_BESIDE, _BESIDE))
     near = cv2.dilate(green.astype(np.uint8), window) > 0
     yellow, white = (
         _patches(classes == colour, most=PETAL_PATCH * classes.size, touching=near) for colour in (YELLOW, WHITE)
     )
-    return np.where(white, 2, green | yellow).astype(np.uint8)
+    petals = _patches(_golden(image, light), most=GOLDEN_PATCH * classes.size, touching=near)
+    if (classes == WHITE).mean() <= WHITE_SCENE:
+        petals |= white
+    return np.where(petals, 2, green | yellow).astype(np.uint8)
+
+
+def _golden(rgb: NDArray[Any], light: Light) -> NDArray[np.bool_]:
+    """Return which pixels (H, W) are as yellow as a tomato's petals: as red as green, where leaves are greener."""
+    balanced = rgb * np.array(light.gains, dtype=np.float32)
+    red, green, high = balanced[..., 0], balanced[..., 1], balanced.max(axis=2)
+    saturated = high - balanced.min(axis=2) >= GOLDEN_SATURATION * high
+    return saturated & (red >= green) & (green >= 0.7 * red) & (high >= GOLDEN_GAIN * light.leaf)
 
 
 def _patches(
