@@ -1,6 +1,6 @@
 """A Franka arm without one: what pylibfranka says and does, over a small simulation that keeps the time.
 
-Its time goes on by cycles of a millisecond: `SLOWER` than the wall's, and it waits a while for the answer to each state.
+Its time goes by cycles of a millisecond, slower than the wall's: it waits a while for the answer to each state.
 It is no kinder than the robot: a command that breaks the FR3's limits, or 20 that are missing, end in a reflex.
 """
 
@@ -96,7 +96,8 @@ class FakeFranka:
         self.log, self.calls, self.recovered = list[tuple[float, Array]](), list[str](), True
         self.mute = self.dead = False
         self.current, self.last = Errors(), Errors()
-        self.missing, self.command, self.cycle = 0, None, 0
+        self.missing, self.cycle = 0, 0
+        self.command: JointPositions | None = None
         self.offset = np.zeros(7)
         self.news = threading.Condition()
         self._over = False

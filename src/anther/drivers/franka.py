@@ -31,6 +31,7 @@ from anther.errors import MissingExtra, bad_input
 from anther.geometry import Array
 
 JOINTS = 7
+BEGINS = "from anther.drivers.franka_loop import main; main()"
 BEGIN, ANSWER = 60.0, 2.0
 """The loop is connected within the first, and answers within the second [s]; libfranka gives a network up before."""
 RECOVERS = 5.0
@@ -135,7 +136,7 @@ class Franka:
         told = self._believed(self._read())
         why, off = _reason(told), 1e3 * float(np.abs(told.joints - told.aim).max())
         return [
-            f"mode {told.mode}; the newest joints are {1e3 * self._age(told):.0f} ms old, {off:.1f} mrad off its command",
+            f"mode {told.mode}; the newest joints are {1e3 * self._age(told):.0f} ms old, {off:.1f} mrad off the order",
             f"commands: 1000 a second; force {told.force:.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
@@ -274,7 +275,7 @@ def open_franka(host: str, *, names: Sequence[str], acceleration: Array, realtim
     except ImportError as error:
         raise MissingExtra(f"arm: no pylibfranka ({error}). Install it with: pip install 'anther[franka]'.") from error
     here, there = Pipe()
-    words = [sys.executable, "-m", "anther.drivers.franka_loop", str(there.fileno())]
+    words = [sys.executable, "-c", BEGINS, str(there.fileno())]
     where = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     loop = subprocess.Popen(
         words, pass_fds=(there.fileno(),), env=where, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
@@ -287,9 +288,18 @@ def open_franka(host: str, *, names: Sequence[str], acceleration: Array, realtim
         what, why = "failed", GONE
     if what == "failed":
         here.close()
-        loop.wait(ANSWER)
+        _wait(loop)
         raise DeviceError(f"{why}.")
-    return Franka(here, names=names, gone=lambda: loop.wait(ANSWER))
+    return Franka(here, names=names, gone=lambda: _wait(loop))
+
+
+def _wait(loop: subprocess.Popen[bytes]) -> None:
+    """Wait until the loop, which has nobody left to serve, has ended."""
+    try:
+        loop.wait(ANSWER)
+    except subprocess.TimeoutExpired:
+        loop.kill()
+        loop.wait()
 
 
 def _reason(told: Told) -> str:

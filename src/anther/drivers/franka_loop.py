@@ -47,6 +47,7 @@ UNSEEN = 0.1
 """States that nobody looked at for so long end a motion [s]."""
 LATE = f"the next motion comes too late: not within {LEAD:g} s. Look at what else runs here"
 CALLED_OFF = "the motion was called off"
+IDLE = f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine"
 
 
 class Told(NamedTuple):
@@ -194,9 +195,7 @@ class Loop:
             if self._gone:
                 path.brake(CALLED_OFF)
             elif self._clock() - self._seen > UNSEEN:
-                path.brake(
-                    f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine"
-                )
+                path.brake(IDLE)
 
     def _take(self, path: Path) -> None:
         match self._hear():
@@ -279,6 +278,3 @@ def main() -> None:
         with served_first():
             Loop(pipe, sdk, robot, acceleration).serve()
 
-
-if __name__ == "__main__":
-    main()
