@@ -1,7 +1,7 @@
 """Serves franka-sim's arm, which speaks libfranka's protocol, and writes down where it was. Run by its own Python.
 
-franka-sim fetches its model by git; here it is made from the URDF that comes with it. That has no rotor inertia, without
-which the arm shakes itself apart: a little is added. How it moves is therefore not an FR3's; the protocol is.
+franka-sim fetches its model by git; here it is made from the URDF that comes with it. That has no rotor inertia,
+without which the arm shakes itself apart: a little is added. How it moves is therefore not an FR3's; the protocol is.
 """
 
 from __future__ import annotations
