@@ -35,8 +35,9 @@ def main(folder: Path) -> None:
     def write() -> None:
         with (folder / "log").open("w") as log:
             while True:
-                state = server.robot_state.state
-                numbers = (time.monotonic(), int(state["robot_mode"]), *state["q"], *state["q_d"])
+                sim = server.physics_sim
+                mode = int(server.robot_state.state["robot_mode"])
+                numbers = (time.monotonic(), sim.data.time, mode, *sim.get_robot_state()["q"])
                 log.write(" ".join(map(str, numbers)) + "\n")
                 log.flush()
                 time.sleep(2e-3)
