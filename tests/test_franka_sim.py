@@ -76,7 +76,8 @@ def sim(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
             server.kill()
             pytest.fail(f"franka-sim does not begin: {(tmp_path / 'said').read_text()[-2000:]}")
         time.sleep(0.1)
-    time.sleep(1.0)
+    while len(log.read_text().splitlines()) < 100:
+        time.sleep(0.1)
     yield Log(log)
     server.send_signal(signal.SIGKILL)
     server.wait()
