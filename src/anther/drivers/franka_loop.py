@@ -277,4 +277,3 @@ def main() -> None:
         gc.disable()  # nothing here makes cycles, and collecting takes milliseconds
         with served_first():
             Loop(pipe, sdk, robot, acceleration).serve()
-
