@@ -12,6 +12,7 @@ from typing import Any
 
 from anther.arm.model import ArmModel
 from anther.devices import Arm
+from anther.drivers.franka import Franka, open_franka
 from anther.drivers.free_running import FreeRunningCamera
 from anther.drivers.intera import types
 from anther.drivers.realsense import open_realsense
@@ -58,6 +59,11 @@ def ur(
         lookahead=lookahead,
         gain=gain,
     )
+
+
+def franka(host: str, *, arm_model: ArmModel, realtime: bool = True) -> Franka:
+    """Return a Franka arm at its address; realtime: ask for a real-time kernel, without which commands may be late."""
+    return open_franka(host, names=arm_model.joints, acceleration=arm_model.acceleration, realtime=realtime)
 
 
 def ros2(
@@ -135,7 +141,7 @@ def uvc(
     return open_uvc(where, Intrinsics(width, height, fx, fy, cx, cy), rate=rate, latency=latency)
 
 
-ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2, "ur": ur}
+ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2, "ur": ur, "franka": franka}
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}

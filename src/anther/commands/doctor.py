@@ -29,6 +29,7 @@ FOR = {
     "sawyer": "a Sawyer over ROS 1",
     "ros2": "an arm under ROS 2, where none is sourced",
     "ur": "a Universal Robots arm",
+    "franka": "a Franka arm",
     "gripper": "a Robotiq gripper",
     "motor": "a motor in the gripper",
     "cuda": "rods on a GPU",

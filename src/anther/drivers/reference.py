@@ -24,7 +24,7 @@ class Reference:
         self._coming: Future[JointTrajectory | None] | None = None
         self._pieces: list[tuple[float, Any]] = []
         self.ends = 0.0
-        self._join(first)
+        self.join(first)
 
     @property
     def whole(self) -> bool:
@@ -46,7 +46,7 @@ class Reference:
             if following is None:
                 self._more = None
             else:
-                self._join(following)
+                self.join(following)
         elif t >= self.ends:
             raise DeviceError(f"the next motion comes too late: not within {LEAD:g} s. Look at what else runs here.")
 
@@ -64,7 +64,8 @@ class Reference:
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
 
-    def _join(self, motion: JointTrajectory) -> None:
+    def join(self, motion: JointTrajectory) -> None:
+        """Take a motion that begins where the last one ends."""
         curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
         self._pieces = [*self._pieces[-1:], (self.ends, curve)]  # readings are a little older than commands
         self.ends += motion.duration
