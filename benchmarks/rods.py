@@ -13,7 +13,8 @@ PyDiSMech runs it; with _euler (consistent discretisation), _damped (midpoint, v
 (undamped) appended; newton_per_step_86 of each; scaling_slope and memory_slope (exponent of time per Newton iteration
 and of memory over nodes, 86 to 20 000), memory_bytes_per_node; response_map_s (200 nodes, 50 grips x 200 frequencies x
 3 directions x 10 flowers), response_map_cpu_s; many_ms_per_scenario, many_scenarios_per_s, many_newton_per_s,
-many_speedup (threads, wall); second_start_s (a new process, compiled code on disk, from its start to 10 steps done), second_start_cpu_s, second_start_import_share.
+many_speedup (threads, wall); second_start_s (a new process, compiled code on disk, from its start to 10 steps
+done), second_start_cpu_s, second_start_import_share.
 Each time has also _median, _max and _floor. With peers: dismech_* and pyelastica_*; a *_ratio is the peer's time over
 ours, both of one round.
 
