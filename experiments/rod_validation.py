@@ -22,7 +22,6 @@ from rich.table import Table
 from rod_cases.authors_plants import AuthorsPlant, study
 from rod_cases.ends import end_cases
 from rod_cases.figures import draw_authors_plants, draw_convergence, draw_energy
-from rod_cases.hinged_pieces import hinged_cases
 from rod_cases.motion import energy_cases, order_cases, violent_cases
 from rod_cases.objectivity import objectivity_cases
 from rod_cases.page import page
@@ -52,7 +51,6 @@ def cases(data: Path) -> Iterator[Case]:
     yield response_cases
     yield violent_cases
     yield objectivity_cases
-    yield hinged_cases
 
 
 def main() -> None:
