@@ -64,12 +64,6 @@ class ClampedStem:
         """Return a stem of one radius [m], with a mass at the tip [kg]."""
         return cls(np.zeros(1), np.array([radius]), length, np.array([length]), np.array([tip_mass]))
 
-    @property
-    def mean_radius(self) -> float:
-        """Mean over the length [m]."""
-        at = np.linspace(0, self.length, 1001)
-        return float(np.interp(at, self.distance, self.radius).mean())
-
     def changed(self, *, radius: float = 0.0, length: float = 0.0, leaf_mass: float = 0.0) -> ClampedStem:
         """Return the stem as it is if the instruments were wrong.
 

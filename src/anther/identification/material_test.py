@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from anther.geometry import Array
 from anther.identification.clamped_stem import ClampedStem, Orientation, droop
 from anther.identification.density import Density, density_from_samples
 from anther.identification.free_vibration import FreeVibration, mean_vibration
-from anther.identification.stiffness import youngs_from_deflection, youngs_from_first_mode, youngs_from_frequency
+from anther.identification.stiffness import youngs_from_deflection, youngs_from_first_mode
 from anther.identification.uncertainty import DISAGREEMENT, Estimate, combine, disagreement, propagate
 from anther.plant import TOMATO, Material
 
@@ -103,7 +102,6 @@ class Identification:
         vibration: mean of the plucks, or None.
         estimates: of Young's modulus [Pa], one per method.
         youngs: their combination [Pa], or None where there is none.
-        bare_uniform_youngs: what the closed formula makes of the frequency: mean radius, no leaves, no gravity [Pa].
         material: for `anther.plant.build_plant`; what was not measured keeps the prior.
         warnings: what the user should not overlook.
     """
@@ -113,7 +111,6 @@ class Identification:
     vibration: FreeVibration | None
     estimates: tuple[Estimate, ...]
     youngs: Estimate | None
-    bare_uniform_youngs: float | None
     material: Material
     warnings: tuple[str, ...]
 
@@ -133,17 +130,12 @@ def identify(test: MaterialTest, prior: Material = TOMATO) -> Identification:
     vibration = mean_vibration(test.plucks) if test.plucks else None
     estimates = tuple(e for e in (_from_vibration(test, density, vibration), _from_deflection(test, density)) if e)
     youngs = combine(*estimates) if len(estimates) == 2 else next(iter(estimates), None)
-    bare = None
-    if vibration is not None and test.stem is not None:
-        stem = test.stem
-        bare = youngs_from_frequency(stem.length, stem.mean_radius, vibration.natural_frequency, density.value)
     return Identification(
         samples,
         density,
         vibration,
         estimates,
         youngs,
-        bare,
         _material(prior, density, vibration, youngs),
         tuple(_warnings(test, density, vibration, estimates)),
     )
@@ -252,21 +244,6 @@ def _warnings(
                 "as straight. Cut it shorter or take leaves off for a better test."
             )
     return said
-
-
-def leaf_mass_effect(
-    stems: Sequence[ClampedStem], frequency: float, density: float, orientations: Sequence[Orientation]
-) -> Array:
-    """Return (n stems, n orientations) Young's moduli [Pa] that one undamped frequency [Hz] means for each stem.
-
-    NaN where gravity alone would swing the stem faster.
-    """
-    found = np.full((len(stems), len(orientations)), np.nan)
-    for i, stem in enumerate(stems):
-        for k, orientation in enumerate(orientations):
-            with suppress(InputError):
-                found[i, k] = youngs_from_first_mode(stem, frequency, density, orientation)
-    return found
 
 
 def write_material(path: Path | str, material: Material) -> None:
