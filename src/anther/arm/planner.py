@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from anther.arm import dynamics, kinematics, shaking, timing
 from anther.arm.collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
-from anther.arm.model import ARM_MARGIN, ArmModel
-from anther.arm.outline import outline
+from anther.arm.model import ARM_MARGIN, ArmModel, outline
 from anther.arm.sawyer import SAWYER
 from anther.arm.tours import DETOUR, least_times
 from anther.checks import check_array, check_range, check_transform

@@ -5,14 +5,12 @@
 modes and their damping ratios, `base_response` for a shaking table.
 """
 
-from anther.elastic_rod.equilibrium import equilibrium, with_gravity_equilibrium
+from anther.elastic_rod.equilibrium import equilibrium, least_stiffness, stands, with_gravity_equilibrium
 from anther.elastic_rod.modes import Modes, natural_frequencies
-from anther.elastic_rod.motion import Clamp, Drive, Motion, SampledDrive
+from anther.elastic_rod.motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive
 from anther.elastic_rod.response import base_response, frequency_response, response_map
 from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
 from anther.elastic_rod.simulation import Trajectory, simulate
-from anther.elastic_rod.stability import least_stiffness, stands
-from anther.elastic_rod.waveforms import Burst, Chirp
 
 __all__ = [
     "GRAVITY",
