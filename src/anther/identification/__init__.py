@@ -5,25 +5,27 @@ uncertainty; its steps are `density_from_samples`, `fit_free_vibration`, `youngs
 `youngs_from_deflection`. From a shake: `refine`.
 """
 
-from anther.identification.clamped_stem import ClampedStem, Orientation, first_frequency, tip_deflections
-from anther.identification.density import Density, density_from_samples
-from anther.identification.expectation import Expected, expect, flowers_at, loads_at
-from anther.identification.feeling import feel
+from anther.identification.clamped_stem import (
+    ClampedStem,
+    Orientation,
+    first_frequency,
+    tip_deflections,
+    youngs_from_deflection,
+    youngs_from_first_mode,
+)
 from anther.identification.free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification.material_test import (
+    Density,
     Identification,
     InstrumentErrors,
     MaterialTest,
+    density_from_samples,
     identify,
     read_material,
     write_material,
 )
-from anther.identification.observed import Felt, Observed
-from anther.identification.refinement import Params, Refinement, refine
-from anther.identification.stiffness import (
-    youngs_from_deflection,
-    youngs_from_first_mode,
-)
+from anther.identification.observed import Felt, Observed, feel
+from anther.identification.refinement import Expected, Params, Refinement, expect, flowers_at, loads_at, refine
 from anther.identification.uncertainty import Estimate, combine, disagreement, propagate
 
 __all__ = [

@@ -7,17 +7,56 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from anther.checks import check_range
+from anther.checks import check_array, check_range
 from anther.errors import InputError, bad_input
 from anther.files import read_json, write_json
 from anther.geometry import Array
-from anther.identification.clamped_stem import ClampedStem, Orientation, droop
-from anther.identification.density import Density, density_from_samples
+from anther.identification.clamped_stem import (
+    ClampedStem,
+    Orientation,
+    droop,
+    youngs_from_deflection,
+    youngs_from_first_mode,
+)
 from anther.identification.free_vibration import FreeVibration, mean_vibration
-from anther.identification.stiffness import youngs_from_deflection, youngs_from_first_mode
 from anther.identification.uncertainty import DISAGREEMENT, Estimate, combine, disagreement, propagate
 from anther.plant import TOMATO, Material
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """Density of stem samples [kg/m3]: mean, standard deviation between samples, standard error of the mean.
+
+    The two last are NaN for a single sample.
+    """
+
+    mean: float
+    sd: float
+    standard_error: float
+
+
+def density_from_samples(mass: ArrayLike, radius: ArrayLike, length: ArrayLike) -> Density:
+    """Return the density of round stem pieces (P22).
+
+    Args:
+        mass: (n,) [kg].
+        radius: (n,) [m].
+        length: (n,) [m].
+
+    Raises:
+        InputError: no samples, different counts, or a value <= 0.
+    """
+    m = check_array("sample mass", mass, (None,))
+    r = check_array("sample radius", radius, (len(m),))
+    h = check_array("sample length", length, (len(m),))
+    if not len(m) or min(m.min(), r.min(), h.min()) <= 0:
+        raise bad_input("stem samples", given=f"{len(m)} samples", allowed="one or more, values > 0", do="Check units.")
+    each = m / (np.pi * r**2 * h)
+    sd = float(np.std(each, ddof=1)) if len(each) > 1 else float("nan")
+    return Density(float(each.mean()), sd, sd / float(np.sqrt(len(each))))
+
 
 SCHEMA = 1
 LEAST_EXPLAINED = 0.7
