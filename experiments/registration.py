@@ -37,6 +37,7 @@ from skeletons import take
 from anther import cloud, masks
 from anther.arm import sawyer
 from anther.capture import Capture
+from anther.cloud import EDGE_DEPTH, EDGE_SUPPORT, EDGE_WINDOW
 from anther.cloud.pixels import supported_pixels
 from anther.cloud.registration import Params, register
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, layout
@@ -131,7 +132,7 @@ def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -
             "none": masked,
             "gradient": masked & (_range(depth) <= GRADIENT),
             "support": supported_pixels(
-                depth, masked, params.edge_window, params.edge_support, params.edge_depth
+                depth, masked, EDGE_WINDOW, EDGE_SUPPORT, EDGE_DEPTH
             ),
         }  # fmt: skip
         for name, keep in keeps.items():

@@ -98,6 +98,12 @@ TRAVEL, TRAVEL_TIME = 0.01, 0.2
 """An arm travels while a joint turns by this [rad] in this time [s]: on the way in by 0.02 to 0.06 rad."""
 SATURATED = 0.999
 """Share of a motor's torque limit from which on it counts as reached."""
+HELD_SHARE = 0.95
+"""The pads must hold the stem in at least this share of the samples of the shake."""
+BESIDE_SHARE = 0.2
+"""Another organ counts as held with it that a pad presses in at least this share of them."""
+LEAF_BAND = 5.0
+"""Up to which a leaf is taken to follow quasi-statically [Hz]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,17 +114,11 @@ class Params:
         push: the robot may press on the plant with this before it closes [N].
         slip: the held point may wander this far between the pads [m].
         grip: a pad touches with at least this [N].
-        held_share: the pads must hold the stem in at least this share of the samples of the shake.
-        beside_share: another organ counts as held with it that a pad presses in at least this share of them.
-        leaf_band: up to which a leaf is taken to follow quasi-statically [Hz].
     """
 
     push: float = 2.0
     slip: float = 0.005
     grip: float = 0.2
-    held_share: float = 0.95
-    beside_share: float = 0.2
-    leaf_band: float = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +217,7 @@ def judge(
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),
         (not slip <= params.slip, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
-        (share < params.held_share, "slipped", f"the stem was held in {share:.0%} of the shake only"),
+        (share < HELD_SHARE, "slipped", f"the stem was held in {share:.0%} of the shake only"),
     ]
     failure: FailureKind | None = "damaged" if harm.passed else None
     reason = harm.words or f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else "")
@@ -281,7 +281,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, par
     impulse = np.bincount(organ[other == segment], log.contact_force[pressed][other == segment])
     held = int(impulse.argmax())
     rest = [o for o in np.unique(organ[between]).tolist() if o != held]
-    beside = [o for o in rest if len(np.unique(sample[between & (organ == o)])) >= params.beside_share * when.sum()]
+    beside = [o for o in rest if len(np.unique(sample[between & (organ == o)])) >= BESIDE_SHARE * when.sum()]
     return [Organ(o).name.lower() for o in (held, *beside)]
 
 
@@ -333,7 +333,7 @@ def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None, params: Pa
     dt = float(np.median(np.diff(times)))
     T = poses[:, base]
     path = np.einsum("tkij,kj->tki", T[..., :3, :3], plant.start[base]) + T[..., :3, 3]
-    slow = sosfiltfilt(butter(2, params.leaf_band, fs=1 / dt, output="sos"), _acceleration(path, dt), axis=0)
+    slow = sosfiltfilt(butter(2, LEAF_BAND, fs=1 / dt, output="sos"), _acceleration(path, dt), axis=0)
     return float(np.linalg.norm(slow, axis=2).max())
 
 
