@@ -123,7 +123,7 @@ def register_all(
 
 def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -> dict[str, tuple[float, float]]:
     """Return for each filter the share of flying pixels it removes and of petiole pixels it keeps."""
-    params, counts = cloud.Params(), {name: np.zeros(4) for name in ("none", "gradient", "support")}
+    counts = {name: np.zeros(4) for name in ("none", "gradient", "support")}
     for view, depth in enumerate(capture.depth):
         masked = (labels[view] > 0) & (depth > 0)
         flies = masked & ~_on_surface(depth, truth.depth[view])

@@ -43,7 +43,7 @@ Progress = Callable[[int, int], None]
 EDGE_WINDOW = 2
 """Half-width of the window in which a pixel looks for support [px]."""
 EDGE_SUPPORT = 5
-"""Least number of pixels at its depth in that window: keeps a petiole one pixel wide, and drops flying pixels behind it."""
+"""Least number of pixels at its depth in that window: keeps a petiole one pixel wide, drops flying pixels."""
 EDGE_DEPTH = 0.003
 """How far the depth of a supporting pixel may differ at 0.5 m; it grows with z squared [m]."""
 
