@@ -53,10 +53,7 @@ docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/second_judge.py
 	$(BIN)/python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/reports/wide_truth.md
 	$(BIN)/python tools/record.py experiments/fruit_set.py --figure docs/pictures/fruit_set.png
-	$(BIN)/python tools/record.py experiments/trials.py
-	$(BIN)/python tools/record.py experiments/hinged_plant.py
 	$(BIN)/python tools/record.py experiments/rod_validation.py
-	$(BIN)/python tools/record.py experiments/twist.py
 	$(BIN)/python tools/record.py benchmarks/rods.py --page docs/reports/rod_speed.md
 	$(BIN)/python tools/film_shake.py docs/pictures/shake.gif
 	$(BIN)/python tools/draw_readme.py runs/demo docs/pictures/trial.png

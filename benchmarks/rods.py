@@ -13,7 +13,7 @@ PyDiSMech runs it; with _euler (consistent discretisation), _damped (midpoint, v
 (undamped) appended; newton_per_step_86 of each; scaling_slope and memory_slope (exponent of time per Newton iteration
 and of memory over nodes, 86 to 20 000), memory_bytes_per_node; response_map_s (200 nodes, 50 grips x 200 frequencies x
 3 directions x 10 flowers), response_map_cpu_s; many_ms_per_scenario, many_scenarios_per_s, many_newton_per_s,
-many_speedup (`simulate_many`, wall); second_start_s (a new process, compiled code on disk, from its start to 10 steps
+many_speedup (threads, wall); second_start_s (a new process, compiled code on disk, from its start to 10 steps
 done), second_start_cpu_s, second_start_import_share.
 Each time has also _median, _max and _floor. With peers: dismech_* and pyelastica_*; a *_ratio is the peer's time over
 ours, both of one round.
@@ -31,6 +31,7 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -47,12 +48,9 @@ from anther.elastic_rod import (
     Clamp,
     Drive,
     Rods,
-    Scenario,
-    Trajectory,
     natural_frequencies,
     response_map,
     simulate,
-    simulate_many,
     with_gravity_equilibrium,
 )
 from anther.errors import AntherError
@@ -227,15 +225,18 @@ def many_rows(quick: bool, repeats: int) -> list[Row]:
     rods = replace(reference_network(), viscous_time=1e-4)
     shakes = [Drive(grip, np.array([1.0, 0, 0]), 1e-3, hertz) for grip in (10, 18, 25, 40) for hertz in range(3, 33, 3)]
     clamp = Clamp(np.array([0, 1]))
-    scenarios = [Scenario(rods, clamp, shake, 0.1, 1e-3, start="scanned", record_every=100) for shake in shakes]
+    scenarios = [
+        partial(simulate, rods, clamp, shake, 0.1, 1e-3, start="scanned", record_every=100) for shake in shakes
+    ]
     scenarios = scenarios[::4] if quick else 4 * scenarios
     count, cores, all_cores, alone, iterations = len(scenarios), os.cpu_count() or 1, [], [], 0
     for _ in track(range(repeats), "many scenarios"):
         for workers, times in ((cores, all_cores), (1, alone)):
             begin = time.perf_counter()
-            runs = simulate_many(scenarios, workers=workers)
+            with ThreadPoolExecutor(workers) as pool:
+                runs = [future.result() for future in [pool.submit(shaken) for shaken in scenarios]]
             times.append(time.perf_counter() - begin)
-        iterations = sum(run.newton_iterations for run in runs if isinstance(run, Trajectory))
+        iterations = sum(run.newton_iterations for run in runs)
     more = {
         "many_scenarios_per_s": count / min(all_cores),
         "many_newton_per_s": iterations / min(all_cores),

@@ -36,6 +36,5 @@ print(f"damping ratio {pluck.damping_ratio:.4f} ± {pluck.damping_error:.4f} (tr
 for estimate in found.estimates:
     low, high = estimate.value - estimate.standard_error, estimate.value + estimate.standard_error
     print(f"E from {estimate.name}: {low / 1e6:.0f} to {high / 1e6:.0f} MPa (truth {youngs / 1e6:.0f})")
-print(f"E by the formula for a uniform bare stem: {found.bare_uniform_youngs / 1e6:.0f} MPa")
 if len(sys.argv) > 1:
     draw_material_test(test, found, [Pluck("pluck", times, motion, pluck)]).savefig(sys.argv[1], dpi=110)

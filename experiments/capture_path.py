@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from anther.arm import sawyer, sharpness
-from anther.arm.capturing import through_views
+from anther.arm import sawyer, sharpness, timing
 from anther.arm.dynamics import USABLE
 from anther.arm.views import SEEN, Views, capture_time, cylinder_points
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, views_at
+from anther.devices import JointTrajectory
 from anther.files import write_json
-from anther.geometry import Box
+from anther.geometry import Array, Box
 from anther.sim.cell import Cell
 from anther.sim.path_judge import SIGHT, Surroundings, judge_path
 from anther.sim.robot import SimArm
@@ -80,6 +80,22 @@ def driven(views: Views, species: Species, seed: int) -> dict[str, float]:
         "driven_effort_share": float(np.abs(log.torques / sawyer.EFFORT).max()),
         "contacts": len(log.contact_other),
     }
+
+
+def through_views(views: Views) -> tuple[JointTrajectory, Array]:
+    """Return one motion through all views, standing still where `Views.dwell` says so, and when it arrives at each.
+
+    Returns:
+        The motion, and (V,) times [s].
+    """
+    parts, arrivals, now = list[JointTrajectory](), [], 0.0
+    for motion, dwell in zip(views.motions, views.dwell, strict=True):
+        arrivals.append(now + motion.duration)
+        parts.append(motion)
+        if dwell > 0:
+            parts.append(JointTrajectory.standstill(motion.positions[-1], float(dwell)))
+        now = arrivals[-1] + float(dwell)
+    return timing.joined(parts), np.array(arrivals)
 
 
 def longest(flags: NDArray[np.bool_]) -> tuple[int, int]:

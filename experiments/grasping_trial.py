@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from grasping_pictures import portrait
 from grasping_table import as_counted
+from paper_grasp import paper_grasp
 from swept import failed
 
 from anther.arm.planner import Planner
@@ -20,7 +21,6 @@ from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, buil
 from anther.commands.trial_summary import summarise
 from anther.errors import StageFailure
 from anther.execution import EARLY, execute
-from anther.grasp.paper import paper_grasp
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run

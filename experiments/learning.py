@@ -53,7 +53,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps
 from anther.identification import Observed, refine
 from anther.plant import Material, PlantModel, build_plant
-from anther.sim.effect import pollen_freed
+from anther.sim.judge import pollen_freed
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene as Rendered
 from anther.sim.shaken_plant import ShakenPlant

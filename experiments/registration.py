@@ -37,6 +37,7 @@ from skeletons import take
 from anther import cloud, masks
 from anther.arm import sawyer
 from anther.capture import Capture
+from anther.cloud import EDGE_DEPTH, EDGE_SUPPORT, EDGE_WINDOW
 from anther.cloud.pixels import supported_pixels
 from anther.cloud.registration import Params, register
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, layout
@@ -122,7 +123,7 @@ def register_all(
 
 def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -> dict[str, tuple[float, float]]:
     """Return for each filter the share of flying pixels it removes and of petiole pixels it keeps."""
-    params, counts = cloud.Params(), {name: np.zeros(4) for name in ("none", "gradient", "support")}
+    counts = {name: np.zeros(4) for name in ("none", "gradient", "support")}
     for view, depth in enumerate(capture.depth):
         masked = (labels[view] > 0) & (depth > 0)
         flies = masked & ~_on_surface(depth, truth.depth[view])
@@ -131,7 +132,7 @@ def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -
             "none": masked,
             "gradient": masked & (_range(depth) <= GRADIENT),
             "support": supported_pixels(
-                depth, masked, params.edge_window, params.edge_support, params.edge_depth
+                depth, masked, EDGE_WINDOW, EDGE_SUPPORT, EDGE_DEPTH
             ),
         }  # fmt: skip
         for name, keep in keeps.items():

@@ -1,11 +1,10 @@
 """The rod engine against theory, peers and itself: one table, and figures, in docs/reports/rod_validation.md.
 
 Writes docs/reports/rod_validation.md and docs/pictures/rod_validation_*.png (into --docs). Rows whose limit is a dash
-only inform. Stored references of the peer solver and the authors' plants are read from --data; their rows are left out,
-with a message, where the folder is missing.
+only inform. Stored references of the peer solver are read from --data; where it is missing, their rows are left out.
 
 Keys of the --json file: <case>_error and <case>_limit for every row (fractions, degrees or metres, as the table says),
-rows, rows_failed, and the numbers of the authors' plants.
+rows, rows_failed.
 """
 
 from __future__ import annotations
@@ -19,10 +18,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from rod_cases.authors_plants import AuthorsPlant, study
 from rod_cases.ends import end_cases
-from rod_cases.figures import draw_authors_plants, draw_convergence, draw_energy
-from rod_cases.hinged_pieces import hinged_cases
+from rod_cases.figures import draw_convergence, draw_energy
 from rod_cases.motion import energy_cases, order_cases, violent_cases
 from rod_cases.objectivity import objectivity_cases
 from rod_cases.page import page
@@ -52,13 +49,12 @@ def cases(data: Path) -> Iterator[Case]:
     yield response_cases
     yield violent_cases
     yield objectivity_cases
-    yield hinged_cases
 
 
 def main() -> None:
     """Run, print the table, write the page, its figures and --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of rod_reference/ and skeletons/")
+    parser.add_argument("--data", type=Path, default=DATA, help="folder of rod_reference/")
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the page; with --quick, not written")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="shorter runs and coarser steps, in two minutes")
@@ -67,15 +63,14 @@ def main() -> None:
     console = Console()
     begin = time.perf_counter()
     if not (args.data / "rod_reference").is_dir():
-        console.print(f"no rod_reference in {args.data}: the rows of the peer and the authors' plants are left out")
+        console.print(f"no rod_reference in {args.data}: the rows of the peer are left out")
     found = [case(args.quick) for case in track(list(cases(args.data)), "rod validation", console=console)]
-    plants = study(args.data, args.quick, console)
     rows = [row for findings in found for row in findings.rows]
     _print(console, rows)
     if not args.quick:
-        _write(args.docs, found, rows, plants, time.perf_counter() - begin)
+        _write(args.docs, found, rows, time.perf_counter() - begin)
     if args.json:
-        write_json(args.json, metrics(rows) | {k: v for plant in plants for k, v in plant.metrics().items()})
+        write_json(args.json, metrics(rows))
 
 
 def _print(console: Console, rows: list[Row]) -> None:
@@ -90,14 +85,12 @@ def _print(console: Console, rows: list[Row]) -> None:
     console.print(f"{sum(row.failed for row in rows)} of {sum(row.limit is not None for row in rows)} rows failed")
 
 
-def _write(docs: Path, found: list[Findings], rows: list[Row], plants: list[AuthorsPlant], seconds: float) -> None:
+def _write(docs: Path, found: list[Findings], rows: list[Row], seconds: float) -> None:
     pictures = docs / "pictures"
     pictures.mkdir(parents=True, exist_ok=True)
     draw_convergence(found, pictures / "rod_validation_convergence.png")
     draw_energy(found, pictures / "rod_validation_energy.png")
-    if plants:
-        draw_authors_plants(plants, pictures / "rod_validation_authors_plants.png")
-    write_text(docs / "reports" / "rod_validation.md", page(rows, plants, seconds))
+    write_text(docs / "reports" / "rod_validation.md", page(rows, seconds))
 
 
 if __name__ == "__main__":

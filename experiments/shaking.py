@@ -27,6 +27,7 @@ import numpy as np
 import shaking_table
 from grasping_page import insert
 from grasping_trial import Memory, performed, truth_of
+from paper_grasp import paper_grasp
 from swept import failed, swept
 from vibration_plant import matched
 
@@ -34,7 +35,6 @@ from anther.arm.planner import Planner
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
 from anther.execution import execute
 from anther.files import write_json
-from anther.grasp.paper import paper_grasp
 from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance

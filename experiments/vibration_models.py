@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from twist_plants import Builder
+from true_rods import Builder
 
 from anther import cloud, flowers, masks, plant, skeleton, stem
 from anther.capture import Capture

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from anther.arm import sawyer
-from anther.arm.outline import outline
+from anther.arm.model import outline
 from anther.devices import (
     LEAD,
     ArmRecord,

@@ -12,6 +12,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import ablated
 import ablation
+from true_rods import Builder
 from vibration_models import Model, true_model
 
 from anther.elastic_rod import Clamp, Rods, natural_frequencies, with_gravity_equilibrium
@@ -40,6 +41,16 @@ def bar() -> Model:
 def gain(model: Model) -> float:
     way = np.array([0.0, 1.0, 0.0])
     return float(model.response(np.array([[0, 0, 0.12]]), way, np.array([5.0]))[0, 0, 0])
+
+
+def test_rods_of_a_simulated_plant_keep_its_mass_and_place() -> None:
+    sim = grow_tomato(11)
+    rods = Builder(sim).rods()
+    mass = np.concatenate([sim.mass, sim.lump_mass])
+    middles = np.concatenate([(sim.start + sim.end) / 2, sim.lump_centre])
+    assert rods.node_mass.sum() == pytest.approx(mass.sum(), rel=1e-3)
+    centre = rods.node_mass @ rods.nodes / rods.node_mass.sum()
+    np.testing.assert_allclose(centre, mass @ middles / mass.sum(), atol=1e-3)
 
 
 def test_every_node_is_in_one_organ_and_the_stem_is_one(plant: Model) -> None:

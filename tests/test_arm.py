@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm import kinematics, sawyer, shaking, timing
 from anther.arm.collision import CollisionWorld
-from anther.arm.newton import newton_step
+from anther.arm.kinematics import newton_step
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
 from anther.devices import JointTrajectory

@@ -17,10 +17,9 @@ import anther
 from anther.arm import dynamics, kinematics
 from anther.arm.arms import in_simulated_cell, named
 from anther.arm.collision import CollisionWorld
-from anther.arm.fitting import capsules_around
 from anther.arm.model import ArmModel
 from anther.arm.planner import SHAKE_SHARE, Planner
-from anther.arm.urdf import from_urdf
+from anther.arm.urdf import capsules_around, from_urdf
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import capture_time, plan_views
 from anther.commands.simulated_cell import layout, usual_distance

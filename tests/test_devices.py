@@ -15,7 +15,7 @@ from small_planner import SmallPlanner
 from straight_plant import straight_plant
 
 from anther.arm import sawyer
-from anther.arm.outline import outline
+from anther.arm.model import outline
 from anther.capture import Capture
 from anther.devices import (
     Arm,

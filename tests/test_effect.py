@@ -18,8 +18,7 @@ from anther.geometry import Array
 from anther.pipeline import Params
 from anther.report import write_report
 from anther.results import RunResults
-from anther.sim.effect import Harm, pollen_freed
-from anther.sim.judge import Verdict
+from anther.sim.judge import Harm, Verdict, pollen_freed
 from anther.sim.truth import HALF_DOSE, TOLERANCE, tolerances
 from anther.vibration import PRESETS
 

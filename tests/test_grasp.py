@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +15,15 @@ from scipy.spatial.transform import Rotation
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import Grasp, Gripper, Params, load_grasps, plan_grasps, save_grasps
-from anther.grasp.candidates import branch_directions, directions_across, flange_pose, paper_approach
+from anther.grasp.candidates import directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
 from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
-from anther.grasp.paper import paper_grasp
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, STEM, Stem
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
+from paper_grasp import branch_directions, paper_approach, paper_grasp
 
 UPRIGHT = np.eye(3)
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from anther.cli import main
+from anther.commands.run_folder import VISIT, remember
 from anther.commands.trial import Args, _belief
-from anther.commands.visit_record import FILE, remember
 from anther.errors import InputError
 from anther.files import write_json
 from anther.plant import TOMATO
@@ -213,9 +213,9 @@ def test_a_history_out_of_reach_loses_no_trial(tmp_path: Path, say) -> None:
     (read,) = read_trials(where)
     assert (read.material, read.time) == (trial("a").material, BEGIN)
     assert np.isnan(read.measured_amplitude[1])
-    (run / FILE).unlink()
+    (run / VISIT).unlink()
     assert say("history", where, "--add", run)[0] == 2
-    write_json(run / FILE, {"plant": 3})
+    write_json(run / VISIT, {"plant": 3})
     assert "what a trial wrote" in say("history", where, "--add", run)[1]
 
 

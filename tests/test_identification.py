@@ -11,9 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_plants import branched, grasps_on
 
-from anther.elastic_rod.modes import natural_frequencies
-from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.rods import Rods
 from anther.errors import InputError
 from anther.identification import (
     Observed,
@@ -21,7 +18,6 @@ from anther.identification import (
     density_from_samples,
     fit_free_vibration,
     refine,
-    youngs_from_frequency,
 )
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import Params as ShakeParams
@@ -29,37 +25,6 @@ from anther.vibration import ShakePlan, plan_shake
 from anther.vibration.observables import branch_of, semi_major
 from anther.vibration.pads import PADS, Pads, grip_rows, pad_nodes
 from anther.vibration.search import Version, deviates, drawn_version, flower_motion, gains
-
-
-@pytest.mark.parametrize(("tip_mass", "youngs"), [(0, 21.6), (5e-3, 71), (10e-3, 120), (20e-3, 218)])
-def test_the_authors_stem(tip_mass: float, youngs: float) -> None:
-    found = youngs_from_frequency(0.292, 3e-3, 1.38, 1100, tip_mass=tip_mass) / 1e6
-    assert found == pytest.approx(youngs, rel=0.02)
-
-
-@pytest.mark.parametrize("tip_mass", [0.0, 0.01])
-def test_identifies_the_rod_engines_own_stiffness(tip_mass: float) -> None:
-    n = 61
-    nodes = np.stack([np.zeros(n), np.zeros(n), np.linspace(0, 0.305, n)], axis=1)
-    lumps = np.zeros(n)
-    lumps[-1] = tip_mass
-    rods = Rods(nodes, np.arange(-1, n - 1), 3e-3, 2e8, 1100.0, lumped_mass=lumps)
-    first = natural_frequencies(rods, Clamp.root(rods), 2, gravity=(0, 0, 0))[0][0]
-    assert youngs_from_frequency(0.305, 3e-3, first, 1100, tip_mass=tip_mass) == pytest.approx(2e8, rel=0.01)
-
-
-@given(st.floats(0.1, 1), st.floats(1e-3, 1e-2), st.floats(0.2, 10), st.floats(0, 0.1))
-def test_youngs_grows_with_frequency_squared(length: float, radius: float, frequency: float, tip_mass: float) -> None:
-    once, twice = (youngs_from_frequency(length, radius, k * frequency, 1000, tip_mass=tip_mass) for k in (1, 2))
-    assert twice == pytest.approx(4 * once, rel=1e-9)
-    assert once >= youngs_from_frequency(length, radius, frequency, 1000) * (1 - 1e-9)
-
-
-@given(st.sampled_from(["length", "radius", "frequency", "density"]), st.sampled_from([0.0, -1.0, np.nan, np.inf]))
-def test_impossible_stems_are_refused(name: str, value: float) -> None:
-    stem = {"length": 0.3, "radius": 3e-3, "frequency": 1.4, "density": 1000.0} | {name: value}
-    with pytest.raises(InputError, match=name):
-        youngs_from_frequency(**stem)
 
 
 def test_density_of_samples() -> None:

@@ -14,7 +14,7 @@ from anther.cli import main
 from anther.cloud import Cloud
 from anther.commands import respond
 from anther.commands.rod_plant import read_plant
-from anther.commands.skeleton_source import STEM, place
+from anther.commands.skeletonize import STEM, place
 from anther.errors import InputError
 from anther.formats.skeletons import write_skeleton
 from anther.skeleton import Params, Skeleton, skeletonize

@@ -22,7 +22,7 @@ from made_log import done, kept_in, readable, spoken, tapped, wait_until
 from mcap.records import Message
 
 from anther import log
-from anther.commands.trial_log import EARLIER, LOG, TrialLog
+from anther.commands.run_folder import EARLIER, LOG, TrialLog
 from anther.devices import Frame
 from anther.errors import InputError, StageFailure
 from anther.log import Log

@@ -1,4 +1,4 @@
-"""The rod validation: its theory against published numbers, its model of the peer, and a quick part of its table."""
+"""The rod validation: its theory against published numbers, and a quick part of its table."""
 
 # pyright: reportMissingImports=false
 from __future__ import annotations
@@ -13,8 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 from rod_cases.beam_theory import cone_frequencies, elastica, rayleigh_roots, small_sag, uniform_roots
 from rod_cases.motion import energy_cases, order_cases
-from rod_cases.peer_model import PeerModel, Shake
-from rod_cases.peer_references import reference, reference_cases
+from rod_cases.peer_references import reference_cases
 from rod_cases.statics import static_cases
 from rod_cases.table import Convergence, Row, metrics
 from rod_cases.vibrations import frequency_cases
@@ -79,23 +78,3 @@ def test_static_rows_are_met() -> None:
 
 def test_peer_rows_are_met(data: Path) -> None:
     assert not [row.case for row in reference_cases(data / "rod_reference", True).rows if row.failed]
-
-
-def test_the_model_of_the_peer_is_the_peer(data: Path) -> None:
-    arrays, setup = reference(data / "rod_reference", "authors_tomato2_f1.3")
-    shake = Shake(setup["drive_node"], setup["amp"], setup["freq"])
-    path = PeerModel(arrays["nodes0"], arrays["edges"], setup).simulate(np.array([0]), shake, 0.2, setup["dt"])
-    np.testing.assert_allclose(path, arrays["traj"][: len(path)], atol=1e-8)
-
-
-def test_the_model_of_the_peer_has_the_gradient_of_its_energy(data: Path) -> None:
-    arrays, setup = reference(data / "rod_reference", "authors_tomato2_f1.3")
-    model = PeerModel(arrays["nodes0"], arrays["edges"], setup)
-    model.stretch = 0 * model.stretch  # bending alone
-    rng = np.random.default_rng(0)
-    x = model.rest + 1e-3 * rng.normal(size=model.rest.shape)
-    m1 = model.carried(model.m1, model.rest, x)
-    gradient = model._forces(x, m1)[0][: x.size].reshape(x.shape)
-    way = 1e-7 * rng.normal(size=x.shape)
-    ends = [model.bend_energy(x + s * way, model.carried(m1, x, x + s * way)) for s in (1, -1)]
-    assert (ends[0] - ends[1]) / 2 == pytest.approx(np.sum(gradient * way), rel=1e-5)

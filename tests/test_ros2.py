@@ -25,7 +25,7 @@ from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
 from streamed_motions import halfway, raising_beyond, thought_about, three_pieces
 
-from anther.arm.outline import outline
+from anther.arm.model import outline
 from anther.cells import parts, read_cell
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory
 from anther.drivers import ros2, streamed

@@ -15,7 +15,7 @@ from small_planner import SmallPlanner, solve
 from test_execution import Plan
 
 from anther.arm import sawyer
-from anther.arm.outline import outline
+from anther.arm.model import outline
 from anther.devices import ArmSample, DeviceError, Frame, GripperState, JointTrajectory, SafetyLimits
 from anther.errors import StageFailure
 from anther.execution import execute

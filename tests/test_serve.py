@@ -26,7 +26,7 @@ from fastapi.testclient import TestClient
 from anther.cli import main
 from anther.plant import TOMATO
 from anther.serve import make_app
-from anther.serve.charts import charts
+from anther.serve.app import charts
 from anther.store import (
     GraspRecord,
     Job,

@@ -12,7 +12,7 @@ import pytest
 from sample_plants import branched, grasps_on
 from test_beliefs import trial
 
-from anther.commands.visit_record import FILE, remember
+from anther.commands.run_folder import VISIT, remember
 from anther.errors import InputError, StageFailure
 from anther.files import replacing, write_json
 from anther.identification import Observed, refine
@@ -83,7 +83,7 @@ def test_a_locked_history_keeps_the_trial_in_its_folder(tmp_path: Path, monkeypa
     other.close()
     assert told is not None
     assert "locked" in told
-    assert (tmp_path / "second" / FILE).exists()
+    assert (tmp_path / "second" / VISIT).exists()
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])

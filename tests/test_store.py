@@ -32,10 +32,11 @@ from anther.store import (
     find_plants,
     find_visit,
     note_jobs,
+    overview,
     read_jobs,
     read_outcomes,
-    read_sweeps,
     read_trials,
+    reading,
     record_outcome,
     record_trial,
     shown,
@@ -214,7 +215,6 @@ def test_a_crashed_server_loses_nothing(server: Server) -> None:
 
 
 def test_jobs_of_a_sweep(where: str) -> None:
-    assert read_sweeps(where) == []
     jobs = [Job(f"k{n}", {"seed": n}) for n in range(3)]
     named = {"uid": "u", "folder": "runs/night", "function": "trial"}
     add_jobs(jobs[:2], where, **named)
@@ -224,11 +224,11 @@ def test_jobs_of_a_sweep(where: str) -> None:
     add_jobs(jobs, where, uid="v", folder="runs/other", function="trial")
     assert read_jobs(where, "u") == [jobs[0], done, jobs[2]]
     assert read_jobs(where, "none") == []
-    first, second = read_sweeps(where)
-    assert (first.uid, first.folder, first.function, first.jobs) == (*named.values(), {"waiting": 2, "done": 1})
-    assert first.last is not None
-    assert first.last >= first.began
-    assert (second.jobs, second.last) == ({"waiting": 3}, None)
+    with reading(where) as session:
+        assert session is not None
+        second, first = overview.sweeps(session)
+    assert (first.folder, first.function, first.jobs) == ("runs/night", "trial", {"waiting": 2, "done": 1})
+    assert second.jobs == {"waiting": 3}
     record_trial(full(), where)
 
 

@@ -23,8 +23,8 @@ from anther import sweep
 from anther.cli import main
 from anther.commands import sweep_kinds
 from anther.errors import InputError
-from anther.store import Job, read_sweeps
-from anther.sweep import cluster, running, working
+from anther.store import Job, overview, reading
+from anther.sweep import running, working
 from anther.sweep.places import Disk, Store, place
 
 distributed = pytest.importorskip("distributed", reason="dask is not installed: pip install 'anther[sweep]'")
@@ -79,9 +79,10 @@ def test_every_row_is_run_once_and_the_folder_goes_on(rows, scheduler: str, tmp_
     assert sweep.run(squared, rows, folder, scheduler=scheduler, quiet=True)[:3] == jobs
     assert runs(tmp_path) == [0, 1, 2, 3]
     assert list((folder / "under_way").iterdir()) == []
-    (noted,) = read_sweeps(folder / "history.sqlite")
+    with reading(folder / "history.sqlite") as session:
+        assert session is not None
+        (noted,) = overview.sweeps(session)
     assert (noted.jobs, noted.function.endswith("squared"), noted.folder) == ({"done": 4}, True, str(folder))
-    assert noted.last is not None
     assert sorted(job.row["n"] for job in sweep.read(folder)) == [0, 1, 2, 3]
     with pytest.raises(InputError, match="holds a sweep of"):
         sweep.run(squared, rows, folder, name="trial", scheduler=scheduler, quiet=True)
@@ -303,7 +304,7 @@ def test_cells_become_what_the_options_take() -> None:
 
 @pytest.mark.parametrize("where", ["tcp://127.0.0.1:9", "nonsense"])
 def test_a_scheduler_that_is_not_there(where: str, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "PATIENCE", 1.0)
+    monkeypatch.setattr(running, "PATIENCE", 1.0)
     (tmp_path / "t.csv").write_text("seed\n3\n")
     assert main(["sweep", str(tmp_path / "t.csv"), "--out", str(tmp_path / "s"), "--scheduler", where]) == 2
     said = capsys.readouterr().err

@@ -20,7 +20,7 @@ import numpy as np
 
 from anther import cloud, flowers, grasp, masks, skeleton, stem
 from anther.capture import Capture
-from anther.pictures.shake_plan import draw_plan
+from anther.pictures.report import draw_plan
 from anther.plant import TOMATO, build_plant
 from anther.samples import write_samples
 from anther.vibration import plan_shake

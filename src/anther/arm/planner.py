@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from anther.arm import dynamics, kinematics, shaking, timing
 from anther.arm.collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
-from anther.arm.model import ARM_MARGIN, ArmModel
-from anther.arm.outline import outline
+from anther.arm.model import ARM_MARGIN, ArmModel, outline
 from anther.arm.sawyer import SAWYER
 from anther.arm.tours import DETOUR, least_times
 from anther.checks import check_array, check_range, check_transform
@@ -36,6 +35,12 @@ SEEDS = 3  # of each search: the quickest way found is taken
 SHIFTS, SHIFT = 20, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
+LINE_STEP = 0.003
+"""Spacing of the poses along a straight line [m]."""
+BACK_OUT = 0.3
+"""How far the gripper draws back out of leaves before it moves freely [m]."""
+REACH_TIME = 0.2
+"""Longest search when only asked whether a grasp can be reached [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +52,7 @@ class Params:
             "medium" (facts: sawyer 1).
         flange_speed: of the flange in free motion at most [m/s]; just within `devices.SafetyLimits`.
         approach_speed: of the flange along straight lines [m/s].
-        line_step: spacing of the poses along a straight line [m].
-        back_out: how far the gripper draws back out of leaves before it moves freely [m].
         search_time: for a path around obstacles, in each of `SEARCHES` [s].
-        reach_time: the same when only asked whether a grasp can be reached [s].
         home: (J,) joints from which grasps must be reachable [rad]; None is where the arm is ready.
         seed: of that search.
     """
@@ -59,10 +61,7 @@ class Params:
     acceleration_share: float = 0.35
     flange_speed: float = 1.45
     approach_speed: float = 0.05
-    line_step: float = 0.003
-    back_out: float = 0.3
     search_time: float = 2.0
-    reach_time: float = 0.2
     home: tuple[float, ...] | None = None
     seed: int = 0
 
@@ -154,7 +153,7 @@ class Planner:
         q = check_array("start joints", q_from, (self.arm.count,))
         target = check_transform("flange pose", T_world_to)
         here = self.arm.forward(q)
-        path = kinematics.follow(self.arm, q[None], _poses_between(here, target, self.params.line_step))[0]
+        path = kinematics.follow(self.arm, q[None], _poses_between(here, target, LINE_STEP))[0]
         if not np.isfinite(path).all():
             raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
         with self.world.touching_plant():
@@ -240,7 +239,7 @@ class Planner:
             goal = self._backed_out(q)[0]
         except StageFailure:
             return False
-        return self._search(self.home, goal, self.params.reach_time, SEARCH_STEP, self.params.seed) is not None
+        return self._search(self.home, goal, REACH_TIME, SEARCH_STEP, self.params.seed) is not None
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
@@ -338,16 +337,14 @@ class Planner:
         if self.world.free(q):
             return q, None
         here = self.arm.forward(q)
-        behind = here @ transform(np.eye(3), [0, 0, -self.params.back_out])
-        path = kinematics.follow(self.arm, q[None], _poses_between(here, behind, self.params.line_step))[0]
+        behind = here @ transform(np.eye(3), [0, 0, -BACK_OUT])
+        path = kinematics.follow(self.arm, q[None], _poses_between(here, behind, LINE_STEP))[0]
         for i in range(len(path)):
             with self.world.touching_plant():
                 if not (np.isfinite(path[i]).all() and self.world.free(path[i])):
                     break
             if i >= 8 and self.world.free(path[i]):
-                return path[i], timing.along_line(
-                    self.arm, path[: i + 1], i * self.params.line_step, self.params.approach_speed
-                )
+                return path[i], timing.along_line(self.arm, path[: i + 1], i * LINE_STEP, self.params.approach_speed)
         raise StageFailure("collision", f"the flange at {here[:3, 3].round(3)} m is not free, nor straight behind it.")
 
 

@@ -22,6 +22,10 @@ from anther.geometry import Array, Box, inverse, look_at
 FAST = MotionParams(velocity_share=0.95, acceleration_share=0.85)
 SEEN = 0.08  # m between the points of the region whose motion in the image is looked at
 SEEDS, MORE_SEEDS = 12, 48  # of the inverse kinematics: to see whether a view can be reached, and to choose a way there
+ELEVATIONS = (-5.0, 15.0, 35.0, 55.0)
+"""Of the camera above its target [degrees]."""
+HEIGHT_SHARES = (0.4, 0.65, 0.45, 0.6)
+"""At which share of the region's height each elevation aims."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +36,10 @@ class Params:
         count: how many views.
         distances: of the camera from the plant's axis, in order of preference [m]; the D455 sees nothing nearer than
             0.48 m at 1280 x 720.
-        elevations: of the camera above its target [degrees].
         azimuth_step: of the viewpoints tried [degrees].
         widest: greatest azimuth, to either side of the arm [degrees].
         first: azimuth and elevation near which the spread of directions begins [degrees]; None is the arm's side. It
             decides how evenly few views lie, and how short their tour can be.
-        height_shares: at which share of the region's height each elevation aims.
         dwell: standing still for each image [s], for a camera that is asked for a frame when the arm has come to rest;
             None is as long as a camera that runs freely needs for a sharp one, see `sharpness`.
         camera: for how long that is.
@@ -45,11 +47,9 @@ class Params:
 
     count: int = 30
     distances: tuple[float, ...] = (0.65, 0.58, 0.52)
-    elevations: tuple[float, ...] = (-5.0, 15.0, 35.0, 55.0)
     azimuth_step: float = 7.5
     widest: float = 180.0
     first: tuple[float, float] | None = None
-    height_shares: tuple[float, ...] = (0.4, 0.65, 0.45, 0.6)
     dwell: float | None = None
     camera: sharpness.Params = field(default_factory=sharpness.Params)
 
@@ -243,7 +243,7 @@ def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -
     """Return the reachable views; each direction takes the first distance of the list at which it can be reached."""
     steps = np.arange(-180, 180, params.azimuth_step)
     steps = steps[np.abs(steps) <= params.widest]
-    grid = [(a, e, share) for e, share in zip(params.elevations, params.height_shares, strict=True) for a in steps]
+    grid = [(a, e, share) for e, share in zip(ELEVATIONS, HEIGHT_SHARES, strict=True) for a in steps]
     found: dict[int, Array] = {}
     for distance in params.distances:
         open_ = [i for i in range(len(grid)) if i not in found]

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from anther.arm.arms import named
-from anther.arm.model import ArmModel
-from anther.arm.outline import outline
+from anther.arm.model import ArmModel, outline
 from anther.arm.sawyer import SAWYER, TOOL
 from anther.calibration.hand_eye import HandEye
 from anther.cells import parts

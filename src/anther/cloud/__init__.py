@@ -40,6 +40,12 @@ _MOST_CELLS = 1e8  # of obstacles: 28 bytes each
 
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
+EDGE_WINDOW = 2
+"""Half-width of the window in which a pixel looks for support [px]."""
+EDGE_SUPPORT = 5
+"""Least number of pixels at its depth in that window: keeps a petiole one pixel wide, drops flying pixels."""
+EDGE_DEPTH = 0.003
+"""How far the depth of a supporting pixel may differ at 0.5 m; it grows with z squared [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +54,6 @@ class Params:
 
     Attributes:
         voxel: spacing of the cloud [m].
-        edge_window: half-width of the window in which a pixel looks for support [px].
-        edge_support: least number of pixels at its depth in that window; 5 keeps a petiole one pixel wide, and drops
-            the flying pixels between it and what is behind.
-        edge_depth: how far the depth of a supporting pixel may differ at 0.5 m; it grows with z squared [m].
         registration: see `registration.Params`; None keeps the arm's own poses.
         seen_through: a view contradicts a point where it sees at least this far behind it [m].
         gap: parts closer than this to the rest belong to it [m].
@@ -62,9 +64,6 @@ class Params:
     """
 
     voxel: float = 0.0015
-    edge_window: int = 2
-    edge_support: int = 5
-    edge_depth: float = 0.003
     registration: registration.Params | None = field(default_factory=registration.Params)
     seen_through: float = 0.02
     gap: float = 0.012
@@ -79,8 +78,6 @@ class Params:
         check_range("obstacle voxel", self.obstacle_voxel, 0.002, 0.1, "m")
         check_range("gap", self.gap, self.voxel, 0.2, "m")
         check_range("far gap", self.far_gap, self.gap, 0.5, "m")
-        check_range("edge_window", self.edge_window, 1, 20, "px")
-        check_range("edge_depth", self.edge_depth, 1e-5, 0.1, "m")
         check_range("seen_through", self.seen_through, 1e-3, 1, "m")
 
 
@@ -256,13 +253,11 @@ def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, params: Param
 def _plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, view: int, params: Params) -> ViewPoints:
     """Return one view's plant pixels as camera-frame points, flying pixels and what is far from the box left out."""
     depth = capture.depth[view]
-    keep = supported_pixels(
-        depth, labels[view] != BACKGROUND, params.edge_window, params.edge_support, params.edge_depth
-    )
+    keep = supported_pixels(depth, labels[view] != BACKGROUND, EDGE_WINDOW, EDGE_SUPPORT, EDGE_DEPTH)
     rows = np.flatnonzero(keep)
     colors = np.zeros((len(rows), 3), np.uint8) if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
     points = capture.intrinsics.back_project(depth, keep)
-    normals = pixel_normals(depth, keep, capture.intrinsics, params.edge_depth)
+    normals = pixel_normals(depth, keep, capture.intrinsics, EDGE_DEPTH)
     near = Box(box.lower - MARGIN, box.upper + MARGIN).contains(transform_points(capture.T_world_cam[view], points))
     return ViewPoints(points, normals, labels[view].ravel()[rows], colors).only(near)
 

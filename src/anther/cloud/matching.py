@@ -11,8 +11,8 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
+from anther.cloud.clusters import voxel_means
 from anther.cloud.pixels import slant
-from anther.cloud.voxels import voxel_means
 from anther.geometry import Array
 
 THREADS = 2

@@ -32,7 +32,6 @@ FOR = {
     "franka": "a Franka arm",
     "gripper": "a Robotiq gripper",
     "motor": "a motor in the gripper",
-    "cuda": "rods on a GPU",
     "postgresql": "a history that several robots share",
     "parquet": "history as Parquet",
     "sweep": "many runs at once, on every core or a cluster",
@@ -146,17 +145,8 @@ def _extra(name: str, needs: list[Requirement]) -> Finding:
 
 def _gpu() -> Finding:
     if not Path("/proc/driver/nvidia/version").exists() and shutil.which("nvidia-smi") is None:
-        return Finding("GPU", "absent", "no NVIDIA driver; only --device cuda and network masks gain by one")
-    try:
-        from numba import cuda
-
-        if cuda.is_available():
-            return Finding("GPU", "ok", str(cuda.get_current_device().name))
-    except Exception as error:  # whatever driver and toolkit raise is what the user should read
-        return Finding(
-            "GPU", "absent", f"an NVIDIA driver, and numba cannot use it ({error})", "pip install 'anther[cuda]'"
-        )
-    return Finding("GPU", "absent", "an NVIDIA driver, and numba cannot use it", "pip install 'anther[cuda]'")
+        return Finding("GPU", "absent", "no NVIDIA driver; only network masks gain by one")
+    return Finding("GPU", "ok", "an NVIDIA driver; network masks use it where torch does")
 
 
 def _compiled() -> Finding:

@@ -74,7 +74,7 @@ def _in_time(args: Args, outcome: Outcome) -> bool:
 
 
 def _add(args: Args) -> None:
-    from anther.commands.visit_record import add_run
+    from anther.commands.run_folder import add_run
     from anther.store import merge
 
     for folder in args.add:

@@ -23,16 +23,11 @@ from anther.identification import (
     Orientation,
     fit_free_vibration,
     identify,
-    leaf_mass_effect,
-    straight_line_youngs,
     write_material,
 )
 from anther.identification.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES, TRACE, read_measurements
-from anther.pictures.material_test import LeafMassEffect, Pluck, draw_material_test
+from anther.pictures.material_test import Pluck, draw_material_test
 
-ORIENTATIONS: tuple[Orientation, ...] = ("weightless", "upright", "horizontal", "hanging")
-LEAF_SHARES = (0.0, 0.5, 1.0, 1.5)
-"""Shares of the measured leaf mass for which E is shown [-]."""
 GIVEN_ERROR = 0.01
 """Relative standard error of a frequency that is given without one [-]."""
 GIVEN_DENSITY_ERROR = 0.05
@@ -65,8 +60,6 @@ class Args:
     """Radius of a uniform stem [m], where there is no profile."""
     leaves: Path | None = None
     """Leaves, flowers and fruits on the stem, CSV: distance_mm from the clamp, mass_g."""
-    leaf_mass: tuple[float, ...] = ()
-    """Show what E would be with these further masses at the tip [kg]."""
     orientation: Literal["upright", "horizontal", "hanging"] | None = None
     """How the plucked stem was held, horizontal: plucked vertically. Without it gravity is left out."""
     deflection: Path | None = None
@@ -88,14 +81,13 @@ def run(args: Args) -> None:
     plucks = [_pluck(path, args.start) for path in args.trace]
     test = _material_test(args, tuple(pluck.fit for pluck in plucks))
     found = identify(test)
-    effect = _leaf_mass_effect(args, test, found)
-    result = _numbers(test, found, effect)
+    result = _numbers(test, found)
     if args.out is not None:
         write_json(args.out / "identify.json", result)
         write_material(args.out / "material.json", found.material)
         with replacing(args.out / "identify.png") as temporary:
-            draw_material_test(test, found, plucks, effect).savefig(temporary, dpi=120)
-    print(json.dumps(result, indent=2) if args.json else _text(args, test, found, effect))
+            draw_material_test(test, found, plucks).savefig(temporary, dpi=120)
+    print(json.dumps(result, indent=2) if args.json else _text(args, test, found))
 
 
 def _pluck(path: Path, start: float | None) -> Pluck:
@@ -143,7 +135,6 @@ def _refuse_contradictions(args: Args) -> None:
         ("frequency-error", args.frequency_error is not None, args.frequency is not None, "--frequency"),
         ("start", args.start is not None, bool(args.trace), "--trace"),
         ("orientation", args.orientation is not None, vibration, "--trace or --frequency"),
-        ("leaf-mass", bool(args.leaf_mass), vibration, "--trace or --frequency"),
     )
     for name, given, effective, needed in useless:
         if given and not effective:
@@ -183,28 +174,7 @@ def _stem(args: Args) -> ClampedStem | None:
     return ClampedStem(profile["distance"], profile["radius"], length, leaves["distance"], leaves["mass"])
 
 
-def _leaf_mass_effect(args: Args, test: MaterialTest, found: Identification) -> LeafMassEffect | None:
-    """Return E over leaf mass: with further masses at the tip where given, else with more or less of the leaves."""
-    if test.stem is None or found.vibration is None:
-        return None
-    for mass in args.leaf_mass:
-        check_range("leaf_mass", mass, 0, 100, "kg")
-    leaves = float(test.stem.leaf_mass.sum())
-    if args.leaf_mass:
-        masses = np.array(sorted({0.0, *args.leaf_mass}))
-        stems, where, present = [test.stem.with_tip_mass(float(m)) for m in masses], "further mass at the tip", 0.0
-    elif leaves > 0:
-        masses = leaves * np.array(LEAF_SHARES)
-        stems, where = [test.stem.changed(leaf_mass=share - 1) for share in LEAF_SHARES], "leaf mass, where it is"
-        present = leaves
-    else:
-        masses, stems, where, present = np.zeros(1), [test.stem], "leaf mass", 0.0
-    frequency = found.vibration.natural_frequency
-    youngs = leaf_mass_effect(stems, frequency, found.density.value, ORIENTATIONS)
-    return LeafMassEffect(where, masses, present, ORIENTATIONS, youngs)
-
-
-def _numbers(test: MaterialTest, found: Identification, effect: LeafMassEffect | None) -> dict[str, Any]:
+def _numbers(test: MaterialTest, found: Identification) -> dict[str, Any]:
     """Return the result as plain numbers in SI; NaN becomes None."""
     result: dict[str, Any] = {
         "density": _estimate(found.density),
@@ -213,18 +183,12 @@ def _numbers(test: MaterialTest, found: Identification, effect: LeafMassEffect |
         "orientation": test.orientation,
         "youngs": None if found.youngs is None else _estimate(found.youngs),
         "youngs_by_method": {estimate.name: _estimate(estimate) for estimate in found.estimates},
-        "youngs_bare_uniform": found.bare_uniform_youngs,
-        "youngs_small_deflection": _small_deflection_youngs(test),
-        "youngs_by_leaf_mass": None,
         "material": asdict(found.material),
         "warnings": list(found.warnings),
     }
     if found.vibration is not None:
         natural = {"natural_frequency": found.vibration.natural_frequency, "plucks": len(test.plucks)}
         result["vibration"] = asdict(found.vibration) | natural
-    if effect is not None:
-        columns = {name: effect.youngs[:, k].tolist() for k, name in enumerate(effect.orientations)}
-        result["youngs_by_leaf_mass"] = {"where": effect.where, "mass": effect.masses.tolist()} | columns
     return _without_nan(result)
 
 
@@ -236,12 +200,6 @@ def _estimate(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _small_deflection_youngs(test: MaterialTest) -> float | None:
-    if test.stem is None or not len(test.tip_mass):
-        return None
-    return straight_line_youngs(test.stem, test.tip_mass, test.deflection)
-
-
 def _without_nan(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _without_nan(inner) for key, inner in value.items()}
@@ -250,19 +208,12 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _text(args: Args, test: MaterialTest, found: Identification, effect: LeafMassEffect | None) -> str:
+def _text(args: Args, test: MaterialTest, found: Identification) -> str:
     lines = [_density_line(test, found), *_vibration_line(test, found)]
     for estimate in found.estimates:
         lines.append(f"E from {estimate.name:11} {_modulus(estimate)}")
     if len(found.estimates) == 2 and found.youngs is not None:
         lines.append(f"E together         {_modulus(found.youngs)}")
-    if found.bare_uniform_youngs is not None:
-        formula = f"{found.bare_uniform_youngs / 1e6:.3g} MPa"
-        lines.append(f"for comparison: a uniform bare stem without gravity, by formula: {formula}")
-    small = _small_deflection_youngs(test)
-    if small is not None:
-        lines.append(f"for comparison: the deflections by Euler-Bernoulli for small ones: {small / 1e6:.3g} MPa")
-    lines += _effect_lines(effect)
     lines += [f"warning: {warning}" for warning in found.warnings]
     if found.youngs is not None:
         m = found.material
@@ -294,15 +245,3 @@ def _modulus(estimate: Estimate) -> str:
     largest = sorted(estimate.shares.items(), key=lambda item: -abs(item[1]))
     sources = ", ".join(f"{name} {abs(share):.1%}" for name, share in largest if abs(share) >= 0.001)
     return f"{estimate.value / 1e6:.3g} ± {estimate.standard_error / 1e6:.2g} MPa ({sources})"
-
-
-def _effect_lines(effect: LeafMassEffect | None) -> list[str]:
-    if effect is None:
-        return []
-    names = [name.replace("weightless", "no gravity") for name in effect.orientations]
-    lines = [f"E [MPa] by {effect.where} [g] and by how the stem was held:"]
-    lines.append("  " + "".join(f"{word:>12}" for word in ["mass", *names]))
-    for mass, row in zip(effect.masses, effect.youngs, strict=True):
-        cells = [f"{mass * 1e3:.3g}", *("-" if np.isnan(e) else f"{e / 1e6:.3g}" for e in row)]
-        lines.append("  " + "".join(f"{cell:>12}" for cell in cells))
-    return lines

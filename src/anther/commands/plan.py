@@ -14,8 +14,7 @@ from rich.table import Table
 
 from anther.cloud import Cloud
 from anther.commands.run_folder import PARAMS
-from anther.commands.skeleton_source import read_source
-from anther.commands.skeletonize import best_grasps
+from anther.commands.skeletonize import best_grasps, read_source
 from anther.errors import bad_input
 from anther.files import read_object, replacing
 from anther.flowers import Flowers
@@ -23,7 +22,7 @@ from anther.fruit_set import worth
 from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
 from anther.identification import read_material
-from anther.pictures.shake_plan import draw_plan
+from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.runs import FILES
 from anther.skeleton import Skeleton

@@ -46,7 +46,7 @@ def run(args: Args) -> None:
     from anther.capture import Capture
     from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run
-    from anther.commands.skeleton_source import place
+    from anther.commands.skeletonize import place
     from anther.geometry import Box
 
     skeleton = replace(args.params.skeleton, root=place("--root", args.root) or args.params.skeleton.root)

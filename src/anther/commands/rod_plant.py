@@ -11,7 +11,7 @@ import tyro
 from numpy.typing import NDArray
 
 from anther.checks import check_range
-from anther.commands.skeleton_source import read_source
+from anther.commands.skeletonize import read_source
 from anther.elastic_rod import Clamp, Rods, least_stiffness, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile

@@ -6,24 +6,88 @@ import dataclasses
 import json
 import platform
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from anther.commands.trial_log import EARLIER, LOG
-from anther.commands.visit_record import FILE as VISIT
-from anther.errors import bad_input
-from anther.files import made_folder, read_object, write_json
+from anther.devices import Tap, untapped
+from anther.errors import AntherError, bad_input, missing_extra
+from anther.files import existing, made_folder, read_object, write_json
 from anther.results import EXECUTED, FILM, SUMMARY
 from anther.runs import FILES, PROGRESS, Run
+from anther.store import GraspRecord, ShakeRecord, TrialRecord, add_missing, read_record, record_trial, shown
 
 if TYPE_CHECKING:
+    from anther.pipeline import Done
     from anther.results import RunResults
 
+LOG, EARLIER = "log.mcap", "log_before.mcap"
+"""The log, and that of the process which a run was gone on from."""
+
+
+class TrialLog:
+    """A context manager: what was said is on the disk when it ends. Attribute: `tap` listens to a cell's machines.
+
+    Args:
+        run: what it listens to.
+        wanted: whether there is to be one.
+    """
+
+    def __init__(self, run: Run, *, wanted: bool) -> None:
+        self.tap: Tap = untapped
+        self._log, self._lacks = None, None
+        if wanted:
+            try:
+                from anther.log import Log
+            except ImportError as error:
+                lacks = missing_extra(error)
+                if lacks is None:
+                    raise
+                self._lacks = str(lacks)
+                return
+            self._log = Log(_place(run.folder))
+            self.tap, run.told = self._log.tap, self._log.told
+
+    def __enter__(self) -> TrialLog:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        if self._log is not None:
+            self._log.close()
+
+    def close(self, failure: object, verdict: Any) -> dict[str, Any]:
+        """End the log with how the trial ended; warn if anything lacks; return what trial.json keeps of it."""
+        if self._log is None:
+            if self._lacks is not None:
+                print(f"anther trial: no {LOG}: {self._lacks}", file=sys.stderr)
+            return {"log_messages": 0, "log_dropped": 0, "log_error": self._lacks}
+        if failure is not None or verdict is not None:
+            self._log.told("verdict", str(failure) if verdict is None else verdict.reason or "success")
+        kept = self._log.close()
+        if kept.error is not None:
+            lost = f"{kept.dropped} of {kept.messages + kept.dropped} messages are missing"
+            print(f"anther trial: {LOG}: {kept.error}; {lost}. The trial was not held up.", file=sys.stderr)
+        return {"log_messages": kept.messages, "log_dropped": kept.dropped, "log_error": kept.error}
+
+
+def _place(folder: Path) -> Path:
+    """Return where the log goes; one that is there is what led to a restart, and is kept."""
+    place = folder / LOG
+    try:
+        if place.exists():
+            place.replace(folder / EARLIER)
+    except OSError:
+        pass  # the log itself says what is wrong with the folder
+    return place
+
+
 PARAMS, TIMING = "00_params.json", "timing.json"
+VISIT = "visit.json"
 WRITTEN = {
     PARAMS,
     TIMING,
@@ -156,3 +220,66 @@ def finish(run: Run) -> RunResults:
     results = read_run(run.folder)
     write_report(run.path("report"), results)
     return results
+
+
+def with_what_was_done(record: TrialRecord, done: Done, organ: str | None) -> TrialRecord:
+    """Return the record with grasp, shake, the flowers' motion and what was believed before and after.
+
+    A shake that was planned but never begun is not recorded: it gave the flowers nothing.
+    """
+    plan, answer, shaken = done.shake, done.response, done.trial.shake_times
+    grasp = plan.grasp
+    measured: dict[str, Any] = {}
+    if answer is not None:
+        measured = {
+            "measured_amplitude": tuple(answer.amplitude.tolist()),
+            "measured_amplitude_std": tuple(answer.amplitude_std.tolist()),
+            "measured_acceleration": tuple(answer.acceleration_peak.tolist()),
+        }
+    shake = ShakeRecord(
+        frequency=plan.frequency,
+        amplitude=plan.amplitude,
+        duration=float(shaken[-1] - shaken[0]) if len(shaken) else 0.0,
+        waveform="sine",
+        direction=tuple(plan.direction.tolist()),
+    )
+    return replace(
+        record,
+        grasp=GraspRecord(grasp.arc_length, grasp.stem_diameter, grasp.confidence, organ, tuple(grasp.pose7)),
+        shake=shake if len(shaken) else None,
+        predicted_amplitude=tuple(plan.predicted_amplitude.tolist()),
+        predicted_acceleration=tuple(plan.predicted_acceleration.tolist()),
+        believed=done.believed,
+        material=done.material,
+        **measured,
+    )
+
+
+def remember(record: TrialRecord, folder: Path, history: str) -> str | None:
+    """Keep the record in the run folder, then in the history; return None, or why the history did not take it.
+
+    The trial is done by then, so that a history out of reach ends nothing: the message says how to add it later.
+    """
+    write_json(folder / VISIT, record.plain())
+    try:
+        record_trial(record, history)
+    except AntherError as error:
+        how = f"anther history {shown(history)} --add {folder}"
+        return f"the trial is not in the history yet. {error} It is kept in {folder / VISIT}; add it with: {how}"
+    return None
+
+
+def add_run(folder: Path, history: str) -> int | None:
+    """Add a run's trial to the history; None if it is there already.
+
+    Raises:
+        InputError: no run with a trial, or the history cannot be written.
+    """
+    if not (existing(folder) / VISIT).exists():
+        raise bad_input(
+            str(folder),
+            given=f"a folder without {VISIT}",
+            allowed="a run folder of `anther trial`",
+            do="Trials of earlier versions are in their history already.",
+        )
+    return add_missing(read_record(folder / VISIT), history)

@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 
 from anther import pipeline
-from anther.arm.model import ArmModel
-from anther.arm.outline import outline
+from anther.arm.model import ArmModel, outline
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
 from anther.arm.sawyer import SAWYER

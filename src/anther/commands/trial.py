@@ -95,13 +95,11 @@ def run(args: Args) -> int:
     """
     from anther.checks import check_range
     from anther.commands.mask_source import mask_finder
-    from anther.commands.run_folder import finish, open_run, parameters
-    from anther.commands.trial_log import TrialLog
+    from anther.commands.run_folder import TrialLog, finish, open_run, parameters, remember
     from anther.commands.trial_summary import print_summary, summarise
-    from anther.commands.visit_record import remember
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
-    from anther.pictures.film import save_film
+    from anther.pictures.shake import save_film
     from anther.pipeline import pollinate
     from anther.results import EXECUTED, FILM, SUMMARY
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
@@ -264,7 +262,7 @@ def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], don
 
     That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that.
     """
-    from anther.commands.visit_record import with_what_was_done
+    from anther.commands.run_folder import with_what_was_done
     from anther.store import TrialRecord
 
     result = {"success": bool(summary["held"] and summary["unharmed"] is not False), "failure": summary["failure"]}

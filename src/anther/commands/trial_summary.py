@@ -188,7 +188,7 @@ def _true(verdict: Verdict | None) -> dict[str, Any]:
     """The judge's own figures, by the simulator's truth."""
     if verdict is None:
         return {}
-    from anther.sim.effect import MOVED, MUCH, pollen_freed
+    from anther.sim.judge import MOVED, MUCH, pollen_freed
 
     felt = verdict.flower_acceleration_peak[np.isfinite(verdict.flower_acceleration_peak)]
     low, middle, high = pollen_freed(felt)

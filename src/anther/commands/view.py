@@ -47,7 +47,7 @@ def run(args: Args) -> None:
 
 def _show(args: Args) -> None:
     """Serve the trial's log until Ctrl-C."""
-    from anther.commands.trial_log import LOG
+    from anther.commands.run_folder import LOG
     from anther.errors import bad_input
     from anther.log.live import PORT, show
 

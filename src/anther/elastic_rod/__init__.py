@@ -1,19 +1,16 @@
 """Discrete elastic rods: branched, slender, shaken. Knows nothing of plants or robots.
 
 `Rods` (geometry and material), `Clamp` and `Drive` (what is held and moved), then `simulate` for nonlinear motion
-(`simulate_many` on all cores), `frequency_response` and `response_map` for small vibrations, `natural_frequencies` for
+(threads run it on all cores), `frequency_response` and `response_map` for small vibrations, `natural_frequencies` for
 modes and their damping ratios, `base_response` for a shaking table.
 """
 
-from anther.elastic_rod.equilibrium import equilibrium, with_gravity_equilibrium
+from anther.elastic_rod.equilibrium import equilibrium, least_stiffness, stands, with_gravity_equilibrium
 from anther.elastic_rod.modes import Modes, natural_frequencies
-from anther.elastic_rod.motion import Clamp, Drive, Motion, SampledDrive
+from anther.elastic_rod.motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive
 from anther.elastic_rod.response import base_response, frequency_response, response_map
 from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
-from anther.elastic_rod.scenarios import Scenario, simulate_many
 from anther.elastic_rod.simulation import Trajectory, simulate
-from anther.elastic_rod.stability import least_stiffness, stands
-from anther.elastic_rod.waveforms import Burst, Chirp
 
 __all__ = [
     "GRAVITY",
@@ -26,7 +23,6 @@ __all__ = [
     "NaturalShape",
     "Rods",
     "SampledDrive",
-    "Scenario",
     "Trajectory",
     "base_response",
     "equilibrium",
@@ -35,7 +31,6 @@ __all__ = [
     "natural_frequencies",
     "response_map",
     "simulate",
-    "simulate_many",
     "stands",
     "with_gravity_equilibrium",
 ]

@@ -17,7 +17,7 @@ from anther.checks import check_range
 from anther.errors import bad_input
 from anther.formats import bag_realsense
 from anther.formats.alignment import laid_over
-from anther.formats.bag_file import BagFile, Recorded
+from anther.formats.bag_file import BagFile, Recorded, Topics, find_topics
 from anther.formats.bag_images import BagCamera, camera_of, colour_image, depth_image
 from anther.formats.bag_poses import (
     FrameTree,
@@ -28,7 +28,6 @@ from anther.formats.bag_poses import (
     read_trajectory,
     sorted_series,
 )
-from anther.formats.bag_topics import Topics, find_topics
 from anther.geometry import Array, inverse, transform_from_pose7
 
 _SAME_CAMERA = 1e-3  # relative difference of intrinsics that counts as one camera

@@ -8,18 +8,184 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from anther.checks import check_array
 from anther.errors import bad_input
-from anther.files import LARGEST_TEXT, read_lines, understood, whole_file, write_text
-from anther.formats.graphml import read_graphml, write_graphml
+from anther.files import LARGEST_TEXT, read_lines, replacing, understood, whole_file, write_text
 from anther.formats.mtg import read_mtg, write_mtg
+from anther.formats.points import load_whole_ply
 from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
-from anther.formats.skeleton_ply import read_skeleton_ply, write_skeleton_ply
 from anther.geometry import Array
 from anther.skeleton import Skeleton
+
+
+def write_skeleton_ply(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
+    """Write a skeleton as binary PLY.
+
+    Vertices have double x, y, z, radius [m], int parent (-1 at the root) and, with labels, uchar organ, which indexes
+    the names in the comment "organs ..."; edges have int vertex1 (parent), vertex2 (child).
+
+    Args:
+        path: file to write.
+        skeleton: the tree.
+        labels: an organ name a node, or None.
+    """
+    names = list(dict.fromkeys(labels or ()))
+    kinds = {"x": "f8", "y": "f8", "z": "f8", "radius": "f8", "parent": "i4"} | ({"organ": "u1"} if names else {})
+    nodes = np.zeros(len(skeleton.nodes), [(name, "<" + kind) for name, kind in kinds.items()])
+    nodes["x"], nodes["y"], nodes["z"] = skeleton.nodes.T
+    nodes["radius"], nodes["parent"] = skeleton.radius, skeleton.parent
+    if labels is not None:
+        nodes["organ"] = [names.index(label) for label in labels]
+    words = {"f8": "double", "i4": "int", "u1": "uchar"}
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment anther skeleton, metres, z up",
+        *([f"comment organs {' '.join(names)}"] if names else []),
+        f"element vertex {len(nodes)}",
+        *(f"property {words[kind]} {name}" for name, kind in kinds.items()),
+        f"element edge {len(nodes) - 1}",
+        "property int vertex1",
+        "property int vertex2",
+        "end_header",
+        "",
+    ]
+    content = "\n".join(header).encode("ascii") + nodes.tobytes() + skeleton.edges.astype("<i4").tobytes()
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_skeleton_ply(path: Path | str) -> SkeletonFile:
+    """Read a PLY with vertices x, y, z [m] and edges vertex1, vertex2; radius and parent are used where it has them.
+
+    Raises:
+        InputError: unreadable, no edges (a plain cloud), or not one tree.
+    """
+    path = Path(path)
+    elements = load_whole_ply(path)["metadata"]["_ply_raw"]
+    vertices = _element(path, elements, "vertex", ("x", "y", "z"))
+    edges = _element(path, elements, "edge", ("vertex1", "vertex2"))
+    nodes = np.column_stack([np.ravel(vertices[axis]) for axis in "xyz"]).astype(np.float64)
+    pairs = np.column_stack([np.ravel(edges[end]) for end in ("vertex1", "vertex2")]).astype(np.int64)
+    held = {key: np.ravel(vertices[key]) for key in ("radius", "parent", "organ") if _has(vertices, key)}
+    tops = np.flatnonzero(held["parent"] < 0) if "parent" in held else np.zeros(0, np.int64)
+    names = _organ_names(path)
+    return rooted(
+        nodes,
+        pairs,
+        radius=held["radius"].astype(np.float64) if "radius" in held else None,
+        root=int(tops[0]) if len(tops) == 1 else None,
+        labels=[names[int(k)] for k in held["organ"]] if "organ" in held and names else None,
+    )
+
+
+def _element(path: Path, elements: dict[str, Any], name: str, wanted: tuple[str, ...]) -> Any:
+    data = elements.get(name, {}).get("data")
+    if data is None or not all(_has(data, key) for key in wanted):
+        raise bad_input(
+            str(path),
+            given=f"no element '{name}' with {', '.join(wanted)}",
+            allowed="a skeleton: vertices x y z and edges vertex1 vertex2",
+            do="A cloud is no skeleton yet: `anther skeletonize` makes one.",
+        )
+    return data
+
+
+def _has(data: Any, key: str) -> bool:
+    return key in data if isinstance(data, dict) else key in (data.dtype.names or ())
+
+
+def _organ_names(path: Path) -> list[str]:
+    head = path.read_bytes()[:64_000].partition(b"end_header")[0].decode("ascii", "replace")
+    told = [line.split()[2:] for line in head.splitlines() if line.startswith("comment organs ")]
+    return told[0] if told else []
+
+
+_NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
+_NUMBERS = ("x", "y", "z", "radius")
+
+
+def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
+    """Write a skeleton as GraphML: nodes n0 (the root), n1, ... with x, y, z, radius [m] and organ.
+
+    Args:
+        path: file to write.
+        skeleton: the tree.
+        labels: an organ name a node, or None.
+    """
+    graphml = ET.Element("graphml", xmlns=_NAMESPACE)
+    for name in _NUMBERS if labels is None else (*_NUMBERS, "organ"):
+        kind = "string" if name == "organ" else "double"
+        ET.SubElement(graphml, "key", {"id": name, "for": "node", "attr.name": name, "attr.type": kind})
+    graph = ET.SubElement(graphml, "graph", id="skeleton", edgedefault="directed")
+    for j, values in enumerate(np.column_stack([skeleton.nodes, skeleton.radius])):
+        node = ET.SubElement(graph, "node", id=f"n{j}")
+        for name, value in zip(_NUMBERS, values, strict=True):
+            ET.SubElement(node, "data", key=name).text = repr(float(value))
+        if labels is not None:
+            ET.SubElement(node, "data", key="organ").text = labels[j]
+    for a, b in skeleton.edges:
+        ET.SubElement(graph, "edge", source=f"n{a}", target=f"n{b}")
+    ET.indent(graphml)
+    with replacing(path) as temporary:
+        ET.ElementTree(graphml).write(temporary, encoding="utf-8", xml_declaration=True)
+
+
+def read_graphml(path: Path | str) -> SkeletonFile:
+    """Read a tree whose nodes have attributes x, y, z [m] and, optionally, radius [m] and organ.
+
+    The root of a directed graph is its node without incoming edge; an undirected one is rooted at its lowest node.
+
+    Raises:
+        InputError: not XML, no graph, a node without coordinates, an edge to an unknown node, or not one tree.
+    """
+    try:
+        tree = ET.parse(path).getroot()
+    except ET.ParseError as error:
+        raise bad_input(str(path), given=f"not XML ({error})", allowed="GraphML", do="Is it truncated?") from error
+    space = {"g": tree.tag[1:].partition("}")[0]} if tree.tag.startswith("{") else {"g": ""}
+    names = {str(key.get("id")): str(key.get("attr.name", key.get("id"))) for key in tree.iterfind("g:key", space)}
+    graph = tree.find("g:graph", space)
+    if graph is None:
+        raise bad_input(str(path), given=f"<{tree.tag}> without <graph>", allowed="GraphML", do="Export it again.")
+    given = {
+        str(node.get("id")): {
+            names.get(str(data.get("key")), ""): data.text or "" for data in node.iterfind("g:data", space)
+        }
+        for node in graph.iterfind("g:node", space)
+    }
+    ends = [(str(edge.get("source")), str(edge.get("target"))) for edge in graph.iterfind("g:edge", space)]
+    return _tree(path, given, ends, directed=graph.get("edgedefault") != "undirected")
+
+
+def _tree(
+    path: Path | str, given: dict[str, dict[str, str]], ends: list[tuple[str, str]], *, directed: bool
+) -> SkeletonFile:
+    index = {name: j for j, name in enumerate(given)}
+    lost = [name for pair in ends for name in pair if name not in index]
+    bare = [name for name, values in given.items() if not {"x", "y", "z"} <= set(values)]
+    if lost or bare:
+        fault = f"an edge to unknown node '{lost[0]}'" if lost else f"node '{bare[0]}' without x, y, z"
+        raise bad_input(str(path), given=fault, allowed="nodes with x, y, z, edges between them", do="Export it again.")
+    nodes = np.array([[float(values[axis]) for axis in "xyz"] for values in given.values()]).reshape(-1, 3)
+    edges = np.array([[index[a], index[b]] for a, b in ends], dtype=np.int64).reshape(-1, 2)
+    has = {name: bool(given) and all(name in values for values in given.values()) for name in ("radius", "organ")}
+    tops = np.setdiff1d(np.arange(len(nodes)), edges[:, 1])
+    digits = [name.lstrip("n") for name in given]
+    return rooted(
+        nodes,
+        edges,
+        radius=np.array([float(values["radius"]) for values in given.values()]) if has["radius"] else None,
+        numbers=np.array([int(d) for d in digits]) if all(d.isdecimal() for d in digits) else None,
+        root=int(tops[0]) if directed and len(tops) == 1 else None,
+        labels=[values["organ"] for values in given.values()] if has["organ"] else None,
+    )
+
 
 __all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "read_skeleton", "write_skeleton"]
 

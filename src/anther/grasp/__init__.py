@@ -31,7 +31,7 @@ from anther.grasp.clearance import (
     surroundings_of,
 )
 from anther.grasp.confidence import place_confidence
-from anther.grasp.params import Params
+from anther.grasp.params import STROKE_MARGIN, Params
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
@@ -246,7 +246,7 @@ def _refusals(c: Candidates, met: Clearance, confidence: Array | None, params: P
     doubtful = np.zeros(len(c.station), dtype=bool) if confidence is None else confidence < 0.5
     return {
         "probably not the main stem": doubtful,
-        "thicker than the stroke": 2 * c.radius > params.gripper.stroke - params.stroke_margin,
+        "thicker than the stroke": 2 * c.radius > params.gripper.stroke - STROKE_MARGIN,
         "would hit pot or bench": met.distance[:, OBSTACLE] < params.obstacle_clearance,
         "would hit the stem": met.distance[:, STEM] < params.stem_clearance,
     }

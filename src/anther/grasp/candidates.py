@@ -1,12 +1,8 @@
-"""Where along the stem and from which side a gripper could come. B branches.
-
-Holds the two rules of the paper (P12, P13) and the candidates that Anther's own ranking searches.
-"""
+"""Where along the stem and from which side a gripper could come. B branches."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -127,38 +123,6 @@ def _straight_fit(t: Array, points: Array) -> tuple[Array, Array, float]:
     return offset, slope / np.linalg.norm(slope), float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
 
 
-def paper_edge(stem: Stem) -> tuple[float, float]:
-    """Return the arc lengths [m] at which the core stem's longest edge begins and ends (P12).
-
-    The paper's skeleton is simplified to junctions and endpoints (P9), so an edge is the stem between two of them.
-    """
-    joints = np.unique(stem.arc_length[[0, *stem.attachments, -1]])
-    longest = int(np.argmax(np.diff(joints)))
-    return float(joints[longest]), float(joints[longest + 1])
-
-
-def paper_approach(tangent: Array, branches: Array) -> Array:
-    """Return the paper's approach direction n* = argmin over unit n perpendicular to v of max_j |n . b_j| (P13).
-
-    In the plane across the stem each branch contributes |n . p_j| with p_j its projection. The largest of these is
-    smallest either where one vanishes, n perpendicular to p_j, or where two are equal, n perpendicular to p_i +- p_j:
-    a finite set, tried in full. The sign of n is free; the one returned points away from the branches' mean.
-
-    Args:
-        tangent: (3,) unit stem direction v.
-        branches: (B, 3) unit directions of nearby branches; none gives a direction in the horizontal plane if possible.
-    """
-    across = np.asarray(branches).reshape(-1, 3)
-    across = across - np.outer(across @ tangent, tangent)
-    normals = [*across, *(a + b for a, b in combinations(across, 2)), *(a - b for a, b in combinations(across, 2))]
-    candidates = np.array([np.cross(tangent, p) for p in normals if np.linalg.norm(p) > 1e-9]).reshape(-1, 3)
-    if len(candidates) == 0:
-        return directions_across(tangent, 1)[0]
-    candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
-    best = candidates[np.argmin(np.abs(candidates @ across.T).max(axis=1))]
-    return -best if best @ across.mean(axis=0) > 0 else best
-
-
 def directions_across(tangent: Array, count: int) -> Array:
     """Return (count, 3) unit directions evenly around the stem, perpendicular to its `tangent` (3,)."""
     first = np.cross(tangent, [0.0, 0.0, 1.0])
@@ -176,40 +140,3 @@ def flange_pose(point: Array, tangent: Array, approach: Array, depth: float) -> 
     T[..., :3, :3] = np.stack([tangent, np.cross(approach, tangent), approach], axis=-1)
     T[..., :3, 3] = point - depth * approach
     return T
-
-
-def branch_directions(stem: Stem, skeleton: Skeleton, length: float) -> tuple[Array, Array]:
-    """Return the arc length (B,) [m] at which each branch leaves the stem and its unit direction there (B, 3).
-
-    Args:
-        stem, skeleton: the plant.
-        length: how far along the branch its direction is taken [m].
-    """
-    position = {int(node): i for i, node in enumerate(stem.node_ids)}
-    on_stem = np.zeros(len(skeleton.nodes), dtype=bool)
-    on_stem[stem.node_ids] = True
-    starts = [j for j in range(1, len(skeleton.nodes)) if not on_stem[j] and on_stem[skeleton.parent[j]]]
-    ends = _walk_out(skeleton, starts, length)
-    arcs = [stem.arc_length[position[int(skeleton.parent[j])]] for j in starts]
-    rays = skeleton.nodes[ends] - skeleton.nodes[skeleton.parent[starts]] if starts else np.zeros((0, 3))
-    sizes = np.linalg.norm(rays, axis=1)
-    keep = sizes > 1e-9
-    return np.array(arcs)[keep] if starts else np.zeros(0), rays[keep] / sizes[keep, None]
-
-
-def _walk_out(skeleton: Skeleton, starts: list[int], length: float) -> NDArray[Any]:
-    """Return for each start node the first node at least `length` [m] out along the branch's deepest path."""
-    step = np.linalg.norm(skeleton.nodes[1:] - skeleton.nodes[skeleton.parent[1:]], axis=1)
-    beyond, next_node = np.zeros(len(skeleton.nodes)), np.full(len(skeleton.nodes), -1)
-    for j in range(len(skeleton.nodes) - 1, 0, -1):
-        parent, reach = skeleton.parent[j], beyond[j] + step[j - 1]
-        if reach > beyond[parent]:
-            beyond[parent], next_node[parent] = reach, j
-    ends = []
-    for start in starts:
-        node, walked = start, step[start - 1]
-        while walked < length and next_node[node] >= 0:
-            node = int(next_node[node])
-            walked += step[node - 1]
-        ends.append(node)
-    return np.array(ends, dtype=np.int64)

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from anther.checks import check_parameters, check_range
 from anther.grasp.clearance import Gripper
 
+STROKE_MARGIN = 0.008
+"""The stem must be thinner than the stroke by this [m]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -22,7 +25,6 @@ class Params:
             the pads bent stems that change direction at a node nearly twice as much (measured).
         window: how far along a branch the paper's rule takes its direction [m].
         base_margin, top_margin: stem left out at its ends [m]; each at most a quarter of the stem.
-        stroke_margin: the stem must be thinner than the stroke by this [m].
         pregrasp_distance: length of the straight way in [m]: `execution.Params.stand_off`, where it begins.
         obstacle_clearance: least distance of gripper from pot, soil and bench [m].
         stem_clearance: least distance of the open fingers from the stem's surface [m].
@@ -51,7 +53,6 @@ class Params:
     window: float = 0.03
     base_margin: float = 0.065
     top_margin: float = 0.05
-    stroke_margin: float = 0.008
     pregrasp_distance: float = 0.12
     obstacle_clearance: float = 0.015
     stem_clearance: float = 0.003

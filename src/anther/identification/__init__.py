@@ -2,31 +2,30 @@
 
 From the bench: `identify` turns a `MaterialTest` (cut samples, plucks, a deflection test) into a material with its
 uncertainty; its steps are `density_from_samples`, `fit_free_vibration`, `youngs_from_first_mode`,
-`youngs_from_deflection`. `youngs_from_frequency` is the closed formula for a uniform stem. From a shake: `refine`.
+`youngs_from_deflection`. From a shake: `refine`.
 """
 
-from anther.identification.clamped_stem import ClampedStem, Orientation, first_frequency, tip_deflections
-from anther.identification.density import Density, density_from_samples
-from anther.identification.expectation import Expected, expect, flowers_at, loads_at
-from anther.identification.feeling import feel
+from anther.identification.clamped_stem import (
+    ClampedStem,
+    Orientation,
+    first_frequency,
+    tip_deflections,
+    youngs_from_deflection,
+    youngs_from_first_mode,
+)
 from anther.identification.free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification.material_test import (
+    Density,
     Identification,
     InstrumentErrors,
     MaterialTest,
+    density_from_samples,
     identify,
-    leaf_mass_effect,
     read_material,
     write_material,
 )
-from anther.identification.observed import Felt, Observed
-from anther.identification.refinement import Params, Refinement, refine
-from anther.identification.stiffness import (
-    straight_line_youngs,
-    youngs_from_deflection,
-    youngs_from_first_mode,
-    youngs_from_frequency,
-)
+from anther.identification.observed import Felt, Observed, feel
+from anther.identification.refinement import Expected, Params, Refinement, expect, flowers_at, loads_at, refine
 from anther.identification.uncertainty import Estimate, combine, disagreement, propagate
 
 __all__ = [
@@ -53,16 +52,13 @@ __all__ = [
     "fitted_motion",
     "flowers_at",
     "identify",
-    "leaf_mass_effect",
     "loads_at",
     "mean_vibration",
     "propagate",
     "read_material",
     "refine",
-    "straight_line_youngs",
     "tip_deflections",
     "write_material",
     "youngs_from_deflection",
     "youngs_from_first_mode",
-    "youngs_from_frequency",
 ]

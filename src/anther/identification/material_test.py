@@ -2,23 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from anther.checks import check_range
+from anther.checks import check_array, check_range
 from anther.errors import InputError, bad_input
 from anther.files import read_json, write_json
 from anther.geometry import Array
-from anther.identification.clamped_stem import ClampedStem, Orientation, droop
-from anther.identification.density import Density, density_from_samples
+from anther.identification.clamped_stem import (
+    ClampedStem,
+    Orientation,
+    droop,
+    youngs_from_deflection,
+    youngs_from_first_mode,
+)
 from anther.identification.free_vibration import FreeVibration, mean_vibration
-from anther.identification.stiffness import youngs_from_deflection, youngs_from_first_mode, youngs_from_frequency
 from anther.identification.uncertainty import DISAGREEMENT, Estimate, combine, disagreement, propagate
 from anther.plant import TOMATO, Material
+
+
+@dataclass(frozen=True, slots=True)
+class Density:
+    """Density of stem samples [kg/m3]: mean, standard deviation between samples, standard error of the mean.
+
+    The two last are NaN for a single sample.
+    """
+
+    mean: float
+    sd: float
+    standard_error: float
+
+
+def density_from_samples(mass: ArrayLike, radius: ArrayLike, length: ArrayLike) -> Density:
+    """Return the density of round stem pieces (P22).
+
+    Args:
+        mass: (n,) [kg].
+        radius: (n,) [m].
+        length: (n,) [m].
+
+    Raises:
+        InputError: no samples, different counts, or a value <= 0.
+    """
+    m = check_array("sample mass", mass, (None,))
+    r = check_array("sample radius", radius, (len(m),))
+    h = check_array("sample length", length, (len(m),))
+    if not len(m) or min(m.min(), r.min(), h.min()) <= 0:
+        raise bad_input("stem samples", given=f"{len(m)} samples", allowed="one or more, values > 0", do="Check units.")
+    each = m / (np.pi * r**2 * h)
+    sd = float(np.std(each, ddof=1)) if len(each) > 1 else float("nan")
+    return Density(float(each.mean()), sd, sd / float(np.sqrt(len(each))))
+
 
 SCHEMA = 1
 LEAST_EXPLAINED = 0.7
@@ -103,7 +141,6 @@ class Identification:
         vibration: mean of the plucks, or None.
         estimates: of Young's modulus [Pa], one per method.
         youngs: their combination [Pa], or None where there is none.
-        bare_uniform_youngs: what the closed formula makes of the frequency: mean radius, no leaves, no gravity [Pa].
         material: for `anther.plant.build_plant`; what was not measured keeps the prior.
         warnings: what the user should not overlook.
     """
@@ -113,7 +150,6 @@ class Identification:
     vibration: FreeVibration | None
     estimates: tuple[Estimate, ...]
     youngs: Estimate | None
-    bare_uniform_youngs: float | None
     material: Material
     warnings: tuple[str, ...]
 
@@ -133,17 +169,12 @@ def identify(test: MaterialTest, prior: Material = TOMATO) -> Identification:
     vibration = mean_vibration(test.plucks) if test.plucks else None
     estimates = tuple(e for e in (_from_vibration(test, density, vibration), _from_deflection(test, density)) if e)
     youngs = combine(*estimates) if len(estimates) == 2 else next(iter(estimates), None)
-    bare = None
-    if vibration is not None and test.stem is not None:
-        stem = test.stem
-        bare = youngs_from_frequency(stem.length, stem.mean_radius, vibration.natural_frequency, density.value)
     return Identification(
         samples,
         density,
         vibration,
         estimates,
         youngs,
-        bare,
         _material(prior, density, vibration, youngs),
         tuple(_warnings(test, density, vibration, estimates)),
     )
@@ -252,21 +283,6 @@ def _warnings(
                 "as straight. Cut it shorter or take leaves off for a better test."
             )
     return said
-
-
-def leaf_mass_effect(
-    stems: Sequence[ClampedStem], frequency: float, density: float, orientations: Sequence[Orientation]
-) -> Array:
-    """Return (n stems, n orientations) Young's moduli [Pa] that one undamped frequency [Hz] means for each stem.
-
-    NaN where gravity alone would swing the stem faster.
-    """
-    found = np.full((len(stems), len(orientations)), np.nan)
-    for i, stem in enumerate(stems):
-        for k, orientation in enumerate(orientations):
-            with suppress(InputError):
-                found[i, k] = youngs_from_first_mode(stem, frequency, density, orientation)
-    return found
 
 
 def write_material(path: Path | str, material: Material) -> None:

@@ -1,4 +1,4 @@
-"""The picture of a material test: plucks with their fit, density samples, E by method, E over leaf mass."""
+"""The picture of a material test: plucks with their fit, density samples, E by method."""
 
 from __future__ import annotations
 
@@ -15,13 +15,11 @@ from anther.identification import (
     FreeVibration,
     Identification,
     MaterialTest,
-    Orientation,
     fitted_motion,
     tip_deflections,
 )
 
-GREEN, MAGENTA, ORANGE, BLUE, INK = "#2f7d4f", "#c2389a", "#d9772b", "#1f6fb2", "#1d2a22"
-COLOURS = {"weightless": INK, "upright": GREEN, "horizontal": ORANGE, "hanging": BLUE}
+GREEN, MAGENTA, INK = "#2f7d4f", "#c2389a", "#1d2a22"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,28 +39,7 @@ class Pluck:
     fit: FreeVibration
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LeafMassEffect:
-    """Young's modulus that one frequency means, over leaf mass and orientation. n masses, k orientations.
-
-    Attributes:
-        where: what the masses are.
-        masses: (n,) [kg].
-        present: the mass of the test itself [kg].
-        orientations: k of them.
-        youngs: (n, k) [Pa]; NaN where gravity alone would swing the stem faster.
-    """
-
-    where: str
-    masses: Array
-    present: float
-    orientations: tuple[Orientation, ...]
-    youngs: Array
-
-
-def draw_material_test(
-    test: MaterialTest, found: Identification, plucks: Sequence[Pluck] = (), effect: LeafMassEffect | None = None
-) -> Figure:
+def draw_material_test(test: MaterialTest, found: Identification, plucks: Sequence[Pluck] = ()) -> Figure:
     """Return a figure with one panel for each thing that was measured."""
     panels: list[Callable[[Any], None]] = []
     if found.samples is not None:
@@ -71,8 +48,6 @@ def draw_material_test(
         panels.append(partial(_draw_youngs, found))
     if len(test.tip_mass):
         panels.append(partial(_draw_deflection, test, found))
-    if effect is not None and len(effect.masses) > 1:
-        panels.append(partial(_draw_leaf_mass, found, effect))
     rows = int(bool(plucks)) + int(bool(panels))
     figure = Figure(figsize=(max(7.0, 3.6 * len(panels)), 3.2 * max(rows, 1)), layout="constrained")
     grid = figure.add_gridspec(max(rows, 1), max(len(panels), 1))
@@ -126,9 +101,6 @@ def _draw_youngs(found: Identification, axes: Any) -> None:
     axes.errorbar(
         at, value, [value - value * np.exp(-error), value * np.exp(error) - value], fmt="o", color=MAGENTA, capsize=4
     )
-    if found.bare_uniform_youngs is not None:
-        at, names = np.append(at, len(at)), [*names, "bare uniform\nformula"]
-        axes.plot(at[-1], found.bare_uniform_youngs / 1e6, "o", mfc="white", mec=INK)
     axes.set_xticks(at, names, fontsize=8)
     axes.set(ylabel="Young's modulus [MPa]", title="E, ± one standard error", xlim=(-0.6, len(at) - 0.4))
     axes.set_ylim(0, 1.15 * axes.dataLim.y1)
@@ -144,13 +116,4 @@ def _draw_deflection(test: MaterialTest, found: Identification, axes: Any) -> No
     error = 1e3 * test.errors.deflection
     axes.errorbar(1e3 * test.tip_mass, 1e3 * test.deflection, error, fmt="o", color=INK, ms=4, capsize=2)
     axes.set(xlabel="mass on the tip [g]", ylabel="deflection [mm]", title="Deflection, held horizontal")
-    axes.legend(fontsize=7)
-
-
-def _draw_leaf_mass(found: Identification, effect: LeafMassEffect, axes: Any) -> None:
-    for k, orientation in enumerate(effect.orientations):
-        name = orientation.replace("weightless", "no gravity")
-        axes.plot(1e3 * effect.masses, effect.youngs[:, k] / 1e6, "o-", ms=3, color=COLOURS[orientation], label=name)
-    axes.plot(1e3 * effect.present, found.estimates[0].value / 1e6, "D", color=MAGENTA, ms=6, label="this test")
-    axes.set(xlabel=f"{effect.where} [g]", ylabel="Young's modulus [MPa]", title="What the frequency means for E")
     axes.legend(fontsize=7)

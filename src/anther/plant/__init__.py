@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_parameters, check_range
 from anther.cloud import Cloud
-from anther.elastic_rod.equilibrium import with_gravity_equilibrium
+from anther.elastic_rod.equilibrium import stands, with_gravity_equilibrium
 from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import NaturalShape, Rods
-from anther.elastic_rod.stability import stands
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers, supposed_flowers
@@ -34,6 +33,11 @@ __all__ = [
 ]  # fmt: skip
 
 SCHEMA = 3
+LEAF_VOXEL = 0.006
+"""Size of the cubes that count leaf area [m]."""
+BLADE_STIFFNESS = 10.0
+"""Bending stiffness of a blade with its rib over that of the rib alone [-]. An estimate: a strip 60 mm wide, 0.25 mm
+thick, of 75 MPa, folded by 2 to 5 mm, has 10 to 70 times that of a rib of 0.8 mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +49,6 @@ class Params:
             4-6 mm on stems of 8-12 mm (facts: pollination 2 [R]).
         least_radius: of any stem or branch edge [m].
         areal_density: of a leaf blade [kg/m2]. A prior of ours; no source found.
-        leaf_voxel: size of the cubes that count leaf area [m].
-        blade_stiffness: bending stiffness of a blade with its rib over that of the rib alone [-]. An estimate: a strip
-            60 mm wide, 0.25 mm thick, of 75 MPa, folded by 2 to 5 mm, has 10 to 70 times that of a rib of 0.8 mm.
         leaf_drag: drag per leaf area [N s/m3]; 0 because the material's damping ratio has the leaves' share already.
         flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
         flower_radius: of its mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm).
@@ -65,8 +66,6 @@ class Params:
     branch_share: float = 0.7
     least_radius: float = 0.5e-3
     areal_density: float = 0.25
-    leaf_voxel: float = 0.006
-    blade_stiffness: float = 10.0
     leaf_drag: float = 0.0
     flower_mass: float = 1e-4
     flower_radius: float = 5e-3
@@ -85,8 +84,6 @@ class Params:
         check_range("branch_share", self.branch_share, 0.01, 1)
         check_range("least_radius", self.least_radius, 1e-5, 0.1, "m")
         check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
-        check_range("leaf_voxel", self.leaf_voxel, 1e-4, 0.1, "m")
-        check_range("blade_stiffness", self.blade_stiffness, 1, 1e4)
         check_range("leaf_drag", self.leaf_drag, 0, 1e3, "N s/m3")
         check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
         check_range("flower_radius", self.flower_radius, 0, 0.05, "m")
@@ -240,7 +237,7 @@ def build_plant(
     _check(skeleton, stem, flowers)
     rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
     stem_edges, blade = (_marked(rods, ids) for ids in (stem.node_ids, np.flatnonzero(in_blade(skeleton, stem))))
-    stiffening = branch_stiffening(rods, stem_edges, is_pedicel, blade, params.blade_stiffness)
+    stiffening = branch_stiffening(rods, stem_edges, is_pedicel, blade, BLADE_STIFFNESS)
     least = least_youngs(rods, Clamp.root(rods), is_pedicel, stiffening)
     if least is None:
         raise StageFailure(
@@ -306,7 +303,7 @@ def _rods(
             stem,
             cloud,
             areal_density=params.areal_density,
-            voxel=params.leaf_voxel,
+            voxel=LEAF_VOXEL,
         )
     leaves, drag, inertia = float(mass.sum()), mass * params.leaf_drag / max(params.areal_density, 1e-9), 0 * mass
     mass[stalks.tips] += params.flower_mass

@@ -7,9 +7,9 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.elastic_rod.equilibrium import stands
 from anther.elastic_rod.motion import Clamp
 from anther.elastic_rod.rods import Array, Rods
-from anther.elastic_rod.stability import stands
 
 SOFTEST, STIFFEST = 1e4, 1e12
 """Range of Young's modulus that is searched [Pa]."""

@@ -25,6 +25,10 @@ FLEX_DAMPING = 0.05  # ratio of each joint's spring with its motor still, at neu
 FASTEST = (
     150.0  # Hz: springs carry so much rotor inertia that none swings faster, since each step takes them explicitly
 )
+GRIP_STIFFNESS = 40e3
+"""Of the gripper's position servo [N/m]."""
+PAD_SOFTNESS = 0.004
+"""Time constant of pad contact [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +37,10 @@ class Params:
 
     Attributes:
         grip_force: what the gripper holds with at most, both fingers alike [N]: about 30 % of 35 N (facts: sawyer 3).
-        grip_stiffness: of the gripper's position servo [N/m].
-        pad_softness: time constant of pad contact [s].
         motor: the one in the gripper that shakes the fingers; None: there is none.
     """
 
     grip_force: float = 10.0
-    grip_stiffness: float = 40e3
-    pad_softness: float = 0.004
     motor: carriage.Params | None = None
 
 
@@ -75,7 +75,7 @@ def add_arm(
             actuator.gainprm[0] = 1.0
     grip = spec.add_actuator(name="grip", target="left_finger", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     # one motor drives both fingers through the coupling, so it carries twice a finger's force
-    grip.set_to_position(kp=2 * params.grip_stiffness, kv=2 * 0.005 * params.grip_stiffness)
+    grip.set_to_position(kp=2 * GRIP_STIFFNESS, kv=2 * 0.005 * GRIP_STIFFNESS)
     grip.forcelimited, grip.forcerange = 1, [-2 * params.grip_force, 2 * params.grip_force]
     if params.motor is not None:
         carriage.add_coil(spec, params.motor, FINGER_MASS)
@@ -157,7 +157,7 @@ def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, params: Params, truth: Tr
         backing, centre = _pad_holder(finger, side, np.array([0, sign * tool.pad[1] / 2, pad_z]), tool.pad, truth)
         pad = _box(backing, f"{side}_pad", centre, np.array(tool.pad) / 2, bits)
         pad.condim, pad.priority, pad.friction = 4, 1, [truth.pad_friction * (1 - wear), 0.003, 0.0001]
-        pad.solref, pad.solimp = [params.pad_softness, 1.0], [0.95, 0.99, 0.001, 0.5, 2]
+        pad.solref, pad.solimp = [PAD_SOFTNESS, 1.0], [0.95, 0.99, 0.001, 0.5, 2]
     coupling = spec.add_equality(
         name="fingers", type=mujoco.mjtEq.mjEQ_JOINT, name1="left_finger", name2="right_finger"
     )

@@ -6,25 +6,104 @@ T log samples, K plant segments, F flowers.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
+from scipy.stats import norm
 
 from anther.checks import check_array
 from anther.errors import FailureKind
 from anther.geometry import Array, inverse
 from anther.oscillation import find_frequency, fit_swing
 from anther.sim.cell import Cell, CellLog
-from anther.sim.effect import MOVED, Harm
 from anther.sim.plant import Organ
-from anther.sim.truth import tolerances
+from anther.sim.truth import DOSE_EXPONENT, HALF_DOSE, TOLERANCE, tolerances
+
+MOVED = 5.0
+"""Median peak acceleration from which on flowers count as moved [m/s2]: an ordinary breeze of 2-4 m/s, which lets open
+fields set fruit, gives them 4-24 (facts: pollination 6)."""
+MUCH = 10.0
+"""Another threshold to count flowers by [m/s2]: the middle of what that breeze gives."""
+BEARERS = {
+    "stem": "stem or branches",
+    "pedicel": "pedicels",
+    "base": "bases of petioles, peduncles and midribs",
+    "leaf": "leaf bases under the leaves' load",
+}
+"""The kinds of `truth.TOLERANCE` in words."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Harm:
+    """What a plant bore, and what it bears.
+
+    Attributes:
+        loads: kind of `truth.TOLERANCE` -> the peak of it: bending strain [-] of "stem", "pedicel" and "base",
+            acceleration [m/s2] of "leaf".
+        limits: what this plant bears of each, in the same units.
+    """
+
+    loads: Mapping[str, float]
+    limits: Mapping[str, float]
+
+    @property
+    def passed(self) -> tuple[str, ...]:
+        """The kinds of which this plant bore more than it bears."""
+        return tuple(kind for kind, load in self.loads.items() if not load <= self.limits[kind])
+
+    @property
+    def probability(self) -> float:
+        """That a plant of which nothing is known but its loads is harmed: one of its limits is below its load."""
+        return 1 - float(np.prod([1 - TOLERANCE[kind].share_below(load) for kind, load in self.loads.items()]))
+
+    @property
+    def words(self) -> str:
+        """What was passed and by how much, "" if nothing."""
+        return ", ".join(
+            f"{BEARERS[kind]}: {_size(kind, self.loads[kind])}, this plant bears {_size(kind, self.limits[kind])}"
+            for kind in self.passed
+        )
+
+
+def _size(kind: str, load: float) -> str:
+    return f"{load / 9.81:.2f} g" if kind == "leaf" else f"{load:.2%}"
+
+
+def pollen_freed(acceleration: Array) -> tuple[float, float, float]:
+    """Return the mean share of pollen that leaves the flowers: its 5 %, 50 % and 95 % quantile over what is not known.
+
+    A flower frees a^n / (a^n + h^n) of its pollen; h and n are drawn from `truth.HALF_DOSE` and `truth.DOSE_EXPONENT`,
+    one pair for all flowers of a plant. How long it is shaken does not count: this is the most one acceleration frees.
+
+    Args:
+        acceleration: (F,) peak acceleration of each flower [m/s2]; NaN where unknown, which is left out.
+
+    Returns:
+        NaN, all three, if no flower is known.
+    """
+    known = acceleration[np.isfinite(acceleration)]
+    if len(known) == 0:
+        return np.nan, np.nan, np.nan
+    middles = (np.arange(200) + 0.5) / 200
+    half = HALF_DOSE.median * np.exp(HALF_DOSE.sigma * norm.ppf(middles))
+    ratio = (known / half[:, None])[..., None] ** np.linspace(DOSE_EXPONENT.low, DOSE_EXPONENT.high, 21)  # (200, F, 21)
+    low, middle, high = np.quantile((ratio / (1 + ratio)).mean(axis=1), [0.05, 0.5, 0.95])
+    return float(low), float(middle), float(high)
+
 
 TRAVEL, TRAVEL_TIME = 0.01, 0.2
 """An arm travels while a joint turns by this [rad] in this time [s]: on the way in by 0.02 to 0.06 rad."""
 SATURATED = 0.999
 """Share of a motor's torque limit from which on it counts as reached."""
+HELD_SHARE = 0.95
+"""The pads must hold the stem in at least this share of the samples of the shake."""
+BESIDE_SHARE = 0.2
+"""Another organ counts as held with it that a pad presses in at least this share of them."""
+LEAF_BAND = 5.0
+"""Up to which a leaf is taken to follow quasi-statically [Hz]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,17 +114,11 @@ class Params:
         push: the robot may press on the plant with this before it closes [N].
         slip: the held point may wander this far between the pads [m].
         grip: a pad touches with at least this [N].
-        held_share: the pads must hold the stem in at least this share of the samples of the shake.
-        beside_share: another organ counts as held with it that a pad presses in at least this share of them.
-        leaf_band: up to which a leaf is taken to follow quasi-statically [Hz].
     """
 
     push: float = 2.0
     slip: float = 0.005
     grip: float = 0.2
-    held_share: float = 0.95
-    beside_share: float = 0.2
-    leaf_band: float = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +217,7 @@ def judge(
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),
         (not slip <= params.slip, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
-        (share < params.held_share, "slipped", f"the stem was held in {share:.0%} of the shake only"),
+        (share < HELD_SHARE, "slipped", f"the stem was held in {share:.0%} of the shake only"),
     ]
     failure: FailureKind | None = "damaged" if harm.passed else None
     reason = harm.words or f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else "")
@@ -208,7 +281,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, par
     impulse = np.bincount(organ[other == segment], log.contact_force[pressed][other == segment])
     held = int(impulse.argmax())
     rest = [o for o in np.unique(organ[between]).tolist() if o != held]
-    beside = [o for o in rest if len(np.unique(sample[between & (organ == o)])) >= params.beside_share * when.sum()]
+    beside = [o for o in rest if len(np.unique(sample[between & (organ == o)])) >= BESIDE_SHARE * when.sum()]
     return [Organ(o).name.lower() for o in (held, *beside)]
 
 
@@ -260,7 +333,7 @@ def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None, params: Pa
     dt = float(np.median(np.diff(times)))
     T = poses[:, base]
     path = np.einsum("tkij,kj->tki", T[..., :3, :3], plant.start[base]) + T[..., :3, 3]
-    slow = sosfiltfilt(butter(2, params.leaf_band, fs=1 / dt, output="sos"), _acceleration(path, dt), axis=0)
+    slow = sosfiltfilt(butter(2, LEAF_BAND, fs=1 / dt, output="sos"), _acceleration(path, dt), axis=0)
     return float(np.linalg.norm(slow, axis=2).max())
 
 

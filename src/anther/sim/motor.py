@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import Any
 
+import mujoco as mujoco_module
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
@@ -12,8 +14,33 @@ from anther.errors import bad_input
 from anther.geometry import Array
 from anther.sim import arm_model
 from anther.sim.cell import Cell
-from anther.sim.feeling import CYCLE, contact_vector
 from anther.swing import Swing
+
+mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
+
+CYCLE = 0.01
+"""s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)."""
+
+
+def contact_force(cell: Cell) -> float:
+    """Return the size of the force that plant, pot and bench exert on arm and gripper now [N]."""
+    return float(np.linalg.norm(contact_vector(cell)))
+
+
+def contact_vector(cell: Cell) -> Array:
+    """Return (3,) the force that plant, pot and bench exert on arm and gripper now, world [N].
+
+    It is the sum over all contacts as vectors: what the two pads do to a stem between them cancels, as it would in a
+    sensor at the wrist.
+    """
+    total, force = np.zeros(3), np.zeros(6)
+    for i in range(cell.data.ncon):
+        contact = cell.data.contact[i]
+        mujoco.mj_contactForce(cell.model, cell.data, i, force)
+        scenery_first = cell.model.geom(contact.geom[0]).name.startswith(("segment_", "blade_", "pot", "bench"))
+        total += (1 if scenery_first else -1) * contact.frame.reshape(3, 3).T @ force[:3]
+    return total
+
 
 PARTS = 4
 """Of the cell's timestep while the motor runs. Tomato 10 at 27 Hz: in steps of 1, 0.5, 0.25 ms its flowers swing 34, 12

@@ -25,8 +25,7 @@ from anther.geometry import Array, Intrinsics, look_at
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.cell import Cell, CellLog
 from anther.sim.depth_noise import noisy_depth
-from anther.sim.feeling import CYCLE, contact_force
-from anther.sim.motor import SimMotor
+from anther.sim.motor import CYCLE, SimMotor, contact_force
 from anther.sim.render import Image, Scene, d455
 
 SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred

@@ -16,7 +16,7 @@ from anther.store.beliefs import (
 )
 from anther.store.database import DEFAULT, PATIENCE, reading, shown
 from anther.store.export import TABLES, export
-from anther.store.jobs import Job, SweepRecord, add_jobs, note_jobs, read_jobs, read_sweeps
+from anther.store.jobs import Job, add_jobs, note_jobs, read_jobs
 from anther.store.merge import Merged, merge
 from anther.store.records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
 from anther.store.trials import (
@@ -42,7 +42,6 @@ __all__ = [
     "Merged",
     "Outcome",
     "ShakeRecord",
-    "SweepRecord",
     "TrialRecord",
     "add_jobs",
     "add_missing",
@@ -60,7 +59,6 @@ __all__ = [
     "read_jobs",
     "read_outcomes",
     "read_record",
-    "read_sweeps",
     "read_trials",
     "reading",
     "record_note",

@@ -18,8 +18,7 @@ from anther.checks import check_array, check_range
 from anther.geometry import Array
 from anther.plant import LEARNED, PEPPER, TOMATO, Material
 from anther.store.database import DEFAULT, reading
-from anther.store.evidence import Sums, summed, told
-from anther.store.records import TrialRecord, material_of
+from anther.store.records import Sums, TrialRecord, material_of, summed, told
 from anther.store.tables import Grasp, Plant, Response, Shake, Visit
 from anther.vibration import EarlierShake
 

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
-from sqlalchemy import bindparam, func, select, update
+from sqlalchemy import bindparam, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
@@ -39,27 +39,6 @@ class Job:
     reason: str | None = None
     result: dict[str, Any] | None = None
     seconds: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class SweepRecord:
-    """A sweep at a glance.
-
-    Attributes:
-        uid: its identity, also in its folder's sweep.json.
-        folder: path or address as it was given.
-        function: which was run.
-        began: first start.
-        jobs: how many are "waiting", "done", "poison".
-        last: when the last one ended; None if none has.
-    """
-
-    uid: str
-    folder: str
-    function: str
-    began: datetime
-    jobs: dict[str, int]
-    last: datetime | None
 
 
 def add_jobs(jobs: Iterable[Job], where: Path | str, *, uid: str, folder: str, function: str) -> None:
@@ -104,27 +83,6 @@ def read_jobs(where: Path | str, uid: str) -> list[Job]:
     query = select(*columns).join(Sweep, Sweep.id == SweepJob.sweep_id).where(Sweep.uid == uid).order_by(SweepJob.id)
     with reading(where) as session:
         return [] if session is None else [Job(*row) for row in session.execute(query)]
-
-
-def read_sweeps(where: Path | str) -> list[SweepRecord]:
-    """Return all sweeps of a history, oldest first; none when the file does not exist.
-
-    Raises:
-        InputError: see `read_jobs`.
-    """
-    count, last = func.count(SweepJob.id), func.max(SweepJob.ended)
-    query = select(Sweep, SweepJob.state, count, last).join(SweepJob, isouter=True).group_by(Sweep.id, SweepJob.state)
-    found: dict[str, SweepRecord] = {}
-    with reading(where) as session:
-        lines = [] if session is None else session.execute(query.order_by(Sweep.id)).all()
-        for sweep, state, number, ended in lines:
-            was = found.get(sweep.uid)
-            jobs = (was.jobs if was else {}) | ({state: number} if state else {})
-            times = [t for t in (was and was.last, ended) if t is not None]
-            found[sweep.uid] = SweepRecord(
-                sweep.uid, sweep.folder, sweep.function, sweep.began, jobs, max(times, default=None)
-            )
-    return list(found.values())
 
 
 def _sweep(session: Session, uid: str) -> int:

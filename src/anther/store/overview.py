@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
 from typing import Any, NamedTuple
 
-from sqlalchemy import Integer, cast, func, inspect, select, text, tuple_
+from sqlalchemy import Integer, cast, func, select, tuple_
 from sqlalchemy.orm import Session
 
-from anther.store.tables import FruitSet, Note, Plant, Shake, Visit
+from anther.store.tables import FruitSet, Note, Plant, Shake, Sweep, SweepJob, Visit
 
 PAGE = 50
 """Visits of a page."""
@@ -163,15 +163,11 @@ def notes(session: Session, visit: int) -> Sequence[Note]:
 
 
 def sweeps(session: Session) -> list[SweepTally]:
-    """Return the sweeps whose jobs this history keeps, the last one first; none where it keeps none."""
-    if not inspect(session.connection()).has_table("sweeps"):
-        return []
-    query = "SELECT s.id, s.folder, s.function, s.began, j.state, count(j.id) FROM sweeps s "
-    query += "LEFT JOIN sweep_jobs j ON j.sweep_id = s.id GROUP BY s.id, s.folder, s.function, s.began, j.state"
+    """Return the sweeps whose jobs this history keeps, the last one first."""
+    query = select(Sweep, SweepJob.state, func.count(SweepJob.id)).join(SweepJob, isouter=True)
     found: dict[int, SweepTally] = {}
-    for number, folder, function, began, state, count in session.execute(text(query)):
-        moment = datetime.fromisoformat(began) if isinstance(began, str) else began
-        sweep = found.setdefault(number, SweepTally(folder, function, moment, {}))
+    for sweep, state, count in session.execute(query.group_by(Sweep.id, SweepJob.state)):
+        tally = found.setdefault(sweep.id, SweepTally(sweep.folder, sweep.function, sweep.began, {}))
         if state is not None:
-            sweep.jobs[state] = count
+            tally.jobs[state] = count
     return [found[number] for number in sorted(found, reverse=True)]

@@ -6,24 +6,23 @@ rows of a CSV file, `export` writes results as Parquet. docs/sweep.md says what 
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
 from anther.checks import check_range
-from anther.errors import InputError, bad_input
-from anther.files import json_text, understood
+from anther.errors import InputError, MissingExtra, bad_input
+from anther.files import json_text, read_lines, understood
 from anther.store import Job, add_jobs, note_jobs, read_jobs
-from anther.sweep.parquet import export
-from anther.sweep.places import Place, place
-from anther.sweep.progress import Progress
-from anther.sweep.running import carry_out
-from anther.sweep.table import read_table
+from anther.sweep.places import INSTALL, Place, place
+from anther.sweep.running import Progress, carry_out
 from anther.sweep.working import Function, Order, forget_tries, versions
 
 __all__ = ["Function", "Job", "export", "read", "read_table", "run"]
@@ -159,3 +158,90 @@ def _uid(where: Place, folder: Path | str, function: str) -> str:
 def _absolute(folder: Path | str) -> str:
     """Workers have other current folders."""
     return str(folder) if "://" in str(folder) else str(Path(folder).absolute())
+
+
+def read_table(path: Path | str) -> list[dict[str, str]]:
+    """Return a line as names and texts; an empty cell is left out.
+
+    Raises:
+        InputError: no such file, no text, names that are missing or alike, or a line with too many cells.
+    """
+    lines = csv.reader(read_lines(path), strict=True)
+    try:
+        names = [name.strip() for name in next(lines, [])]
+        if not names or len(set(names)) < len(names) or "" in names:
+            given = f"first line {', '.join(names) or 'without names'}"
+            raise bad_input(str(path), given=given, allowed="a name for every column, no two alike", do="Name them.")
+        rows = []
+        for cells in lines:
+            if len(cells) > len(names):
+                raise bad_input(
+                    f"{path}, line {lines.line_num}",
+                    given=f"{len(cells)} cells",
+                    allowed=f"{len(names)}, one a name",
+                    do="Is there a comma too many?",
+                )
+            row = {name: cell.strip() for name, cell in zip(names, cells, strict=False) if cell.strip()}
+            if row:
+                rows.append(row)
+    except csv.Error as error:
+        raise bad_input(
+            f"{path}, line {lines.line_num}", given=str(error), allowed="a CSV file", do="Export it again."
+        ) from error
+    if not rows:
+        raise bad_input(str(path), given="no rows", allowed="a line for every run", do="Add some.")
+    return rows
+
+
+_OF_JOB = ("key", "state", "tries", "seconds", "reason")
+
+
+RESULTS = "results.parquet"
+
+
+def export(folder: Path | str, jobs: Sequence[Job]) -> str:
+    """Write results.parquet into a sweep's folder and return its path or address.
+
+    One line a job: `_OF_JOB`, then the row's columns, then the result's. A column of the row or result whose name is
+    taken by one before it is called row_NAME or result_NAME. What is no number, text or truth value, or not the same in
+    all lines, is text: JSON.
+
+    Raises:
+        MissingExtra: pyarrow is not installed.
+        InputError: the file cannot be written.
+    """
+    try:
+        import pyarrow as pa  # noqa: PLC0415 # pyright: ignore[reportMissingImports]
+        from pyarrow import parquet  # noqa: PLC0415 # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise MissingExtra(f"Parquet needs pyarrow. Install it with: {INSTALL}") from error
+    kinds = {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}
+    arrays = {}
+    for name, values in _columns(jobs).items():
+        kind, alike = _alike(values)
+        arrays[name] = pa.array(alike, type=pa.null() if kind is None else kinds[kind])
+    written = BytesIO()
+    parquet.write_table(pa.table(arrays), written)
+    place(folder).write(RESULTS, written.getvalue())
+    return f"{str(folder).rstrip('/')}/{RESULTS}"
+
+
+def _columns(jobs: Sequence[Job]) -> dict[str, list[Any]]:
+    columns: dict[str, list[Any]] = {name: [getattr(job, name) for job in jobs] for name in _OF_JOB}
+    for kind in ("row", "result"):
+        parts, taken = [getattr(job, kind) or {} for job in jobs], set(columns)
+        for name in dict.fromkeys(name for part in parts for name in part):
+            columns[f"{kind}_{name}" if name in taken else name] = [part.get(name) for part in parts]
+    return columns
+
+
+def _alike(values: list[Any]) -> tuple[type | None, list[Any]]:
+    """Return the type of all values and the values, as JSON where they have none in common."""
+    found = {type(value) for value in values if value is not None}
+    if not found:
+        return None, values
+    if found <= {int, float} and len(found) == 2:
+        return float, values
+    if len(found) == 1 and found <= {str, bool, int, float}:
+        return found.pop(), values
+    return str, [value if value is None else json.dumps(value) for value in values]

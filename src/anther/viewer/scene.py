@@ -9,12 +9,18 @@ import numpy as np
 import trimesh
 import viser
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from anther.geometry import Array
 from anther.results import RunResults
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS
-from anther.viewer.placed import placed
+
+
+def placed(T: Array) -> tuple[Any, Any]:
+    """Return position (3,) and quaternion w, x, y, z of a transform (4, 4)."""
+    return T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+
 
 POINT_SIZE = 0.0015
 """[m]"""

@@ -1,1 +1,0 @@
-"""Parts of hinged_plant.py: the plants and the MuJoCo model."""
