@@ -88,17 +88,22 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -params.doubt))
     end = int(np.argmax(gain)) + 2
     last, longest = _last_limb(skeleton, path, end, params)
-    believed = 0 < last and arc[last] >= params.shortest * size and arc[end - 1] - arc[last] <= longest
+    believed = last > 0 and arc[last] >= params.shortest * size and arc[end - 1] - arc[last] <= longest
     return last + 1 if believed and not (straight & slim)[last:].all() else end
 
 
 def _last_limb(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[int, float]:
-    """Return the last of the first `end` positions where a limb leaves the path, 0 for none; the longest limb [m]."""
+    """Return the last of the first `end` positions where a limb leaves the path, 0 for none; the longest limb [m].
+
+    Leaflets are no limbs: the way up the youngest compound leaf bears them too.
+    """
     way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
     way[path] = 0
     limb = np.isin(skeleton.parent, path[1:end]) & (way > params.spur * stem_breadth(skeleton, path[:end]))
+    longest = float(way[limb].max(initial=0))
+    limb &= way > params.leaflet * longest
     last = int(np.flatnonzero(np.isin(path[:end], skeleton.parent[limb])).max(initial=0))
-    return last, float(way[limb].max(initial=0))
+    return last, longest
 
 
 def _stem_like(
