@@ -19,7 +19,7 @@ from pathlib import Path
 
 from grasping_page import insert
 from real.plants import HARD, LABELLED, labelled_plants
-from real.strict import disturbed, judged, metrics, table
+from real.strict import judged_all, metrics, table
 from rich.console import Console
 from rich.progress import track
 from wide_truth import markdown
@@ -41,11 +41,7 @@ def main() -> None:
     args = parser.parse_args()
     console = Console()
     plants = list(labelled_plants(args.data, 31 if args.quick else args.every, LABELLED + HARD))
-    rows = [
-        judged(plant, kind, base)
-        for one in track(plants, "plants", console=console)
-        for kind, plant, base in disturbed(one)
-    ]
+    rows = judged_all(track(plants, "plants", console=console))
     found = table(rows)
     console.print(found)
     for row in rows:

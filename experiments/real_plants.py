@@ -13,7 +13,7 @@ of the main stem's length on it, mean over plants), stem_on_label_95 (share of p
 stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants, and on the six
 clouds without labels others_reached and others_single_trees. For Anther alone: radius_over_points (the main stem's
 radius over the distance of its labelled points; 1 is right), and against the published graphs <scan>_precision_<1v|3v>
-and <scan>_recall_<1v|3v>.
+and <scan>_recall_<1v|3v>; by the strict rule, those of disturbed_plants.py.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from real.judge import Outcome, Tolerance, agreement, judge, radius_over_points,
 from real.peer_process import WORKERS, Peer
 from real.pictures import Shown, draw_below, draw_methods, draw_references, draw_seen, save
 from real.plain_thinning import FINE, plain_thinning
-from real.plants import LABELLED, Labelled, Reference, labelled_plants, references, unlabelled
+from real.plants import HARD, LABELLED, Labelled, Reference, labelled_plants, references, unlabelled
+from real.strict import judged_all, metrics
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -52,6 +53,8 @@ SHOWN = (
     "sice_robot_cloud0",
 )
 """Plants drawn with all methods: the first, middle and last seedling, the two others with labels, the robot's."""
+STRICT_EVERY = 6
+"""By the strict rule, as in disturbed_plants.py, every so many seedlings are judged."""
 MOST_BELOW = 2
 """So many of the plants whose main stem leaves the stem system are drawn."""
 
@@ -190,7 +193,9 @@ def main() -> None:
     if args.figures:
         found.draw(args.figures)
     if args.json:
-        write_json(args.json, found.metrics())
+        every = 31 if args.quick else STRICT_EVERY
+        strict = labelled_plants(args.data, every, LABELLED + HARD)
+        write_json(args.json, found.metrics() | metrics(judged_all(strict)))
 
 
 def _print(console: Console, found: Run) -> None:

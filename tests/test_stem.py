@@ -184,6 +184,62 @@ def test_a_limb_that_is_thin_at_its_foot_only_forks_the_stem() -> None:
     assert skeleton.nodes[stem.node_ids[stem.fork], 2] == pytest.approx(0.2)
 
 
+def seedling(
+    *, limb_at: float = 0.2, reach: float = 0.25, beyond: float = 0.24, width: float = 0.015, flat: float = 0.9
+) -> Skeleton:
+    """Return a stem with two limbs that goes on to `beyond` and then, straight on, as a leaf; half widths in metres."""
+    top = line([0, 0, beyond], [0, 0, 0.4], 16)
+    limbs = [line([0, 0, z], [reach, 0, z + 0.05], 20) for z in (0.1, limb_at)]
+    plain = drawn([*line([0, 0, 0], [0, 0, beyond], 24)[:-1], *top], *limbs, radius=[0.004, 0.003, 0.003])
+    on_leaf = (plain.nodes[:, 0] == 0) & (plain.nodes[:, 2] > beyond + 0.005)
+    widths = np.where(on_leaf, width, plain.radius)
+    return Skeleton(plain.nodes, plain.parent, plain.radius, width=widths, flatness=np.where(on_leaf, flat, 0.0))
+
+
+def stem_top(skeleton: Skeleton) -> float:
+    return float(skeleton.nodes[find_stem(skeleton).node_ids[-1], 2])
+
+
+@pytest.mark.parametrize("flat", [0.9, 0.3])  # unrolled, rolled
+def test_the_petiole_of_the_leaf_above_the_last_limb_is_not_stem(flat: float) -> None:
+    assert stem_top(seedling(flat=flat)) == pytest.approx(0.2)
+
+
+def test_a_stem_that_ends_round_goes_on_above_its_last_limb() -> None:
+    assert stem_top(seedling(width=0.004, flat=0)) == pytest.approx(0.4)
+
+
+def test_a_top_that_is_longer_than_every_limb_may_have_lost_its_limbs() -> None:
+    assert stem_top(seedling(limb_at=0.11, reach=0.1)) > 0.2
+
+
+def test_a_leaflet_does_not_show_that_a_leaf_is_stem() -> None:
+    leaf = seedling()
+    leaflet = [[0.008 * k, 0, 0.24] for k in range(1, 3)]
+    at = int(np.flatnonzero(np.isclose(leaf.nodes, [0, 0, 0.24]).all(axis=1))[0])
+    count = len(leaf.nodes)
+    assert leaf.width is not None
+    assert leaf.flatness is not None
+    with_leaflet = Skeleton(
+        np.concatenate([leaf.nodes, leaflet]),
+        np.concatenate([leaf.parent, [at, count]]),
+        np.append(leaf.radius, [0.003] * 2),
+        width=np.append(leaf.width, [0.003] * 2),
+        flatness=np.append(leaf.flatness, [0.0] * 2),
+    )
+    assert stem_top(with_leaflet) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(("flat", "goes_on"), [(0.3, True), (0.9, False)])
+def test_leaves_that_touch_the_stem_broaden_it_but_make_it_no_plane(flat: float, goes_on: bool) -> None:
+    plain = drawn(line([0, 0, 0], [0, 0, 0.5], 50), line([0, 0, 0.45], [0.2, 0, 0.5], 20), radius=[0.004, 0.003])
+    touched = (plain.nodes[:, 0] == 0) & (plain.nodes[:, 2] > 0.15) & (plain.nodes[:, 2] < 0.44)
+    width, flatness = np.where(touched, 0.01, plain.radius), np.where(touched, flat, 0.0)
+    assert (
+        stem_top(Skeleton(plain.nodes, plain.parent, plain.radius, width=width, flatness=flatness)) > 0.4
+    ) == goes_on
+
+
 def test_a_thin_continuation_is_not_stem() -> None:
     skeleton = drawn(line([0, 0, 0], [0, 0, 0.3]), line([0, 0, 0.3], [0, 0, 0.5]), radius=[0.005, 0.001])
     assert skeleton.nodes[find_stem(skeleton).node_ids[-1], 2] < 0.33

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,6 +94,11 @@ def _facing(points: Array, size: float) -> NDArray[np.int64]:
     first = np.full(number.max() + 1, np.inf)
     np.minimum.at(first, number.ravel(), points[:, 0])
     return np.flatnonzero(points[:, 0] <= first[number.ravel()] + size / STEPS)
+
+
+def judged_all(plants: Iterable[Labelled]) -> list[Judged]:
+    """Return what becomes of plants, each as scanned and in each way disturbed."""
+    return [judged(plant, kind, base) for one in plants for kind, plant, base in disturbed(one)]
 
 
 def judged(plant: Labelled, kind: str, base: Array) -> Judged:

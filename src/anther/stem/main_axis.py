@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import path_gain
-from anther.stem.organs import BRANCH, stem_breadth
+from anther.skeleton.raw_tree import edge_lengths, path_gain
+from anther.stem.organs import BRANCH, longest_way, stem_breadth
 from anther.stem.params import Params
 
 _TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
@@ -73,34 +73,59 @@ def path_score(skeleton: Skeleton, params: Params) -> Array:
 def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Params) -> int:
     """Return how many nodes of the path belong to the stem (P11).
 
-    A step is stem-like unless it turns from the growth axis (root to here), thins, or is broader than the stem below:
-    a stem does not broaden upward. The stem ends where the length that is stem-like, less `doubt` times the length
-    that is not, is largest, so that a leaf that touches the stem does not end it, but the blade after which nothing
-    stem-like comes does.
+    A step is stem-like unless it turns from the growth axis (root to here), thins, or is a blade: planar, and broader
+    than the stem below. The stem ends where the length that is stem-like, less `doubt` times the length that is not, is
+    largest: a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
+
+    A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: if any of it
+    is broader than the stem, or not stem-like, it is the youngest leaf, however round its petiole, its neck or its
+    rolled blade. If it is longer than every limb, limbs were missed.
     """
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0], np.cumsum(length)])
-    like = _stem_like(skeleton, path, arc, params.window * size, params)
-    gain = np.cumsum(length * np.where(like, 1.0, -params.doubt))
-    return int(np.argmax(gain)) + 2
+    straight, slim, solid = _stem_like(skeleton, path, arc, params.window * size, params)
+    gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -params.doubt))
+    end = int(np.argmax(gain)) + 2
+    last, longest = _last_limb(skeleton, path, end, params)
+    believed = last > 0 and arc[last] >= params.shortest * size and arc[end - 1] - arc[last] <= longest
+    return last + 1 if believed and not (straight & slim)[last:].all() else end
 
 
-def _stem_like(skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, params: Params) -> NDArray[np.bool_]:
-    """Return (S - 1,) whether each step of the path looks like stem, over the window ahead of it."""
+def _last_limb(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[int, float]:
+    """Return the last of the first `end` positions where a limb leaves the path, 0 for none; the longest limb [m].
+
+    Leaflets are no limbs: the way up the youngest compound leaf bears them too.
+    """
+    way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
+    way[path] = 0
+    limb = np.isin(skeleton.parent, path[1:end]) & (way > params.spur * stem_breadth(skeleton, path[:end]))
+    longest = float(way[limb].max(initial=0))
+    limb &= way > params.leaflet * longest
+    last = int(np.flatnonzero(np.isin(path[:end], skeleton.parent[limb])).max(initial=0))
+    return last, longest
+
+
+def _stem_like(
+    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, params: Params
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return for each step of the path, over the window ahead of it, (S - 1,) each: whether it keeps the growth axis
+    and is not thin; whether it is not broader than the stem below; whether its surroundings are not a plane."""
     nodes, radius = skeleton.nodes[path], skeleton.radius[path]
     width = radius if skeleton.width is None else skeleton.width[path]
+    flatness = np.ones(len(path)) if skeleton.flatness is None else skeleton.flatness[path]
     ahead = np.minimum(np.searchsorted(arc, arc + window), len(path) - 1)
     coming = [slice(i, max(ahead[i], i + 1) + 1) for i in range(len(path) - 1)]
     breadth = np.array([np.median(width[there]) for there in coming])
     narrowest = np.minimum.accumulate(breadth)
-    like = np.ones(len(path) - 1, dtype=bool)
+    straight, slim, solid = np.ones((3, len(path) - 1), dtype=bool)
     for i in np.flatnonzero(arc[:-1] >= window):
         turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > params.turn
         thin = np.median(radius[coming[i]]) < params.thinnest * np.median(radius[: i + 1])
-        broad = breadth[i] > max(params.broadest * narrowest[i], np.median(width[: i + 1]))
-        like[i] = not (turned or thin or broad)
-    return like
+        straight[i] = not (turned or thin)
+        slim[i] = breadth[i] <= max(params.broadest * narrowest[i], np.median(width[: i + 1]))
+        solid[i] = np.median(flatness[coming[i]]) < params.planar_blade
+    return straight, slim, solid
 
 
 def _angle(one: Array, other: Array) -> float:

@@ -18,9 +18,12 @@ class Params:
         turn: a step that turns from the growth axis by more than this is not stem-like [degrees].
         window: length over which a step is judged (share of the plant's size).
         broadest: nor is a step broader than the narrowest below it by more than this factor, and than most below it: a
-            stem does not broaden upward, a leaf does after the neck at its base.
+            stem does not broaden upward, a leaf does after the neck at its base. Below the last limb it must be planar
+            (`planar_blade`) as well, since leaves touch the stem.
         thinnest: nor one thinner than this share of the median radius so far.
         doubt: how much a length that is not stem-like counts against one that is.
+        leaflet: a side line shorter than this, relative to the longest limb, is a leaflet (labelled plants, see
+            docs/reports/real_plants.md: from 0.2 to 0.45 ever fewer stems end in a leaf, but simulated ones shorten).
         shortest: a shorter stem is not believed (share of the plant's size).
         fork_share: a branch forks the stem when it is at least this share as thick as the stem beyond it and rises at
             least this share as high (docs/reports/skeletons.md: branches 0.65, 0.85 or more; petioles that thick rise
@@ -47,6 +50,7 @@ class Params:
     broadest: float = 1.5
     thinnest: float = 0.35
     doubt: float = 2.0
+    leaflet: float = 0.2
     shortest: float = 0.05
     fork_share: float = 0.6
     fork_angle: float = 50.0
