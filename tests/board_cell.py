@@ -1,7 +1,7 @@
 """A cell whose wrist camera looks at a board: drivers for a cell file, whose truth stands in a JSON file.
 
-The arm goes where it is told and reads its joints with noise; the camera draws the board from where the arm truly is, by the
-true place of the camera on the flange, with a lens that bends and pixels that are noisy.
+The arm goes where it is told and reads its joints with noise; the camera draws the board from where the arm truly is,
+by the true place of the camera on the flange, with a lens that bends and pixels that are noisy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where an arm can take the camera next: the first of some flange poses that can be reached by a straight joint line."""
+"""Where an arm can take the camera next: the first of some flange poses that a straight joint line leads to."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from anther.geometry import Array, Box, transform_points
 from anther.motion_limits import check_trajectory
 
 AROUND, DEEP = 0.03, 0.02
-"""The board is taken to be so much larger to each side, and so much thicker, than it is [m]: its plate, and what is not yet
-known of the camera's place."""
+"""The board is taken to be so much larger to each side, and so much thicker, than it is [m]: its plate, and what is not
+yet known of the camera's place."""
 GRAIN = 0.006
 """Between the points that stand for it [m]: less than a cube of the octree that they go into (`collision.VOXEL`)."""
 BATCH, SEEDS, BRANCHES = 24, 8, 2
-"""Poses whose joints are sought together, from so many seeds; and how many branches of each are tried, the nearest first."""
+"""Poses whose joints are sought together, from so many seeds; and how many branches of each are tried, the nearest
+first."""
 SWING = 2.2
 """No joint turns further at once [rad]: nobody expects an arm to fold over between two views."""
 
@@ -49,8 +50,8 @@ def first_reached(
 ) -> tuple[int, JointTrajectory] | None:
     """Return the number of the first of (C, 4, 4) poses that the arm can go to, and the motion; None if there is none.
 
-    Only straight lines of the joints count, from joints `here` (J,): whoever stands beside the arm can foresee them. They
-    touch nothing the planner knows, and pass all that the guard will ask of them (`motion_limits`).
+    Only straight lines of the joints count, from joints `here` (J,): whoever stands beside the arm can foresee them.
+    They touch nothing the planner knows, and pass all that the guard will ask of them (`motion_limits`).
     """
     for begin in range(0, len(T_base_flange), BATCH):
         poses = T_base_flange[begin : begin + BATCH]

@@ -167,7 +167,8 @@ def why_unseen(image: NDArray[Any], board: Board) -> str:
         others = {name: _markers(image, name) for name in DICTIONARIES if name[:8] != board.dictionary[:8]}
         name, count = max(others.items(), key=lambda other: other[1])
         if count >= 4:
-            return f"It shows {count} markers of {name.removesuffix('_1000')}: append the board's own dictionary to --board."
+            kind = name.removesuffix("_1000")
+            return f"It shows {count} markers of {kind}: append the board's own dictionary to --board."
     return "Nothing of it is found: bring it into view, 0.3 to 0.6 m in front of the camera, all of it, in focus."
 
 

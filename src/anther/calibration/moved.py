@@ -1,8 +1,9 @@
-"""Has the camera moved on the flange since it was calibrated? The same board is seen again from the same places. V views.
+"""Has the camera moved on the flange since it was calibrated? The same board, seen again from the same places. V views.
 
-The arm goes to joints that it had in the calibration, so that what is wrong with its kinematics is wrong twice and cancels.
-Board and camera are then as they were, or one of them has moved: a camera by the same way in the flange's frame in every
-view, a board by the same way in the base frame. Each is fitted (`refinement.refine`); squared residuals tell which it was.
+The arm goes to joints that it had in the calibration, so that what is wrong with its kinematics is wrong twice and
+cancels. Board and camera are then as they were, or one of them has moved: a camera by the same way in the flange's
+frame in every view, a board by the same way in the base frame. Each is fitted (`refinement.refine`); squared residuals
+tell which it was.
 """
 
 from __future__ import annotations
@@ -87,9 +88,8 @@ def camera_moved(
     camera, board = _way(X, fits["camera"].T_flange_cam), _way(Z, fits["board"].T_base_board, centre)
     verdict = _verdict(rest, gain, bool(np.all(np.array([camera, board]) < TRIFLE)))
     fit = fits["both" if verdict == "more" else "camera"]
-    camera = _way(X, fit.T_flange_cam)
-    spread = [float(np.sqrt(np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1])) for i in (0, 3)]
-    return Moved(verdict, *camera, *spread, *board)
+    turn, shift = (float(np.sqrt(np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1])) for i in (0, 3))
+    return Moved(verdict, *_way(X, fit.T_flange_cam), turn, shift, *board)
 
 
 _PARTS: dict[str, slice] = {"camera": CAMERA, "board": BOARD, "both": BOTH}

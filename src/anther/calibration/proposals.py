@@ -1,31 +1,33 @@
 """From where to look at a board next, so that the views determine the hand-eye transform. C candidates, V views.
 
-Errors go with 1 / turn and with 1 / sin of the angle between rotation axes, and grow with the camera's distance (Tsai and
-Lenz 1989, section VI): candidates are near, tilted to all sides and rolled, and the next view is the one least like those
-that were taken.
+Errors go with 1 / turn and with 1 / sin of the angle between rotation axes, and grow with the camera's distance (Tsai
+and Lenz 1989, section VI): candidates are near, tilted to all sides and rolled, and the next view is the one least like
+those that were taken.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform, transform_points
 
 TILT, ROLL = float(np.deg2rad(40)), float(np.deg2rad(60))
-"""Most from the board's normal, and about the optical axis from the first view [rad]. Beyond 40 degrees corners blur."""
+"""Most from the board's normal, and about the optical axis from the first view [rad]; docs/calibration.md: 20 to 40
+degrees between views."""
 NEAREST, FARTHEST = 0.25, 1.7
-"""The camera is no nearer [m], nor so near that the board would fill more than `FILLED` of the image's lesser side; and no
-farther than so many times that."""
+"""The camera is no nearer [m], nor so near that the board would fill more than `FILLED` of the image's lesser side; and
+no farther than so many times that."""
 FILLED, MARGIN = 0.8, 0.04
 """Shares of the image: see above; and the frame that the board keeps out of, where lenses are worst [-]."""
 COUNT = 256
 CAREFUL = float(np.deg2rad(12))
 """While the camera's place is not known the camera circles the board by so little that it stays in view [rad]."""
 LIKE = float(np.deg2rad(30)), 0.25, 0.3
-"""Views that differ by one of these count as equally far apart: turn [rad], place of the board in the image [of its width],
-distance [its logarithm]."""
+"""Views that differ by one of these count as equally far apart: turn [rad], place of the board in the image [of its
+width], distance [its logarithm]. A choice."""
 
 
 def candidates(T_board_cam_first: Array, centre: Array, intrinsics: Intrinsics, *, known: bool) -> Array:
@@ -35,8 +37,8 @@ def candidates(T_board_cam_first: Array, centre: Array, intrinsics: Intrinsics, 
         T_board_cam_first: (4, 4) of the first view; upright is as it was there.
         centre: (3,) of the board [m]; the board reaches as far on its other side.
         intrinsics: of the camera.
-        known: whether the camera's place on the flange is known well enough for large motions. If not: small turns of the
-            first view about the board.
+        known: whether the camera's place on the flange is known well enough for large motions. If not: small turns of
+            the first view about the board.
     """
     if not known:
         turns = Rotation.from_rotvec(CAREFUL * np.concatenate([np.eye(3), -np.eye(3)])).as_matrix()
@@ -51,13 +53,13 @@ def candidates(T_board_cam_first: Array, centre: Array, intrinsics: Intrinsics, 
     return poses[sees_board(poses, centre, intrinsics)]
 
 
-def sees_board(T_board_cam: Array, centre: Array, intrinsics: Intrinsics) -> Array:
+def sees_board(T_board_cam: Array, centre: Array, intrinsics: Intrinsics) -> NDArray[np.bool_]:
     """Return (C,) whether each of (C, 4, 4) cameras sees all of the board, within the image's `MARGIN`."""
     size = np.array([intrinsics.width, intrinsics.height])
     corners = centre + centre * np.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     pixels = np.stack([intrinsics.project(transform_points(inverse(T), corners)) for T in T_board_cam])
     inside = (pixels > MARGIN * size) & (pixels < (1 - MARGIN) * size)  # NaN, behind the camera, is not inside
-    return inside.all(axis=(1, 2))
+    return np.asarray(inside.all(axis=(1, 2)))
 
 
 def differences(T_board_cam: Array, others: Array, centre: Array, intrinsics: Intrinsics) -> Array:
@@ -71,7 +73,7 @@ def differences(T_board_cam: Array, others: Array, centre: Array, intrinsics: In
     return np.sqrt((turn.reshape(shift.shape) / LIKE[0]) ** 2 + (shift / LIKE[1]) ** 2 + (nearer / LIKE[2]) ** 2)
 
 
-def least_alike(T_board_cam: Array, taken: Array, centre: Array, intrinsics: Intrinsics) -> Array:
+def least_alike(T_board_cam: Array, taken: Array, centre: Array, intrinsics: Intrinsics) -> NDArray[np.intp]:
     """Return the numbers (C,) of the candidates (C, 4, 4), first the one least like all of the (V, 4, 4) taken."""
     nearest = differences(T_board_cam, taken, centre, intrinsics).min(axis=1)
     return np.argsort(-nearest, kind="stable")
@@ -100,7 +102,7 @@ def _pose(draw: Array, first: Array, centre: Array, side: float, near: float, in
 
 
 def _place(T_board_cam: Array, centre: Array, intrinsics: Intrinsics) -> tuple[Array, Array]:
-    """Return where (V, 4, 4) cameras see the board's centre (V, 2) [of the width], and the distance's logarithm (V,)."""
+    """Return where (V, 4, 4) cameras see the board's centre (V, 2) [of the width], and log its distance (V,)."""
     seen = np.stack([transform_points(inverse(T), centre[None])[0] for T in T_board_cam])
     depth = np.maximum(np.abs(seen[:, 2]), 1e-3)
     return seen[:, :2] / depth[:, None] * intrinsics.fx / intrinsics.width, np.log(np.linalg.norm(seen, axis=1))

@@ -1,8 +1,8 @@
 """Views of a board taken one after the other: each is on disk before the next, and solved as far as they go.
 
-The folder is one that `anther calibrate --images` takes: grey images, `poses.csv`, `intrinsics.json`. `views.json` has what
-a later check of the camera needs beside `calibration.json`: the board, and of each view the arm's joints and where the
-board was seen. V views, J joints.
+The folder is one that `anther calibrate --images` takes: grey images, `poses.csv`, `intrinsics.json`. `views.json` has
+what a later check of the camera needs beside `calibration.json`: the board, and of each view the arm's joints and where
+the board was seen. V views, J joints.
 """
 
 from __future__ import annotations
@@ -137,6 +137,8 @@ class Taken:
 
     def turned(self) -> tuple[float, float]:
         """Return the flange's largest turn between views, and the largest across its axis [rad]."""
+        if len(self) < 2:
+            return 0.0, 0.0
         motions = flange_motions(self.flange)
         return motions.largest, motions.second
 

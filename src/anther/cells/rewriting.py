@@ -22,12 +22,12 @@ NEW = KEYS[0]
 def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
     """Let a cell file take its wrist camera's pose from a `calibration.json`; return where the old file is kept.
 
-    The line `T_flange_cam = [...]` or `calibration = "..."` of [wrist_camera] becomes `calibration = "..."`, relative to the
-    cell file. Comments stay, also those of the line. The file changes at once or not at all.
+    The line `T_flange_cam = [...]` or `calibration = "..."` of [wrist_camera] becomes `calibration = "..."`, seen from
+    the cell file. Comments stay, also those of the line. The file changes at once or not at all.
 
     Raises:
-        InputError: the file is not a cell file, cannot be written, or has the pose where it cannot be told from the rest;
-            it is then unchanged.
+        InputError: the file is not a cell file, cannot be written, or has the pose where it cannot be told from the
+            rest; it is then unchanged.
     """
     file = Path(path).resolve()  # a link stays a link
     before = read_cell(file)

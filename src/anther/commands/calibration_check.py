@@ -1,4 +1,4 @@
-"""The morning's check: has the wrist camera moved since it was calibrated? Three views of the board that stands there."""
+"""The morning's check: has the wrist camera moved since it was calibrated? A few views of the board."""
 
 from __future__ import annotations
 
@@ -47,9 +47,7 @@ def check(cell: Path, *, yes: bool = False) -> int:
     print(f"{len(places)} views in {time.monotonic() - begin:.0f} s")
     anew = f"Calibrate again: anther calibrate --live --cell {cell} --board {record.board}"
     if len(places) < LEAST:
-        print(
-            f"the board is not seen where it stood in {VIEWS - len(places)} of {VIEWS} views: is it still there, in light?"
-        )
+        print(f"{VIEWS - len(places)} of {VIEWS} views do not show the board: does it stand where it stood, in light?")
         print(f"If so, the camera has moved far. {anew}")
         return 1
     then = record.T_base_flange[places], record.T_cam_board[places]
@@ -100,7 +98,7 @@ def in_words(moved: Moved) -> str:
         case "camera":
             return f"THE CAMERA HAS MOVED by {camera}"
         case "board":
-            return f"the board has moved, by {board}; the camera seems to be where it was. Without that board no check can tell"
+            return f"THE BOARD HAS MOVED by {board}; the camera seems to be where it was"
         case "camera or board":
             return f"THE CAMERA HAS MOVED by {camera}, or the board by {board}: these views do not tell which"
         case "more":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -129,7 +129,7 @@ def live(
     yes: bool = False,
     params: Params | None = None,
 ) -> int:
-    """Take views, tell what they give, and write the result into the cell file; return 0, or 1 where they lack something.
+    """Take views, tell what they give, write the result into the cell file; return 0, or 1 where they lack something.
 
     Args:
         cell: the cell file.
@@ -155,7 +155,7 @@ def live(
             first_look(eye, taken, ask)
             found = gather(eye, taken, ask, by_hand=by_hand, params=params)
         except BaseException:
-            if not by_hand:
+            with suppress(AntherError):  # what went wrong first is what is reported
                 arm.hold()
             if len(taken):
                 print(
@@ -195,7 +195,7 @@ def gather(
         StageFailure: the arm refuses, or the board is not seen where it was expected.
     """
     found = taken.solved(params)
-    history, missed = [found], list[Array]()
+    history, missed, in_a_row = [found], list[Array](), 0
     _tell(taken, found)
     while len(taken) < MOST:
         if not lacks(taken, found) and is_steady(history):
@@ -208,11 +208,13 @@ def gather(
         view = taken.see(image)
         if view is None:
             missed.append(expected)
+            in_a_row += 1
             print(f"the board is not seen. {why_unseen(image, parse_board(taken.board))}")
-            if len(missed) >= MISSED and not by_hand:
+            if in_a_row >= MISSED and not by_hand:
                 do = "Correct its T_flange_cam in the cell file roughly, give the board more room, or use --by-hand."
                 raise StageFailure("device_fault", f"{MISSED} views did not show the board where it should be. {do}")
             continue
+        in_a_row = 0
         _keep(eye, taken, image, view, joints)
         found = taken.solved(params)
         history.append(found)
@@ -293,23 +295,23 @@ def _keep(eye: Eye, taken: Taken, image: NDArray[Any], view: BoardViews, joints:
     taken.add(image, view, joints, eye.file.model.forward(joints))
 
 
-def _tell(taken: Taken, found: HandEye | None, say: Callable[[str], None] = print) -> None:
+def _tell(taken: Taken, found: HandEye | None) -> None:
     """Print what the last view showed, how far all of them cover, and what they give."""
-    last, largest, second = taken.views[-1], 0.0, 0.0
-    if len(taken) > 1:
-        largest, second = np.rad2deg(taken.turned())
+    last, turned = taken.views[-1], np.rad2deg(taken.turned())
     seen = f"{len(last.corners.pixels[0])} corners to {last.reprojection[0]:.2f} px"
-    cover = f"covers {taken.covered():.0%}, turned by {largest:.0f} and across by {second:.0f} deg"
-    given = "nothing known yet"
-    if found is not None:
-        out = "" if found.used[-1] else ", which DISAGREES with the others"
-        error = found.methods[-1]
-        steady = f"left-out view {error.left_out_pixel:.2f} px, {np.rad2deg(error.left_out_rotation):.2f} deg, "
-        steady += f"{1e3 * error.left_out_translation:.1f} mm; " if np.isfinite(error.left_out_pixel) else ""
-        steady = steady if np.isfinite(error.left_out_pixel) else ""
-        given = f"{steady}camera known to {np.rad2deg(found.rotation_error):.2f} deg, "
-        given += f"{1e3 * found.translation_error:.1f} mm{out}"
-    say(f"{len(taken):2} of about {ENOUGH}: {seen} | {cover} | {given}")
+    cover = f"covers {taken.covered():.0%}, turned by {turned[0]:.0f} and across by {turned[1]:.0f} deg"
+    print(f"{len(taken):2} of about {ENOUGH}: {seen} | {cover} | {_known(found)}")
+
+
+def _known(found: HandEye | None) -> str:
+    if found is None:
+        return "nothing known yet"
+    error, left_out = found.methods[-1], ""
+    if np.isfinite(error.left_out_pixel):
+        left_out = f"a view left out errs by {error.left_out_pixel:.2f} px, "
+        left_out += f"{np.rad2deg(error.left_out_rotation):.2f} deg, {1e3 * error.left_out_translation:.1f} mm; "
+    camera = f"camera known to {np.rad2deg(found.rotation_error):.2f} deg, {1e3 * found.translation_error:.1f} mm"
+    return f"{left_out}{camera}{'' if found.used[-1] else '; THIS VIEW DISAGREES with the others'}"
 
 
 def _check_size(taken: Taken, camera: Camera) -> None:
@@ -345,6 +347,3 @@ def _concluded(cell: Path, taken: Taken, found: HandEye | None, ask: Asking) -> 
     print(f"written: {cell}; as it was: {kept}. Leave the board where it is, and each morning:")
     print(f"anther calibrate --check --cell {cell}")
     return 0
-
-
-__all__ = ["AntherError", "Asking", "Eye", "first_look", "gather", "live", "proposed"]
