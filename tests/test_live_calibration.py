@@ -1,4 +1,4 @@
-"""anther calibrate --live and --check: the hidden place of the camera is found, and a camera that has moved; nothing is lost."""
+"""anther calibrate --live and --check: the camera's hidden place is found, and that it moved; no view is lost."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def test_a_check_needs_a_live_calibration(tmp_path: Path, capsys) -> None:
 
 @pytest.fixture(scope="module")
 def known() -> list[tuple[HandEye, Array, Array, Array]]:
-    """Calibrations of arms that err by 0.05 degrees and 0.5 mm in each place, always the same, and of cameras of 0.1 px."""
+    """Calibrations of arms that err by 0.05 degrees and 0.5 mm, the same at a place each time, and cameras of 0.1 px."""
     first = inverse(inverse(look_at(EYE, BOARD_CENTRE[:3], up=(-1, 0, 0.3))) @ T_BASE_BOARD)
     options = candidates(first, CENTRE, CAMERA, known=True)
     reported = T_BASE_BOARD @ options[spread(options, 12, 0, CENTRE, CAMERA)] @ inverse(TRUE_FLANGE_CAM)
@@ -426,7 +426,7 @@ def test_a_board_that_is_not_seen(tmp_path: Path) -> None:
 
 def test_another_board_of_the_same_markers_is_refused(tmp_path: Path) -> None:
     eye, _ = an_eye(write_cell(tmp_path, Truth()))
-    taken = Taken(tmp_path / "calib", "charuco:7x8:30mm:22mm", CAMERA, np.zeros(5))
+    taken = Taken(tmp_path / "calib", "charuco:9x5:30mm:22mm", CAMERA, np.zeros(5))
     with pytest.raises(InputError, match=r"board"):
         first_look(eye, taken, Asking(True))
 
