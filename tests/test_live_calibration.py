@@ -42,11 +42,11 @@ def write_cell(folder: Path, truth: Truth, *changes: tuple[str, str]) -> Path:
     """A cell file with the drivers of `board_cell`, and the file with their truth."""
     world = folder / "world.json"
     truth.write(world)
-    text = EXAMPLE
+    text, ours = EXAMPLE, f'world = "{world}"'
     for old, new in (
-        ('driver = "sawyer-ros1"\nmaster = "MASTER"\nmode = "trajectory"', f'driver = "board_cell:BoardArm"\nworld = "{world}"'),
-        ('driver = "robotiq-2f"\nport = "GRIPPER"', 'driver = "board_cell:BoardGripper"'),
-        (f'driver = "fake_robot:FakeCamera"\n{POSE_LINE}', f'driver = "board_cell:BoardCamera"\nworld = "{world}"\n{POSE_LINE}  # by a ruler'),
+        ('"sawyer-ros1"\nmaster = "MASTER"\nmode = "trajectory"', f'"board_cell:BoardArm"\n{ours}'),
+        ('"robotiq-2f"\nport = "GRIPPER"', '"board_cell:BoardGripper"'),
+        (f'"fake_robot:FakeCamera"\n{POSE_LINE}', f'"board_cell:BoardCamera"\n{ours}\n{POSE_LINE}  # by a ruler'),
         *changes,
     ):  # fmt: skip
         assert old in text
@@ -184,7 +184,7 @@ def test_a_check_needs_a_live_calibration(tmp_path: Path, capsys) -> None:
 
 @pytest.fixture(scope="module")
 def known() -> list[tuple[HandEye, Array, Array, Array]]:
-    """Calibrations of arms that err by 0.05 degrees and 0.5 mm, the same at a place each time, and cameras of 0.1 px."""
+    """Calibrations of arms that err by 0.05 degrees and 0.5 mm, the same at a place each time; cameras of 0.1 px."""
     first = inverse(inverse(look_at(EYE, BOARD_CENTRE[:3], up=(-1, 0, 0.3))) @ T_BASE_BOARD)
     options = candidates(first, CENTRE, CAMERA, known=True)
     reported = T_BASE_BOARD @ options[spread(options, 12, 0, CENTRE, CAMERA)] @ inverse(TRUE_FLANGE_CAM)
@@ -509,14 +509,18 @@ def test_a_finished_or_other_folder_is_not_gone_on_with(copied: Path, capsys) ->
 # ---- the cell file
 
 
+OVER_LINES = """T_flange_cam = [ # where it is
+  0.09, 0.0, 0.03, # m
+  0.0, 0.0, 0.70710678, 0.70710678,
+]"""
 LAYOUTS: list[Callable[[str], str]] = [
     lambda text: text,
     lambda text: text.replace("\n", "\r\n"),
-    lambda text: text.replace(POSE_LINE, "T_flange_cam = [ # where it is\n  0.09, 0.0, 0.03, # m\n  0.0, 0.0, 0.70710678, 0.70710678,\n]"),
+    lambda text: text.replace(POSE_LINE, OVER_LINES),
     lambda text: text.replace(POSE_LINE, f"  {POSE_LINE}   # 'T_flange_cam' = [1]"),
     lambda text: text.replace(POSE_LINE, 'calibration = "old #1.json" # measured'),
-    lambda text: text.replace("[wrist_camera]", "[wrist_camera] # on the wrist").replace("[arm]", "# T_flange_cam = 1\n[arm]"),
-]  # fmt: skip
+    lambda text: text.replace("[wrist_camera]", "[wrist_camera] # on it").replace("[arm]", "# T_flange_cam = 1\n[arm]"),
+]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=["plain", "CRLF", "many lines", "indented", "calibration", "comments"])
