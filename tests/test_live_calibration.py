@@ -333,7 +333,8 @@ class Person:
 
 def test_a_person_may_move_the_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(3)
-    eye, arm = an_eye(write_cell(tmp_path, Truth(joints=[0.0, -1.0, 0.0, 1.5, 0.0, 1.0, 0.0])))
+    away = start_joints() + np.array([0.9, 0, 0, 0, 0, 0, 0])
+    eye, arm = an_eye(write_cell(tmp_path, Truth(joints=away.tolist())))
     ways = [EYE + rng.uniform(-0.12, 0.12, 3) for _ in range(6)]
     flange = [
         look_at(e, BOARD_CENTRE[:3], up=(-1.0, 0, 0.3)) @ small_transform([0, 0, rng.uniform(-1, 1)], [0, 0, 0])
