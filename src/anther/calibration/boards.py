@@ -149,6 +149,34 @@ class Chessboard:
 Board = CharucoBoard | Chessboard
 
 
+DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+DARK, BRIGHT = 20, 235
+"""Images with a mean grey beyond these show nothing [of 255]."""
+
+
+def why_unseen(image: NDArray[Any], board: Board) -> str:
+    """Return what a grey image (H, W) uint8 without the board shows instead, in a sentence."""
+    grey = float(image.mean())
+    if not DARK <= grey <= BRIGHT:
+        return f"The image is {'dark' if grey < DARK else 'overexposed'} (mean grey {grey:.0f} of 255): mind the light."
+    if isinstance(board, CharucoBoard):
+        markers = _markers(image, board.dictionary)
+        if markers >= 2:
+            do = "Show more of it, nearer; is it printed as --board says (squares, dictionary, :legacy)?"
+            return f"{markers} of its markers are seen, but too few corners between them. {do}"
+        others = {name: _markers(image, name) for name in DICTIONARIES if name[:8] != board.dictionary[:8]}
+        name, count = max(others.items(), key=lambda other: other[1])
+        if count >= 4:
+            kind = name.removesuffix("_1000")
+            return f"It shows {count} markers of {kind}: append the board's own dictionary to --board."
+    return "Nothing of it is found: bring it into view, 0.3 to 0.6 m in front of the camera, all of it, in focus."
+
+
+def _markers(image: NDArray[Any], name: str) -> int:
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)))
+    return len(detector.detectMarkers(np.ascontiguousarray(image))[0])
+
+
 def parse_board(text: str) -> Board:
     """Return the board that `text` describes: "charuco:7x5:30mm:22mm" or "chessboard:9x6:25mm".
 

@@ -153,8 +153,10 @@ def pixel_noise(views: BoardViews) -> Array:
     return np.maximum(views.reprojection * np.sqrt(counts / (2 * counts - 6)), LEAST_PIXEL_NOISE)
 
 
-def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any]) -> Fit:
+def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any], sought: slice = slice(None)) -> Fit:
     """Return the least-squares fit to the `used` (V,) views, from a start near it.
+
+    Only the numbers `sought` of those in `Fit` change; the covariance has no other rows.
 
     Raises:
         InputError: the views do not determine camera and board.
@@ -162,7 +164,8 @@ def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any
     weights = np.asarray(used, dtype=np.float64)
     for _ in range(ITERATIONS):
         A, b, _ = _normal_equations(problem.sums(X, Z), noise, weights)
-        step = np.asarray(np.linalg.lstsq(A, b, rcond=1e-14)[0], dtype=np.float64)
+        A, step = A[sought, sought], np.zeros(len(b))
+        step[sought] = np.linalg.lstsq(A, b[sought], rcond=1e-14)[0]
         length = float(np.abs(step).max())
         step *= min(1.0, LARGEST_STEP / (length + 1e-300))
         X, Z = _moved(X, step[:6]), _moved(Z, step[6:12])
@@ -175,6 +178,12 @@ def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any
     raise InputError("hand-eye calibration: the refinement does not settle. Take more views, tilted more.")
 
 
+def misfit(problem: Problem, X: Array, Z: Array, noise: Noise) -> float:
+    """Return the squared residuals of all views in units of their covariance [-]: chi-square distributed, with two
+    degrees of freedom a corner less one for each number that was sought."""
+    return _normal_equations(problem.sums(X, Z), noise, np.ones(len(problem.T_base_flange)))[2]
+
+
 def estimate_noise(problem: Problem, fit: Fit, pixel: float, used: NDArray[Any]) -> Noise:
     """Return the noise with the arm's errors for which the `used` (V,) views are most likely (REML)."""
     sums, weights = (
@@ -182,7 +191,7 @@ def estimate_noise(problem: Problem, fit: Fit, pixel: float, used: NDArray[Any])
         np.asarray(used, dtype=np.float64),
     )
 
-    def misfit(logs: Array) -> float:
+    def unlikely(logs: Array) -> float:
         noise = Noise(pixel, *np.exp(logs))
         A, b, fixed = _normal_equations(sums, noise, weights)
         determinants = np.linalg.slogdet(np.eye(6) + _scaled(sums.JJ, noise) / pixel**2)[1]
@@ -190,7 +199,7 @@ def estimate_noise(problem: Problem, fit: Fit, pixel: float, used: NDArray[Any])
 
     bounds = [(np.log(LEAST_SIGMA), np.log(LARGEST_SIGMA))] * 2
     start = np.log([1e-3, 5e-4])
-    found = minimize(misfit, start, method="Nelder-Mead", bounds=bounds, options={"xatol": 0.02, "fatol": 0.01})
+    found = minimize(unlikely, start, method="Nelder-Mead", bounds=bounds, options={"xatol": 0.02, "fatol": 0.01})
     return Noise(pixel, *(float(sigma) for sigma in np.exp(found.x)))
 
 

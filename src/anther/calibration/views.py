@@ -15,6 +15,8 @@ from anther.errors import InputError, bad_input
 from anther.geometry import Array, Intrinsics, small_transform, transform_points
 
 LEAST_VIEWS = 3
+CELLS = (8, 6)
+"""Columns and rows of the grid in which covered cells are counted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,6 +148,13 @@ def largest_distortion(intrinsics: Intrinsics, distortion: Array) -> float:
     rays = np.stack([(u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy, np.ones_like(u)], axis=1)
     bent, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), intrinsics.matrix, distortion)
     return float(np.linalg.norm(bent.reshape(-1, 2) - straight, axis=1).max())
+
+
+def image_coverage(pixels: Array, intrinsics: Intrinsics) -> float:
+    """Return the share of the cells of an 8 x 6 grid over the image that hold a corner, of (N, 2) pixels."""
+    size = np.array([intrinsics.width, intrinsics.height])
+    cells = np.clip((pixels / size * CELLS).astype(int), 0, np.array(CELLS) - 1)
+    return len(np.unique(cells, axis=0)) / (CELLS[0] * CELLS[1])
 
 
 def board_views(corners: BoardCorners, intrinsics: Intrinsics) -> BoardViews:

@@ -1,9 +1,12 @@
-"""Images of a board and the flange's poses -> where the camera sits on the flange, and how far that can be trusted."""
+"""Images of a board and the flange's poses -> where the camera sits on the flange, and how far that can be trusted.
+
+With --live the arm of a cell takes the images; with --check it looks whether the camera has moved since.
+"""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -22,44 +25,114 @@ COVERED = 0.4
 
 @dataclass(frozen=True)
 class Args:
-    """Attributes: images, poses, board. docs/calibration.md has the file formats and how to take the images."""
+    """Attributes: images, poses, board; or live or check, and cell. docs/calibration.md has the file formats and how to
+    take the images."""
 
-    images: Path
+    images: Path | None = None
     """Folder with the images of the board, one per flange pose."""
-    poses: Path
+    poses: Path | None = None
     """Flange poses T_base_flange, CSV (image, x, y, z, qx, qy, qz, qw) or JSON {image: [7 numbers]}; metres."""
-    board: str
+    board: str | None = None
     """charuco:7x5:30mm:22mm (squares, their edge, the markers'; then perhaps :DICT_4X4_50), or chessboard:9x6:25mm
     (inner corners)."""
     intrinsics: Path | None = None
     """JSON with width, height, fx, fy, cx, cy, perhaps k1 k2 p1 p2 k3; or a transforms.json or calibration.json. By
-    default intrinsics.json in the images' folder."""
+    default intrinsics.json in the images' folder; with --live the camera's own."""
     estimate_intrinsics: bool = False
     """Estimate the intrinsics from the same images."""
-    out: Path = Path()
-    """Folder for calibration.json and calibration.png."""
+    out: Path | None = None
+    """Folder for calibration.json and calibration.png, by default this one. With --live for the views too, by default a
+    new one beside the cell file; one that was begun is gone on with."""
     json: bool = False
     """Print the result as JSON."""
+    cell: Path | None = None
+    """A real robot's cell file (docs/real_robot.md)."""
+    live: bool = False
+    """Take the images with the cell's arm and wrist camera, and write the result into the cell file. Asks first."""
+    check: bool = False
+    """Look whether the wrist camera has moved since --live: exit code 1 if so. Asks first."""
+    by_hand: bool = False
+    """With --live: a person moves the arm."""
+    yes: bool = False
+    """Move without being asked."""
     params: Params = field(default_factory=Params)
     """Parameters of the solution."""
 
 
-def run(args: Args) -> None:
-    """Find the corners, calibrate, print and write the result.
+def run(args: Args) -> int:
+    """Find the corners, calibrate, print and write the result; or do so live, or check. Return the exit code.
 
     Raises:
-        InputError: a bad file or option, or views that do not determine the result.
+        AntherError: a bad file or option, views that do not determine the result, or a machine that refuses.
     """
+    _check_options(args)
+    if args.cell is None:
+        _from_files(args)
+        return 0
+    if args.check:
+        from anther.commands.calibration_check import check
+
+        return check(args.cell, yes=args.yes)
+    from anther.commands.live_calibration import live
+
+    return live(
+        args.cell,
+        _needed(args, "board"),
+        out=args.out,
+        intrinsics=args.intrinsics,
+        by_hand=args.by_hand,
+        yes=args.yes,
+        params=args.params,
+    )
+
+
+WAYS = {
+    "images": ("images", "poses", "board", "intrinsics", "estimate_intrinsics", "out", "json", "params"),
+    "live": ("live", "cell", "board", "intrinsics", "out", "by_hand", "yes", "params"),
+    "check": ("check", "cell", "yes"),
+}
+"""Which options go together."""
+
+
+def _check_options(args: Args) -> None:
+    """Refuse options that do not go together, and those that are missing."""
+    if args.live and args.check:
+        raise InputError("options: give --live or --check, not both.")
+    way = "live" if args.live else "check" if args.check else "images"
+    plain = Args()
+    for name in (f.name for f in fields(Args) if f.name not in WAYS[way]):
+        if getattr(args, name) != getattr(plain, name):
+            with_ = " or ".join(f"--{other}" for other, names in WAYS.items() if name in names)
+            raise bad_input(
+                _option(name), given=f"it with --{way}", allowed=f"with {with_}", do="Leave one of them out."
+            )
+    for name in WAYS[way][1:2] if way == "check" else WAYS[way][1:3] if way == "live" else WAYS[way][:3]:
+        _needed(args, name)
+
+
+def _needed(args: Args, name: str) -> Any:
+    if getattr(args, name) is None:
+        raise InputError(f"options: {_option(name)} is missing. See: anther calibrate --help")
+    return getattr(args, name)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _from_files(args: Args) -> None:
+    """Calibrate from images and poses in files."""
     from anther import calibration
     from anther.calibration.pose_file import read_poses
     from anther.files import replacing
     from anther.pictures.calibration import draw_calibration
 
-    board = calibration.parse_board(args.board)
-    poses = read_poses(args.poses)
-    given = _given_intrinsics(args)
-    names, notes = _names(args.images, poses)
-    corners, size = _find(args.images, names, board)
+    folder, out = _needed(args, "images"), args.out or Path()
+    board = calibration.parse_board(_needed(args, "board"))
+    poses = read_poses(_needed(args, "poses"))
+    given = _given_intrinsics(args, folder)
+    names, notes = _names(folder, poses)
+    corners, size = _find(folder, names, board)
     intrinsics, distortion = given or calibration.estimate_intrinsics(corners, *size)
     if (intrinsics.width, intrinsics.height) != size:
         raise bad_input(
@@ -82,16 +155,16 @@ def run(args: Args) -> None:
         distortion=distortion,
     )
     notes += [*found.notes, *_camera_notes(args, views, intrinsics, distortion)]
-    found.save(args.out / "calibration.json")
-    with replacing(args.out / "calibration.png") as temporary:
+    found.save(out / "calibration.json")
+    with replacing(out / "calibration.png") as temporary:
         draw_calibration(found, views, flange).savefig(temporary, dpi=110)
     if args.json:
-        print(json.dumps(json.loads((args.out / "calibration.json").read_text()) | {"notes": notes}, indent=2))
+        print(json.dumps(json.loads((out / "calibration.json").read_text()) | {"notes": notes}, indent=2))
     else:
-        _print(found, notes, args)
+        _print(found, notes, out, estimated=args.estimate_intrinsics)
 
 
-def _given_intrinsics(args: Args) -> tuple[Intrinsics, Array] | None:
+def _given_intrinsics(args: Args, folder: Path) -> tuple[Intrinsics, Array] | None:
     """Return None where they are to be estimated."""
     from anther.calibration.pose_file import read_intrinsics
 
@@ -99,7 +172,7 @@ def _given_intrinsics(args: Args) -> tuple[Intrinsics, Array] | None:
         if args.intrinsics is not None:
             raise InputError("intrinsics: give --intrinsics or --estimate-intrinsics, not both.")
         return None
-    beside = args.images / "intrinsics.json"
+    beside = folder / "intrinsics.json"
     if args.intrinsics is None and not beside.exists():
         raise bad_input(
             "intrinsics",
@@ -155,7 +228,7 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
 
 def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Array) -> list[str]:
     from anther.calibration import largest_distortion
-    from anther.pictures.calibration import image_coverage
+    from anther.calibration.views import image_coverage
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)
@@ -166,7 +239,7 @@ def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Ar
     return notes
 
 
-def _print(found: HandEye, notes: list[str], args: Args) -> None:
+def _print(found: HandEye, notes: list[str], out: Path, *, estimated: bool) -> None:
     from rich.console import Console
 
     from anther.geometry import pose7
@@ -187,7 +260,7 @@ def _print(found: HandEye, notes: list[str], args: Args) -> None:
         f"{np.rad2deg(found.arm_rotation_error):.2f} deg, {1e3 * found.arm_translation_error:.1f} mm per axis",
         soft_wrap=True,
     )
-    source = "estimated" if args.estimate_intrinsics else "given"
+    source = "estimated" if estimated else "given"
     console.print(
         f"camera ({source}): {camera.width} x {camera.height} px, f {camera.fx:.2f} {camera.fy:.2f}, "
         f"c {camera.cx:.2f} {camera.cy:.2f}, distortion {' '.join(f'{k:.4g}' for k in found.distortion)}",
@@ -195,7 +268,7 @@ def _print(found: HandEye, notes: list[str], args: Args) -> None:
     )
     for note in notes:
         console.print(f"warning: {note}", markup=False, soft_wrap=True)
-    console.print(f"written: {args.out / 'calibration.json'}, {args.out / 'calibration.png'}", soft_wrap=True)
+    console.print(f"written: {out / 'calibration.json'}, {out / 'calibration.png'}", soft_wrap=True)
 
 
 def _view_table(found: HandEye) -> Any:

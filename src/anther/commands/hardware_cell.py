@@ -25,7 +25,7 @@ from anther.cloud import Cloud
 from anther.devices import JointTrajectory, Robot, Tap, untapped
 from anther.geometry import Array
 from anther.runs import Advance
-from anther.safety import guard
+from anther.safety import GuardedArm, GuardedCamera, guard
 
 CALM = 0.5
 """The arm stands for so long before a picture is taken [s]: it swings a little when it stops. A guess."""
@@ -98,6 +98,18 @@ def connected(file: CellFile) -> Iterator[Robot]:
             T_world_side_camera=file.T_world_side_camera,
             motor=None if file.shaker is None else part(file.shaker),
         )
+
+
+@contextmanager
+def arm_and_camera(file: CellFile) -> Iterator[tuple[GuardedArm, GuardedCamera]]:
+    """Own the cell's arm and connect it and the wrist camera, behind the guard; see `connected`."""
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+        arm = file.arm_apart()
+        stack.callback(arm.close)
+        camera = file.connect(file.wrist_camera, arm=arm)
+        stack.callback(getattr(camera, "close", lambda: None))
+        yield GuardedArm(arm, file.safety_limits()), GuardedCamera(camera)
 
 
 @contextmanager

@@ -10,20 +10,12 @@ from matplotlib.figure import Figure
 
 from anther.calibration import BoardViews, HandEye
 from anther.calibration.motions import flange_motions
-from anther.geometry import Array, Intrinsics, transform_points
+from anther.calibration.views import CELLS, image_coverage
+from anther.geometry import Array, transform_points
 
 USED, OUTLIER, LEFT_OUT = "tab:blue", "tab:red", "tab:orange"
-CELLS = (8, 6)
-"""Columns and rows of the grid in which covered cells are counted."""
 ARROW = 0.03
 """The arrows are magnified until a long one has this share of the image's width."""
-
-
-def image_coverage(pixels: Array, intrinsics: Intrinsics) -> float:
-    """Return the share of the cells of an 8 x 6 grid over the image that hold a corner, of (N, 2) pixels."""
-    size = np.array([intrinsics.width, intrinsics.height])
-    cells = np.clip((pixels / size * CELLS).astype(int), 0, np.array(CELLS) - 1)
-    return len(np.unique(cells, axis=0)) / (CELLS[0] * CELLS[1])
 
 
 def draw_calibration(found: HandEye, views: BoardViews, T_base_flange: Array) -> Figure:
