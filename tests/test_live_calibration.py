@@ -16,7 +16,7 @@ from board_cell import BOARD, CAMERA, EYE, TRUE_FLANGE_CAM, BoardArm, BoardCamer
 from made_board import BOARD_CENTRE, CORNERS, T_BASE_BOARD, errors, jitter
 
 from anther.arm import kinematics
-from anther.arm.outline import outline
+from anther.arm.model import outline
 from anther.arm.sawyer import SAWYER
 from anther.calibration import BoardCorners, BoardViews, HandEye, board_views, calibrate
 from anther.calibration.motions import flange_motions
