@@ -229,6 +229,19 @@ def test_one_flower_that_swings_unlike_all_others_is_taken_for_something_else() 
     )
 
 
+def test_flowers_that_nobody_knows_may_bend_their_pedicels_further() -> None:
+    foresight = made_foresight(3)
+    members = of(foresight)
+    swing = semi_major(members[5, foresight.where["flowers"]])
+    seen_all, seen_one = swing.copy(), np.where(np.arange(FLOWERS) == 2, swing, np.nan)
+    known_alone = foresight.pedicels(members, seen_all)
+    with_others, with_others_by_one = (foresight.pedicels(members, seen, 0.65) for seen in (seen_all, seen_one))
+    assert np.all(with_others >= known_alone)
+    assert np.mean(np.log(with_others / known_alone)) > 0.2
+    spreads = [np.log(strain).std() for strain in (with_others, with_others_by_one)]
+    assert spreads[1] > spreads[0], "the fewer are seen, the less is known of the others"
+
+
 def test_depth_tells_nothing_of_fast_tones() -> None:
     foresight = made_foresight(3)
     world = World(foresight, foresight.vectors[5], depth=True)
