@@ -6,7 +6,6 @@ The frequency response knows one ratio for every amplitude. Large shakes bend th
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -28,12 +27,12 @@ clamp, grip, flower, axis = Clamp.root(plant), 12, STEM + TRUSS, np.array([1.0, 
 plant = with_gravity_equilibrium(plant, clamp)
 
 frequencies, amplitudes, many = (1.5, 2.5, 3.0, 4.0), (0.1e-3, 0.5e-3, 2e-3, 5e-3), []
-for frequency in frequencies:
-    damped = replace(plant, viscous_time=ZETA / (np.pi * frequency))
-    shakes = [Drive(grip, axis, amplitude, frequency, ramp=4.0) for amplitude in amplitudes]
-    many += [partial(simulate, damped, clamp, shake, duration=10.0, dt=DT, start="scanned") for shake in shakes]
 with ThreadPoolExecutor() as pool:  # compiled code releases Python's lock: threads suffice for all cores
-    runs = iter([pool.submit(shaken) for shaken in many])
+    for frequency in frequencies:
+        damped = replace(plant, viscous_time=ZETA / (np.pi * frequency))
+        shakes = [Drive(grip, axis, amplitude, frequency, ramp=4.0) for amplitude in amplitudes]
+        many += [pool.submit(simulate, damped, clamp, shake, 10.0, DT, start="scanned") for shake in shakes]
+runs = iter(many)
 
 print("flower mm per mm of shake\n  Hz   linear " + "".join(f"{1e3 * a:6.1f} mm" for a in amplitudes))
 for f in frequencies:
