@@ -7,6 +7,7 @@ from straight_plant import BASE, straight_plant, with_blade
 
 from anther.geometry import Intrinsics, look_at, transform_points
 from anther.sim.cell import Cell
+from anther.sim.plant import Organ
 from anther.sim.render import Scene
 from anther.sim.robot import SimCamera
 
@@ -34,3 +35,19 @@ def test_a_leaf_in_the_frames_is_where_the_cell_has_it() -> None:
     assert len(frames) >= 12
     assert np.ptp(true, axis=0).max() > 0.005
     np.testing.assert_allclose(seen, true, atol=0.0012)  # a pixel is 0.8 mm wide
+
+
+def test_a_frame_of_a_film_shows_what_a_whole_image_does() -> None:
+    leaf = np.add(BASE, [0.0, 0.05, 0.45])
+    plant = with_blade(straight_plant(), leaf, [0.0, 1.0, 0.1], segment=17)
+    cell, scene = Cell(plant), Scene.of_plant(plant)
+    pose = look_at(leaf - [0.0, 0.5, 0.0], leaf)
+    camera = SimCamera(cell, scene, CAMERA, lambda: pose, errors=None)
+    bent = np.zeros((3, *plant.vertices.shape))
+    bent[1:, :, 0] = np.multiply.outer([0.002, 0.03], np.maximum(plant.vertices[:, 2] - BASE[2], 0.0))
+    for shape in plant.vertices + bent:  # a little, and far beyond what the first still covers
+        image = scene.moved(shape).render(CAMERA, pose)
+        frame = camera._frame(0.0, shape, None, np.random.default_rng(0), camera._still_of([shape], [None]))
+        np.testing.assert_array_equal(frame.depth, image.depth)
+        on_plant = image.organ < Organ.POT
+        np.testing.assert_array_equal(frame.rgb[on_plant], image.rgb[on_plant])

@@ -6,13 +6,14 @@ Sun with shadows, sky light with occlusion (baked per vertex when the scene is b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import distance_transform_edt
 
 from anther.checks import check_array, check_transform
 from anther.geometry import Array, Intrinsics
@@ -189,6 +190,18 @@ class Image:
     organ: NDArray[Any]
 
 
+class Still(NamedTuple):
+    """An image by which others of the same camera are made faster: the plant's shadows around it stay as they are.
+
+    Attributes:
+        image: of the scene as it was.
+        changing: (H, W) where the plant may be seen in the others.
+    """
+
+    image: Image
+    changing: NDArray[np.bool_]
+
+
 class Scene:
     """Meshes ready for ray casting. Build once, `render` often; `moved` gives the scene with the plant elsewhere."""
 
@@ -247,19 +260,33 @@ class Scene:
         new[: len(np.asarray(vertices))] = vertices
         return Scene(new, self.faces, self.face_organ, self.vertex_color, ambient=self._ambient, setting=self.setting)
 
-    def render(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> Image:
-        """Return the image of a camera at T_world_cam."""
+    def render(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, still: Still | None = None) -> Image:
+        """Return the image of a camera at T_world_cam; with `still`, of the same one, only what may have changed."""
         T = check_transform("T_world_cam", T_world_cam)
+        size = (intrinsics.height, intrinsics.width)
         rays = self._rays(intrinsics, T)
-        eye = np.broadcast_to(T[:3, 3].astype(np.float32), rays.shape)
-        hit = self._embree.run(np.ascontiguousarray(eye), rays, output=1)
-        face, size = hit["primID"], (intrinsics.height, intrinsics.width)
+        pixels = np.arange(len(rays)) if still is None else np.flatnonzero(still.changing)
+        rays = np.ascontiguousarray(rays[pixels])
+        eye = np.ascontiguousarray(np.broadcast_to(T[:3, 3].astype(np.float32), rays.shape))
+        hit = self._embree.run(eye, rays, output=1)
+        face = hit["primID"]
         depth = np.where(face >= 0, hit["tfar"], np.float32(0))
         rgb = np.empty((len(face), 3), dtype=np.uint8)
         sunlit = self._sunlit(T[:3, 3], rays, depth, hit)
         shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, self._mix, rgb)
-        organ = np.append(self.face_organ, np.uint8(Organ.NOTHING))[face]
-        return Image(rgb.reshape(*size, 3), depth.reshape(size), face.reshape(size), organ.reshape(size))
+        seen = (rgb, depth, face, np.append(self.face_organ, np.uint8(Organ.NOTHING))[face])
+        if still is None:
+            return Image(*(part.reshape(*size, *part.shape[1:]) for part in seen))
+        whole = [part.copy() for part in (still.image.rgb, still.image.depth, still.image.face, still.image.organ)]
+        for part, new in zip(whole, seen, strict=True):
+            part[still.changing] = new
+        return Image(*whole)
+
+    def still(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, reach: float) -> Still:
+        """Return an image of a plant of which nothing will move by more than `reach` pixels, for `render`."""
+        image = self.render(intrinsics, T_world_cam)
+        away = image.organ >= Organ.POT
+        return Still(image, np.asarray(distance_transform_edt(away)) <= reach + 1)
 
     def depth(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> NDArray[np.float32]:
         """Return only the exact depth (H, W) [m], 0 where nothing is hit."""

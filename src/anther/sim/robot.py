@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -26,8 +27,9 @@ from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.cell import Cell, CellLog
 from anther.sim.depth_noise import noisy_depth
 from anther.sim.motor import CYCLE, SimMotor, contact_force
-from anther.sim.render import Image, Scene, d455
+from anther.sim.render import Image, Scene, Still, d455
 
+LEAST_REACH = 6.0  # px around the plant in a still that are rendered again in each frame of a film
 SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred
 
 
@@ -151,6 +153,7 @@ class SimCamera:
         self._rng = np.random.default_rng(seed)
         self._recording: tuple[float, float] | None = None
         self._shown: dict[int, Frame] = {}
+        self._still: tuple[Array, Array, float, Still] | None = None
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -206,8 +209,29 @@ class SimCamera:
         samples = after - (exposed - log.times[after - 1] < log.times[after] - exposed)
         shapes = [self._vertices(log.qpos[i]) for i in samples]
         ways = [self._way(log, int(i)) for i in samples]
+        still = self._still_of(shapes, ways)
+        rngs = self._rng.spawn(len(samples))
         with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(self._frame, log.times[samples].tolist(), shapes, ways, self._rng.spawn(len(samples))))
+            return list(pool.map(self._frame, log.times[samples].tolist(), shapes, ways, rngs, repeat(still)))
+
+    def _still_of(self, shapes: Sequence[Array], ways: Sequence[Array | None]) -> Still:
+        """Return a still for the plant in these shapes (Nv, 3): the last one as long as they are near it."""
+        pose = self.pose()
+        if self._still is None or not np.array_equal(self._still[0], pose):
+            self._still = None
+        base = shapes[0] if self._still is None else self._still[1]
+        reach = max(self._pixels(shape - base, base) for shape in shapes)
+        reach += max((self._pixels(way, base) for way in ways if way is not None), default=0.0)
+        if self._still is None or reach > self._still[2]:
+            reach = max(2 * reach, LEAST_REACH)
+            self._still = (pose, base, reach, self.scene.moved(base).still(self._intrinsics, pose, reach))
+        return self._still[3]
+
+    def _pixels(self, way: Array, vertices: Array) -> float:
+        """Return the longest of ways (Nv, 3) [m] of vertices (Nv, 3) in the image [px]."""
+        T = self.pose()
+        depth = np.maximum((vertices - T[:3, 3]) @ T[:3, 2], 0.1)
+        return float((self._intrinsics.fx * np.linalg.norm(way, axis=1) / depth).max())
 
     def _vertices(self, qpos: Array | None) -> Array:
         return self.cell.plant.posed_vertices(self.cell.segment_poses(qpos))
@@ -219,23 +243,23 @@ class SimCamera:
         before, after = max(sample - 1, 0), min(sample + 1, len(log.times) - 1)
         here = self._vertices(log.qpos[after])
         way = (here - self._vertices(log.qpos[before])) * self._exposure / (log.times[after] - log.times[before])
-        T = self.pose()
-        depth = np.maximum((here - T[:3, 3]) @ T[:3, 2], 0.1)
-        return way if (self._intrinsics.fx * np.linalg.norm(way, axis=1) / depth).max() > SEEN_BLUR else None
+        return way if self._pixels(way, here) > SEEN_BLUR else None
 
-    def _frame(self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator) -> Frame:
-        image = self._image(vertices)
+    def _frame(
+        self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator, still: Still | None = None
+    ) -> Frame:
+        image = self._image(vertices, still)
         rgb = image.rgb
         if way is not None:
-            sides = [self._image(vertices + share * way).rgb for share in (-1 / 3, 1 / 3)]
+            sides = [self._image(vertices + share * way, still).rgb for share in (-1 / 3, 1 / 3)]
             rgb = np.rint(np.mean([rgb, *sides], axis=0)).astype(np.uint8)
         if self.errors is None:
             return Frame(time + self._late, rgb, image.depth)
         depth = noisy_depth(image.depth, self._intrinsics, rng, self.errors.depth)
         return Frame(time + self._late, noisy_rgb(rgb, rng, self.errors), depth)
 
-    def _image(self, vertices: Array) -> Image:
-        return self.scene.moved(vertices).render(self._intrinsics, self.pose())
+    def _image(self, vertices: Array, still: Still | None) -> Image:
+        return self.scene.moved(vertices).render(self._intrinsics, self.pose(), still)
 
 
 def cut_out(whole: Intrinsics, width: int, height: int) -> Intrinsics:
