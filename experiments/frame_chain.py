@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from finer_plant import divided
 from frame_fe import STANDARD_GRAVITY, Array, carried, scattered
 from frame_plant import FramedPlant, beams_of, held_at, meshed
 from numpy.typing import NDArray
 
 from anther.sim import plant_mechanics
-from anther.sim.finer_plant import divided
 from anther.sim.plant import SimPlant
 
 RIGID, RIGID_PER_VOLUME = 1e4, 3e12

@@ -41,12 +41,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from scipy.spatial import KDTree
+from shaken_plant import Params, ShakenPlant
 
 from anther.files import write_json
 from anther.sim import plant_mechanics
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
-from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.sim.tomato import grow_tomato
 from anther.vibration.observables import semi_major
 

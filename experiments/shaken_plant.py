@@ -19,6 +19,7 @@ from typing import Any
 
 import mujoco as mujoco_module
 import numpy as np
+from finer_plant import divided
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
@@ -28,7 +29,6 @@ from anther.geometry import Array
 from anther.oscillation import fit_swing
 from anther.sim import plant_mechanics
 from anther.sim.air import Air
-from anther.sim.finer_plant import divided
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
 from anther.sim.truth import NOMINAL, Truth
