@@ -28,9 +28,9 @@ from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.oscillation import fit_swing
 from anther.sim import plant_mechanics
-from anther.sim.air import Air
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
+from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
 from anther.vibration.observables import semi_major
 

@@ -27,8 +27,7 @@ from anther.grasp import Grasp
 from anther.identification import Felt, Observed, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
-from anther.sim.capture import CameraErrors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
+from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out

@@ -34,8 +34,7 @@ from anther.geometry import Array
 from anther.identification import Felt, Observed, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import PlantModel
 from anther.response import measure_response, stem_near
-from anther.sim.capture import camera_errors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
+from anther.sim.capture import camera_errors, noisy_depth, noisy_rgb
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out

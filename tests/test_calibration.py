@@ -27,9 +27,9 @@ from anther.calibration import (
     board_views,
     calibrate,
 )
-from anther.calibration.closed_form import METHODS, Method, closed_form
-from anther.calibration.motions import motion_warnings
+from anther.calibration.hand_eye import METHODS, Method, closed_form
 from anther.calibration.refinement import Noise, Problem, _adjusted, _moved, refine, view_distances
+from anther.calibration.views import motion_warnings
 from anther.errors import InputError
 from anther.geometry import inverse, small_transform
 

@@ -17,8 +17,7 @@ from fake_sawyer import FakeSawyer
 
 from anther.arm import sawyer
 from anther.arm.arms import named
-from anther.cells import CellFile, parts, read_cell
-from anther.cells.owner import owned
+from anther.cells import CellFile, owned, parts, read_cell
 from anther.cli import main
 from anther.devices import DeviceError
 from anther.drivers import sawyer_ros1
@@ -120,7 +119,7 @@ def test_an_own_driver_is_told_only_what_it_takes(write: Write) -> None:
 HOLDS = """
 import sys, time
 from pathlib import Path
-from anther.cells.owner import owned
+from anther.cells import owned
 with owned("sawyer-ros1 http://r:11311", Path(sys.argv[1])):
     print("owned", flush=True)
     time.sleep(60)

@@ -20,10 +20,10 @@ from anther.elastic_rod import (
     with_gravity_equilibrium,
 )
 from anther.elastic_rod.assembly import assemble, elastic_energy, move_frames, new_blocks
-from anther.elastic_rod.lanes import new_lanes
 from anther.elastic_rod.linear import dense
 from anther.elastic_rod.model import Frames, build_model
 from anther.elastic_rod.tree_solver import constrain, factor, solve
+from anther.elastic_rod.vectors import new_lanes
 from anther.errors import InputError, StageFailure
 
 

@@ -34,8 +34,7 @@ from anther.store import (
     record_trial,
     starting_material,
 )
-from anther.store.database import reading
-from anther.store.tables import Plant
+from anther.store.database import Plant, reading
 
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
 
@@ -120,7 +119,7 @@ def test_a_merge_that_was_cut_off_is_done_again(tmp_path: Path, monkeypatch: pyt
     offline, where = str(tmp_path / "robot.sqlite"), str(tmp_path / "fleet.sqlite")
     for minutes in range(7):
         record_trial(visit("a", "r", minutes), offline)
-    module, calls = sys.modules["anther.store.merge"], []
+    module, calls = sys.modules["anther.store.export"], []
     monkeypatch.setattr(module, "BATCH", 2)
     add = module.add
 

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from anther.cli import main
 from anther.errors import InputError
 from anther.formats import gltf
-from anther.formats.mtg import successors
-from anther.formats.skeleton_file import rooted, supposed_radius
+from anther.formats.skeleton_file import rooted, successors, supposed_radius
 from anther.formats.skeletons import READS, WRITES, read_skeleton, write_skeleton
 from anther.runs import FILES
 from anther.skeleton import Skeleton

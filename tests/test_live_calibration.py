@@ -19,10 +19,19 @@ from anther.arm import kinematics
 from anther.arm.model import outline
 from anther.arm.sawyer import SAWYER
 from anther.calibration import BoardCorners, BoardViews, HandEye, board_views, calibrate
-from anther.calibration.motions import flange_motions
 from anther.calibration.moved import Moved, camera_moved
-from anther.calibration.proposals import candidates, sees_board, spread
-from anther.calibration.taken import MOST, Taken, is_steady, lacks, read_record, taken_before
+from anther.calibration.taken import (
+    MOST,
+    Taken,
+    candidates,
+    is_steady,
+    lacks,
+    read_record,
+    sees_board,
+    spread,
+    taken_before,
+)
+from anther.calibration.views import flange_motions
 from anther.cells import read_cell
 from anther.cells.rewriting import point_to_calibration
 from anther.cli import main

@@ -14,7 +14,7 @@ from anther.elastic_rod import Clamp, Drive, Rods, simulate, with_gravity_equili
 from anther.elastic_rod.equilibrium import static_state
 from anther.elastic_rod.linear import dense, linearise
 from anther.elastic_rod.model import build_model
-from anther.elastic_rod.moments import joints, strain_changes
+from anther.elastic_rod.observed import joints, strain_changes
 from anther.geometry import Array
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration.observables import observables

@@ -12,8 +12,7 @@ from sample_plants import branched
 
 from anther.elastic_rod import Drive, simulate
 from anther.elastic_rod.grip import RIGID, Rocking, Springs
-from anther.elastic_rod.moments import strain_changes
-from anther.elastic_rod.observed import observed_response
+from anther.elastic_rod.observed import observed_response, strain_changes
 from anther.elastic_rod.response import driven_response, steady_motion
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration.observables import observables, semi_major

@@ -39,7 +39,7 @@ from anther.store import (
     record_outcome,
     record_trial,
 )
-from anther.store.jobs import State
+from anther.store.overview import State
 
 NOW = datetime.now(UTC).replace(microsecond=0)
 TOKEN = "a token of the house"

@@ -10,7 +10,7 @@ from shaken_plant import ShakenPlant
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.errors import InputError
-from anther.sim.mechanics import buckling_factor
+from anther.sim.growth import buckling_factor
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import Params

@@ -14,26 +14,29 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from anther.calibration.boards import Board, CharucoBoard, Chessboard, parse_board
-from anther.calibration.closed_form import (
+from anther.calibration.hand_eye import (
     METHODS,
+    HandEye,
     Method,
+    MethodError,
     closed_form,
+    compare,
     disagreement,
+    left_out_errors,
     predicted_board,
     robust_estimate,
 )
-from anther.calibration.hand_eye import HandEye, MethodError
-from anther.calibration.leave_one_out import compare, left_out_errors
-from anther.calibration.motions import check_motions, motion_warnings
 from anther.calibration.refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
 from anther.calibration.views import (
     BoardCorners,
     BoardViews,
     board_views,
+    check_motions,
     detect_board,
     estimate_intrinsics,
     find_corners,
     largest_distortion,
+    motion_warnings,
     undistorted,
 )
 from anther.checks import check_range, check_transform

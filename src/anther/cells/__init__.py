@@ -1,8 +1,16 @@
-"""A cell file: which machines stand where, and what they may do. docs/real_robot.md has every key."""
+"""A cell file: which machines stand where, and what they may do. docs/real_robot.md has every key.
+
+One owner for a cell: two processes of this machine cannot command one arm.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
@@ -17,7 +25,7 @@ from anther.calibration.hand_eye import HandEye
 from anther.cells import parts
 from anther.cells.reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
 from anther.checks import check_range
-from anther.devices import SafetyLimits
+from anther.devices import DeviceError, SafetyLimits
 from anther.drivers.apart import ArmApart
 from anther.errors import bad_input
 from anther.geometry import Array, Box, transform_from_pose7
@@ -289,3 +297,31 @@ def _keep_outs(source: Source) -> tuple[KeepOut, ...]:
         do = "Write [[keep_out]] above each."
         raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
     return tuple(built(source, ("keep_out", str(i)), table, KeepOut) for i, table in enumerate(tables))
+
+
+@contextmanager
+def owned(arm: str, folder: Path | None = None) -> Iterator[None]:
+    """Own an arm within the block. Its lock ends with the process, however that ends.
+
+    Args:
+        arm: which; the same words name the same arm.
+        folder: of the lock files; None: the machine's folder for temporary files.
+
+    Raises:
+        DeviceError: another process owns it.
+    """
+    fcntl: Any = importlib.import_module("fcntl")
+    path = (folder or Path(tempfile.gettempdir())) / f"anther-{re.sub(r'[^A-Za-z0-9.-]+', '-', arm)}.lock"
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            owner = os.pread(handle, 40, 0).decode(errors="replace").strip() or "unknown"
+            do = "Wait until it ends, or end it."
+            raise DeviceError(f"the arm {arm} is commanded by another process, number {owner}. {do}") from error
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, str(os.getpid()).encode(), 0)
+        yield
+    finally:
+        os.close(handle)

@@ -21,10 +21,9 @@ from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_parameters, check_range, check_transform
 from anther.cloud import registration
 from anther.cloud.clusters import attached_points
-from anther.cloud.disagreement import disagreement
+from anther.cloud.disagreement import cloud_doubts, coverage_doubts, disagreement, refuse_ground, view_doubts
 from anther.cloud.fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
 from anther.cloud.pixels import pixel_normals, supported_pixels
-from anther.cloud.plausibility import cloud_doubts, coverage_doubts, refuse_ground, view_doubts
 from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz

@@ -6,7 +6,7 @@ modes and their damping ratios, `base_response` for a shaking table.
 """
 
 from anther.elastic_rod.equilibrium import equilibrium, least_stiffness, stands, with_gravity_equilibrium
-from anther.elastic_rod.modes import Modes, natural_frequencies
+from anther.elastic_rod.linear import Modes, natural_frequencies
 from anther.elastic_rod.motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive
 from anther.elastic_rod.response import base_response, frequency_response, response_map
 from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods

@@ -16,9 +16,8 @@ import numpy as np
 from anther.checks import check_array
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, read_lines, replacing, understood, whole_file, write_text
-from anther.formats.mtg import read_mtg, write_mtg
 from anther.formats.points import load_whole_ply
-from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
+from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, read_mtg, rooted, write_mtg
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 

@@ -16,17 +16,20 @@ from anther.identification.clamped_stem import (
 from anther.identification.free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification.material_test import (
     Density,
+    Estimate,
     Identification,
     InstrumentErrors,
     MaterialTest,
+    combine,
     density_from_samples,
+    disagreement,
     identify,
+    propagate,
     read_material,
     write_material,
 )
 from anther.identification.observed import Felt, Observed, feel
 from anther.identification.refinement import Expected, Params, Refinement, expect, flowers_at, loads_at, refine
-from anther.identification.uncertainty import Estimate, combine, disagreement, propagate
 
 __all__ = [
     "ClampedStem",

@@ -13,8 +13,7 @@ from anther.checks import check_array, check_range
 from anther.elastic_rod.motion import unit_direction
 from anther.elastic_rod.rods import Array
 from anther.errors import StageFailure, bad_input
-from anther.identification.misses import Errors, Misses, log_amplitude, misses, told
-from anther.identification.observed import Observed
+from anther.identification.observed import Errors, Misses, Observed, log_amplitude, misses, told
 from anther.plant import LEARNED, Material, PlantModel
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes

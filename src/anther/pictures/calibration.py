@@ -9,8 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from anther.calibration import BoardViews, HandEye
-from anther.calibration.motions import flange_motions
-from anther.calibration.views import CELLS, image_coverage
+from anther.calibration.views import CELLS, flange_motions, image_coverage
 from anther.geometry import Array, transform_points
 
 USED, OUTLIER, LEFT_OUT = "tab:blue", "tab:red", "tab:orange"

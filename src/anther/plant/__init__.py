@@ -23,8 +23,7 @@ from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers, supposed_flowers
 from anther.geometry import Array
 from anther.plant.material import LEARNED, PEPPER, TOMATO, Material
-from anther.plant.shape import edge_radii, hang_flowers, in_blade, leaf_mass
-from anther.plant.stability import branch_stiffening, least_youngs
+from anther.plant.shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 

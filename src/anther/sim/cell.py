@@ -22,10 +22,10 @@ from anther.arm.sawyer import SAWYER
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
 from anther.sim import arm_model, plant_mechanics
-from anther.sim.air import Air
 from anther.sim.blades import add_blades
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics
+from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them

@@ -22,9 +22,8 @@ from anther.devices import (
     Watch,
 )
 from anther.geometry import Array, Intrinsics, look_at
-from anther.sim.capture import CameraErrors, noisy_rgb
+from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.cell import Cell, CellLog
-from anther.sim.depth_noise import noisy_depth
 from anther.sim.motor import CYCLE, SimMotor, contact_force
 from anther.sim.render import Image, Scene, d455
 

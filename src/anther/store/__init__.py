@@ -15,9 +15,8 @@ from anther.store.beliefs import (
     starting_material,
 )
 from anther.store.database import DEFAULT, PATIENCE, reading, shown
-from anther.store.export import TABLES, export
-from anther.store.jobs import Job, add_jobs, note_jobs, read_jobs
-from anther.store.merge import Merged, merge
+from anther.store.export import TABLES, Merged, export, merge
+from anther.store.overview import Job, add_jobs, note_jobs, read_jobs
 from anther.store.records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
 from anther.store.trials import (
     add_missing,

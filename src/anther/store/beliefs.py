@@ -17,9 +17,8 @@ from sqlalchemy.orm import Session
 from anther.checks import check_array, check_range
 from anther.geometry import Array
 from anther.plant import LEARNED, PEPPER, TOMATO, Material
-from anther.store.database import DEFAULT, reading
+from anther.store.database import DEFAULT, Grasp, Plant, Response, Shake, Visit, reading
 from anther.store.records import Sums, TrialRecord, material_of, summed, told
-from anther.store.tables import Grasp, Plant, Response, Shake, Visit
 from anther.vibration import EarlierShake
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}

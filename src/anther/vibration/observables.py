@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from anther.elastic_rod.moments import joints
+from anther.elastic_rod.observed import joints
 from anther.elastic_rod.rods import Array, Rods
 from anther.plant import PlantModel
 
