@@ -41,9 +41,9 @@ from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, build, grow, layout, safety_limits
 from anther.devices import Arm, DeviceError, Robot, SafetyLimits
-from anther.early_reach import early_reach
 from anther.errors import InputError, StageFailure
 from anther.execution import Params, Trial, execute
+from anther.execution.early_reach import early_reach
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.plant import TOMATO

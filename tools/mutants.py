@@ -32,11 +32,11 @@ KEPT = ROOT / "build" / "mutants"
 COPY = KEPT / "src"
 AREAS = {
     "safety": (
-        ["safety.py", "motion_limits.py", "watchdog.py", "motor_guard.py", "pressing.py"],
+        ["safety", "pressing.py"],
         ["test_safety.py", "test_devices.py", "test_chain.py", "test_motor.py", "test_pressing.py"],
     ),
     "execution": (
-        ["execution", "early_reach.py", "swing.py"],
+        ["execution", "swing.py"],
         ["test_execution.py", "test_early_reach.py", "test_swing.py", "test_watched_execution.py", "test_steps.py"],
     ),
     "grasp": (["grasp"], ["test_grasp.py", "test_confidence.py"]),

@@ -27,9 +27,8 @@ from anther.devices import (
 )
 from anther.errors import InputError, StageFailure
 from anther.geometry import Array, Intrinsics
-from anther.motion_limits import AT_REST, JUMP, LONGEST, check_shake, check_trajectory, demand
-from anther.motor_guard import GuardedMotor
-from anther.watchdog import Watchdog
+from anther.safety._motion import AT_REST, JUMP, LONGEST, Watchdog, check_shake, check_trajectory, demand
+from anther.safety._motor import GuardedMotor
 
 __all__ = ["GuardedArm", "GuardedCamera", "GuardedGripper", "check_shake", "check_trajectory", "guard", "stem_stress"]
 

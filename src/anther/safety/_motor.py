@@ -9,9 +9,8 @@ import numpy as np
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, MoreSwing, Motor, SafetyLimits, Watch
 from anther.errors import InputError, StageFailure
-from anther.motion_limits import demand
+from anther.safety._motion import Watchdog, demand
 from anther.swing import Swing
-from anther.watchdog import Watchdog
 
 STEP = 2.5e-4
 """A piece is checked so often [s]: 80 times a period of 50 Hz."""
