@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 from shaken_plant import Params, ShakenPlant
 
-from anther.elastic_rod.observed import observed_response
+from anther.elastic_rod import observed_response
 from anther.geometry import Array
 from anther.sim import plant_mechanics
 from anther.sim.plant import Organ, SimPlant

@@ -23,9 +23,8 @@ from anther import cli, files
 from anther.capture import Capture, check_views, viewed_box
 from anther.cloud import ply
 from anther.commands.run_folder import open_run
-from anther.elastic_rod import Clamp, frequency_response
-from anther.elastic_rod.observed import observed_response
-from anther.elastic_rod.simulation import new_output
+from anther.elastic_rod import Clamp, frequency_response, observed_response
+from anther.elastic_rod._simulation import new_output
 from anther.errors import InputError
 from anther.files import existing, made_folder, read_json, read_npz, replacing, write_npz
 from anther.formats.clouds import read_cloud

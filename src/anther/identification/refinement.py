@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array, check_range
-from anther.elastic_rod.motion import unit_direction
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod import Array, unit_direction
 from anther.errors import StageFailure, bad_input
 from anther.identification.observed import Errors, Misses, Observed, log_amplitude, misses, told
 from anther.plant import LEARNED, Material, PlantModel

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_parameters, check_range
 from anther.cloud import Cloud
-from anther.elastic_rod.equilibrium import stands, with_gravity_equilibrium
-from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.rods import NaturalShape, Rods
+from anther.elastic_rod import Clamp, NaturalShape, Rods, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers, supposed_flowers

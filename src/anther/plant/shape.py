@@ -14,9 +14,7 @@ from scipy.spatial import KDTree
 from scipy.stats import theilslopes
 
 from anther.cloud import Cloud
-from anther.elastic_rod.equilibrium import stands
-from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.rods import Rods
+from anther.elastic_rod import Clamp, Rods, stands
 from anther.flowers import Flowers
 from anther.geometry import Array, occupied_cells
 from anther.masks import FLOWER

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_range
-from anther.elastic_rod.motion import gripped_edges
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod._motion import gripped_edges
+from anther.elastic_rod._rods import Array
 
 ComplexArray = NDArray[np.complex128]
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from anther.elastic_rod.assembly import Blocks
-from anther.elastic_rod.model import Model
-from anther.elastic_rod.vectors import compiled, merged
+from anther.elastic_rod._assembly import Blocks
+from anther.elastic_rod._model import Model
+from anther.elastic_rod._vectors import compiled, merged
 
 Row = Any
 """Four numbers."""

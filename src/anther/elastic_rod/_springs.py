@@ -12,24 +12,17 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from anther.elastic_rod import vectors
-from anther.elastic_rod.vectors import (
-    LANES,
+from anther.elastic_rod import _lanes as lanes
+from anther.elastic_rod._lanes import LANES, get, get3, get6, put, put3, put6, put9
+from anther.elastic_rod._vectors import (
     Vector,
     add,
     combine,
     compiled,
     cross,
     dot,
-    get,
-    get3,
-    get6,
     merged,
     norm,
-    put,
-    put3,
-    put6,
-    put9,
     scale,
     spin,
     subtract,
@@ -86,20 +79,20 @@ def twist_parts(b: Bent, m1e: Vector, m1f: Vector) -> tuple[float, float]:
 def twist_lanes(buffer: Any) -> None:
     """Fill the rows SINE and COSINE of all lanes."""
     for i in range(LANES):
-        b = bent(get3(buffer, vectors.EDGE_M, i), get3(buffer, vectors.EDGE_J, i))
-        sine, cosine = twist_parts(b, get3(buffer, vectors.DIRECTOR_M, i), get3(buffer, vectors.DIRECTOR_J, i))
-        put(buffer, vectors.SINE, i, sine)
-        put(buffer, vectors.COSINE, i, cosine)
+        b = bent(get3(buffer, lanes.EDGE_M, i), get3(buffer, lanes.EDGE_J, i))
+        sine, cosine = twist_parts(b, get3(buffer, lanes.DIRECTOR_M, i), get3(buffer, lanes.DIRECTOR_J, i))
+        put(buffer, lanes.SINE, i, sine)
+        put(buffer, lanes.COSINE, i, cosine)
 
 
 @merged
 def frame_lanes(b: Any) -> None:
     """Carry the directors of all lanes from their old edges to the new ones and spin them."""
     for i in range(LANES):
-        old, new = get3(b, vectors.OLD_EDGE, i), get3(b, vectors.NEW_EDGE, i)
+        old, new = get3(b, lanes.OLD_EDGE, i), get3(b, lanes.NEW_EDGE, i)
         t_old, t_new = scale(1 / norm(old), old), scale(1 / norm(new), new)
-        carried = transport(get3(b, vectors.OLD_DIRECTOR, i), t_old, t_new)
-        put3(b, vectors.NEW_DIRECTOR, i, spin(carried, t_new, get(b, vectors.TURN, i)))
+        carried = transport(get3(b, lanes.OLD_DIRECTOR, i), t_old, t_new)
+        put3(b, lanes.NEW_DIRECTOR, i, spin(carried, t_new, get(b, lanes.TURN, i)))
 
 
 @merged
@@ -242,13 +235,13 @@ def _put_position_blocks(
     fe = _sum9(1.0, fe, 1.0, _outer(g3.f, h3))
     fe = _sum9(1.0, fe, per_e * per_f, _crossed(b, on_e, on_f, wt, k, s3))
     ef = (fe[0][0], fe[1][0], fe[2][0]), (fe[0][1], fe[1][1], fe[2][1]), (fe[0][2], fe[1][2], fe[2][2])
-    put6(buffer, vectors.JJ, i, ff)
-    put6(buffer, vectors.OO, i, ee)
+    put6(buffer, lanes.JJ, i, ff)
+    put6(buffer, lanes.OO, i, ee)
     mm = _sum9(1.0, _sum9(1.0, _rows(ee), 1.0, _rows(ff)), -1.0, _sum9(1.0, fe, 1.0, ef))
-    put6(buffer, vectors.MM, i, (mm[0][0], mm[0][1], mm[1][1], mm[0][2], mm[1][2], mm[2][2]))
-    put9(buffer, vectors.JM, i, _sum9(1.0, fe, -1.0, _rows(ff)))
-    put9(buffer, vectors.JO, i, _sum9(-1.0, fe, 0.0, fe))
-    put9(buffer, vectors.MO, i, _sum9(1.0, fe, -1.0, _rows(ee)))
+    put6(buffer, lanes.MM, i, (mm[0][0], mm[0][1], mm[1][1], mm[0][2], mm[1][2], mm[2][2]))
+    put9(buffer, lanes.JM, i, _sum9(1.0, fe, -1.0, _rows(ff)))
+    put9(buffer, lanes.JO, i, _sum9(-1.0, fe, 0.0, fe))
+    put9(buffer, lanes.MO, i, _sum9(1.0, fe, -1.0, _rows(ee)))
 
 
 @merged
@@ -280,18 +273,18 @@ def _put_spin_blocks(buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: An
     by_e, by_f = _along(G, moment_e)
     on_e, on_f = _turned(b, combine(-s1, m1e, -s2, cross(b.te, m1e)))
     on_e, on_f = add(by_e, on_e), add(by_f, on_f)
-    put3(buffer, vectors.TURN_M_J, i, on_f)
-    put3(buffer, vectors.TURN_M_M, i, subtract(on_e, on_f))
-    put3(buffer, vectors.TURN_M_O, i, scale(-1.0, on_e))
+    put3(buffer, lanes.TURN_M_J, i, on_f)
+    put3(buffer, lanes.TURN_M_M, i, subtract(on_e, on_f))
+    put3(buffer, lanes.TURN_M_O, i, scale(-1.0, on_e))
     by_e, by_f = _along(G, moment_f)
     on_e, on_f = _turned(b, combine(-s1, m1f, -s2, cross(b.tf, m1f)))
     on_e, on_f = add(by_e, on_e), add(by_f, on_f)
-    put3(buffer, vectors.TURN_J_J, i, on_f)
-    put3(buffer, vectors.TURN_J_M, i, subtract(on_e, on_f))
-    put3(buffer, vectors.TURN_J_O, i, scale(-1.0, on_e))
-    put(buffer, vectors.TURN_MM, i, dot(moment_e, spin_e) - 0.5 * dot(b.kb, we))
-    put(buffer, vectors.TURN_MJ, i, dot(moment_e, spin_f))
-    put(buffer, vectors.TURN_JJ, i, dot(moment_f, spin_f) - 0.5 * dot(b.kb, wf))
+    put3(buffer, lanes.TURN_J_J, i, on_f)
+    put3(buffer, lanes.TURN_J_M, i, subtract(on_e, on_f))
+    put3(buffer, lanes.TURN_J_O, i, scale(-1.0, on_e))
+    put(buffer, lanes.TURN_MM, i, dot(moment_e, spin_e) - 0.5 * dot(b.kb, we))
+    put(buffer, lanes.TURN_MJ, i, dot(moment_e, spin_f))
+    put(buffer, lanes.TURN_JJ, i, dot(moment_f, spin_f) - 0.5 * dot(b.kb, wf))
 
 
 @merged
@@ -300,26 +293,26 @@ def _put_forces(buffer: Any, i: int, G: Any, stress: Vector, tension: Vector) ->
     s1, s2, s3 = stress
     by_e, by_f = _along(G, stress)
     by_f = add(by_f, tension)
-    put3(buffer, vectors.FORCE_J, i, by_f)
-    put3(buffer, vectors.FORCE_M, i, subtract(by_e, by_f))
-    put3(buffer, vectors.FORCE_O, i, scale(-1.0, by_e))
-    put(buffer, vectors.MOMENT_J, i, s1 * g1.spin_f + s2 * g2.spin_f + s3)
-    put(buffer, vectors.MOMENT_M, i, s1 * g1.spin_e + s2 * g2.spin_e - s3)
+    put3(buffer, lanes.FORCE_J, i, by_f)
+    put3(buffer, lanes.FORCE_M, i, subtract(by_e, by_f))
+    put3(buffer, lanes.FORCE_O, i, scale(-1.0, by_e))
+    put(buffer, lanes.MOMENT_J, i, s1 * g1.spin_f + s2 * g2.spin_f + s3)
+    put(buffer, lanes.MOMENT_M, i, s1 * g1.spin_e + s2 * g2.spin_e - s3)
 
 
 @merged
 def _stress(buffer: Any, i: int, k: Any, G: Any, ve: Vector, vf: Vector) -> Vector:
     """Return the moments of bend and twist [N m]: stiffness times (strain + viscous time times strain rate)."""
     spin_e, spin_f, lag = (
-        get(buffer, vectors.SPIN_M, i),
-        get(buffer, vectors.SPIN_J, i),
-        get(buffer, vectors.VISCOUS, i),
+        get(buffer, lanes.SPIN_M, i),
+        get(buffer, lanes.SPIN_J, i),
+        get(buffer, lanes.VISCOUS, i),
     )
-    s1 = k[0] - get(buffer, vectors.CURVATURE_1, i) + lag * rate_of(G[0], ve, vf, spin_e, spin_f)
-    s2 = k[1] - get(buffer, vectors.CURVATURE_2, i) + lag * rate_of(G[1], ve, vf, spin_e, spin_f)
-    s3 = get(buffer, vectors.TWIST, i) - get(buffer, vectors.NATURAL_TWIST, i)
+    s1 = k[0] - get(buffer, lanes.CURVATURE_1, i) + lag * rate_of(G[0], ve, vf, spin_e, spin_f)
+    s2 = k[1] - get(buffer, lanes.CURVATURE_2, i) + lag * rate_of(G[1], ve, vf, spin_e, spin_f)
+    s3 = get(buffer, lanes.TWIST, i) - get(buffer, lanes.NATURAL_TWIST, i)
     s3 += lag * rate_of(G[2], ve, vf, spin_e, spin_f)
-    return moments(get6(buffer, vectors.JOINT, i), (s1, s2, s3))
+    return moments(get6(buffer, lanes.JOINT, i), (s1, s2, s3))
 
 
 @merged
@@ -332,8 +325,12 @@ def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) 
     step gain energy. Of the Hessian, EA / r^2 f (f_end / |f_end|)^T is taken along f only, which keeps it symmetric;
     what is left out lets an error across the edge cause one along it, but not the reverse, so Newton hardly notices.
     """
-    EA, natural, lag = get(buffer, vectors.STRETCH, i), get(buffer, vectors.LENGTH, i), get(buffer, vectors.VISCOUS, i)
-    start = get3(buffer, vectors.START_J, i)
+    EA, natural, lag = (
+        get(buffer, lanes.STRETCH, i),
+        get(buffer, lanes.LENGTH, i),
+        get(buffer, lanes.VISCOUS, i),
+    )
+    start = get3(buffer, lanes.START_J, i)
     end = combine(2.0, f, -1.0, start)
     per_end = 1 / norm(end)
     per_r = 2 / (norm(start) + 1 / per_end)
@@ -352,16 +349,16 @@ def spring_lanes(buffer: Any, rate: float) -> None:
     The Hessian of the Kelvin-Voigt part leaves out the change of the gradient with position, which is unsymmetric.
     """
     for i in range(LANES):
-        m1e, m1f = get3(buffer, vectors.DIRECTOR_M, i), get3(buffer, vectors.DIRECTOR_J, i)
-        ve, vf = get3(buffer, vectors.SPEED_M, i), get3(buffer, vectors.SPEED_J, i)
-        f = get3(buffer, vectors.EDGE_J, i)
-        b = bent(get3(buffer, vectors.EDGE_M, i), f)
+        m1e, m1f = get3(buffer, lanes.DIRECTOR_M, i), get3(buffer, lanes.DIRECTOR_J, i)
+        ve, vf = get3(buffer, lanes.SPEED_M, i), get3(buffer, lanes.SPEED_J, i)
+        f = get3(buffer, lanes.EDGE_J, i)
+        b = bent(get3(buffer, lanes.EDGE_M, i), f)
         G = gradients(b, m1e, m1f)
         stress = _stress(buffer, i, curvatures(b, m1e, m1f), G, ve, vf)
         tension, stretch = stretched(buffer, i, rate, b, f, vf)
         _put_forces(buffer, i, G, stress, tension)
-        stiffer = 1 + get(buffer, vectors.VISCOUS, i) * rate
-        a, c = get3(buffer, vectors.JOINT, i), get3(buffer, vectors.JOINT + 3, i)
+        stiffer = 1 + get(buffer, lanes.VISCOUS, i) * rate
+        a, c = get3(buffer, lanes.JOINT, i), get3(buffer, lanes.JOINT + 3, i)
         a, c = scale(stiffer, a), scale(stiffer, c)
         W = (a[0], a[1], a[2], c[0], c[1], c[2])
         s1, s2, _ = stress

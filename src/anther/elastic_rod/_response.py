@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array, check_range, check_room
-from anther.elastic_rod.assembly import new_blocks
-from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
-from anther.elastic_rod.linear import Linear, linearise, product, set_dynamic
-from anther.elastic_rod.model import Model
-from anther.elastic_rod.motion import Clamp, Drive, unit_direction
-from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.tree_solver import factor, solve, solve_columns
-from anther.elastic_rod.vectors import compiled
+from anther.elastic_rod._assembly import new_blocks
+from anther.elastic_rod._grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
+from anther.elastic_rod._linear import Linear, linearise, product, set_dynamic
+from anther.elastic_rod._model import Model
+from anther.elastic_rod._motion import Clamp, Drive, unit_direction
+from anther.elastic_rod._rods import GRAVITY, Array, Rods
+from anther.elastic_rod._tree_solver import factor, solve, solve_columns
+from anther.elastic_rod._vectors import compiled
 from anther.errors import bad_input
 
 COLUMNS = 128

@@ -18,16 +18,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from anther.checks import check_room
-from anther.elastic_rod import springs
-from anther.elastic_rod.assembly import new_blocks
-from anther.elastic_rod.grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
-from anther.elastic_rod.linear import linearise, set_dynamic
-from anther.elastic_rod.model import Model, build_model, spring_edges
-from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.response import FINE, on_all_cores, towards_root
-from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.tree_solver import factor, solve_columns, substitute_columns
-from anther.elastic_rod.vectors import (
+from anther.elastic_rod import _springs
+from anther.elastic_rod._assembly import new_blocks
+from anther.elastic_rod._grip import RIGID, ComplexArray, Springs, grasped, held_unknowns, rigid_motion
+from anther.elastic_rod._linear import linearise, set_dynamic
+from anther.elastic_rod._model import Model, build_model, spring_edges
+from anther.elastic_rod._motion import Clamp
+from anther.elastic_rod._response import FINE, on_all_cores, towards_root
+from anther.elastic_rod._rods import GRAVITY, Array, Rods
+from anther.elastic_rod._tree_solver import factor, solve_columns, substitute_columns
+from anther.elastic_rod._vectors import (
     add,
     compiled,
     cross,
@@ -101,7 +101,7 @@ def _slopes(model: Model, x: Any, m1: Any, slopes: Any, turning: Any) -> None:
         if model.joint[j, 0] == 0:
             continue
         e, m1e, f = _ends(model, x, m1, j)
-        gradients, moves = springs.gradients(springs.bent(e, f), m1e, load(m1, j)), model.far[j] >= 0
+        gradients, moves = _springs.gradients(_springs.bent(e, f), m1e, load(m1, j)), model.far[j] >= 0
         for k in range(3):
             g = gradients[k]
             arm = add(cross(f, g.f), scale(g.spin_f / norm(f), f))
@@ -132,9 +132,9 @@ def _strains(model: Model, x: Any, m1: Any, out: Any) -> None:
             if model.joint[j, 0] == 0:
                 continue
             e, m1e, f = _ends(model, x[t], m1[t], j)
-            b, m1f = springs.bent(e, f), load(m1[t], j)
-            kappa1, kappa2 = springs.curvatures(b, m1e, m1f)
-            sine, cosine = springs.twist_parts(b, m1e, m1f)
+            b, m1f = _springs.bent(e, f), load(m1[t], j)
+            kappa1, kappa2 = _springs.curvatures(b, m1e, m1f)
+            sine, cosine = _springs.twist_parts(b, m1e, m1f)
             store(out[t], j, (kappa1, kappa2, twist_angle(sine, cosine, 0.0)))
 
 

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from anther.elastic_rod.assembly import Blocks, assemble, move_frames
-from anther.elastic_rod.model import Frames, Model
-from anther.elastic_rod.rods import Array
-from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import compiled, dot, load, merged, subtract
+from anther.elastic_rod._assembly import Blocks, assemble, move_frames
+from anther.elastic_rod._model import Frames, Model
+from anther.elastic_rod._rods import Array
+from anther.elastic_rod._tree_solver import constrain, factor, solve
+from anther.elastic_rod._vectors import compiled, dot, load, merged, subtract
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_range
-from anther.elastic_rod.assembly import Blocks, assemble, new_blocks
-from anther.elastic_rod.edges import Tangent, assemble_edges, by_edges, hangs_together, tangent
-from anther.elastic_rod.equilibrium import static_state
-from anther.elastic_rod.model import Model, build_model
-from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.newton import State
-from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.tree_solver import constrain
-from anther.elastic_rod.vectors import compiled
+from anther.elastic_rod._assembly import Blocks, assemble, new_blocks
+from anther.elastic_rod._edges import Tangent, assemble_edges, by_edges, hangs_together, tangent
+from anther.elastic_rod._equilibrium import static_state
+from anther.elastic_rod._model import Model, build_model
+from anther.elastic_rod._motion import Clamp
+from anther.elastic_rod._newton import State
+from anther.elastic_rod._rods import GRAVITY, Array, Rods
+from anther.elastic_rod._tree_solver import constrain
+from anther.elastic_rod._vectors import compiled
 from anther.errors import StageFailure
 
 MATRIX = ("diagonal", "near", "far")

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array
-from anther.elastic_rod import springs
-from anther.elastic_rod.rods import Array, NaturalShape, Rods
-from anther.elastic_rod.vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
+from anther.elastic_rod import _springs
+from anther.elastic_rod._rods import Array, NaturalShape, Rods
+from anther.elastic_rod._vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
 from anther.errors import bad_input
 
 SOFTER = 1.2
@@ -313,7 +313,7 @@ def _carry_frames(
         m1e = load(m1, near[j])
         m1f = spin(transport(m1e, te, tf), tf, 0.0)
         store(m1, j, m1f)
-        kappa = springs.curvatures(springs.bent(e, f), m1e, m1f)
+        kappa = _springs.curvatures(_springs.bent(e, f), m1e, m1f)
         curvature[j, 0], curvature[j, 1] = kappa
 
 

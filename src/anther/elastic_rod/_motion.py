@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array, check_range
-from anther.elastic_rod.rods import Array, Rods
+from anther.elastic_rod._rods import Array, Rods
 from anther.errors import bad_input
 
 

@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from anther.checks import check_array, check_range, check_room
-from anther.elastic_rod.assembly import move_frames, new_blocks
-from anther.elastic_rod.equilibrium import static_state
-from anther.elastic_rod.model import Model, build_model
-from anther.elastic_rod.motion import Clamp, Motion, gripped_edges
-from anther.elastic_rod.newton import State, Work, new_state
-from anther.elastic_rod.response import FINE
-from anther.elastic_rod.rods import GRAVITY, Array, Rods
-from anther.elastic_rod.stepping import Grip, Output, Settings, advance, energies, record
-from anther.elastic_rod.vectors import new_lanes
+from anther.elastic_rod._assembly import move_frames, new_blocks
+from anther.elastic_rod._equilibrium import static_state
+from anther.elastic_rod._lanes import new_lanes
+from anther.elastic_rod._model import Model, build_model
+from anther.elastic_rod._motion import Clamp, Motion, gripped_edges
+from anther.elastic_rod._newton import State, Work, new_state
+from anther.elastic_rod._response import FINE
+from anther.elastic_rod._rods import GRAVITY, Array, Rods
+from anther.elastic_rod._stepping import Grip, Output, Settings, advance, energies, record
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from anther.elastic_rod.assembly import elastic_energy, move_frames
-from anther.elastic_rod.model import Model
-from anther.elastic_rod.newton import State, Work, implicit_step
-from anther.elastic_rod.rods import Array
-from anther.elastic_rod.vectors import compiled, cross, dot, load, merged, norm, scale, subtract, transport
+from anther.elastic_rod._assembly import elastic_energy, move_frames
+from anther.elastic_rod._model import Model
+from anther.elastic_rod._newton import State, Work, implicit_step
+from anther.elastic_rod._rods import Array
+from anther.elastic_rod._vectors import compiled, cross, dot, load, merged, norm, scale, subtract, transport
 
 CREATED = 1e-3
 """Share of the elastic and kinetic energy that a midpoint step may create out of nothing (`_step`)."""

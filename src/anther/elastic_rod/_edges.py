@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.elastic_rod import springs, vectors
-from anther.elastic_rod.assembly import Blocks, assemble, gather_springs
-from anther.elastic_rod.model import Frames, Model
-from anther.elastic_rod.rods import Array
-from anther.elastic_rod.tree_solver import constrain, factor, solve
-from anther.elastic_rod.vectors import LANES, compiled, get, get3, merged
+from anther.elastic_rod import _lanes as lanes
+from anther.elastic_rod import _springs
+from anther.elastic_rod._assembly import Blocks, assemble, gather_springs
+from anther.elastic_rod._lanes import LANES, get, get3
+from anther.elastic_rod._model import Frames, Model
+from anther.elastic_rod._rods import Array
+from anther.elastic_rod._tree_solver import constrain, factor, solve
+from anther.elastic_rod._vectors import compiled, merged
 
 
 def by_edges(model: Model) -> Model:
@@ -119,7 +121,7 @@ def assemble_edges(model: Model, x: Any, frames: Frames, rate: float, blocks: Bl
     for first in range(1, n, LANES):
         count = min(LANES, n - first)
         gather_springs(model, x, x, frames, still, b, first, count)
-        springs.spring_lanes(b, rate)
+        _springs.spring_lanes(b, rate)
         for i in range(count):
             j = order[n - 1 - first - i]
             _add_own(D, g, b, j, i)
@@ -129,16 +131,16 @@ def assemble_edges(model: Model, x: Any, frames: Frames, rate: float, blocks: Bl
 
 @merged
 def _add_own(D: Any, g: Any, b: Any, j: Any, i: int) -> None:
-    f = get3(b, vectors.FORCE_J, i)
-    a, c, turn = get3(b, vectors.JJ, i), get3(b, vectors.JJ + 3, i), get3(b, vectors.TURN_J_J, i)
+    f = get3(b, lanes.FORCE_J, i)
+    a, c, turn = get3(b, lanes.JJ, i), get3(b, lanes.JJ + 3, i), get3(b, lanes.TURN_J_J, i)
     D[j, 0, 0] += a[0]
     D[j, 0, 1] += a[1]
     D[j, 1, 1] += a[2]
     D[j, 0, 2] += c[0]
     D[j, 1, 2] += c[1]
     D[j, 2, 2] += c[2]
-    D[j, 3, 3] += get(b, vectors.TURN_JJ, i)
-    g[j, 3] += get(b, vectors.MOMENT_J, i)
+    D[j, 3, 3] += get(b, lanes.TURN_JJ, i)
+    g[j, 3] += get(b, lanes.MOMENT_J, i)
     for k in range(3):
         g[j, k] += f[k]
         D[j, k, 3] += turn[k]
@@ -147,21 +149,21 @@ def _add_own(D: Any, g: Any, b: Any, j: Any, i: int) -> None:
 @merged
 def _add_near(D: Any, U: Any, g: Any, b: Any, j: Any, a: Any, sign: float, i: int) -> None:
     """Add what the joint of edge j does to edge a, which runs towards it (sign 1) or, at the root, away (-1)."""
-    e, f = get3(b, vectors.OO, i), get3(b, vectors.OO + 3, i)
-    force, turn, across = get3(b, vectors.FORCE_O, i), get3(b, vectors.TURN_M_O, i), get3(b, vectors.TURN_M_J, i)
+    e, f = get3(b, lanes.OO, i), get3(b, lanes.OO + 3, i)
+    force, turn, across = get3(b, lanes.FORCE_O, i), get3(b, lanes.TURN_M_O, i), get3(b, lanes.TURN_M_J, i)
     D[a, 0, 0] += e[0]
     D[a, 0, 1] += e[1]
     D[a, 1, 1] += e[2]
     D[a, 0, 2] += f[0]
     D[a, 1, 2] += f[1]
     D[a, 2, 2] += f[2]
-    D[a, 3, 3] += get(b, vectors.TURN_MM, i)
-    g[a, 3] += sign * get(b, vectors.MOMENT_M, i)
-    U[j, 3, 3] = sign * get(b, vectors.TURN_MJ, i)
+    D[a, 3, 3] += get(b, lanes.TURN_MM, i)
+    g[a, 3] += sign * get(b, lanes.MOMENT_M, i)
+    U[j, 3, 3] = sign * get(b, lanes.TURN_MJ, i)
     for k in range(3):
         g[a, k] -= sign * force[k]
         D[a, k, 3] -= turn[k]
         U[j, k, 3] = sign * across[k]
-        U[j, 3, k] = -sign * get(b, vectors.TURN_J_O + k, i)
+        U[j, 3, k] = -sign * get(b, lanes.TURN_J_O + k, i)
         for c in range(3):
-            U[j, k, c] = -sign * get(b, vectors.JO + 3 * k + c, i)
+            U[j, k, c] = -sign * get(b, lanes.JO + 3 * k + c, i)

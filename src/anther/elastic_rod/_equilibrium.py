@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.elastic_rod import springs
-from anther.elastic_rod.assembly import Blocks, elastic_energy, move_frames, new_blocks
-from anther.elastic_rod.edges import Tangent, tangent
-from anther.elastic_rod.model import Frames, Model, build_model
-from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.newton import LARGEST_TURN, POSITION_FLOOR, State, new_state
-from anther.elastic_rod.rods import GRAVITY, Array, NaturalShape, Rods
-from anther.elastic_rod.tree_solver import solve
-from anther.elastic_rod.vectors import add, compiled, dot, halves, load, merged, norm, scale, six, store, subtract
+from anther.elastic_rod import _springs
+from anther.elastic_rod._assembly import Blocks, elastic_energy, move_frames, new_blocks
+from anther.elastic_rod._edges import Tangent, tangent
+from anther.elastic_rod._model import Frames, Model, build_model
+from anther.elastic_rod._motion import Clamp
+from anther.elastic_rod._newton import LARGEST_TURN, POSITION_FLOOR, State, new_state
+from anther.elastic_rod._rods import GRAVITY, Array, NaturalShape, Rods
+from anther.elastic_rod._tree_solver import solve
+from anther.elastic_rod._vectors import add, compiled, dot, halves, load, merged, norm, scale, six, store, subtract
 from anther.errors import StageFailure
 
 SETTLED = 1e-8
@@ -95,11 +95,11 @@ def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, mo
                 o, sign = a, -1.0
             e, m1e = subtract(load(x, p), load(x, o)), load(frames.m1, a)
         by_e, turn = subtract(load(move, p), load(move, o)), sign * move[a, 3]
-        slopes = springs.gradients(springs.bent(e, f), m1e, load(frames.m1, j))
-        k1 = springs.rate_of(slopes[0], by_e, by_f, turn, move[j, 3])
-        k2 = springs.rate_of(slopes[1], by_e, by_f, turn, move[j, 3])
-        tau = springs.rate_of(slopes[2], by_e, by_f, turn, move[j, 3])
-        stress = springs.moments(six(model.joint, j), (k1, k2, tau))
+        slopes = _springs.gradients(_springs.bent(e, f), m1e, load(frames.m1, j))
+        k1 = _springs.rate_of(slopes[0], by_e, by_f, turn, move[j, 3])
+        k2 = _springs.rate_of(slopes[1], by_e, by_f, turn, move[j, 3])
+        tau = _springs.rate_of(slopes[2], by_e, by_f, turn, move[j, 3])
+        stress = _springs.moments(six(model.joint, j), (k1, k2, tau))
         for k in range(3):
             moment = stress[k]
             moments[j, k] += moment
