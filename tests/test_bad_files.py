@@ -21,7 +21,7 @@ from test_store import full
 import anther
 from anther import cli, files
 from anther.capture import Capture, check_views, viewed_box
-from anther.cloud import ply
+from anther.cloud import _ply
 from anther.commands.run_folder import open_run
 from anther.elastic_rod import Clamp, frequency_response, observed_response
 from anther.elastic_rod._simulation import new_output
@@ -34,8 +34,7 @@ from anther.images import read_image
 from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.store import read_outcomes, read_trials, record_trial
-from anther.store.records import TrialRecord
+from anther.store import TrialRecord, read_outcomes, read_trials, record_trial
 
 POINTS = np.random.default_rng(0).uniform(0, 0.4, (400, 3))
 TREE = Skeleton(np.array([[0, 0, 0], [0, 0, 0.1], [0, 0.05, 0.2]]), np.array([-1, 0, 1]), np.full(3, 0.004))
@@ -170,7 +169,7 @@ def test_a_cut_ascii_ply_is_refused(tmp_path: Path, kept: float) -> None:
     axes = "".join(f"property float {name}\n" for name in "xyz")
     head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{axes}{colours}end_header\n"
     (tmp_path / "a.ply").write_text(head + text)
-    for read in (read_cloud, ply.read_ply, read_skeleton):
+    for read in (read_cloud, _ply.read_ply, read_skeleton):
         with pytest.raises(InputError, match=r"a\.ply: got (an unreadable|unreadable|no element 'edge')"):
             read(tmp_path / "a.ply")
 

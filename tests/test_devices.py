@@ -32,7 +32,7 @@ from anther.devices import (
 )
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, Intrinsics
-from anther.log.machines import heard
+from anther.log._machines import heard
 from anther.safety import GuardedGripper, guard
 from anther.sim.cell import Cell
 from anther.sim.robot import robot_of

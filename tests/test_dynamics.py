@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anther.arm import kinematics, sawyer, shaking, timing
+from anther.arm import _kinematics, sawyer, shaking, timing
 from anther.arm.planner import Planner
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -66,7 +66,7 @@ def test_a_motion_too_hard_for_a_motor_is_refused():
 @pytest.mark.parametrize("frequency", [2.0, 10.0, 30.0])
 def test_the_amplitude_promised_is_within_the_motors_limits_and_near_them(frequency):
     """A shake at the promised amplitude needs at most all, and most of, the torque there is."""
-    q = kinematics.inverse(sawyer.SAWYER, GRASP)[0]
+    q = _kinematics.inverse(sawyer.SAWYER, GRASP)[0]
     rates = shaking.joint_rates(sawyer.SAWYER, q, [0, 1, 0], [frequency])
     amplitude = timing.shake_amplitude(sawyer.SAWYER, q, rates, [frequency])[0]
     t = np.linspace(0, 1 / frequency, 400)
@@ -79,7 +79,7 @@ def test_the_amplitude_promised_is_within_the_motors_limits_and_near_them(freque
 
 def test_the_planner_s_motions_are_within_the_motors_limits():
     planner = Planner(NOTHING, NOTHING)
-    q = kinematics.inverse(sawyer.SAWYER, GRASP)[0]
+    q = _kinematics.inverse(sawyer.SAWYER, GRASP)[0]
     amplitude = planner.shake_limit(q, [0, 1, 0], [8.0])[0]
     shake = planner.swing(q, [0, 1, 0], whole_shake(amplitude, 8.0, 1.0), amplitude)
     for motion in (

@@ -29,7 +29,7 @@ from anther.store import (
     record_trial,
     starting_material,
 )
-from anther.store.database import Base
+from anther.store._database import Base
 from anther.store.migrations import HEAD, migrate
 
 BEGIN = datetime(2026, 5, 1, 12, tzinfo=UTC)

@@ -18,8 +18,8 @@ from anther.oscillation import fit_swing
 from anther.safety import guard
 from anther.safety._motor import GuardedMotor, check_swing
 from anther.sim import arm_model, carriage
+from anther.sim._motor import SimMotor
 from anther.sim.cell import Cell, Params
-from anther.sim.motor import SimMotor
 from anther.sim.plant import SimPlant
 from anther.sim.robot import SimGripper
 from anther.sim.truth import NOMINAL, Truth

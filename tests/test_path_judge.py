@@ -7,7 +7,7 @@ import pytest
 from path_judge import SELF, SIGHT, Surroundings, judge_path
 
 from anther.arm import sawyer
-from anther.arm.collision import CollisionWorld
+from anther.arm._collision import CollisionWorld
 from anther.arm.planner import Planner
 from anther.arm.timing import USABLE
 from anther.arm.views import Params, Views, capture_time, plan_views

@@ -10,8 +10,7 @@ from typing import Literal, Protocol
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
 from anther.capture import Capture
-from anther.cloud import Cloud
-from anther.cloud.disagreement import likely_cause
+from anther.cloud import Cloud, likely_cause
 from anther.devices import Robot, SafetyLimits
 from anther.errors import FailureKind, InputError, StageFailure
 from anther.escalation import Escalation, foresee, watch_points

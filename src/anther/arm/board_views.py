@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from anther.arm import kinematics
+from anther.arm import _kinematics
 from anther.arm.model import ArmModel
 from anther.arm.planner import Params, Planner
 from anther.devices import JointTrajectory, SafetyLimits
@@ -55,7 +55,7 @@ def first_reached(
     """
     for begin in range(0, len(T_base_flange), BATCH):
         poses = T_base_flange[begin : begin + BATCH]
-        solved = kinematics.inverse_many(planner.arm, poses, near=here, seeds=SEEDS)
+        solved = _kinematics.inverse_many(planner.arm, poses, near=here, seeds=SEEDS)
         for number, branches in enumerate(solved):
             for there in branches[:BRANCHES]:
                 motion = straight_way(planner, limits, here, there)

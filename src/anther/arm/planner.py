@@ -12,11 +12,11 @@ from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathSh
 from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
-from anther.arm import kinematics, shaking, timing
-from anther.arm.collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
+from anther.arm import _kinematics, shaking, timing
+from anther.arm._collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
+from anther.arm._tours import DETOUR, least_times
 from anther.arm.model import ARM_MARGIN, ArmModel, outline
 from anther.arm.sawyer import SAWYER
-from anther.arm.tours import DETOUR, least_times
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -102,7 +102,7 @@ class Planner:
 
     def inverse(self, T_world_flange: ArrayLike, *, near: ArrayLike | None = None) -> Array:
         """Return the collision-free joint solutions (B, J) of a flange pose, those nearest to `near` (J,) first."""
-        branches = kinematics.inverse(self.arm, T_world_flange, near=near)
+        branches = _kinematics.inverse(self.arm, T_world_flange, near=near)
         return branches[[self.world.free(q) for q in branches]] if len(branches) else branches
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
@@ -115,7 +115,7 @@ class Planner:
         grasp, pregrasp = check_transform("grasp", T_world_grasp), check_transform("pre-grasp", T_world_pregrasp)
         if self._wrist_in_plant(grasp, float(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]))):
             return None
-        branches = kinematics.inverse(self.arm, grasp)
+        branches = _kinematics.inverse(self.arm, grasp)
         if not len(branches):
             return None
         poses = _poses_between(grasp, pregrasp, REACH_STEP)
@@ -153,7 +153,7 @@ class Planner:
         q = check_array("start joints", q_from, (self.arm.count,))
         target = check_transform("flange pose", T_world_to)
         here = self.arm.forward(q)
-        path = kinematics.follow(self.arm, q[None], _poses_between(here, target, LINE_STEP))[0]
+        path = _kinematics.follow(self.arm, q[None], _poses_between(here, target, LINE_STEP))[0]
         if not np.isfinite(path).all():
             raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
         with self.world.touching_plant():
@@ -206,7 +206,7 @@ class Planner:
             free = branches[[self.world.free(q) for q in branches]]
             worth = _shake_rank(self.arm, free) * np.exp(-HURRY * least_times(self.arm, free, self.home[None])[:, 0])
             ranked = free[np.argsort(-worth, kind="stable")]
-            followed = kinematics.follow(self.arm, ranked[:WAYS_FOLLOWED], poses)
+            followed = _kinematics.follow(self.arm, ranked[:WAYS_FOLLOWED], poses)
             return [way for way in followed if _steady(self.arm, way) and all(map(self.world.free, way))]
 
     def _brushing_free(self, way: Array) -> bool:
@@ -338,7 +338,7 @@ class Planner:
             return q, None
         here = self.arm.forward(q)
         behind = here @ transform(np.eye(3), [0, 0, -BACK_OUT])
-        path = kinematics.follow(self.arm, q[None], _poses_between(here, behind, LINE_STEP))[0]
+        path = _kinematics.follow(self.arm, q[None], _poses_between(here, behind, LINE_STEP))[0]
         for i in range(len(path)):
             with self.world.touching_plant():
                 if not (np.isfinite(path[i]).all() and self.world.free(path[i])):

@@ -19,7 +19,7 @@ from roboplan.toppra import PathParameterizerTOPPRA, SplineFittingMode, TOPPRAOp
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.spatial.transform import Rotation
 
-from anther.arm.collision import GROUP
+from anther.arm._collision import GROUP
 from anther.arm.model import ArmModel
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from anther.calibration.boards import Board, CharucoBoard, Chessboard, parse_board
-from anther.calibration.hand_eye import (
+from anther.calibration._boards import Board, CharucoBoard, Chessboard, parse_board, why_unseen
+from anther.calibration._hand_eye import (
     METHODS,
     HandEye,
     Method,
@@ -26,8 +26,11 @@ from anther.calibration.hand_eye import (
     predicted_board,
     robust_estimate,
 )
-from anther.calibration.refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
-from anther.calibration.views import (
+from anther.calibration._moved import Moved, camera_moved
+from anther.calibration._pose_file import read_intrinsics, read_poses
+from anther.calibration._refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
+from anther.calibration._views import (
+    CELLS,
     BoardCorners,
     BoardViews,
     board_views,
@@ -35,6 +38,8 @@ from anther.calibration.views import (
     detect_board,
     estimate_intrinsics,
     find_corners,
+    flange_motions,
+    image_coverage,
     largest_distortion,
     motion_warnings,
     undistorted,
@@ -44,6 +49,7 @@ from anther.errors import bad_input
 from anther.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 
 __all__ = [
+    "CELLS",
     "Board",
     "BoardCorners",
     "BoardViews",
@@ -52,15 +58,22 @@ __all__ = [
     "HandEye",
     "Method",
     "MethodError",
+    "Moved",
     "Params",
     "board_views",
     "calibrate",
+    "camera_moved",
     "detect_board",
     "estimate_intrinsics",
     "find_corners",
+    "flange_motions",
+    "image_coverage",
     "largest_distortion",
     "parse_board",
+    "read_intrinsics",
+    "read_poses",
     "undistorted",
+    "why_unseen",
 ]
 
 FEW_FOR_NOISE = 6

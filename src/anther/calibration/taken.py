@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from anther.calibration import LOOSE, HandEye, Params, calibrate
-from anther.calibration.boards import Board, parse_board
-from anther.calibration.pose_file import COLUMNS, read_intrinsics
-from anther.calibration.views import (
+from anther.calibration._boards import Board, parse_board
+from anther.calibration._pose_file import COLUMNS, read_intrinsics
+from anther.calibration._views import (
     BoardCorners,
     BoardViews,
     board_views,

@@ -21,9 +21,9 @@ import numpy as np
 from anther.arm.arms import named
 from anther.arm.model import ArmModel, outline
 from anther.arm.sawyer import SAWYER, TOOL
-from anther.calibration.hand_eye import HandEye
-from anther.cells import parts
-from anther.cells.reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
+from anther.calibration import HandEye
+from anther.cells import _parts
+from anther.cells._reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
 from anther.checks import check_range
 from anther.devices import DeviceError, SafetyLimits
 from anther.drivers.apart import ArmApart
@@ -184,7 +184,7 @@ class CellFile:
             "arm_model": self.model,
             **given,
         }
-        return {name: value for name, value in rest.items() if parts.takes(part.make, name)}
+        return {name: value for name, value in rest.items() if _parts.takes(part.make, name)}
 
     def safety_limits(self) -> SafetyLimits:
         """Return what no command may exceed.
@@ -230,14 +230,14 @@ def read_cell(path: Path | str) -> CellFile:
     own, side = table["wrist_camera"], table.get("side_camera")
     cell = CellFile(
         source=source,
-        arm=_part(source, "arm", parts.ARMS, besides=("model",)),
+        arm=_part(source, "arm", _parts.ARMS, besides=("model",)),
         model=_model(source),
-        gripper=_part(source, "gripper", parts.GRIPPERS),
+        gripper=_part(source, "gripper", _parts.GRIPPERS),
         T_flange_cam=_hand_eye(source, own),
-        wrist_camera=_part(source, "wrist_camera", parts.CAMERAS, besides=("T_flange_cam", "calibration")),
+        wrist_camera=_part(source, "wrist_camera", _parts.CAMERAS, besides=("T_flange_cam", "calibration")),
         T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
-        side_camera=None if side is None else _part(source, "side_camera", parts.CAMERAS, besides=("T_world_cam",)),
-        shaker=_part(source, "shaker", parts.SHAKERS) if "shaker" in table else None,
+        side_camera=None if side is None else _part(source, "side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
+        shaker=_part(source, "shaker", _parts.SHAKERS) if "shaker" in table else None,
         tool=built(source, ("tool",), table.get("tool", {}), Tool),
         limits=built(source, ("limits",), table.get("limits", {}), Limits),
         workspace=checked(source, ("workspace",), table["workspace"], Box),
@@ -261,9 +261,9 @@ def _part(source: Source, name: str, drivers: dict[str, Callable[..., Any]], bes
         if ":" not in driver:
             allowed = ", ".join(f'"{known}"' for known in drivers) + ', "package.module:callable"'
             raise source.error(keys, given=f'"{driver}"', allowed=allowed, do="Choose one.")
-        make = parts.own_driver(driver, source.where(keys), source.path.parent)
+        make = _parts.own_driver(driver, source.where(keys), source.path.parent)
     rest = {key: value for key, value in table.items() if key not in ("driver", *besides)}
-    fitted(source, (name,), rest, make, parts.GIVEN)
+    fitted(source, (name,), rest, make, _parts.GIVEN)
     return Part(driver, make, rest, (name,))
 
 

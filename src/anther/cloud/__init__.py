@@ -19,16 +19,25 @@ from numpy.typing import NDArray
 
 from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_parameters, check_range, check_transform
-from anther.cloud import registration
-from anther.cloud.clusters import attached_points
-from anther.cloud.disagreement import cloud_doubts, coverage_doubts, disagreement, refuse_ground, view_doubts
-from anther.cloud.fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
-from anther.cloud.pixels import pixel_normals, supported_pixels
-from anther.cloud.ply import read_ply, write_ply
+from anther.cloud import _registration
+from anther.cloud._clusters import attached_points
+from anther.cloud._disagreement import (
+    cloud_doubts,
+    coverage_doubts,
+    disagreement,
+    likely_cause,
+    refuse_ground,
+    view_doubts,
+)
+from anther.cloud._fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
+from anther.cloud._pixels import pixel_normals, supported_pixels
+from anther.cloud._ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array, Box, Intrinsics, transform_points
 from anther.masks import BACKGROUND, Masks
+
+__all__ = ["likely_cause"]
 
 SCHEMA = 2
 
@@ -63,7 +72,7 @@ class Params:
     """
 
     voxel: float = 0.0015
-    registration: registration.Params | None = field(default_factory=registration.Params)
+    registration: _registration.Params | None = field(default_factory=_registration.Params)
     seen_through: float = 0.02
     gap: float = 0.012
     far_gap: float = 0.05
@@ -263,11 +272,11 @@ def _plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, view: int, p
 
 def _registered(
     pixels: list[ViewPoints], given: Array, params: Params
-) -> tuple[Array, list[ViewPoints], registration.Registration | None]:
+) -> tuple[Array, list[ViewPoints], _registration.Registration | None]:
     """Return the poses, the pixels freed of the sensor's bias (none of views to leave out), and the registration."""
     if params.registration is None:
         return given, pixels, None
-    found = registration.register([p.points for p in pixels], given, params.registration)
+    found = _registration.register([p.points for p in pixels], given, params.registration)
 
     def corrected(view: int) -> ViewPoints:
         return pixels[view].unbiased(found.reach) if found.used[view] else pixels[view].only(np.array([], dtype=int))

@@ -20,8 +20,8 @@ from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers, supposed_flowers
 from anther.geometry import Array
-from anther.plant.material import LEARNED, PEPPER, TOMATO, Material
-from anther.plant.shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
+from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
+from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 

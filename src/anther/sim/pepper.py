@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from anther.geometry import Array
-from anther.sim.growth import (
+from anther.sim._growth import (
     AREAL_DENSITY,
     FLOWER_RESONANCE,
     PEDICEL_YOUNGS,
@@ -22,7 +22,7 @@ from anther.sim.growth import (
     pedicel_radius,
     ripple,
 )
-from anther.sim.mesh import blade, star, tube, unit
+from anther.sim._mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, SOIL_Z, Organ, SimPlant
 
 SPIRAL = np.radians(137.5)

@@ -22,9 +22,9 @@ from anther.devices import (
     Watch,
 )
 from anther.geometry import Array, Intrinsics, look_at
+from anther.sim._motor import CYCLE, SimMotor, contact_force
 from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.cell import Cell, CellLog
-from anther.sim.motor import CYCLE, SimMotor, contact_force
 from anther.sim.render import Image, Scene, d455
 
 SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred

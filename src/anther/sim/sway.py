@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from anther.checks import check_array
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim import plant_mechanics
+from anther.sim import _plant_mechanics
+from anther.sim._plant_mechanics import PlantMechanics
 from anther.sim.plant import GRAVITY, SimPlant
-from anther.sim.plant_mechanics import PlantMechanics
 
 DENSITY = 1.2
 """Of air [kg/m3]."""
@@ -89,10 +89,10 @@ def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
     Raises:
         StageFailure: "no_convergence": the wind blows the plant over.
     """
-    params, spec = plant_mechanics.Params(), mujoco.MjSpec()
+    params, spec = _plant_mechanics.Params(), mujoco.MjSpec()
     spec.compiler.degree, spec.option.gravity, spec.option.timestep = False, [0, 0, -GRAVITY], TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    pieces = plant_mechanics.add_plant(spec, plant, params, contype=0, conaffinity=0)
+    pieces = _plant_mechanics.add_plant(spec, plant, params, contype=0, conaffinity=0)
     model = spec.compile()
     mechanics, data, inertia = PlantMechanics(model, plant, pieces, params), mujoco.MjData(model), np.empty(model.nv)
     air = Air(mechanics, wind, plant.seed)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.calibration.boards import Board
+from anther.calibration._boards import Board
 from anther.errors import InputError, bad_input
 from anther.geometry import Array, Intrinsics, small_transform, transform_points
 

@@ -20,8 +20,8 @@ from rich.console import Console
 
 from anther.errors import AntherError, InputError, MissingExtra
 from anther.store import Job
-from anther.sweep.places import INSTALL
-from anther.sweep.working import Order, perform
+from anther.sweep._places import INSTALL
+from anther.sweep._working import Order, perform
 
 if TYPE_CHECKING:
     from distributed import Client

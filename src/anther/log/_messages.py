@@ -37,7 +37,7 @@ from anther.cloud import Cloud
 from anther.devices import ArmSample, Frame, GripperState, JointTrajectory, Robot, SafetyLimits
 from anther.execution import Step, Trial
 from anther.geometry import Array, Intrinsics, inverse, pose7, transform
-from anther.log import scene
+from anther.log import _scene
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.vibration import ShakePlan
@@ -167,7 +167,7 @@ class Scribe:
             case "arm", ArmSample():
                 self._arm(when, value)
             case "motion", JointTrajectory():
-                self._scene(when, "motion", scene.motion(value, self._forward))
+                self._scene(when, "motion", _scene.motion(value, self._forward))
             case "gripper", (asked, GripperState() as state):
                 self._gripper(when, asked, state)
             case (("wrist_camera" | "side_camera"), Frame()):
@@ -220,7 +220,7 @@ class Scribe:
             self._drawn = when
             place = self._limits.forward(sample.measured[None])[0]
             self._put("/tf", FrameTransforms(transforms=[moved(WORLD, FLANGE, place, when)]), when)
-            self._scene(when, "arm", scene.arm(self._limits.outline(sample.measured[None])[0]))
+            self._scene(when, "arm", _scene.arm(self._limits.outline(sample.measured[None])[0]))
 
     def _gripper(self, when: float, asked: float | None, state: GripperState) -> None:
         said: dict[str, Any] = {"opening_m": state.opening, "force_n": state.force, "held": bool(state.is_gripping)}
@@ -246,21 +246,21 @@ class Scribe:
             case Capture():
                 self._views(when, value)
             case Cloud():
-                self._put("/cloud", scene.points(value, stamp(when), WORLD), when)
+                self._put("/cloud", _scene.points(value, stamp(when), WORLD), when)
             case Skeleton():
                 self._nodes = value.nodes
                 self._stand(when, WORLD, PLANT, transform(np.eye(3), value.nodes[0]))
-                self._scene(when, "skeleton", scene.skeleton(value))
+                self._scene(when, "skeleton", _scene.skeleton(value))
             case Stem():
-                self._scene(when, "stem", scene.stem(self._nodes[value.node_ids]))
+                self._scene(when, "stem", _scene.stem(self._nodes[value.node_ids]))
             case ShakePlan():
-                self._scene(when, "shake", scene.shake(value))
+                self._scene(when, "shake", _scene.shake(value))
                 self._json("/plan", PLAN, plan(value), when)
                 said = value.reason
             case Trial():
                 said = value.stop_reason
             case _:
-                found = scene.found(what, value)
+                found = _scene.found(what, value)
                 if found is not None:
                     self._scene(when, what, found)
                 elif isinstance(value, str):
@@ -288,8 +288,8 @@ class Scribe:
         self._static[child] = moved(parent, child, T_parent_child, when)
         self._put("/tf_static", FrameTransforms(transforms=list(self._static.values())), when)
 
-    def _scene(self, when: float, name: str, entity: scene.Entity) -> None:
-        self._put(f"/scene/{name.replace(' ', '_')}", scene.update(name, entity, stamp(when), WORLD), when)
+    def _scene(self, when: float, name: str, entity: _scene.Entity) -> None:
+        self._put(f"/scene/{name.replace(' ', '_')}", _scene.update(name, entity, stamp(when), WORLD), when)
 
     def _event(self, when: float, level: Level, name: str, message: str) -> None:
         self._put("/events", Event(timestamp=stamp(when), level=level, name=name, message=message), when)

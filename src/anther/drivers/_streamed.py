@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.drivers.priority import quick_turns, served_first
-from anther.drivers.readings import Readings
-from anther.drivers.reference import Reference
+from anther.drivers._priority import quick_turns, served_first
+from anther.drivers._readings import Readings
+from anther.drivers._reference import Reference
 from anther.geometry import Array
 
 SETTLE = 0.1

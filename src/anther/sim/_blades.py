@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from anther.geometry import Array
+from anther.sim._plant_mechanics import Pieces
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.plant_mechanics import Pieces
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 

@@ -16,8 +16,8 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.cloud.clusters import voxel_means
-from anther.cloud.pixels import slant
+from anther.cloud._clusters import voxel_means
+from anther.cloud._pixels import slant
 from anther.geometry import Array
 
 THREADS = 2

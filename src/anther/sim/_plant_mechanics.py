@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim.inertia import mass_properties
+from anther.sim._inertia import mass_properties
 from anther.sim.plant import Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.checks import check_parameters, check_range
-from anther.cloud.wrong_views import THREADS, Estimate, Sample, agreement, match, mended, plane_distances
+from anther.cloud._wrong_views import THREADS, Estimate, Sample, agreement, match, mended, plane_distances
 from anther.geometry import Array, inverse, small_transform
 
 ATTENUATION = 1 / 3

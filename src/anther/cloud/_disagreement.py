@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.capture import Capture
-from anther.cloud.fusion import balances
+from anther.cloud._fusion import balances
 from anther.errors import StageFailure
 from anther.geometry import Array, Box, Intrinsics, inverse, transform_points
 

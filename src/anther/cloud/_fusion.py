@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from anther.cloud.clusters import voxel_groups
-from anther.cloud.pixels import slant
+from anther.cloud._clusters import voxel_groups
+from anther.cloud._pixels import slant
 from anther.geometry import Array, Box, Intrinsics, inverse, transform_points
 from anther.masks import FLOWER, PLANT
 

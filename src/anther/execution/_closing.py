@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from anther.devices import Gripper, GripperState
 from anther.errors import StageFailure
-from anther.execution.params import Params
+from anther.execution._params import Params
 from anther.grasp import Grasp
 
 ENOUGH = 0.95

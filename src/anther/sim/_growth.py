@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
 from anther.geometry import Array, transform, transform_points
-from anther.sim.mesh import Mesh, revolve, tube
+from anther.sim._mesh import Mesh, revolve, tube
 from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, Pot, SimPlant
 
 STEM_YOUNGS = (30e6, 300e6)

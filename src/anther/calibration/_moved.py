@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
-from anther.calibration.hand_eye import HandEye
-from anther.calibration.refinement import LEAST_PIXEL_NOISE, Noise, Problem, misfit, refine
-from anther.calibration.views import BoardViews
+from anther.calibration._hand_eye import HandEye
+from anther.calibration._refinement import LEAST_PIXEL_NOISE, Noise, Problem, misfit, refine
+from anther.calibration._views import BoardViews
 from anther.checks import check_transform
 from anther.geometry import Array, Intrinsics, inverse
 

@@ -17,8 +17,8 @@ from sqlalchemy.orm import Session
 from anther.checks import check_array, check_range
 from anther.geometry import Array
 from anther.plant import LEARNED, PEPPER, TOMATO, Material
-from anther.store.database import DEFAULT, Grasp, Plant, Response, Shake, Visit, reading
-from anther.store.records import Sums, TrialRecord, material_of, summed, told
+from anther.store._database import DEFAULT, Grasp, Plant, Response, Shake, Visit, reading
+from anther.store._records import Sums, TrialRecord, material_of, summed, told
 from anther.vibration import EarlierShake
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.calibration.refinement import Fit, Noise, Problem, refine
+from anther.calibration._refinement import Fit, Noise, Problem, refine
 from anther.checks import check_array, check_transform
 from anther.errors import InputError, bad_input
 from anther.files import read_object, understood, write_json

@@ -25,9 +25,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from anther.devices import LEAD, JointTrajectory
-from anther.drivers.priority import served_first
-from anther.drivers.reference import Reference, braking
-from anther.drivers.streamed import SETTLE
+from anther.drivers._priority import served_first
+from anther.drivers._reference import Reference, braking
+from anther.drivers._streamed import SETTLE
 from anther.geometry import Array
 
 CYCLE = 1e-3

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.checks import check_array, check_range
 from anther.elastic_rod import Array, unit_direction
 from anther.errors import StageFailure, bad_input
-from anther.identification.observed import Errors, Misses, Observed, log_amplitude, misses, told
+from anther.identification._observed import Errors, Misses, Observed, log_amplitude, misses, told
 from anther.plant import LEARNED, Material, PlantModel
 from anther.vibration.observables import semi_major
 from anther.vibration.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from anther.calibration.views import BoardViews
+from anther.calibration._views import BoardViews
 from anther.errors import InputError
 from anther.geometry import Array, Intrinsics, inverse, transform
 
