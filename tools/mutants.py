@@ -17,6 +17,7 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections import defaultdict
@@ -76,6 +77,7 @@ class Mutant(NamedTuple):
     after: str
     text: str
     inside: list[str]
+    compiled: bool
     key: str
 
 
@@ -103,9 +105,10 @@ def mutant(file: Path, number: int) -> Mutant:
     about.reverse()
     name = str(file.relative_to(COPY))
     inside = [f"{name}:{min([f.lineno, *(d.lineno for d in f.decorator_list)])}" for f in about]
+    compiled = any("njit" in ast.unparse(d) or "compiled" in ast.unparse(d) for f in about for d in f.decorator_list)
     _change(node)
     key = hashlib.sha256(ast.unparse(about[0] if about else tree).encode()).hexdigest()[:12]
-    return Mutant(name, line, before, ast.unparse(node), ast.unparse(tree), inside, key)
+    return Mutant(name, line, before, ast.unparse(node), ast.unparse(tree), inside, compiled, key)
 
 
 def changeable(tree: ast.AST) -> list[ast.AST]:
@@ -192,11 +195,15 @@ def watch(tests: list[str], kept: str) -> None:
 
 
 def tests_of(tried: Mutant, covered: dict[str, list[Any]]) -> list[str]:
-    """Return the tests that enter a mutant's function (outside of any: all), those of the quickest file first."""
-    inside = next((f for f in tried.inside if any(f in names for names, _ in covered.values())), None)
-    if tried.inside and inside is None:
+    """Return the tests that enter a mutant's function, those of the quickest file first.
+
+    Outside of any function these are all tests; of a compiled one, which no trace sees, those that enter its file.
+    """
+    every = {name for names, _ in covered.values() for name in names}
+    inside = next((f for f in tried.inside if f in every), f"{tried.file}:" if tried.compiled else "")
+    if tried.inside and not inside:
         return []
-    chosen = [test for test, (names, _) in covered.items() if inside is None or inside in names]
+    chosen = [test for test, (names, _) in covered.items() if any(name.startswith(inside) for name in names)]
     spent: dict[str, float] = defaultdict(float)
     for test in chosen:
         spent[test.split("::")[0]] += covered[test][1]
@@ -249,6 +256,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the choice")
     parser.add_argument("--again", action="store_true", help="try what survived before once more")
     args = parser.parse_args()
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a job in the background ignores it, tests of Ctrl-C may not
     shutil.copytree(ROOT / "src", COPY, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     kept = KEPT / "tried.json"
     rows = json.loads(kept.read_text()) if kept.exists() else {}
