@@ -21,7 +21,7 @@ from test_store import full
 import anther
 from anther import cli, files
 from anther.capture import Capture, check_views, viewed_box
-from anther.cloud import _ply
+from anther.cloud import ply
 from anther.commands.run_folder import open_run
 from anther.elastic_rod import Clamp, frequency_response, observed_response
 from anther.elastic_rod._simulation import new_output
@@ -169,7 +169,7 @@ def test_a_cut_ascii_ply_is_refused(tmp_path: Path, kept: float) -> None:
     axes = "".join(f"property float {name}\n" for name in "xyz")
     head = f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{axes}{colours}end_header\n"
     (tmp_path / "a.ply").write_text(head + text)
-    for read in (read_cloud, _ply.read_ply, read_skeleton):
+    for read in (read_cloud, ply.read_ply, read_skeleton):
         with pytest.raises(InputError, match=r"a\.ply: got (an unreadable|unreadable|no element 'edge')"):
             read(tmp_path / "a.ply")
 

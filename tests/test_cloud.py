@@ -18,7 +18,7 @@ from anther.cloud import Cloud, Params, fuse
 from anther.cloud._clusters import attached_points, clusters
 from anther.cloud._fusion import occupied_cells
 from anther.cloud._pixels import pixel_normals, supported_pixels
-from anther.cloud._ply import read_ply, write_ply
+from anther.cloud.ply import read_ply, write_ply
 from anther.commands.convert_kinect import read_kinect
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, Intrinsics, look_at, transform_points

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from anther.cli import main
 from anther.errors import InputError
-from anther.formats import _gltf
-from anther.formats._skeleton_file import rooted, successors, supposed_radius
+from anther.formats import gltf
+from anther.formats.mtg import successors
+from anther.formats.skeleton_file import rooted, supposed_radius
 from anther.formats.skeletons import READS, WRITES, read_skeleton, write_skeleton
 from anther.runs import FILES
 from anther.skeleton import Skeleton
@@ -168,8 +169,8 @@ def rings(scene: trimesh.Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     centres, radii, even = [], [], []
     for mesh in scene.geometry.values():
         for tube in mesh.split(only_watertight=False):
-            ends = np.flatnonzero(np.bincount(tube.faces.ravel(), minlength=len(tube.vertices)) == _gltf.SIDES)
-            body = np.delete(tube.vertices, ends[-2:], axis=0).reshape(-1, _gltf.SIDES, 3)
+            ends = np.flatnonzero(np.bincount(tube.faces.ravel(), minlength=len(tube.vertices)) == gltf.SIDES)
+            body = np.delete(tube.vertices, ends[-2:], axis=0).reshape(-1, gltf.SIDES, 3)
             centres.append(body.mean(axis=1))
             spread = np.linalg.norm(body - centres[-1][:, None], axis=2)
             radii.append(spread.mean(axis=1))
@@ -209,7 +210,7 @@ def test_glb_stands_upright_in_viewers(tmp_path: Path) -> None:
 def test_a_folded_or_coincident_polyline_still_gives_finite_tubes() -> None:
     nodes = np.array([[0, 0, 0], [0, 0, 0.1], [0, 0, 0.0], [0, 0, 0.0], [0, 0.1, 0.0]])
     skeleton = Skeleton(nodes, np.array([-1, 0, 1, 2, 3]), np.full(5, 1e-3))
-    for mesh in _gltf.tubes(skeleton).values():
+    for mesh in gltf.tubes(skeleton).values():
         assert np.isfinite(mesh.vertices).all()
 
 

@@ -22,7 +22,7 @@ from anther import masks
 from anther.calibration import CharucoBoard
 from anther.capture import Capture
 from anther.cloud import Cloud, fuse
-from anther.cloud._ply import write_ply
+from anther.cloud.ply import write_ply
 from anther.files import read_json, write_json
 from anther.flowers import flower_centres
 from anther.formats.skeletons import write_skeleton

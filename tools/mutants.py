@@ -203,7 +203,9 @@ def tests_of(tried: Mutant, covered: dict[str, list[Any]]) -> list[str]:
     inside = next((f for f in tried.inside if f in every), f"{tried.file}:" if tried.compiled else "")
     if tried.inside and not inside:
         return []
-    chosen = [test for test, (names, _) in covered.items() if any(name.startswith(inside) for name in names)]
+    file = not inside or inside.endswith(":")
+    enters = {n for n in every if n == inside or (file and n.startswith(inside))}
+    chosen = [test for test, (names, _) in covered.items() if not enters.isdisjoint(names)]
     spent: dict[str, float] = defaultdict(float)
     for test in chosen:
         spent[test.split("::")[0]] += covered[test][1]

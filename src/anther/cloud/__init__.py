@@ -31,13 +31,13 @@ from anther.cloud._disagreement import (
 )
 from anther.cloud._fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
 from anther.cloud._pixels import pixel_normals, supported_pixels
-from anther.cloud._ply import read_ply, write_ply
+from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array, Box, Intrinsics, transform_points
 from anther.masks import BACKGROUND, Masks
 
-__all__ = ["likely_cause"]
+__all__ = ["Cloud", "Params", "fuse", "likely_cause"]
 
 SCHEMA = 2
 

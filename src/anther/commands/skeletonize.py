@@ -15,8 +15,10 @@ from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import replacing
 from anther.flowers import flower_centres
-from anther.formats.clouds import Axis, Units, read_cloud
-from anther.formats.skeletons import SkeletonFile, read_skeleton, supposed_radius, write_skeleton
+from anther.formats.clouds import read_cloud
+from anther.formats.points import Axis, Units
+from anther.formats.skeleton_file import supposed_radius
+from anther.formats.skeletons import SkeletonFile, read_skeleton, write_skeleton
 from anther.grasp import Grasp, plan_grasps, save_grasps
 from anther.grasp import Params as GraspParams
 from anther.skeleton import Params, Skeleton, skeletonize

@@ -10,7 +10,7 @@ import numpy as np
 from anther.cloud import Cloud
 from anther.errors import bad_input
 from anther.files import existing
-from anther.formats._points import Axis, RawPoints, Units, read_npz_points, read_pcd, read_ply, read_text
+from anther.formats.points import Axis, RawPoints, Units, read_npz_points, read_pcd, read_ply, read_text
 
 _METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
 _TO_Z_UP = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}

@@ -28,8 +28,8 @@ from anther.formats._colmap_model import (
     read_images,
     read_points,
 )
-from anther.formats._points import RawPoints, read_ply
 from anther.formats.clouds import checked_cloud
+from anther.formats.points import RawPoints, read_ply
 from anther.geometry import Array, Intrinsics
 from anther.images import read_image
 

@@ -16,8 +16,9 @@ import numpy as np
 from anther.checks import check_array
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, read_lines, replacing, understood, whole_file, write_text
-from anther.formats._points import load_whole_ply
-from anther.formats._skeleton_file import LARGEST_PLANT, SkeletonFile, read_mtg, rooted, supposed_radius, write_mtg
+from anther.formats.mtg import read_mtg, write_mtg
+from anther.formats.points import load_whole_ply
+from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 
@@ -186,7 +187,7 @@ def _tree(
     )
 
 
-__all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "read_skeleton", "supposed_radius", "write_skeleton"]
+__all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "read_skeleton", "write_skeleton"]
 
 SWC_CUSTOM = 7
 """SWC leaves types from here on to the user (http://www.neuronland.org/NLMorphologyConverter/MorphologyFormats/SWC)."""
@@ -234,7 +235,7 @@ def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] |
 
 
 def _write_glb(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
-    from anther.formats._gltf import write_glb  # noqa: PLC0415  # trimesh takes half a second
+    from anther.formats.gltf import write_glb  # noqa: PLC0415  # trimesh takes half a second
 
     write_glb(path, skeleton, labels)
 
