@@ -82,6 +82,8 @@ HOPELESS = float(np.deg2rad(4)), 0.04
 """Half of the views disagree by more than one of these [rad], [m]: the poses do not belong to the images."""
 ROUNDS = 8
 """After so many rounds the outliers stay what they are, should they still change."""
+LEAST_TURN = float(np.deg2rad(3))
+"""The flange must turn about two different axes by at least this [rad]."""
 LOOSE = 0.002
 """Standard error of the camera's place from which on the views are called too poor [m]."""
 
@@ -97,7 +99,6 @@ class Params:
             to begin, and estimated.
         translation_sigma: the same for its translation [m].
         outlier: views less likely than this many standard deviations of a normal distribution are left out.
-        least_turn: the flange must turn about two different axes by at least this [rad].
     """
 
     method: Method = "tsai"
@@ -105,7 +106,6 @@ class Params:
     rotation_sigma: float = float(np.deg2rad(0.1))
     translation_sigma: float = 0.001
     outlier: float = 4.0
-    least_turn: float = float(np.deg2rad(3))
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -113,7 +113,6 @@ class Params:
         check_range("rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
         check_range("translation sigma", self.translation_sigma, 1e-6, 1, "m")
         check_range("outlier threshold", self.outlier, 1, 8)
-        check_range("least turn", self.least_turn, 1e-3, 1, "rad")
 
 
 def calibrate(
@@ -146,7 +145,7 @@ def calibrate(
     board = check_transform("T_cam_board", views.T_cam_board, len(views.images))
     flange = check_transform("T_base_flange", T_base_flange, len(board))
     names = images or tuple(str(number) for number in views.images)
-    check_motions(flange, params.least_turn)
+    check_motions(flange, LEAST_TURN)
     centre = np.concatenate(views.corners.points).mean(axis=0)
     sigmas = params.rotation_sigma, params.translation_sigma
     X, Z, misfit = robust_estimate(flange, board, centre, sigmas, params.method)
@@ -193,7 +192,7 @@ def _without_outliers(
     limit = float(np.sqrt(chi2.isf(2 * norm.sf(params.outlier), 6)))
     rounds = 0
     while True:
-        check_motions(flange[used], params.least_turn)
+        check_motions(flange[used], LEAST_TURN)
         fit = refine(problem, X, Z, noise, used)
         if used.sum() >= FEW_FOR_NOISE:
             noise = estimate_noise(problem, fit, pixel, used)

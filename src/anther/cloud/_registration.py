@@ -48,6 +48,13 @@ POINT_SIGMA = 0.0015
 LEAST_GAIN = 0.02
 """The held-out distance must fall at least by this share, else the arm's own poses are kept."""
 
+HAND_EYE_SIGMA = float(np.deg2rad(0.2)), 0.001
+"""Standard deviation of the error that is common to all views, in the camera frame, per axis [rad], [m]."""
+POINTS_PER_CONSTRAINT = 8.0
+"""Neighbouring residuals are alike: so many count as one independent measurement."""
+SEARCH = 0.04
+"""How far around its given place a view that the others contradict is looked for [m]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -56,35 +63,24 @@ class Params:
     Attributes:
         rotation_sigma, translation_sigma: standard deviation of one view's pose error, per axis [rad], [m]
             (facts: perception, 0.2 deg and 1.5 mm).
-        hand_eye_rotation_sigma, hand_eye_translation_sigma: of the error common to all views, in the camera frame.
         voxel: views are thinned to this spacing for matching [m].
         neighbours: candidates looked up for each point among all views' points.
         match_distances: greatest distance of a match [m], one per round; the map is rebuilt in each.
-        points_per_constraint: neighbouring residuals are alike; this many count as one independent measurement.
-        search: how far around its given place a view that the others contradict is looked for [m].
     """
 
     rotation_sigma: float = float(np.deg2rad(0.2))
     translation_sigma: float = 0.0015
-    hand_eye_rotation_sigma: float = float(np.deg2rad(0.2))
-    hand_eye_translation_sigma: float = 0.001
     voxel: float = 0.004
     neighbours: int = 12
     match_distances: tuple[float, ...] = (0.012, 0.009, 0.007, 0.006, 0.005)
-    points_per_constraint: float = 8.0
-    search: float = 0.04
 
     def __post_init__(self) -> None:
         check_parameters(self)
         check_range("registration rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
         check_range("registration translation sigma", self.translation_sigma, 1e-6, 1, "m")
         check_range("registration voxel", self.voxel, 1e-4, 0.1, "m")
-        for name in ("hand_eye_rotation_sigma", "hand_eye_translation_sigma"):
-            check_range(name, getattr(self, name), 1e-6, 1)
         check_range("neighbours", self.neighbours, 1, 100)
         check_range("number of match_distances", len(self.match_distances), 1, 100)
-        check_range("points_per_constraint", self.points_per_constraint, 1e-3, 1e6)
-        check_range("search", self.search, 0, 0.2, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +148,7 @@ def _without_contradictions(
     Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
     then about its new one.
     """
-    mend = mended(sample, given, found, params.search)
+    mend = mended(sample, given, found, SEARCH)
     used, agrees, placed = mend.used, mend.agreement, Estimate(mend.poses, found.reach)
     moved = _moved(sample, given, placed)
     far = used & (moved > UNEXPLAINED * max(_expected(sample, params), float(np.median(moved))))
@@ -218,10 +214,10 @@ def _jointly(
     information = prior_information(
         len(given),
         (params.rotation_sigma, params.translation_sigma),
-        (params.hand_eye_rotation_sigma, params.hand_eye_translation_sigma),
+        HAND_EYE_SIGMA,
         REACH_SIGMA,
     )
-    weight = 1 / (POINT_SIGMA**2 * params.points_per_constraint)
+    weight = 1 / (POINT_SIGMA**2 * POINTS_PER_CONSTRAINT)
     for distance in distances:
         pairs = _match(sample, at, source, distance, params)
         if len(pairs) == 0:

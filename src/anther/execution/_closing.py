@@ -7,6 +7,13 @@ from anther.errors import StageFailure
 from anther.execution._params import Params
 from anther.grasp import Grasp
 
+LOOSE = 0.0005
+"""Closing begins at the measured stem diameter and this [m]: where a gripper's force cannot be set (facts: sawyer 3),
+its position is the gentleness."""
+THINNEST = 0.002
+"""The pads do not close farther [m]."""
+THICKEST = 0.012
+"""What is wider than the measured diameter by this [m] is not the stem."""
 ENOUGH = 0.95
 """Share of the force asked for with which the pads press enough: a gripper at its holding force reads a little less."""
 
@@ -21,11 +28,11 @@ def close(gripper: Gripper, grasp: Grasp, press: float, params: Params) -> Gripp
         StageFailure: nothing_grasped; branch_or_leaf_grasped when it is much too thick; limits_exceeded when the pads
             cannot press so hard.
     """
-    expected = max(grasp.stem_diameter + params.loose, params.thinnest)
+    expected = max(grasp.stem_diameter + LOOSE, THINNEST)
     state = _press(gripper, expected, press, params)
-    if expected + params.step < state.opening < expected + params.thickest:
+    if expected + params.step < state.opening < expected + THICKEST:
         state = _press(gripper, state.opening + params.step, press, params)
-    if state.is_gripping and state.opening <= grasp.stem_diameter + params.thickest:
+    if state.is_gripping and state.opening <= grasp.stem_diameter + THICKEST:
         if state.force >= ENOUGH * press:
             return state
         given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
@@ -44,7 +51,7 @@ def wait_after(grasp: Grasp, params: Params) -> float:
 def _press(gripper: Gripper, width: float, press: float, params: Params) -> GripperState:
     """Close to a width [m], and on in steps until the pads press."""
     state = gripper.move(width)
-    while (not state.is_gripping or state.force < ENOUGH * press) and width - params.step > params.thinnest - 1e-9:
+    while (not state.is_gripping or state.force < ENOUGH * press) and width - params.step > THINNEST - 1e-9:
         width -= params.step
         state = gripper.move(width)
     return state

@@ -14,27 +14,21 @@ class Params:
     Attributes:
         stand_off: the straight approach begins this far back along the approach axis [m].
         approach_speed: on that line [m/s].
-        loose: closing begins at the measured stem diameter and this [m]. The gripper's force cannot be set (facts:
-            sawyer 3), so the position is the gentleness.
-        step, thinnest: it closes on in such steps [m] until it presses as the plan asks, or is so far closed [m].
+        step: closing goes on in such steps [m] until it presses as the plan asks.
         settle: wait between closing and shaking, in which touched leaves calm down [s],
         calm: and where the closing pads meet a petiole beside the stem, which swings for longer [s],
         beside: as they do where it is expected to reach so far beyond the stem (`Grasp.squeezed`) [m], or nobody knows.
         opening: before closing [m], or that of the grasp if it is less; the stroke is 41.667 mm.
-        thickest: what is wider than the measured diameter by this [m] is not the stem.
         rates: frame rates the side camera has [Hz] (D455).
     """
 
     stand_off: float = 0.12
     approach_speed: float = 0.12
-    loose: float = 0.0005
     step: float = 0.0005
-    thinnest: float = 0.002
     settle: float = 0.6
     calm: float = 2.0
     beside: float = 0.002
     opening: float = 0.0416
-    thickest: float = 0.012
     rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
 
     def __post_init__(self) -> None:
@@ -44,10 +38,7 @@ class Params:
         check_range("settle", self.settle, 0.01, 30.0, "s")
         check_range("calm", self.calm, 0.01, 30.0, "s")
         check_range("step", self.step, 1e-4, 0.02, "m")
-        check_range("loose", self.loose, 0, 0.02, "m")
-        check_range("thinnest", self.thinnest, 1e-4, 0.04, "m")
         check_range("opening", self.opening, 0.002, 0.041667, "m")
-        check_range("thickest", self.thickest, 1e-4, 0.04, "m")
         check_range("number of rates", len(self.rates), 1, 100)
         for rate in self.rates:
             check_range("rates", rate, 1, 1000, "Hz")
