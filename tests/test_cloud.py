@@ -291,7 +291,7 @@ def test_obstacles_need_two_views_and_company() -> None:
     assert len(occupied_cells(np.zeros((0, 3)), np.zeros(0, int), np.ones((3, 3)), 0.01)) == 0
 
 
-@pytest.mark.parametrize("change", [{"voxel": 0}, {"gap": 1}, {"far_gap": 0.001}, {"obstacle_voxel": 5}])
+@pytest.mark.parametrize("change", [{"voxel": 0}, {"gap": 1}, {"far_gap": 0.001}])
 def test_impossible_parameters_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(InputError):
         Params(**change)  # type: ignore[arg-type]
