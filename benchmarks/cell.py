@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from anther.arm import kinematics, sawyer
+from anther.arm import _kinematics, sawyer
 from anther.arm.planner import Planner
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow
 from anther.devices import JointTrajectory
@@ -52,7 +52,7 @@ def motions(cell: Cell) -> tuple[JointTrajectory, JointTrajectory, JointTrajecto
         StageFailure: unreachable.
     """
     planner, goal = Planner(NOTHING, NOTHING), grasp_pose(cell)
-    for q in kinematics.inverse(sawyer.SAWYER, goal, near=sawyer.READY):
+    for q in _kinematics.inverse(sawyer.SAWYER, goal, near=sawyer.READY):
         try:
             out = planner.line(q, goal @ transform(np.eye(3), [0, 0, -BACK]))
             return (

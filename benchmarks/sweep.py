@@ -39,7 +39,7 @@ from rich.table import Table
 from anther import sweep
 from anther.commands import sweep_kinds
 from anther.files import write_json
-from anther.sweep.running import ONE_THREAD
+from anther.sweep._running import ONE_THREAD
 
 Rows = list[dict[str, Any]]
 

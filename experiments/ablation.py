@@ -8,7 +8,7 @@ the first `--scanned` of each crop, as the pipeline reconstructs them from 30 no
 stem at the paper's frequencies and at 3, 5, 10 and 30 Hz; linear theory, so the amplitude of the shake does not count.
 
 Beside it the error against MuJoCo, where the same plants are rigid pieces of 25 mm or less on sprung hinges that bend
-and twist (EI/GJ 12; sim/shaken_plant.py), with and without each feature.
+and twist (EI/GJ 12; experiments/shaken_plant.py), with and without each feature.
 
 Keys of the --json file: <true|scanned>_<feature>_<band>_change_median, _change_p90 (of |without / with - 1|),
 _change_signed (median of without / with - 1), _error_median, _error_p90 (of |predicted / MuJoCo - 1|); the feature
@@ -29,6 +29,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
+from shaken_plant import ShakenPlant
 from swept import swept
 from vibration_models import PRIOR, Model, anther_model, perceive, scanned, true_model
 from vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIST, matched, stem_points
@@ -38,7 +39,6 @@ from anther.files import replacing, write_json
 from anther.geometry import Array
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
-from anther.sim.shaken_plant import ShakenPlant
 from anther.vibration.observables import semi_major
 
 HEIGHTS = (0.35, 0.6, 0.85)

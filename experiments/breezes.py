@@ -1,6 +1,6 @@
 """What a breeze does to the plants that shakes are judged on: the loads that such a plant stands every day.
 
-MuJoCo's plant, true and not linear, in gusts (turbulence 35 %, gusts of a second: `anther.sim.air`) with a drag that
+MuJoCo's plant, true and not linear, in gusts (turbulence 35 %, gusts of a second: `anther.sim.sway`) with a drag that
 grows with the square of the speed: 0.31 of the leaves' area (Sase 2012, facts: pollination 6), 1 of a flower's.
 """
 

@@ -3,7 +3,7 @@
     python experiments/capture_path.py --json docs/results/capture_path.json [--quick]
 
 No image is taken here. Each preset's views and motions are planned as for a trial. They are then judged every
-millisecond by `anther.sim.path_judge` (another collision engine than the planner's): joint range, speed, acceleration,
+millisecond by `path_judge` (another collision engine than the planner's): joint range, speed, acceleration,
 torque, and the distance of arm, gripper and camera to themselves, bench, pot, side camera, and the upright cylinder
 (0.5 m wide, 0.75 m high) that is kept for the plant. Then the simulated arm, with its servos, drives them before a
 grown plant, which it must not touch. Around each view the span is measured in which a frame shows the plant sharp and
@@ -18,18 +18,18 @@ from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from path_judge import SIGHT, Surroundings, judge_path
 from rich.console import Console
 from rich.table import Table
 
 from anther.arm import sawyer, sharpness, timing
-from anther.arm.dynamics import USABLE
+from anther.arm.timing import USABLE
 from anther.arm.views import SEEN, Views, capture_time, cylinder_points
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, views_at
 from anther.devices import JointTrajectory
 from anther.files import write_json
 from anther.geometry import Array, Box
 from anther.sim.cell import Cell
-from anther.sim.path_judge import SIGHT, Surroundings, judge_path
 from anther.sim.robot import SimArm
 
 LOOK = 0.2  # s to either side of a view

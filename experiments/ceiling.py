@@ -25,12 +25,12 @@ from grasping_trial import truth_of
 from rich.console import Console
 from rich.table import Table
 from scipy.stats import norm
+from shaken_plant import ShakenPlant
 
 from anther import sweep
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow
 from anther.files import write_json
 from anther.sim.plant import Organ
-from anther.sim.shaken_plant import ShakenPlant
 from anther.sim.truth import TOLERANCE
 from anther.vibration.observables import semi_major
 

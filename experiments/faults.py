@@ -28,6 +28,8 @@ from typing import Any, cast, get_args
 
 import numpy as np
 from fault_machines import ClockCamera, Kept, Pieces, left_behind
+from faulty_machines import Fault, FaultyCamera, Kind, with_faults
+from replay_camera import ReplayCamera
 from rich.console import Console
 from rich.table import Table
 from swept import swept
@@ -39,17 +41,15 @@ from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, build, grow, layout, safety_limits
 from anther.devices import Arm, DeviceError, Robot, SafetyLimits
-from anther.drivers.replay import ReplayCamera
-from anther.early_reach import early_reach
 from anther.errors import InputError, StageFailure
 from anther.execution import Params, Trial, execute
+from anther.execution.early_reach import early_reach
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.plant import TOMATO
 from anther.runs import Run
 from anther.safety import GuardedCamera
 from anther.sim.cell import BENCH, POT, Cell
-from anther.sim.faults import Fault, FaultyCamera, Kind, with_faults
 from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper
 from anther.vibration import ShakePlan

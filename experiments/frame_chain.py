@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from finer_plant import divided
 from frame_fe import STANDARD_GRAVITY, Array, carried, scattered
 from frame_plant import FramedPlant, beams_of, held_at, meshed
 from numpy.typing import NDArray
 
-from anther.sim import plant_mechanics
-from anther.sim.finer_plant import divided
+from anther.sim import _plant_mechanics
 from anther.sim.plant import SimPlant
 
 RIGID, RIGID_PER_VOLUME = 1e4, 3e12
@@ -28,7 +28,7 @@ class HingedPlant(FramedPlant):
     """A plant of rigid pieces, held where a frame would be. Attributes as of `FramedPlant`; its plant is the finer."""
 
     def __init__(
-        self, plant: SimPlant, point: Array, direction: Array, params: plant_mechanics.Params, *, ordered: bool = True
+        self, plant: SimPlant, point: Array, direction: Array, params: _plant_mechanics.Params, *, ordered: bool = True
     ) -> None:
         """Cut a plant.
 
@@ -40,7 +40,7 @@ class HingedPlant(FramedPlant):
             ordered: two crossed hinges turn one after the other, as in the simulation; else at once.
         """
         finer, _ = divided(plant, params.piece)
-        pieces = plant_mechanics.cut(finer, params)
+        pieces = _plant_mechanics.cut(finer, params)
         held = held_at(finer, point)
         starts = {int(k): b for b, k in enumerate(pieces.first)}
         mesh = meshed(finer, np.inf, [*((k, HINGE / finer.length[k]) for k in starts), held])

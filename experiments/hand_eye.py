@@ -20,8 +20,8 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from anther.calibration import BoardCorners, board_views, calibrate, estimate_intrinsics
-from anther.calibration.closed_form import METHODS, closed_form
-from anther.calibration.refinement import Noise, Problem, refine
+from anther.calibration._hand_eye import METHODS, closed_form
+from anther.calibration._refinement import Noise, Problem, refine
 from anther.files import replacing, write_json
 from anther.geometry import Array, Intrinsics, inverse, look_at, small_transform, transform_points
 from anther.pictures.calibration import draw_calibration

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
 from anther.geometry import Array, transform
+from anther.sim._growth import supported_youngs
 from anther.sim.cell import Cell
-from anther.sim.mechanics import supported_youngs
 from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 
 LEAN = 20.0  # degrees from upright

@@ -3,7 +3,7 @@
     python tools/record.py experiments/learning.py --figure docs/pictures/learning.png --out runs/learning --jobs 2
 
 Each plant is seen in rendered views (preset fast), modelled, and its shake planned (the Sawyer's table of amplitudes,
-facts: sawyer 6); MuJoCo's plant is held at the grasp and shaken (`sim.shaken_plant`). What the camera would measure is
+facts: sawyer 6); MuJoCo's plant is held at the grasp and shaken (`shaken_plant`). What the camera would measure is
 drawn from the truth with the stated errors of `SEEN`. Arm "facts" begins every plant with the facts' prior. In the
 other, plants are visited twice: "crop", begun with what the history says of the crop, and "plant", begun with what the
 plant's first shake taught. The history is a real one, in SQLite. A crop is one task of a sweep in --out, as each of
@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
+from shaken_plant import ShakenPlant
 from swept import swept
 
 from anther import cloud, masks, skeleton, stem
@@ -56,7 +57,6 @@ from anther.plant import Material, PlantModel, build_plant
 from anther.sim.judge import pollen_freed
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene as Rendered
-from anther.sim.shaken_plant import ShakenPlant
 from anther.sim.truth import NOMINAL, Truth
 from anther.store import ShakeRecord, TrialRecord, add_missing, facts_prior, starting_material
 from anther.vibration import Params as ShakeParams

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from anther.elastic_rod import Clamp, Rods, with_gravity_equilibrium
 from anther.geometry import Array
 from anther.plant import PEPPER, TOMATO, PlantModel
+from anther.sim._plant_mechanics import TWISTING
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.plant_mechanics import TWISTING
 
 PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 RIGID = 1e6

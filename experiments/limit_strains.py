@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from finer_plant import divided
 from limit_rods import TrueRods, bare, true_rods
 from numpy.typing import NDArray
 from rich.table import Table
+from shaken_plant import Params, ShakenPlant
 
-from anther.elastic_rod.observed import observed_response
+from anther.elastic_rod import observed_response
 from anther.geometry import Array
-from anther.sim import plant_mechanics
-from anther.sim.finer_plant import divided
+from anther.sim import _plant_mechanics
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.vibration.observables import Observables, observables, semi_major
 from anther.vibration.pads import Pads, grip_rows, pad_nodes
 from anther.vibration.search import Version, gains
@@ -78,7 +78,7 @@ class Shaken:
 
 def shaken(plant: SimPlant, piece: float) -> Shaken:
     """Return a plant shaken in both codes, cut into pieces of at most `piece` [m]."""
-    cut = plant_mechanics.Params(piece=piece, twist_every=1, stiffest=ROTOR, foliage=ROTOR)
+    cut = _plant_mechanics.Params(piece=piece, twist_every=1, stiffest=ROTOR, foliage=ROTOR)
     points, _, arc = plant.stem_centreline()
     point = points[np.argmin(np.abs(arc - HELD_AT * arc[-1]))]
     hinges = ShakenPlant(bare(plant), point, DIRECTION, Params(plant=cut))

@@ -26,6 +26,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
+from shaken_plant import ShakenPlant
 from vibration_models import PRIOR, scanned
 from vibration_plant import stem_points
 from wide_plant import KINDS, loads_of, looks, scanned_plant
@@ -43,7 +44,6 @@ from anther.response.points import Sight, sight
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.sim.shaken_plant import ShakenPlant
 from anther.vibration.choice import margined
 from anther.vibration.observables import ComplexArray, semi_major
 from anther.vibration.params import load_error

@@ -38,9 +38,9 @@ from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
 from anther.files import read_json, write_json
 from anther.geometry import Box
 from anther.masks import FLOWER, Masks
-from anther.sim import greenhouse
+from anther.sim import _greenhouse
+from anther.sim._greenhouse import Setting
 from anther.sim.capture import CaptureTruth
-from anther.sim.greenhouse import Setting
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene
 
@@ -48,14 +48,14 @@ DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" /
 CHECK = Path(__file__).with_name("romi_arabidopsis_check.json")
 SETTINGS = {
     "daylight": Setting(),
-    "warm": Setting(light=greenhouse.WARM),
-    "cold": Setting(light=greenhouse.COLD),
+    "warm": Setting(light=_greenhouse.WARM),
+    "cold": Setting(light=_greenhouse.COLD),
     "shade": Setting(sun=False),
-    "dim": Setting(light=greenhouse.DIM, sun=False),
-    "brown_pot": Setting(pot=greenhouse.TERRACOTTA),
-    "black_pot": Setting(pot=greenhouse.BLACK_PLASTIC, soil=(30, 28, 27)),
-    "white_film": Setting(soil=greenhouse.WHITE_FILM, bench=greenhouse.WHITE_FILM),
-    "red_led": Setting(light=greenhouse.RED_LED),
+    "dim": Setting(light=_greenhouse.DIM, sun=False),
+    "brown_pot": Setting(pot=_greenhouse.TERRACOTTA),
+    "black_pot": Setting(pot=_greenhouse.BLACK_PLASTIC, soil=(30, 28, 27)),
+    "white_film": Setting(soil=_greenhouse.WHITE_FILM, bench=_greenhouse.WHITE_FILM),
+    "red_led": Setting(light=_greenhouse.RED_LED),
     "stake": Setting(stake=True),
     "greenery": Setting(greenery=True),
 }

@@ -38,8 +38,8 @@ from anther import cloud, masks
 from anther.arm import sawyer
 from anther.capture import Capture
 from anther.cloud import EDGE_DEPTH, EDGE_SUPPORT, EDGE_WINDOW
-from anther.cloud.pixels import supported_pixels
-from anther.cloud.registration import Params, register
+from anther.cloud._pixels import supported_pixels
+from anther.cloud._registration import Params, register
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, layout
 from anther.files import replacing, write_json
 from anther.geometry import Array, inverse, small_transform, transform_points

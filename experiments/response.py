@@ -2,7 +2,7 @@
 
     python tools/record.py experiments/response.py --figure docs/pictures/response.png --out runs/response --jobs 2
 
-Simulated plants are held at the middle of their stem and shaken (`sim.shaken_plant`) so that the median flower moves by
+Simulated plants are held at the middle of their stem and shaken (`shaken_plant`) so that the median flower moves by
 1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `oscillation.choose_rate`
 gives. Flowers are told to the stage where they truly are, give or take `PLACED`, as perception would. A flower counts
 as in sight if half of its petals' outline or more is seen from the camera at rest. `BLIND` are recordings in which a
@@ -28,6 +28,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
+from shaken_plant import Params as ShakenParams
+from shaken_plant import Shaken, ShakenPlant
 from swept import swept
 
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
@@ -39,13 +41,10 @@ from anther.flowers import Flowers
 from anther.geometry import Array, inverse, transform_points
 from anther.oscillation import choose_rate, fit_swing
 from anther.response import measure_response
-from anther.sim.capture import CameraErrors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
+from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.sim.shaken_plant import Params as ShakenParams
-from anther.sim.shaken_plant import Shaken, ShakenPlant
 
 SHAKES = ((0.001, 10.0), (0.002, 6.0), (0.004, 3.0), (0.008, 6.0), (0.012, 1.5), (0.001, 30.0))
 """(median amplitude of the flowers [m], frequency [Hz])."""

@@ -41,12 +41,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from scipy.spatial import KDTree
+from shaken_plant import Params, ShakenPlant
 
 from anther.files import write_json
-from anther.sim import plant_mechanics
+from anther.sim import _plant_mechanics
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
-from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.sim.tomato import grow_tomato
 from anther.vibration.observables import semi_major
 
@@ -128,12 +128,12 @@ def difference(found: ComplexArray, reference: ComplexArray) -> Array:
 
 def framed(plant: SimPlant, point: Array, size: float = ELEMENT) -> FramedPlant:
     """Return the plant as a frame in which the judge's organs twist."""
-    return FramedPlant(plant, point, ALONG, size=size, twisting=plant_mechanics.TWISTING)
+    return FramedPlant(plant, point, ALONG, size=size, twisting=_plant_mechanics.TWISTING)
 
 
-def bare_params(piece: float) -> plant_mechanics.Params:
+def bare_params(piece: float) -> _plant_mechanics.Params:
     """Return how the judge cuts into pieces [mm], without rotor inertia."""
-    return plant_mechanics.Params(piece / 1e3, stiffest=STIFF, foliage=STIFF, twist_every=1)
+    return _plant_mechanics.Params(piece / 1e3, stiffest=STIFF, foliage=STIFF, twist_every=1)
 
 
 def modal_motion(frame: FramedPlant) -> ComplexArray:

@@ -19,7 +19,7 @@ from typing import Any
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_ros_master import FakeMaster, debian_roscore, has_roscore
 
-from anther.execution.trial import Trial
+from anther.execution import Trial
 from anther.vibration import ShakePlan
 
 TESTS = Path(__file__).parents[1] / "tests"

@@ -4,7 +4,7 @@ r"""Do the models tell how far a flower swings? The paper's R2 and R3, with a pl
         --page docs/reports/vibration_accuracy.md
 
 A tomato and a pepper (0), and thirty random plants (seeds from 2000 on), are held at five heights of the main stem and
-shaken along x in MuJoCo (`sim.shaken_plant`): 4 to 12 mm at the authors' frequencies (0.7 to 1.9 Hz), less where the
+shaken along x in MuJoCo (`shaken_plant`): 4 to 12 mm at the authors' frequencies (0.7 to 1.9 Hz), less where the
 arm cannot (3, 5, 10, 30 Hz). The same plants are scanned with 30 noisy views, and three models say what the flowers
 should do: (a) the paper's, (b) Anther's with what is known of the crop, (c) Anther's after one probe shake, measured in
 the side camera's noisy frames. Further models, with the plant's own geometry or material, tell where the error comes

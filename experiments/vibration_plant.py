@@ -14,6 +14,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from shaken_plant import Params as ShakenParams
+from shaken_plant import Shaken, ShakenPlant
 from vibration_models import PRIOR, Seen, anther_model, paper_model, perceive, scanned, true_model
 
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
@@ -25,13 +27,10 @@ from anther.grasp import Grasp
 from anther.identification import Felt, Observed, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
-from anther.sim.capture import CameraErrors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
+from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.sim.shaken_plant import Params as ShakenParams
-from anther.sim.shaken_plant import Shaken, ShakenPlant
 from anther.vibration import ShakePlan
 from anther.vibration.limits import sawyer_limit
 from anther.vibration.observables import semi_major

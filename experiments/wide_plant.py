@@ -14,6 +14,7 @@ from typing import Any, cast
 import numpy as np
 from grasping_trial import truth_of
 from numpy.typing import NDArray
+from shaken_plant import ShakenPlant
 from vibration_models import PRIOR, Seen, perceive, scanned
 from vibration_plant import matched, stem_points
 
@@ -33,12 +34,10 @@ from anther.geometry import Array
 from anther.identification import Felt, Observed, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import PlantModel
 from anther.response import measure_response, stem_near
-from anther.sim.capture import camera_errors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
+from anther.sim.capture import camera_errors, noisy_depth, noisy_rgb
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.sim.shaken_plant import ShakenPlant
 from anther.sim.sway import swaying
 from anther.sim.truth import NOMINAL, Truth
 from anther.vibration import ShakePlan

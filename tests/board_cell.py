@@ -16,7 +16,7 @@ import numpy as np
 from fake_robot import FakeArm, FakeGripper
 from made_board import BOARD_CENTRE, T_BASE_BOARD, render
 
-from anther.arm import kinematics
+from anther.arm import _kinematics
 from anther.arm.sawyer import SAWYER, T_FLANGE_CAM
 from anther.calibration import CharucoBoard
 from anther.devices import DeviceError, Frame
@@ -58,7 +58,7 @@ def read_truth(path: str) -> Truth:
 def start_joints(T_flange_cam: Array = TRUE_FLANGE_CAM, eye: Array = EYE) -> Array:
     """Joints from which the camera sees the board."""
     T = look_at(eye, BOARD_CENTRE[:3], up=(-1.0, 0.0, 0.3)) @ inverse(T_flange_cam)
-    return kinematics.inverse(SAWYER, T)[0]
+    return _kinematics.inverse(SAWYER, T)[0]
 
 
 class BoardArm(FakeArm):

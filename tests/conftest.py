@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 settings.register_profile("busy machines", deadline=None)  # an example that takes long is no failure
 settings.load_profile("busy machines")
+
+sys.path.append(str(Path(__file__).parents[1] / "experiments"))  # their judges and methods are tested too
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

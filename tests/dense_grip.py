@@ -6,11 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from anther.elastic_rod import Clamp, Rods
-from anther.elastic_rod.assembly import new_blocks
-from anther.elastic_rod.grip import Springs
-from anther.elastic_rod.linear import dense, linearise, set_dynamic
-from anther.elastic_rod.rods import GRAVITY
+from anther.elastic_rod import GRAVITY, Clamp, Rods, Springs
+from anther.elastic_rod._assembly import new_blocks
+from anther.elastic_rod._linear import dense, linearise, set_dynamic
 
 
 def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, ways: Any, loss: float = 0.0) -> Any:

@@ -19,8 +19,8 @@ from small_planner import SmallPlanner
 
 from anther.arm.arms import named
 from anther.devices import Arm, JointTrajectory
+from anther.drivers._franka_loop import CYCLE, Loop
 from anther.drivers.franka import Franka
-from anther.drivers.franka_loop import CYCLE, Loop
 from anther.geometry import Array
 
 MODEL = named("fr3")

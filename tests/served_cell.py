@@ -33,9 +33,9 @@ from served_world import World
 from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
 from anther.sim import arm_model, cell
+from anther.sim._motor import contact_vector
 from anther.sim.capture import camera_errors, perturbed_hand_eye
 from anther.sim.judge import judge
-from anther.sim.motor import contact_vector
 from anther.sim.robot import robot_of
 from anther.sim.truth import NOMINAL, Truth, draw
 

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 import ablated
 import ablation
+import numpy as np
+import pytest
+from shaken_plant import Params, ShakenPlant
 from true_rods import Builder
 from vibration_models import Model, true_model
 
 from anther.elastic_rod import Clamp, Rods, natural_frequencies, with_gravity_equilibrium
-from anther.sim import plant_mechanics
-from anther.sim.shaken_plant import Params, ShakenPlant
+from anther.sim import _plant_mechanics
 from anther.sim.tomato import grow_tomato
 
-BENDING = plant_mechanics.Params(twisting=())
+BENDING = _plant_mechanics.Params(twisting=())
 
 
 @pytest.fixture(scope="module")

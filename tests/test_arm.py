@@ -7,9 +7,9 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from anther.arm import kinematics, sawyer, shaking, timing
-from anther.arm.collision import CollisionWorld
-from anther.arm.kinematics import newton_step
+from anther.arm import _kinematics, sawyer, shaking, timing
+from anther.arm._collision import CollisionWorld
+from anther.arm._kinematics import newton_step
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
 from anther.devices import JointTrajectory
@@ -56,21 +56,21 @@ def assert_within_limits(motion, share=1.0):
 
 def test_inverse_undoes_forward():
     rng = np.random.default_rng(0)
-    margin = kinematics.LIMIT_MARGIN + 0.05
+    margin = _kinematics.LIMIT_MARGIN + 0.05
     for q in rng.uniform(sawyer.LOWER + margin, sawyer.UPPER - margin, (30, 7)):
         pose = sawyer.forward(q)
-        branches = kinematics.inverse(sawyer.SAWYER, pose)
+        branches = _kinematics.inverse(sawyer.SAWYER, pose)
         assert len(branches) > 0
         np.testing.assert_allclose(sawyer.forward(branches), np.broadcast_to(pose, (len(branches), 4, 4)), atol=1e-6)
         assert np.all((branches > sawyer.LOWER) & (branches < sawyer.UPPER))
 
 
 def test_inverse_branches_differ_and_near_comes_first():
-    near = kinematics.inverse(sawyer.SAWYER, GRASP)[3]
-    branches = kinematics.inverse(sawyer.SAWYER, GRASP, near=near)
+    near = _kinematics.inverse(sawyer.SAWYER, GRASP)[3]
+    branches = _kinematics.inverse(sawyer.SAWYER, GRASP, near=near)
     np.testing.assert_allclose(branches[0], near, atol=1e-5)
     gaps = np.abs(branches[:, None] - branches[None]).max(axis=2) + np.eye(len(branches))
-    assert gaps.min() > kinematics.SAME
+    assert gaps.min() > _kinematics.SAME
     assert len(branches) > 10
 
 
@@ -129,8 +129,8 @@ def test_inverse_finds_the_bends_of_elbow_and_wrist_that_thirty_times_the_seeds_
         turn = rng.uniform(-1.3, 1.3)
         point = rng.uniform([0.6, -0.1, -0.2], [0.9, 0.1, 0.3])
         pose = flange_pose(point, [np.cos(turn), np.sin(turn), 0], (0, 0, rng.choice([-1, 1])))
-        every = bends(kinematics.inverse(sawyer.SAWYER, pose, seeds=1500))
-        found, there = found + len(every & bends(kinematics.inverse(sawyer.SAWYER, pose))), there + len(every)
+        every = bends(_kinematics.inverse(sawyer.SAWYER, pose, seeds=1500))
+        found, there = found + len(every & bends(_kinematics.inverse(sawyer.SAWYER, pose))), there + len(every)
     assert there > 30
     assert found >= 0.95 * there
 
@@ -138,17 +138,17 @@ def test_inverse_finds_the_bends_of_elbow_and_wrist_that_thirty_times_the_seeds_
 @pytest.mark.parametrize("approach", [(1, 0, 0), (-1, 0, 0)])
 @pytest.mark.parametrize("point", [(1.4, 0, 0.3), (5, 5, 5)])
 def test_out_of_reach_gives_no_branch(point, approach):
-    assert len(kinematics.inverse(sawyer.SAWYER, flange_pose(point, approach))) == 0
+    assert len(_kinematics.inverse(sawyer.SAWYER, flange_pose(point, approach))) == 0
 
 
 def test_turned_back_at_the_edge_of_reach_gives_no_branch():
-    assert len(kinematics.inverse(sawyer.SAWYER, flange_pose([1.1, 0, 0.3], [1, 0, 0]))) > 0
-    assert len(kinematics.inverse(sawyer.SAWYER, flange_pose([1.1, 0, 0.3], [-1, 0, 0]))) == 0
+    assert len(_kinematics.inverse(sawyer.SAWYER, flange_pose([1.1, 0, 0.3], [1, 0, 0]))) > 0
+    assert len(_kinematics.inverse(sawyer.SAWYER, flange_pose([1.1, 0, 0.3], [-1, 0, 0]))) == 0
 
 
 def test_inverse_refuses_a_matrix_that_is_no_pose():
     with pytest.raises(InputError, match="rigid"):
-        kinematics.inverse(sawyer.SAWYER, np.diag([2.0, 1, 1, 1]))
+        _kinematics.inverse(sawyer.SAWYER, np.diag([2.0, 1, 1, 1]))
 
 
 def test_collision_world():
@@ -303,7 +303,7 @@ def test_shake_limit_matches_the_facts():
     """Medians over IK solutions at the stem pose, within 15 % of facts: sawyer 6 (whose solutions are others)."""
     branches = np.concatenate(
         [
-            kinematics.inverse(sawyer.SAWYER, flange_pose([0.72, 0, -0.05], [1, 0, 0], up))
+            _kinematics.inverse(sawyer.SAWYER, flange_pose([0.72, 0, -0.05], [1, 0, 0], up))
             for up in ([0, 0, 1], [0, 0, -1])
         ]
     )
@@ -318,7 +318,7 @@ def test_shake_limit_matches_the_facts():
 
 def test_shake_limit_is_the_best_over_elbow_motions():
     """No joint motion along the direction, of many tried, does better."""
-    q = kinematics.inverse(sawyer.SAWYER, GRASP)[0]
+    q = _kinematics.inverse(sawyer.SAWYER, GRASP)[0]
     J = sawyer.jacobian(q)
     null = np.linalg.svd(J)[2][6]
     rates = np.linalg.pinv(J) @ [0, 1, 0, 0, 0, 0] + np.linspace(-20, 20, 200_001)[:, None] * null

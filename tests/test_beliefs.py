@@ -24,7 +24,7 @@ from anther.store import (
     record_trial,
     starting_material,
 )
-from anther.store.records import material_of
+from anther.store._records import material_of
 
 
 def trial(plant: str, before: Material, after: Material, *, hours: float = 0, species: str = "tomato") -> TrialRecord:

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import breezes  # pyright: ignore[reportMissingImports]
 import numpy as np
 import pytest
 
 from anther.sim.tomato import grow_tomato
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
-import breezes  # pyright: ignore[reportMissingImports]
 
 PLANT = grow_tomato(11)
 

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from made_board import T_BASE_BOARD, T_FLANGE_CAM, errors, poses, render
 from matplotlib.image import imread
 
-from anther.calibration import CharucoBoard, Chessboard, HandEye
-from anther.calibration.pose_file import read_poses
+from anther.calibration import CharucoBoard, Chessboard, HandEye, read_poses
 from anther.cli import main
 from anther.errors import InputError
 from anther.geometry import Array, Intrinsics, pose7, small_transform

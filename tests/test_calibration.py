@@ -23,13 +23,14 @@ from scipy.spatial.transform import Rotation
 from anther.calibration import (
     BoardViews,
     HandEye,
+    Method,
     Params,
     board_views,
     calibrate,
 )
-from anther.calibration.closed_form import METHODS, Method, closed_form
-from anther.calibration.motions import motion_warnings
-from anther.calibration.refinement import Noise, Problem, _adjusted, _moved, refine, view_distances
+from anther.calibration._hand_eye import METHODS, closed_form
+from anther.calibration._refinement import Noise, Problem, _adjusted, _moved, refine, view_distances
+from anther.calibration._views import motion_warnings
 from anther.errors import InputError
 from anther.geometry import inverse, small_transform
 

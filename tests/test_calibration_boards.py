@@ -22,9 +22,10 @@ from anther.calibration import (
     estimate_intrinsics,
     largest_distortion,
     parse_board,
+    read_intrinsics,
+    read_poses,
     undistorted,
 )
-from anther.calibration.pose_file import read_intrinsics, read_poses
 from anther.errors import InputError
 from anther.geometry import small_transform
 

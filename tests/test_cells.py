@@ -17,8 +17,7 @@ from fake_sawyer import FakeSawyer
 
 from anther.arm import sawyer
 from anther.arm.arms import named
-from anther.cells import CellFile, parts, read_cell
-from anther.cells.owner import owned
+from anther.cells import CellFile, _parts, owned, read_cell
 from anther.cli import main
 from anther.devices import DeviceError
 from anther.drivers import sawyer_ros1
@@ -120,7 +119,7 @@ def test_an_own_driver_is_told_only_what_it_takes(write: Write) -> None:
 HOLDS = """
 import sys, time
 from pathlib import Path
-from anther.cells.owner import owned
+from anther.cells import owned
 with owned("sawyer-ros1 http://r:11311", Path(sys.argv[1])):
     print("owned", flush=True)
     time.sleep(60)
@@ -231,6 +230,6 @@ def test_a_jog_stays_within_the_limits(machines: Machines, capsys: pytest.Captur
 def test_cameras_by_name_say_what_is_missing(tmp_path: Path) -> None:
     lens = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}
     with pytest.raises(AntherError, match=r"uvc|camera|source"):
-        parts.CAMERAS["uvc"](str(tmp_path / "none.mp4"), **lens)
+        _parts.CAMERAS["uvc"](str(tmp_path / "none.mp4"), **lens)
     with pytest.raises(AntherError, match=r"(?i)realsense"):
-        parts.CAMERAS["realsense"]("000000000000")
+        _parts.CAMERAS["realsense"]("000000000000")

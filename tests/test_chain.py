@@ -14,8 +14,8 @@ from anther.arm import sawyer
 from anther.devices import JointTrajectory, More, SafetyLimits
 from anther.errors import StageFailure
 from anther.geometry import Array, Box
-from anther.motion_limits import JUMP, LONGEST
 from anther.safety import GuardedArm
+from anther.safety._motion import JUMP, LONGEST
 
 CUTS = (0, 90, 200, 300)
 

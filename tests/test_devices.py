@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fake_robot import LIMITS, fake_robot
+from faulty_machines import Fault, with_faults
 from live_cameras import Bench, FakeWebcam, realsense, running, webcam
 from made_arm import six
+from replay_camera import ReplayCamera
 from small_planner import SmallPlanner
 from straight_plant import straight_plant
 
@@ -28,13 +30,11 @@ from anther.devices import (
     Robot,
     SafetyLimits,
 )
-from anther.drivers.replay import ReplayCamera
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, Intrinsics
-from anther.log.machines import heard
+from anther.log._machines import heard
 from anther.safety import GuardedGripper, guard
 from anther.sim.cell import Cell
-from anther.sim.faults import Fault, with_faults
 from anther.sim.robot import robot_of
 
 

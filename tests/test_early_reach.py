@@ -14,9 +14,9 @@ from small_planner import SmallPlanner, solve
 from test_execution import POINT, Plan
 
 from anther.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
-from anther.early_reach import early_reach
 from anther.errors import StageFailure
 from anther.execution import EARLY, PHASES, Params, execute
+from anther.execution.early_reach import early_reach
 
 GRASP = horizontal_grasp(POINT, solve(horizontal_grasp(POINT, np.zeros(7)).T_world_flange))
 PARAMS = Params()
@@ -103,7 +103,7 @@ def test_a_second_ctrl_c_waits_for_the_arm_too(monkeypatch: pytest.MonkeyPatch):
             raise KeyboardInterrupt
         return wait(futures)
 
-    monkeypatch.setattr("anther.early_reach.wait", ctrl_c_first)
+    monkeypatch.setattr("anther.execution.early_reach.wait", ctrl_c_first)
     arm = SlowArm()
 
     def interrupted() -> None:

@@ -17,7 +17,7 @@ from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, More, Watch
 from anther.errors import InputError, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
-from anther.execution.closing import ENOUGH
+from anther.execution._closing import ENOUGH
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import alias, choose_rate

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sample_plants import branched
 
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod import Array
 from anther.identification import Felt, Observed, Params, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration import PADS, Pads, ShakePlan

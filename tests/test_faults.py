@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_robot import LIMITS, FakeArm, FakeCamera, FakeGripper, fake_robot
+from faulty_machines import Fault, FaultyCamera, Kind, with_faults
 from small_planner import SmallPlanner, solve
 from straight_plant import straight_plant
 from test_execution import GRASP, PLANNER, Plan
@@ -25,7 +26,6 @@ from anther.files import read_json
 from anther.runs import Run
 from anther.safety import GuardedArm
 from anther.sim.cell import Cell
-from anther.sim.faults import Fault, FaultyCamera, Kind, with_faults
 from anther.sim.robot import SimArm, contact_force, robot_of
 
 STRIKES: list[tuple[Fault, FailureKind | None]] = [
@@ -95,12 +95,13 @@ def test_frames_are_lost_one_by_one_or_for_good() -> None:
 
 KILLED = """
 import sys
+sys.path.append("../experiments")
 from pathlib import Path
 from fake_robot import LIMITS, fake_robot
 from test_execution import PLANNER, Plan
 from anther.execution import Trial, execute
 from anther.runs import Run
-from anther.sim.faults import Fault, with_faults
+from faulty_machines import Fault, with_faults
 with Run(Path(sys.argv[1]), quiet=True) as run:
     robot = with_faults(fake_robot(), Fault("kill -9", 3, 0.5))
     run.stage("execution", Trial.load, lambda _: execute(PLANNER, Plan(), robot, LIMITS))

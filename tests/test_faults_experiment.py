@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from fault_machines import Pieces
 from made_foresight import made_plan
 
 from anther.execution import Watched
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-from fault_machines import Pieces
 
 
 def test_its_pieces_are_a_watched_shake_that_comes_to_rest() -> None:

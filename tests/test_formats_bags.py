@@ -13,9 +13,9 @@ from made_bags import START, BagMaker
 from anther.capture import Capture
 from anther.cli import main
 from anther.errors import InputError, MissingExtra
-from anther.formats import bag_file
+from anther.formats import _bag_file
+from anther.formats._bag_images import camera_of
 from anther.formats.alignment import laid_over
-from anther.formats.bag_images import camera_of
 from anther.formats.bags import BagOptions, read_bag
 from anther.geometry import Intrinsics, inverse, look_at, pose7, small_transform, transform_points
 
@@ -328,7 +328,7 @@ def test_a_missing_extra_names_the_install_command(tmp_path: Path, monkeypatch: 
     monkeypatch.setitem(__import__("sys").modules, "mcap", None)
     with pytest.raises(MissingExtra, match=r"pip install 'anther\[bags\]'"):
         read_bag(tmp_path / "a.bag")
-    assert bag_file.INSTALL == "pip install 'anther[bags]'"
+    assert _bag_file.INSTALL == "pip install 'anther[bags]'"
 
 
 def test_import_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

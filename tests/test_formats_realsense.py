@@ -20,10 +20,10 @@ from made_realsense import COLOR, DEPTH, LENS, PERIOD, SHIFT, START, TURN, UNIT
 from anther.capture import Capture
 from anther.cli import main
 from anther.errors import InputError
-from anther.formats import bag_realsense
+from anther.formats import _bag_images
+from anther.formats._bag_file import BagFile
+from anther.formats._bag_images import colour_image
 from anther.formats.alignment import laid_over, straightened, straightening
-from anther.formats.bag_file import BagFile
-from anther.formats.bag_images import colour_image
 from anther.formats.bags import BagOptions, BagViews, read_bag
 from anther.geometry import Array, Intrinsics, pose7, small_transform
 
@@ -245,7 +245,7 @@ def test_truncated_recordings_are_refused_in_words(tmp_path: Path, name: str, sh
 )
 def test_extrinsics_of_no_sense_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="9 finite numbers"):
-        bag_realsense.extrinsics("/tf/ref_1", text)
+        _bag_images.extrinsics("/tf/ref_1", text)
 
 
 def test_a_recording_has_no_poses_of_its_own(written: Path) -> None:

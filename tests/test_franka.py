@@ -25,8 +25,8 @@ from slow_clock import SLOWER
 from streamed_motions import three_pieces
 
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory, Watch
+from anther.drivers._franka_loop import BRAKES, CYCLE, FADES, SMOOTH, UNSEEN, Path
 from anther.drivers.franka import Franka
-from anther.drivers.franka_loop import BRAKES, CYCLE, FADES, SMOOTH, UNSEEN, Path
 from anther.errors import InputError
 
 pytestmark = pytest.mark.flaky(reruns=3, only_rerun=[r"the newest joints are \d+ ms old", "nobody looked at the arm"])

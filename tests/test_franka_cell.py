@@ -15,10 +15,10 @@ import fake_franka
 import pytest
 from fake_franka import MODEL, READY, FakeFranka, RealtimeConfig, connected, far, library
 
-from anther.cells import parts, read_cell
+from anther.cells import _parts, read_cell
 from anther.devices import DeviceError
+from anther.drivers._franka_loop import connect
 from anther.drivers.franka import MODES, Franka, open_franka
-from anther.drivers.franka_loop import connect
 from anther.errors import InputError, MissingExtra
 from anther.safety import GuardedArm
 
@@ -47,7 +47,7 @@ def test_a_cell_file_names_it(tmp_path: Path, fr3: FakeFranka, monkeypatch: pyte
         asked.update(given, host=host)
         return connected(fr3, names=given["names"])
 
-    monkeypatch.setattr(parts, "open_franka", opened)
+    monkeypatch.setattr(_parts, "open_franka", opened)
     cell = read_cell(cell_file(tmp_path, "realtime = false"))
     with closing(cell.connect(cell.arm)) as arm:
         assert arm.joints() == pytest.approx(READY, abs=2e-3)

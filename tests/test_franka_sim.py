@@ -65,7 +65,7 @@ class Log:
 
 @pytest.fixture
 def sim(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Log]:
-    monkeypatch.setattr("anther.drivers.readings.DRIFT", 1.0)  # the simulator's clock is slower than the wall's
+    monkeypatch.setattr("anther.drivers._readings.DRIFT", 1.0)  # the simulator's clock is slower than the wall's
     words = [PYTHON, str(HERE / "franka_sim_server.py"), str(tmp_path)]
     outside = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     with (tmp_path / "said").open("w") as said:
@@ -105,8 +105,8 @@ def enough(when: float) -> None:
 
 MOVES = f"""
 import sys; sys.path[:0] = [{str(HERE)!r}]
-import anther.drivers.readings
-anther.drivers.readings.DRIFT = 1.0
+import anther.drivers._readings
+anther.drivers._readings.DRIFT = 1.0
 from small_planner import SmallPlanner
 from anther.arm.arms import named
 from anther.drivers.franka import open_franka

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
-
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 
 import fuzz  # pyright: ignore[reportMissingImports]
 import fuzz_inputs  # pyright: ignore[reportMissingImports]
+import pytest
 
 from anther.cli import COMMANDS
 

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from paper_grasp import branch_directions, paper_approach, paper_grasp
 from scipy.spatial.transform import Rotation
 
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
-from anther.grasp import Grasp, Gripper, Params, load_grasps, plan_grasps, save_grasps
-from anther.grasp.candidates import directions_across, flange_pose
+from anther.grasp import STROKE_MARGIN, Grasp, Gripper, Params, _rank, load_grasps, plan_grasps, save_grasps
+from anther.grasp.candidates import candidates_along, directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
 from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
+from anther.grasp.clearance import STEM as STEM_BALL
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, STEM, Stem
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-from paper_grasp import branch_directions, paper_approach, paper_grasp
 
 UPRIGHT = np.eye(3)
 
@@ -294,6 +291,65 @@ def test_what_is_pushed_aside_pushes_back(depth, stiffness):
     )
     met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
     assert met.push[0] == pytest.approx(max(0.002 + depth, 0) * stiffness)
+
+
+def test_every_pose_is_a_rotation_and_each_direction_is_tried_both_ways_up():
+    """Of a stem in waves too, whose fitted line is shorter than the stem."""
+    stem, skeleton, _ = make_plant(branches=())
+    nodes = skeleton.nodes + np.outer(0.004 * np.sin(stem.arc_length / 0.01), [1, 0, 0])
+    arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1)))
+    skeleton, stem = replace(skeleton, nodes=nodes), replace(stem, arc_length=arc)
+    c = candidates_along(stem, skeleton, directions=8, spacing=0.02, window=0.03, ends=(0.05, 0.05), depth=0.1)
+    R = c.T_world_flange[:, :3, :3]
+    np.testing.assert_allclose(np.swapaxes(R, 1, 2) @ R, np.broadcast_to(np.eye(3), R.shape), atol=1e-9)
+    along = np.einsum("ci,ci->c", R[..., 0], c.tangents)
+    for station in np.unique(c.station):
+        assert sorted(np.round(along[c.station == station])) == [-1] * 8 + [1] * 8
+
+
+def test_the_nearer_the_root_the_more_it_costs():
+    ranking = _rank(*make_plant(branches=()), Params(), toward_base=False)
+    order = np.argsort(ranking.candidates.arc_length, kind="stable")
+    cost = ranking.costs["near the root"][order]
+    assert np.all(np.diff(cost) <= 1e-12)
+    assert cost[0] > 10 * cost[-1]
+
+
+def test_toward_the_base_every_place_below_the_fork_is_tried_and_few_above_it():
+    stem, skeleton, cloud = make_plant()
+    stem = replace(stem, fork=25)
+    every, few = (_rank(stem, skeleton, cloud, Params(), toward_base=b).candidates for b in (False, True))
+    fork = stem.arc_length[stem.fork]
+    below = lambda c: {a for a in c.arc_length if a <= fork}  # noqa: E731
+    above = lambda c: {a for a in c.arc_length if a > fork}  # noqa: E731
+    assert below(few) == below(every)
+    assert 0 < len(above(few)) <= len(above(every)) / 4 + 1
+    assert few.outward().min() > 0
+
+
+@pytest.mark.parametrize(("less", "refused"), [(0.5, True), (1.5, False)])
+def test_a_stem_needs_the_margin_between_the_open_pads(less, refused):
+    radius = (Gripper().stroke - less * STROKE_MARGIN) / 2
+    ranking = _rank(*make_plant(branches=(), radius=radius), Params(), toward_base=False)
+    assert ranking.fell["thicker than the stroke"] == refused * len(ranking.candidates.station)
+
+
+def test_the_space_between_the_pads_is_as_large_as_they_are_and_the_margin():
+    gripper = Gripper()
+    lower, upper = gripper.closing(0.003).reshape(2, 3)
+    np.testing.assert_allclose((lower + upper) / 2, [0, 0, gripper.depth], atol=1e-12)
+    np.testing.assert_allclose(upper - lower, [gripper.pad[0] + 0.006, gripper.stroke, gripper.pad[1] + 0.006])
+
+
+def test_balls_stand_close_however_far_apart_the_nodes_are():
+    stem, skeleton, cloud = make_plant(branches=())
+    ids = np.arange(0, len(stem.node_ids), 10)
+    few = Skeleton(skeleton.nodes[ids], np.arange(-1, len(ids) - 1), skeleton.radius[ids])
+    coarse = Stem(np.arange(len(ids)), stem.arc_length[ids], np.zeros(0, dtype=np.int64), stem.organ[ids])
+    around = surroundings_of(coarse, few, cloud, leaf_size=0.006)
+    along = np.sort(around.centers[around.kind == STEM_BALL][:, 2])
+    assert np.diff(along).max() <= 0.003 + 1e-9
+    assert along[-1] - along[0] > 0.49
 
 
 def test_a_short_petiole_is_stiffer_than_a_long_one():

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from argparse import Namespace
 from pathlib import Path
 
 import cv2
+import grasping
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
-import grasping
 from grasping_page import BEGIN, END, insert, report
 from grasping_pictures import TILE, sheet
 from grasping_table import as_counted, effects, interval, mcnemar, metrics

@@ -9,9 +9,9 @@ import pytest
 from dense_grip import dense_answer
 from made_rods import cantilever, random_tree
 
-from anther.elastic_rod import Clamp
-from anther.elastic_rod.grip import Springs, rigid_motion
-from anther.elastic_rod.response import driven_response
+from anther.elastic_rod import Clamp, Springs
+from anther.elastic_rod._grip import rigid_motion
+from anther.elastic_rod._response import driven_response
 from anther.errors import InputError
 
 HERTZ = np.array([2.0, 11.0, 30.0])

@@ -12,9 +12,9 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 BASE = {"errors", "checks", "files", "geometry", "images", "style", "__init__"}
 ORDER = [
     "capture", "calibration", "masks", "cloud", "skeleton", "stem", "flowers", "grasp", "elastic_rod",
-    "plant", "pressing", "vibration", "swing", "devices", "motion_limits", "watchdog", "motor_guard", "safety",
+    "plant", "pressing", "vibration", "swing", "devices", "safety",
     "oscillation", "execution",
-    "early_reach", "flower_tracking", "response", "escalation", "identification", "runs", "pipeline",
+    "flower_tracking", "response", "escalation", "identification", "runs", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)
 AROUND = [

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 
+import learning  # pyright: ignore[reportMissingImports]
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
-import learning  # pyright: ignore[reportMissingImports]
 import response as response_experiment  # pyright: ignore[reportMissingImports]
 from learning_figure import draw  # pyright: ignore[reportMissingImports]
 

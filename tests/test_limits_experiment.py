@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 from limit_rods import bare, true_rods
 from limit_strains import StrainRow, strain_metrics, strain_rows
 

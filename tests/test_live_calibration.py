@@ -15,14 +15,30 @@ import pytest
 from board_cell import BOARD, CAMERA, EYE, TRUE_FLANGE_CAM, BoardArm, BoardCamera, Truth, start_joints
 from made_board import BOARD_CENTRE, CORNERS, T_BASE_BOARD, errors, jitter
 
-from anther.arm import kinematics
+from anther.arm import _kinematics
 from anther.arm.model import outline
 from anther.arm.sawyer import SAWYER
-from anther.calibration import BoardCorners, BoardViews, HandEye, board_views, calibrate
-from anther.calibration.motions import flange_motions
-from anther.calibration.moved import Moved, camera_moved
-from anther.calibration.proposals import candidates, sees_board, spread
-from anther.calibration.taken import MOST, Taken, is_steady, lacks, read_record, taken_before
+from anther.calibration import (
+    BoardCorners,
+    BoardViews,
+    HandEye,
+    Moved,
+    board_views,
+    calibrate,
+    camera_moved,
+    flange_motions,
+)
+from anther.calibration.taken import (
+    MOST,
+    Taken,
+    candidates,
+    is_steady,
+    lacks,
+    read_record,
+    sees_board,
+    spread,
+    taken_before,
+)
 from anther.cells import read_cell
 from anther.cells.rewriting import point_to_calibration
 from anther.cli import main
@@ -340,7 +356,7 @@ def test_a_person_may_move_the_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         look_at(e, BOARD_CENTRE[:3], up=(-1.0, 0, 0.3)) @ small_transform([0, 0, rng.uniform(-1, 1)], [0, 0, 0])
         @ inverse(TRUE_FLANGE_CAM) for e in ways
     ]  # fmt: skip
-    solved = [kinematics.inverse(SAWYER, T, near=start_joints()) for T in flange]
+    solved = [_kinematics.inverse(SAWYER, T, near=start_joints()) for T in flange]
     person = Person(arm, iter([start_joints(), *(q[0] for q in solved if len(q))]))
     monkeypatch.setattr("builtins.input", person)
     first_look(eye, (taken := begun(tmp_path)), Asking(False))

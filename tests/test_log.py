@@ -30,8 +30,8 @@ from anther.execution import Step
 from anther.flowers import Flowers
 from anther.geometry import Intrinsics
 from anther.log import Kept, Log
+from anther.log._messages import joints
 from anther.log.live import Tail, show
-from anther.log.messages import joints
 from anther.skeleton import Skeleton
 
 STEP = Step(1.0, 2.0, (2.0, 3.0), (0.001, 0.002), (0.0, 1.0, 0.0), (4.0, 6.0), {"base": 0.4}, "Raised to 3 mm.", 0.1)

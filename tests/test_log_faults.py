@@ -132,7 +132,7 @@ def test_a_disk_that_hangs_is_not_waited_for(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_log_grows_no_further_than_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("anther.log.file.LARGEST", 2000)
+    monkeypatch.setattr("anther.log._messages.LARGEST", 2000)
     book = Log(tmp_path / "log.mcap")
     robot = tapped(book)
     wait_until(lambda: book._safe > 0)
@@ -215,7 +215,7 @@ def test_a_trial_notes_what_its_log_lost_and_keeps_that_of_an_earlier_process(
     assert not capsys.readouterr().err
     with Run(tmp_path, quiet=True) as run, TrialLog(run, wanted=False) as book:
         assert book.close(None, None) == {"log_messages": 0, "log_dropped": 0, "log_error": None}
-    monkeypatch.setattr("anther.log.file.LARGEST", -1)
+    monkeypatch.setattr("anther.log._messages.LARGEST", -1)
     with Run(tmp_path, quiet=True) as run, TrialLog(run, wanted=True) as book:
         run.told("phase", "open")
         assert book.close(None, None)["log_dropped"] == 1

@@ -33,7 +33,7 @@ from anther.identification import (
     youngs_from_deflection,
     youngs_from_first_mode,
 )
-from anther.identification.clamped_stem import tip_compliance
+from anther.identification._clamped_stem import tip_compliance
 from anther.plant import TOMATO
 
 NONE = np.zeros(0)

@@ -29,8 +29,8 @@ from anther.store import (
     record_trial,
     starting_material,
 )
+from anther.store._database import Base
 from anther.store.migrations import HEAD, migrate
-from anther.store.tables import Base
 
 BEGIN = datetime(2026, 5, 1, 12, tzinfo=UTC)
 

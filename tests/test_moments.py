@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from sample_plants import branched
 from scipy.spatial.transform import Rotation
 
-from anther.elastic_rod import Clamp, Drive, Rods, simulate, with_gravity_equilibrium
-from anther.elastic_rod.equilibrium import static_state
-from anther.elastic_rod.linear import dense, linearise
-from anther.elastic_rod.model import build_model
-from anther.elastic_rod.moments import joints, strain_changes
+from anther.elastic_rod import Clamp, Drive, Rods, joints, simulate, strain_changes, with_gravity_equilibrium
+from anther.elastic_rod._equilibrium import static_state
+from anther.elastic_rod._linear import dense, linearise
+from anther.elastic_rod._model import build_model
 from anther.geometry import Array
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration.observables import observables

@@ -14,12 +14,12 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, MoreSwing, SafetyLimits, Watch
 from anther.errors import InputError, StageFailure
-from anther.motor_guard import GuardedMotor, check_swing
 from anther.oscillation import fit_swing
 from anther.safety import guard
+from anther.safety._motor import GuardedMotor, check_swing
 from anther.sim import arm_model, carriage
+from anther.sim._motor import SimMotor
 from anther.sim.cell import Cell, Params
-from anther.sim.motor import SimMotor
 from anther.sim.plant import SimPlant
 from anther.sim.robot import SimGripper
 from anther.sim.truth import NOMINAL, Truth
@@ -231,6 +231,14 @@ def test_a_piece_that_does_not_join_is_refused_and_the_motor_stopped(piece: Swin
     assert len(machine.pieces) == machine.stopped == 1
 
 
+def test_one_tone_of_two_may_not_change_its_frequency() -> None:
+    first = Swing.first([20.0, 30.0], [2e-4, 2e-4], 0.6, 0.5)
+    check_swing(first.then([2e-4, 2e-4], 0.2, 0.1), first, LIMITS)
+    other = replace(first.then([2e-4, 2e-4], 0.2, 0.1), frequencies=np.array([20.0, 31.0]))
+    with pytest.raises(StageFailure, match="does not join"):
+        check_swing(other, first, LIMITS)
+
+
 def test_a_swing_may_not_end_in_motion() -> None:
     for more in (None, then(None)):
         machine = FakeMotor()
@@ -250,7 +258,11 @@ def test_a_motor_that_ends_early_moves_too_far_or_goes_on_is_not_believed() -> N
     class Wild(FakeMotor):
         measured = 1.6e-3
 
-    for machine, message in ((Early(), "ended before"), (Restless(), "come to rest"), (Wild(), "asked were 1 mm")):
+    for machine, message in (
+        (Early(), "ended before"),
+        (Restless(), "it still moves by 0.3 mm"),
+        (Wild(), "asked were 1 mm"),
+    ):
         with pytest.raises(DeviceError, match=message):
             GuardedMotor(machine, LIMITS).swing(FIRST, None, then(LAST))
         assert machine.stopped == 1

@@ -10,11 +10,17 @@ import pytest
 from dense_grip import dense_answer
 from sample_plants import branched
 
-from anther.elastic_rod import Drive, simulate
-from anther.elastic_rod.grip import RIGID, Rocking, Springs
-from anther.elastic_rod.moments import strain_changes
-from anther.elastic_rod.observed import observed_response
-from anther.elastic_rod.response import driven_response, steady_motion
+from anther.elastic_rod import (
+    RIGID,
+    Drive,
+    Rocking,
+    Springs,
+    observed_response,
+    simulate,
+    steady_motion,
+    strain_changes,
+)
+from anther.elastic_rod._response import driven_response
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.vibration.observables import observables, semi_major
 from anther.vibration.pads import pad_nodes

@@ -11,7 +11,7 @@ import pytest
 from dense_grip import dense_answer
 from sample_plants import branched
 
-from anther.elastic_rod.grip import Springs
+from anther.elastic_rod import Springs
 from anther.errors import InputError
 from anther.identification import Felt, Observed, Params, Refinement, refine
 from anther.plant import TOMATO, PlantModel, build_plant

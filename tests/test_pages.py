@@ -32,7 +32,7 @@ from conftest import DATA
 from test_store import full
 
 from anther import skeleton, stem
-from anther.calibration.pose_file import read_poses
+from anther.calibration import read_poses
 from anther.capture import Capture
 from anther.cli import COMMANDS, main
 from anther.devices import GripperState

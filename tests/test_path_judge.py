@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from path_judge import SELF, SIGHT, Surroundings, judge_path
 
 from anther.arm import sawyer
-from anther.arm.collision import CollisionWorld
-from anther.arm.dynamics import USABLE
+from anther.arm._collision import CollisionWorld
 from anther.arm.planner import Planner
+from anther.arm.timing import USABLE
 from anther.arm.views import Params, Views, capture_time, plan_views
 from anther.commands.simulated_cell import USUAL_DISTANCE, layout
 from anther.geometry import Box
-from anther.sim.path_judge import SELF, SIGHT, Surroundings, judge_path
 
 NOTHING = np.zeros((0, 3))
 PLACE = layout(USUAL_DISTANCE)

@@ -12,12 +12,11 @@ from sample_plants import branched, read_paper_plant, stem_along, straight_stem,
 from scipy.integrate import quad
 
 from anther.cloud import Cloud
-from anther.elastic_rod.modes import natural_frequencies
-from anther.elastic_rod.simulation import simulate
+from anther.elastic_rod import natural_frequencies, simulate
 from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
 from anther.plant import PEPPER, TOMATO, Material, Params, PlantModel, build_plant
-from anther.plant.shape import bar_radius, edge_radii, leaf_mass
+from anther.plant._shape import bar_radius, edge_radii, leaf_mass
 from anther.skeleton import Skeleton
 
 NO_FLOWERS = Flowers(np.zeros((0, 3)), np.zeros(0, dtype=int))

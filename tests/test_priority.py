@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from anther.drivers.priority import BESIDE, PRIORITY, served_first
+from anther.drivers._priority import BESIDE, PRIORITY, served_first
 
 
 @pytest.fixture(autouse=True)

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-
-from anther.cloud import Cloud
-from anther.geometry import Array
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
 from real.answers import Answer, NoAnswer, asked
 from real.judge import Tolerance, judge, reached, sampled
 from real.paper_rule import core_stem
 from real.plain_thinning import plain_thinning
 from real.plants import Labelled
+
+from anther.cloud import Cloud
+from anther.geometry import Array
 
 RADIUS = 0.004
 STEM = np.array([[0, 0, z] for z in np.linspace(0, 0.3, 31)])

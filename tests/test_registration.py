@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from anther.cloud.pixels import slant
-from anther.cloud.registration import Params, register
+from anther.cloud._pixels import slant
+from anther.cloud._registration import Params, register
 from anther.geometry import Array, inverse, look_at, small_transform, transform_points
 
 

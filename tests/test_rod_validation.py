@@ -3,14 +3,10 @@
 # pyright: reportMissingImports=false
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
 from rod_cases.beam_theory import cone_frequencies, elastica, rayleigh_roots, small_sag, uniform_roots
 from rod_cases.motion import energy_cases, order_cases
 from rod_cases.peer_references import reference_cases

@@ -26,10 +26,10 @@ from small_planner import SmallPlanner
 from streamed_motions import halfway, raising_beyond, thought_about, three_pieces
 
 from anther.arm.model import outline
-from anther.cells import parts, read_cell
+from anther.cells import _parts, read_cell
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory
-from anther.drivers import ros2, streamed
-from anther.drivers.reference import Reference
+from anther.drivers import _streamed, ros2
+from anther.drivers._reference import Reference
 from anther.errors import InputError, MissingExtra, StageFailure
 from anther.safety import GuardedArm
 
@@ -271,7 +271,7 @@ def test_joints_that_are_no_numbers_are_not_believed(arm: ros2.JointTrajectoryAr
 def test_an_arm_with_other_joints_is_not_connected_to(
     wire: FakeNode, robot: FakeController, monkeypatch: pytest.MonkeyPatch, names: list[str], message: str
 ) -> None:
-    monkeypatch.setattr(streamed, "WAITING", 0.5)
+    monkeypatch.setattr(_streamed, "WAITING", 0.5)
     robot.names = names
     sleep(0.1)
     with pytest.raises(DeviceError, match=message):
@@ -446,7 +446,7 @@ def test_a_cell_file_gives_what_its_model_says(
     cell: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch, wire: FakeNode
 ) -> None:
     file = cell('controller = "/scaled"\nstates = "/joint_states"\nrate = 100')
-    monkeypatch.setattr(parts, "Ros2Node", lambda name: wire)
+    monkeypatch.setattr(_parts, "Ros2Node", lambda name: wire)
     with ExitStack() as stack:
         robot = stack.enter_context(closing(FakeController(file.model.joints, np.zeros(6), wire.tell)))
         wire.deliver = robot.hear
@@ -465,7 +465,7 @@ def test_a_cell_file_gives_what_its_model_says(
 def test_a_cell_file_may_name_the_joints_as_the_robot_does(
     cell: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch, wire: FakeNode
 ) -> None:
-    monkeypatch.setattr(parts, "Ros2Node", lambda name: wire)
+    monkeypatch.setattr(_parts, "Ros2Node", lambda name: wire)
     few = cell('joints = ["a", "b"]')
     with pytest.raises(InputError, match=r"arm: joints: got 2 names; allowed: 6, in the order of shoulder_pan_joint"):
         few.connect(few.arm)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -235,6 +236,24 @@ def test_no_shake_passes_that_breaks_a_limit(amplitude: float, frequency: float,
         assert too_much <= 1 + 1e-6
 
 
+def test_a_box_beside_the_arm_is_no_reason_to_refuse_and_one_that_a_ball_touches_is() -> None:
+    """Against all balls and boxes, one by one."""
+    rng = np.random.default_rng(0)
+    balls = LIMITS.outline(SOUND.positions).reshape(-1, 4)
+    refused = []
+    for _ in range(60):
+        lower = rng.uniform(balls[:, :3].min(axis=0) - 0.1, balls[:, :3].max(axis=0) + 0.1)
+        box = Box(lower, lower + rng.uniform(0.02, 0.2, 3))
+        gap = np.linalg.norm(np.maximum(np.maximum(box.lower - balls[:, :3], balls[:, :3] - box.upper), 0), axis=1)
+        gap = float((gap - balls[:, 3]).min())
+        if abs(gap) < 0.01:  # between two samples of the path the guard looks closer than this test
+            continue
+        refused.append(gap < 0)
+        with pytest.raises(StageFailure, match="keep-out") if refused[-1] else nullcontext():
+            check_trajectory(SOUND, sawyer.NEUTRAL, replace(LIMITS, keep_out=(box,)))
+    assert 3 < sum(refused) < len(refused) - 3, "both happened"
+
+
 # What the arm says on its way.
 
 
@@ -283,6 +302,18 @@ def test_a_bad_reading_stops_the_arm_on_its_way(message: str) -> None:
 def test_an_arm_that_feels_nothing_is_not_stopped_for_it() -> None:
     arm = readings(lambda _, s: replace(s, force=float("nan")))
     GuardedArm(arm, LIMITS).follow(SOUND)
+    assert arm.done == 1
+
+
+def test_a_reading_that_repeats_for_a_moment_is_no_fault_however_long_the_arm_moves() -> None:
+    last: list[ArmSample] = []
+
+    def twice(n: int, sample: ArmSample) -> ArmSample:
+        last.append(sample if n % 2 else replace(sample, measured=last[-1].measured))
+        return last[-1]
+
+    arm = readings(twice)
+    GuardedArm(arm, replace(LIMITS, tracking=0.2)).follow(SOUND)
     assert arm.done == 1
 
 

@@ -26,7 +26,7 @@ from fastapi.testclient import TestClient
 from anther.cli import main
 from anther.plant import TOMATO
 from anther.serve import make_app
-from anther.serve.app import charts
+from anther.serve._app import charts
 from anther.store import (
     GraspRecord,
     Job,
@@ -39,7 +39,7 @@ from anther.store import (
     record_outcome,
     record_trial,
 )
-from anther.store.jobs import State
+from anther.store.overview import State
 
 NOW = datetime.now(UTC).replace(microsecond=0)
 TOKEN = "a token of the house"
@@ -262,7 +262,7 @@ def test_a_slow_page_holds_up_no_robot(where: str, tmp_path: Path, monkeypatch: 
         go_on.wait(60)
         return found
 
-    monkeypatch.setattr("anther.serve.app.overview.days", slowly)
+    monkeypatch.setattr("anther.serve._app.overview.days", slowly)
     pages, answers = client(where, tmp_path), []
     page = threading.Thread(target=lambda: answers.append(pages.get(f"/?day={NOW.date()}")))
     page.start()

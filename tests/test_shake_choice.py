@@ -10,7 +10,7 @@ import pytest
 from sample_plants import branched, grasps_on, stem_along, straight_stem
 
 from anther.elastic_rod import Clamp, Drive, Rods
-from anther.elastic_rod.response import driven_response
+from anther.elastic_rod._response import driven_response
 from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
 from anther.grasp import Grasp

@@ -76,7 +76,7 @@ def test_a_response_that_cannot_be_measured_leaves_the_belief_and_the_history_as
 def test_a_locked_history_keeps_the_trial_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     where, record = tmp_path / "h.sqlite", trial("a", TOMATO, TOMATO)
     assert remember(record, tmp_path / "first", str(where)) is None
-    monkeypatch.setattr("anther.store.database.PATIENCE", 0.2)
+    monkeypatch.setattr("anther.store._database.PATIENCE", 0.2)
     other = sqlite3.connect(where)
     other.execute("BEGIN IMMEDIATE")
     told = remember(replace(record, plant="b"), tmp_path / "second", str(where))

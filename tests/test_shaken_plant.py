@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from finer_plant import divided
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shaken_plant import Params, ShakenPlant
 from straight_plant import BASE, chain, plant_of, straight_plant
 
-from anther.sim import plant_mechanics
-from anther.sim.finer_plant import divided
+from anther.sim import _plant_mechanics
 from anther.sim.pepper import grow_pepper
-from anther.sim.shaken_plant import Params, ShakenPlant
 from anther.sim.tomato import grow_tomato
 from anther.sim.truth import Truth
 from anther.vibration.observables import semi_major
@@ -78,7 +78,7 @@ def test_the_linear_swing_is_where_a_small_steady_shake_is_at_the_same_time(pads
     assert swung - shaken.plant.flower_position == pytest.approx(linear, abs=5e-3 * found.amplitude.max())
 
 
-FINELY = Params(plant=plant_mechanics.Params(piece=0.005, twist_every=1, stiffest=1e5))
+FINELY = Params(plant=_plant_mechanics.Params(piece=0.005, twist_every=1, stiffest=1e5))
 
 
 @pytest.mark.parametrize(("pads", "theory"), [((np.inf, np.inf), 12.0), ((1e9, 1e-6), 3.0), ((200.0, 1e9), 12.0)])
@@ -150,7 +150,7 @@ def test_frequencies_have_converged() -> None:
     place = plant.stem_centreline()[0][4]
 
     def lowest(**cut: Any) -> Any:
-        params = Params(plant=plant_mechanics.Params(**cut))
+        params = Params(plant=_plant_mechanics.Params(**cut))
         return ShakenPlant(plant, place, SIDEWAYS, params).mechanics.frequencies[:8]
 
     usual, exact = ShakenPlant(plant, place, SIDEWAYS).mechanics.frequencies[:8], lowest(piece=0.0125, twist_every=1)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from capture_path import through_views
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.arm import sawyer, sharpness
 from anther.arm.views import SEEN, Params, Views, capture_time, cylinder_points, plan_views
 from anther.errors import InputError
 from anther.geometry import Box
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-from capture_path import through_views
 
 REGION = Box(np.array([0.47, -0.25, -0.3]), np.array([0.97, 0.25, 0.35]))
 POINTS = cylinder_points(REGION, SEEN)

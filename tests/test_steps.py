@@ -17,7 +17,7 @@ from anther.commands.trial_summary import _watched
 from anther.errors import InputError
 from anther.execution import Step, Trial
 from anther.files import write_json
-from anther.pictures.steps import draw_steps
+from anther.pictures.report import draw_steps
 from anther.pipeline import Params
 from anther.report import write_report
 from anther.results import RunResults, watched_words

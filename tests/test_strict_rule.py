@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from made_plants import simple_plant
-
-from anther.cloud import Cloud
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
-
 from real.plants import Labelled
 from real.strict import KINDS, Judged, disturbed, judged, metrics
+
+from anther.cloud import Cloud
 
 
 @pytest.fixture(scope="module")

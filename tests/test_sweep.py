@@ -24,8 +24,8 @@ from anther.cli import main
 from anther.commands import sweep_kinds
 from anther.errors import InputError
 from anther.store import Job, overview, reading
-from anther.sweep import running, working
-from anther.sweep.places import Disk, Store, place
+from anther.sweep import _running, _working
+from anther.sweep._places import Disk, Store, place
 
 distributed = pytest.importorskip("distributed", reason="dask is not installed: pip install 'anther[sweep]'")
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -107,24 +107,24 @@ def test_what_raises_or_kills_is_set_aside_with_its_reason(rows, scheduler: str,
     assert runs(tmp_path) == [0, 1, 1, 1, 2, 2, 3]
 
 
-def order(folder: Path | str, **other: Any) -> working.Order:
+def order(folder: Path | str, **other: Any) -> _working.Order:
     """Register a sweep without rows and return what its tasks have in common."""
     sweep.run(squared, [], folder, quiet=True, history=other.pop("history", None))
     uid = json.loads(place(folder).read("sweep.json") or b"")["uid"]
-    return replace(working.Order(squared, str(folder), uid, 3, 3, working.versions()), **other)
+    return replace(_working.Order(squared, str(folder), uid, 3, 3, _working.versions()), **other)
 
 
 @pytest.fixture
 def here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tasks are performed in this process."""
-    monkeypatch.setattr(working, "_keep_to_one_thread", lambda _: None)
+    monkeypatch.setattr(_working, "_keep_to_one_thread", lambda _: None)
 
 
 def test_a_full_disk_is_no_fault_of_the_task(rows, here: None, tmp_path: Path) -> None:
     asked = order(tmp_path / "sweep")
     with pytest.raises(InputError, match=r"cloud\.ply cannot be written\. What was finished is kept"):
-        working.perform(asked, Job("a", rows[0] | {"what": "full"}))
-    done = working.perform(asked, Job("a", rows[0]))
+        _working.perform(asked, Job("a", rows[0] | {"what": "full"}))
+    done = _working.perform(asked, Job("a", rows[0]))
     assert (done.state, done.tries) == ("done", 1)
 
 
@@ -134,7 +134,7 @@ def test_a_full_disk_is_no_fault_of_the_task(rows, here: None, tmp_path: Path) -
 )
 def test_a_worker_that_does_not_fit_stops_the_sweep(change, told: str, rows, here: None, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=told):
-        working.perform(order(tmp_path / "sweep", **change), Job("a", rows[0]))
+        _working.perform(order(tmp_path / "sweep", **change), Job("a", rows[0]))
     assert not (tmp_path / "log").exists()
 
 
@@ -142,7 +142,7 @@ def test_other_versions_are_told_by_a_real_worker_and_nothing_is_lost(
     rows, scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patched:
-        patched.setattr(sweep, "versions", lambda: working.versions() | {"mujoco": "1.2.3"})
+        patched.setattr(sweep, "versions", lambda: _working.versions() | {"mujoco": "1.2.3"})
         with pytest.raises(InputError, match=r"mujoco .* instead of 1\.2\.3"):
             sweep.run(squared, rows, tmp_path / "sweep", scheduler=scheduler, quiet=True)
     assert len(sweep.run(squared, rows, tmp_path / "sweep", scheduler=scheduler, quiet=True)) == 4
@@ -153,7 +153,7 @@ def test_a_task_that_another_process_is_at_is_waited_for_not_begun_twice(rows, h
     folder = tmp_path / "sweep"
     asked, job, found = order(folder), Job("a", rows[3]), []
     with Disk(folder).attempt("a") as attempt:
-        second = threading.Thread(target=lambda: found.append(working.perform(asked, job)))
+        second = threading.Thread(target=lambda: found.append(_working.perform(asked, job)))
         second.start()
         time.sleep(0.3)
         assert second.is_alive()
@@ -166,7 +166,7 @@ def test_a_task_that_another_process_is_at_is_waited_for_not_begun_twice(rows, h
 @pytest.mark.parametrize(("seconds", "room"), [(np.inf, 2), (35.0, 2), (0.1, 12), (1e-4, 202)])
 def test_of_long_tasks_none_is_handed_over_before_a_worker_has_time(seconds: float, room: int) -> None:
     client: Any = SimpleNamespace(nthreads=lambda: {"tcp://a": 1, "tcp://b": 1})
-    assert running._room(client, seconds) == room
+    assert _running._room(client, seconds) == room
 
 
 def test_a_store_keeps_the_files_and_tells_what_it_refuses(rows, here: None, tmp_path, monkeypatch) -> None:
@@ -175,8 +175,8 @@ def test_a_store_keeps_the_files_and_tells_what_it_refuses(rows, here: None, tmp
     with pytest.raises(InputError, match="A store holds no database"):
         sweep.run(squared, rows, where, quiet=True)
     asked = order(where, history=history)
-    first = working.perform(asked, Job("a", rows[2]))
-    assert working.perform(asked, Job("a", rows[2])) == first
+    first = _working.perform(asked, Job("a", rows[2]))
+    assert _working.perform(asked, Job("a", rows[2])) == first
     assert (first.result or {})["square"] == 4
     kept = place(where)
     assert isinstance(kept, Store)
@@ -189,7 +189,7 @@ def test_a_store_keeps_the_files_and_tells_what_it_refuses(rows, here: None, tmp
 
     monkeypatch.setattr(type(fsspec.filesystem("memory")), "pipe_file", refuse)
     with pytest.raises(InputError, match=r"cannot be read or written \(Access Denied\)"):
-        working.perform(asked, Job("b", rows[3]))
+        _working.perform(asked, Job("b", rows[3]))
 
 
 def test_s3(rows, scheduler: str, tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from test_sweep import squared
 from anther import sweep
-from anther.sweep.places import place
+from anther.sweep._places import place
 import boto3
 
 if __name__ == "__main__":
@@ -304,7 +304,7 @@ def test_cells_become_what_the_options_take() -> None:
 
 @pytest.mark.parametrize("where", ["tcp://127.0.0.1:9", "nonsense"])
 def test_a_scheduler_that_is_not_there(where: str, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "PATIENCE", 1.0)
+    monkeypatch.setattr(_running, "PATIENCE", 1.0)
     (tmp_path / "t.csv").write_text("seed\n3\n")
     assert main(["sweep", str(tmp_path / "t.csv"), "--out", str(tmp_path / "s"), "--scheduler", where]) == 2
     said = capsys.readouterr().err

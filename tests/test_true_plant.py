@@ -6,14 +6,14 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from shaken_plant import ShakenPlant
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.errors import InputError
-from anther.sim.mechanics import buckling_factor
+from anther.sim._growth import buckling_factor
+from anther.sim._plant_mechanics import Params
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.plant_mechanics import Params
-from anther.sim.shaken_plant import ShakenPlant
 from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
 from anther.sim.true_plant import SLOWEST, as_true, branches, natural_frequencies

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from shaken_plant import ShakenPlant
 from straight_plant import BASE, straight_plant
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "experiments"))
 from vibration import brief
 from vibration_models import true_model
 from vibration_plant import DIRECTION, HEIGHTS, MIDDLE, Case, arm_amplitude, matched, plan, stem_points
 from vibration_table import metrics, report, score
 
-from anther.sim.shaken_plant import ShakenPlant
 from anther.vibration.observables import semi_major
 
 CASE = Case("tomato", 0, (1.0, 5.0), (4e-3, 8e-3, 12e-3))

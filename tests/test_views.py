@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anther.arm import sawyer
-from anther.arm.collision import CollisionWorld
+from anther.arm._collision import CollisionWorld
 from anther.arm.views import Params, capture_time, cylinder_points, plan_views, reachable_views, visit_views
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, layout
 from anther.errors import InputError, StageFailure

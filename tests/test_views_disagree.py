@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from anther.capture import Capture
-from anther.cloud import Cloud, fuse
-from anther.cloud.disagreement import MOST_SEEN_THROUGH, OPENGL_TO_OPENCV, likely_cause
+from anther.cloud import Cloud, fuse, likely_cause
+from anther.cloud._disagreement import MOST_SEEN_THROUGH, OPENGL_TO_OPENCV
 from anther.errors import StageFailure
 from anther.geometry import inverse
 from anther.masks import Masks, segment

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_robot import LIMITS, FakeArm, FakeCamera, FakeGripper, fake_robot
+from faulty_machines import Fault, with_faults
 from test_execution import GRASP, PLANNER, Blind, Plan
 
 from anther.arm import sawyer
 from anther.devices import LEAD, ArmSample, DeviceError, Frame, Robot
 from anther.errors import InputError
 from anther.execution import PHASES, Line, Params, Step, Trial, execute
-from anther.sim.faults import Fault, with_faults
 from anther.swing import Swing
 
 TONES = np.array([4.0, 6.0])

@@ -1,73 +1,114 @@
 """Small wrong changes, one at a time, and which of them the tests catch.
 
-    python tools/mutants.py --count 25                 # of each area, chosen by --seed
-    python tools/mutants.py --area safety --count 60 --json mutants.json
+    python tools/mutants.py --count 26                 # of each area, chosen by --seed
+    python tools/mutants.py --area safety --count 60
 
-A mutant turns one comparison, sum, product, and/or, minimum/maximum or negation into its opposite. The tests of its
-area are run on a copy of the sources; a mutant that they pass with has survived. A survivor is either a rule that no
-test states, or a change that nobody could notice: read them.
+A mutant turns one comparison, sum, product, and/or, minimum/maximum or negation into its opposite. The tests that
+enter its function are run on a copy of the sources; a mutant that they pass with has survived. A survivor is either a
+rule that no test states, or a change that nobody could notice: read them. What was tried is kept in `build/mutants`, so
+that a stopped run goes on; `--again` tries the survivors once more.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import json
 import os
-import random
 import shutil
+import signal
 import subprocess
 import sys
-import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from types import FrameType
+from typing import Any, NamedTuple
+
+import pytest
 
 ROOT = Path(__file__).parents[1]
+KEPT = ROOT / "build" / "mutants"
+COPY = KEPT / "src"
 AREAS = {
     "safety": (
-        ["safety.py", "motion_limits.py", "watchdog.py", "motor_guard.py", "pressing.py"],
-        ["test_safety.py", "test_devices.py", "test_motor.py", "test_pressing.py"],
+        ["safety", "pressing.py"],
+        ["test_safety.py", "test_devices.py", "test_chain.py", "test_motor.py", "test_pressing.py"],
     ),
     "execution": (
-        ["execution", "early_reach.py", "swing.py"],
+        ["execution", "swing.py"],
         ["test_execution.py", "test_early_reach.py", "test_swing.py", "test_watched_execution.py", "test_steps.py"],
     ),
     "grasp": (["grasp"], ["test_grasp.py", "test_confidence.py"]),
     "shake": (
         ["vibration", "escalation"],
-        ["test_vibration.py", "test_shake_choice.py", "test_escalation.py", "test_foresight.py", "test_pads.py"],
+        [
+            "test_shake_choice.py", "test_vibration.py", "test_escalation.py", "test_foresight.py", "test_pads.py",
+            "test_breeze.py", "test_expectation.py",
+        ],
     ),
     "response": (
         ["response", "flower_tracking.py", "oscillation.py"],
         ["test_response.py", "test_points.py", "test_beside.py"],
     ),
-    "history": (["store", "fruit_set.py"], ["test_store.py", "test_beliefs.py", "test_fruit_set.py"]),
-}
+    "history": (
+        ["store", "fruit_set.py"],
+        ["test_store.py", "test_beliefs.py", "test_fleet.py", "test_fruit_set.py", "test_serve.py"],
+    ),
+}  # fmt: skip
 """Area -> its sources under src/anther, and the tests that state its rules."""
 COMPARED = {ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.Gt, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
 CALCULATED = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}
 CALLED = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
-TIMEOUT = 600
-"""Of the tests of one mutant [s]; one that hangs is caught."""
+SLOWER = 10
+"""A mutant whose tests take so many times as long, and two minutes, hangs: it is caught."""
 
 
 class Mutant(NamedTuple):
-    """One wrong change: of which file, on which line, from what to what, and the file's text with it."""
+    """One wrong change: where, from what to what, the file's text with it, and the functions about it, innermost first.
 
-    file: Path
+    The key is the same as long as the function about it is.
+    """
+
+    file: str
     line: int
     before: str
     after: str
     text: str
+    inside: list[str]
+    compiled: bool
+    key: str
+
+
+def mutants(area: str, seed: int) -> Iterator[Mutant]:
+    """All mutants of an area in an order that the seed draws and that changes elsewhere in the sources do not alter."""
+    places = []
+    for name in AREAS[area][0]:
+        place = COPY / "anther" / name
+        for file in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
+            seen: dict[str, int] = defaultdict(int)
+            for k, node in enumerate(changeable(ast.parse(file.read_text()))):
+                said = ast.unparse(node)
+                seen[said] += 1
+                drawn = hashlib.sha256(f"{seed} {file.name} {said} {seen[said]}".encode()).hexdigest()
+                places.append((drawn, file, k))
+    yield from (mutant(file, k) for _, file, k in sorted(places))
 
 
 def mutant(file: Path, number: int) -> Mutant:
     """Return a file with its changeable place of that number changed."""
     tree = ast.parse(file.read_text())
     node = changeable(tree)[number]
-    before = ast.unparse(node)
+    before, line = ast.unparse(node), getattr(node, "lineno", 0)
+    about = [f for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) and f.lineno <= line <= (f.end_lineno or 0)]
+    about.reverse()
+    name = str(file.relative_to(COPY))
+    inside = [f"{name}:{min([f.lineno, *(d.lineno for d in f.decorator_list)])}" for f in about]
+    compiled = any("njit" in ast.unparse(d) or "compiled" in ast.unparse(d) for f in about for d in f.decorator_list)
     _change(node)
-    return Mutant(file, getattr(node, "lineno", 0), before, ast.unparse(node), ast.unparse(tree))
+    key = hashlib.sha256(ast.unparse(about[0] if about else tree).encode()).hexdigest()[:12]
+    return Mutant(name, line, before, ast.unparse(node), ast.unparse(tree), inside, compiled, key)
 
 
 def changeable(tree: ast.AST) -> list[ast.AST]:
@@ -106,53 +147,132 @@ def _change(node: ast.AST) -> None:
             name.attr = CALLED[name.attr]
 
 
-def survives(tried: Mutant, copy: Path, tests: list[Path]) -> bool:
-    """Return whether the tests pass with a mutant, in a copy of the sources."""
-    place = copy / tried.file.relative_to(ROOT / "src")
-    kept = place.read_bytes()
+class Entered:
+    """A pytest plugin: which functions of the copy each test enters, and how long it takes [s]."""
+
+    def __init__(self) -> None:
+        self.functions: dict[str, set[str]] = {}
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """Watch the calls while a test and its fixtures run."""
+        entered: set[tuple[str, int]] = set()
+
+        def watch(frame: FrameType, event: str, arg: Any) -> None:
+            entered.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
+
+        sys.settrace(watch)
+        yield
+        sys.settrace(None)
+        here = f"{COPY}/"
+        self.functions[item.nodeid] = {f"{f.removeprefix(here)}:{n}" for f, n in entered if f.startswith(here)}
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Keep how long a test takes."""
+        self.seconds[report.nodeid] += report.duration
+
+
+def coverage(area: str) -> dict[str, list[Any]]:
+    """Return test -> [the functions it enters, its seconds], kept for the same tests and sources."""
+    tests = [ROOT / "tests" / name for name in AREAS[area][1]]
+    every = [*sorted((COPY / "anther").rglob("*.py")), *sorted((ROOT / "tests").glob("*.py"))]
+    state = hashlib.sha256(b"".join(path.read_bytes() for path in every)).hexdigest()[:16]
+    kept = KEPT / f"{area}_{state}.json"
+    if not kept.exists():
+        code = f"import sys, tools.mutants as m; m.watch({[str(t) for t in tests]}, {str(kept)!r})"
+        subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=_environment(), check=True)
+    return json.loads(kept.read_text())
+
+
+def watch(tests: list[str], kept: str) -> None:
+    """Run tests and write what each enters."""
+    plugin = Entered()
+    if pytest.main(["-q", "-p", "no:cacheprovider", *tests], plugins=[plugin]) != 0:
+        sys.exit("the tests fail without any mutant")
+    found = {test: [sorted(names), plugin.seconds[test]] for test, names in plugin.functions.items()}
+    Path(kept).write_text(json.dumps(found))
+
+
+def tests_of(tried: Mutant, covered: dict[str, list[Any]]) -> list[str]:
+    """Return the tests that enter a mutant's function, those of the quickest file first.
+
+    Outside of any function these are all tests; of a compiled one, which no trace sees, those that enter its file.
+    """
+    every = {name for names, _ in covered.values() for name in names}
+    inside = next((f for f in tried.inside if f in every), f"{tried.file}:" if tried.compiled else "")
+    if tried.inside and not inside:
+        return []
+    file = not inside or inside.endswith(":")
+    enters = {n for n in every if n == inside or (file and n.startswith(inside))}
+    chosen = [test for test, (names, _) in covered.items() if not enters.isdisjoint(names)]
+    spent: dict[str, float] = defaultdict(float)
+    for test in chosen:
+        spent[test.split("::")[0]] += covered[test][1]
+    return sorted(chosen, key=lambda test: spent[test.split("::")[0]])
+
+
+def survives(tried: Mutant, tests: list[str], seconds: float) -> bool:
+    """Return whether the tests pass with a mutant, in the copy of the sources."""
+    if not tests:
+        return True
+    place = COPY / tried.file
     place.write_text(tried.text)
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *map(str, tests)]
-    env = os.environ | {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
     try:
-        done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, timeout=TIMEOUT, check=False)
-        return done.returncode == 0
+        return not subprocess.run(
+            command, cwd=ROOT, env=_environment(), capture_output=True, timeout=SLOWER * seconds + 120, check=False
+        ).returncode
     except subprocess.TimeoutExpired:
         return False
     finally:
-        place.write_bytes(kept)
+        shutil.copy2(ROOT / "src" / tried.file, place)
+
+
+def _environment() -> dict[str, str]:
+    return os.environ | {"PYTHONPATH": f"{COPY}:{ROOT}", "OMP_NUM_THREADS": "1"}
+
+
+def tried_in(area: str, count: int, seed: int, again: bool, rows: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Try mutants of an area that were not tried yet; return the rows of all of them."""
+    covered = coverage(area)
+    mine = []
+    for tried, _ in zip(mutants(area, seed), range(count), strict=False):
+        if tried.key not in rows or (again and rows[tried.key]["survived"]):
+            tests = tests_of(tried, covered)
+            lived = survives(tried, tests, sum(covered[test][1] for test in tests))
+            where = f"{tried.file}:{tried.line}"
+            rows[tried.key] = {"where": where, "from": tried.before, "to": tried.after, "survived": lived}
+            (KEPT / "tried.json").write_text(json.dumps(rows, indent=1) + "\n")
+            said = f"{'SURVIVED' if lived else 'caught  '} {where}: {tried.before}  ->  {tried.after}"
+            print(f"{said}  ({len(tests)} tests)", flush=True)
+        mine.append(rows[tried.key])
+    return mine
 
 
 def main() -> None:
     """Try mutants of each area and print the survivors."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--area", choices=AREAS, nargs="*", default=list(AREAS))
-    parser.add_argument("--count", type=int, default=25, help="mutants of each area")
+    parser.add_argument("--count", type=int, default=26, help="mutants of each area")
     parser.add_argument("--seed", type=int, default=0, help="of the choice")
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--again", action="store_true", help="try what survived before once more")
     args = parser.parse_args()
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "src"
-        shutil.copytree(ROOT / "src", copy)
-        for area in args.area:
-            sources, tests = AREAS[area]
-            places = [ROOT / "src" / "anther" / name for name in sources]
-            files = [file for place in places for file in (sorted(place.rglob("*.py")) if place.is_dir() else [place])]
-            every = [(file, k) for file in files for k in range(len(changeable(ast.parse(file.read_text()))))]
-            for file, k in random.Random(f"{args.seed} {area}").sample(every, min(args.count, len(every))):
-                tried = mutant(file, k)
-                lived = survives(tried, copy, [ROOT / "tests" / name for name in tests])
-                where = f"{file.relative_to(ROOT)}:{tried.line}"
-                rows.append({"area": area, "where": where, "from": tried.before, "to": tried.after, "survived": lived})
-                print(f"{'SURVIVED' if lived else 'caught  '} {where}: {tried.before}  ->  {tried.after}", flush=True)
-    for area in args.area:
-        mine = [row for row in rows if row["area"] == area]
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a job in the background ignores it, tests of Ctrl-C may not
+    shutil.copytree(ROOT / "src", COPY, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
+    kept = KEPT / "tried.json"
+    rows = json.loads(kept.read_text()) if kept.exists() else {}
+    found = {area: tried_in(area, args.count, args.seed, args.again, rows) for area in args.area}
+    print("\n| area | tried | caught |\n|---|---|---|")
+    found["all"] = [row for mine in found.values() for row in mine]
+    for area, mine in found.items():
         caught = sum(not row["survived"] for row in mine)
-        print(f"{area}: {caught} of {len(mine)} caught")
-    caught = sum(not row["survived"] for row in rows)
-    print(f"all: {caught} of {len(rows)} caught, {100 * caught / max(len(rows), 1):.0f} %")
-    if args.json:
-        args.json.write_text(json.dumps(rows, indent=1) + "\n")
+        print(f"| {area} | {len(mine)} | {caught} ({100 * caught / max(len(mine), 1):.0f} %) |")
+    for row in found["all"]:
+        if row["survived"]:
+            print(f"- `{row['where']}`: `{row['from']}` -> `{row['to']}`")
 
 
 if __name__ == "__main__":

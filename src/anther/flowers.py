@@ -23,6 +23,16 @@ from anther.stem.organs import longest_way
 
 SUPPOSED = 0.015  # m, of a flower nobody saw from the end that carries it: a pedicel (9 to 22 mm; facts: pollination)
 _KIND, _SCHEMA = "flowers", 1
+APART = 0.012
+"""Clusters whose centres are nearer than this are one flower in pieces [m]."""
+GRID = 0.0015
+"""Points are thinned to one per cube of this edge first [m]."""
+FULLNESS = 0.45
+"""A flower's points cover at least this share of the disc as wide as it is: specks on a leaf lie scattered."""
+FARTHEST = 0.08
+"""A flower farther than this from the node that carries it is not believed [m]."""
+ON_LEAF = 4.0
+"""A node on a leaf counts as so many times farther away: flowers hang on trusses and stems."""
 _ROUNDS, _STARTS = 10, 400  # of mean shift, and so many points at most that are shifted
 
 
@@ -34,33 +44,22 @@ class Params:
         gap: points nearer than this belong to one cluster [m].
         largest: a cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across.
         reach: radius of the kernel that splits such a cluster [m].
-        apart: clusters whose centres are nearer than this are one flower in pieces [m].
-        fewest: a flower has at least so many points, counted on a grid of `grid`.
-        grid: points are thinned to one per cube of this edge first [m].
+        fewest: a flower has at least so many points, counted on a grid of `GRID`.
         smallest: a flower is at least so large [m], or it is a speck.
-        fullness: its points cover at least this share of the disc as wide as it is: specks on a leaf lie scattered.
-        farthest: a flower farther than this from the node that carries it is not believed [m].
         pedicel: a truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination).
-        leaf_cost: a node on a leaf counts as so many times farther away: flowers hang on trusses and stems.
     """
 
     gap: float = 0.005
     largest: float = 0.033
     reach: float = 0.008
-    apart: float = 0.012
     fewest: int = 8
-    grid: float = 0.0015
     smallest: float = 0.003
-    fullness: float = 0.45
-    farthest: float = 0.08
     pedicel: float = 0.025
-    leaf_cost: float = 4.0
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        for name in ("gap", "grid", "reach", "largest"):
+        for name in ("gap", "reach", "largest"):
             check_range(name, getattr(self, name), 1e-4, 1, "m")
-        check_range("fullness", self.fullness, 0, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +115,7 @@ def find_flowers(
     params = params or Params()
     centres = flower_centres(cloud, params) if centres is None else centres
     distance, carrier = _carriers(centres, skeleton, stem, params)
-    near = distance <= params.farthest
+    near = distance <= FARTHEST
     notes = []
     if not near.any():
         notes.append(f"no flowers: {np.count_nonzero(cloud.labels == FLOWER)} points are labelled as flower")
@@ -134,19 +133,19 @@ def flower_centres(cloud: Cloud, params: Params | None = None) -> Array:
     points = cloud.points[cloud.labels == FLOWER]
     if not len(points):
         return np.zeros((0, 3))
-    _, first = np.unique(np.rint(points / params.grid).astype(np.int64), axis=0, return_index=True)
+    _, first = np.unique(np.rint(points / GRID).astype(np.int64), axis=0, return_index=True)
     points = points[first]
     pieces = [part for cluster in _clusters(points, params.gap) for part in _split(cluster, params)]
     middles = np.array([piece.mean(axis=0) for piece in pieces])
-    joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, params.apart)]
+    joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, APART)]
     real = [flower.mean(axis=0) for flower in joined if _is_flower(flower, params)]
     return np.array(real).reshape(-1, 3)
 
 
 def _is_flower(points: Array, params: Params) -> bool:
     extent = _extent(points)
-    covered = len(points) * params.grid**2 / (np.pi / 4 * max(extent, params.grid) ** 2)
-    return len(points) >= params.fewest and extent >= params.smallest and covered >= params.fullness
+    covered = len(points) * GRID**2 / (np.pi / 4 * max(extent, GRID) ** 2)
+    return len(points) >= params.fewest and extent >= params.smallest and covered >= FULLNESS
 
 
 def _clusters(points: Array, gap: float) -> list[Array]:
@@ -175,7 +174,7 @@ def _split(cluster: Array, params: Params) -> list[Array]:
         if not len(moving):
             break
     weight = tree.query_ball_point(peaks, params.reach, return_length=True)
-    modes = _heaviest(peaks[np.argsort(weight)[::-1]], params.apart)
+    modes = _heaviest(peaks[np.argsort(weight)[::-1]], APART)
     _, owner = KDTree(modes).query(cluster)
     return [cluster[owner == k] for k in range(len(modes)) if np.any(owner == k)]
 
@@ -208,7 +207,7 @@ def _carriers(centres: Array, skeleton: Skeleton, stem: Stem, params: Params) ->
     if not len(centres):
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     away = np.linalg.norm(centres[:, None] - skeleton.nodes, axis=2)
-    carrier = np.argmin(away * np.where(stem.organ == LEAF, params.leaf_cost, 1.0), axis=1)
+    carrier = np.argmin(away * np.where(stem.organ == LEAF, ON_LEAF, 1.0), axis=1)
     carrier = _pedicel_bases(skeleton, stem, params)[carrier]
     return away[np.arange(len(centres)), carrier], carrier
 

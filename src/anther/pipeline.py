@@ -10,13 +10,12 @@ from typing import Literal, Protocol
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
 from anther.capture import Capture
-from anther.cloud import Cloud
-from anther.cloud.disagreement import likely_cause
+from anther.cloud import Cloud, likely_cause
 from anther.devices import Robot, SafetyLimits
-from anther.early_reach import Arrive, early_reach
 from anther.errors import FailureKind, InputError, StageFailure
 from anther.escalation import Escalation, foresee, watch_points
 from anther.execution import Trial
+from anther.execution.early_reach import Arrive, early_reach
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp

@@ -14,7 +14,7 @@ import numpy as np
 from anther.files import write_text
 from anther.fruit_set import worth
 from anther.pictures import report as figures
-from anther.pictures.steps import draw_steps
+from anther.pictures.report import draw_steps
 from anther.plant import LEARNED, Material
 from anther.response import Response
 from anther.results import FILM, RunResults, watched_words

@@ -22,7 +22,7 @@ from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt
-from anther.store.records import TrialRecord, read_record
+from anther.store import TrialRecord, read_record
 from anther.vibration import Crop, ShakePlan
 
 EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"

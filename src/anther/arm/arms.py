@@ -9,9 +9,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from anther.arm._urdf import from_urdf
 from anther.arm.model import ArmModel
 from anther.arm.sawyer import SAWYER
-from anther.arm.urdf import from_urdf
 from anther.errors import bad_input
 
 Name = Literal["sawyer", "ur5e", "fr3"]

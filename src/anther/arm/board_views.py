@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from anther.arm import kinematics
+from anther.arm import _kinematics
 from anther.arm.model import ArmModel
 from anther.arm.planner import Params, Planner
 from anther.devices import JointTrajectory, SafetyLimits
 from anther.errors import StageFailure
 from anther.geometry import Array, Box, transform_points
-from anther.motion_limits import check_trajectory
+from anther.safety import check_trajectory
 
 AROUND, DEEP = 0.03, 0.02
 """The board is taken to be so much larger to each side, and so much thicker, than it is [m]: its plate, and what is not
@@ -51,11 +51,11 @@ def first_reached(
     """Return the number of the first of (C, 4, 4) poses that the arm can go to, and the motion; None if there is none.
 
     Only straight lines of the joints count, from joints `here` (J,): whoever stands beside the arm can foresee them.
-    They touch nothing the planner knows, and pass all that the guard will ask of them (`motion_limits`).
+    They touch nothing the planner knows, and pass all that the guard will ask of them.
     """
     for begin in range(0, len(T_base_flange), BATCH):
         poses = T_base_flange[begin : begin + BATCH]
-        solved = kinematics.inverse_many(planner.arm, poses, near=here, seeds=SEEDS)
+        solved = _kinematics.inverse_many(planner.arm, poses, near=here, seeds=SEEDS)
         for number, branches in enumerate(solved):
             for there in branches[:BRANCHES]:
                 motion = straight_way(planner, limits, here, there)

@@ -12,11 +12,11 @@ from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathSh
 from roboplan.rrt import RRT, RRTOptions
 from scipy.spatial.transform import Rotation, Slerp
 
-from anther.arm import dynamics, kinematics, shaking, timing
-from anther.arm.collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
+from anther.arm import _kinematics, shaking, timing
+from anther.arm._collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
+from anther.arm._tours import DETOUR, least_times
 from anther.arm.model import ARM_MARGIN, ArmModel, outline
 from anther.arm.sawyer import SAWYER
-from anther.arm.tours import DETOUR, least_times
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -102,7 +102,7 @@ class Planner:
 
     def inverse(self, T_world_flange: ArrayLike, *, near: ArrayLike | None = None) -> Array:
         """Return the collision-free joint solutions (B, J) of a flange pose, those nearest to `near` (J,) first."""
-        branches = kinematics.inverse(self.arm, T_world_flange, near=near)
+        branches = _kinematics.inverse(self.arm, T_world_flange, near=near)
         return branches[[self.world.free(q) for q in branches]] if len(branches) else branches
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
@@ -115,7 +115,7 @@ class Planner:
         grasp, pregrasp = check_transform("grasp", T_world_grasp), check_transform("pre-grasp", T_world_pregrasp)
         if self._wrist_in_plant(grasp, float(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]))):
             return None
-        branches = kinematics.inverse(self.arm, grasp)
+        branches = _kinematics.inverse(self.arm, grasp)
         if not len(branches):
             return None
         poses = _poses_between(grasp, pregrasp, REACH_STEP)
@@ -137,7 +137,7 @@ class Planner:
         parts = [] if leave is None else [leave]
         if np.abs(goal - start).max() > 1e-9 or (leave is None and enter is None):
             parts.append(self._free_motion(start, goal))
-        return dynamics.check_effort(self.arm, timing.joined(parts if enter is None else [*parts, enter.backwards()]))
+        return timing.check_effort(self.arm, timing.joined(parts if enter is None else [*parts, enter.backwards()]))
 
     def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
         """Return a slow straight motion of the flange to a pose; gripper and camera may touch the plant.
@@ -153,7 +153,7 @@ class Planner:
         q = check_array("start joints", q_from, (self.arm.count,))
         target = check_transform("flange pose", T_world_to)
         here = self.arm.forward(q)
-        path = kinematics.follow(self.arm, q[None], _poses_between(here, target, LINE_STEP))[0]
+        path = _kinematics.follow(self.arm, q[None], _poses_between(here, target, LINE_STEP))[0]
         if not np.isfinite(path).all():
             raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
         with self.world.touching_plant():
@@ -161,7 +161,7 @@ class Planner:
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
         length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _angle(here, target)
         motion = timing.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
-        return dynamics.check_effort(self.arm, motion)
+        return timing.check_effort(self.arm, motion)
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
         """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
@@ -183,7 +183,7 @@ class Planner:
         if not self._may_swing(q, shake.positions[[along.argmin(), along.argmax()]]):
             size = 1e3 * max(piece.reach for piece in pieces)
             raise StageFailure("collision", f"a shake of {size:.1f} mm hits something. Shake less.")
-        return dynamics.check_effort(self.arm, shake)
+        return timing.check_effort(self.arm, shake)
 
     def _wrist_in_plant(self, T_world_flange: Array, length: float) -> bool:
         """Return whether plant is where `ArmModel.wrist` is at the end of a straight way of `length` [m].
@@ -206,7 +206,7 @@ class Planner:
             free = branches[[self.world.free(q) for q in branches]]
             worth = _shake_rank(self.arm, free) * np.exp(-HURRY * least_times(self.arm, free, self.home[None])[:, 0])
             ranked = free[np.argsort(-worth, kind="stable")]
-            followed = kinematics.follow(self.arm, ranked[:WAYS_FOLLOWED], poses)
+            followed = _kinematics.follow(self.arm, ranked[:WAYS_FOLLOWED], poses)
             return [way for way in followed if _steady(self.arm, way) and all(map(self.world.free, way))]
 
     def _brushing_free(self, way: Array) -> bool:
@@ -245,7 +245,7 @@ class Planner:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
         p, line = self.params, np.stack([start, goal])
         motion = timing.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
-        return dynamics.within_effort(
+        return timing.within_effort(
             self.arm, motion if self._open(line, motion.positions, FREE_STEP) else self._around(start, goal)
         )
 
@@ -338,7 +338,7 @@ class Planner:
             return q, None
         here = self.arm.forward(q)
         behind = here @ transform(np.eye(3), [0, 0, -BACK_OUT])
-        path = kinematics.follow(self.arm, q[None], _poses_between(here, behind, LINE_STEP))[0]
+        path = _kinematics.follow(self.arm, q[None], _poses_between(here, behind, LINE_STEP))[0]
         for i in range(len(path)):
             with self.world.touching_plant():
                 if not (np.isfinite(path[i]).all() and self.world.free(path[i])):
@@ -355,7 +355,7 @@ def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: 
     """
     q = check_array("joints", q, (arm.count,))
     quick = shaking.amplitude_limit(arm, q, direction, frequencies)
-    strong = dynamics.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
+    strong = timing.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
     return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from anther.arm import kinematics
+from anther.arm import _kinematics
 from anther.arm.model import FEWEST, ArmModel
 from anther.checks import check_array, check_range
 from anther.devices import JointTrajectory
@@ -114,7 +114,7 @@ def _follow_with_elbow(arm: ArmModel, q: Array, targets: Array, direction: Array
         particular, new_null = _particular_and_null(arm, path[-1], direction)
         null = new_null * np.sign(new_null @ null)
         guess = path[-1] + step * (particular + elbow * null)
-        path.append(kinematics.follow(arm, guess[None], target[None])[0, 0])
+        path.append(_kinematics.follow(arm, guess[None], target[None])[0, 0])
         if not np.isfinite(path[-1]).all():
             return np.full((len(targets), arm.count), np.nan)
     return np.array(path)

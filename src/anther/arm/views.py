@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.arm import kinematics, sharpness
+from anther.arm import _kinematics, sharpness
+from anther.arm._tours import shortest_tour
 from anther.arm.model import ArmModel
 from anther.arm.planner import SEARCH_STEP, Planner
 from anther.arm.planner import Params as MotionParams
 from anther.arm.sawyer import SAWYER
-from anther.arm.tours import shortest_tour
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -261,7 +261,7 @@ def _reachable(region: Box, planner: Planner, params: Params, hand_eye: Array) -
 def _free_branches(T_world_cam: Array, planner: Planner, hand_eye: Array, seeds: int) -> list[Array]:
     """Return for each of (V, 4, 4) camera poses the free joints (C, J) that hold it, upright or upside down."""
     poses = [T @ roll @ inverse(hand_eye) for T in T_world_cam for roll in _ROLLS]
-    solved = kinematics.inverse_many(planner.arm, np.array(poses).reshape(-1, 4, 4), seeds=seeds)
+    solved = _kinematics.inverse_many(planner.arm, np.array(poses).reshape(-1, 4, 4), seeds=seeds)
     both = [np.concatenate(solved[k : k + len(_ROLLS)]) for k in range(0, len(solved), len(_ROLLS))]
     return [choices[[planner.world.free(q) for q in choices]] if len(choices) else choices for choices in both]
 

@@ -13,27 +13,35 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from anther.calibration.boards import Board, CharucoBoard, Chessboard, parse_board
-from anther.calibration.closed_form import (
+from anther.calibration._boards import Board, CharucoBoard, Chessboard, parse_board, why_unseen
+from anther.calibration._hand_eye import (
     METHODS,
+    HandEye,
     Method,
+    MethodError,
     closed_form,
+    compare,
     disagreement,
+    left_out_errors,
     predicted_board,
     robust_estimate,
 )
-from anther.calibration.hand_eye import HandEye, MethodError
-from anther.calibration.leave_one_out import compare, left_out_errors
-from anther.calibration.motions import check_motions, motion_warnings
-from anther.calibration.refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
-from anther.calibration.views import (
+from anther.calibration._moved import Moved, camera_moved
+from anther.calibration._pose_file import read_intrinsics, read_poses
+from anther.calibration._refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
+from anther.calibration._views import (
+    CELLS,
     BoardCorners,
     BoardViews,
     board_views,
+    check_motions,
     detect_board,
     estimate_intrinsics,
     find_corners,
+    flange_motions,
+    image_coverage,
     largest_distortion,
+    motion_warnings,
     undistorted,
 )
 from anther.checks import check_range, check_transform
@@ -41,6 +49,7 @@ from anther.errors import bad_input
 from anther.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 
 __all__ = [
+    "CELLS",
     "Board",
     "BoardCorners",
     "BoardViews",
@@ -49,15 +58,22 @@ __all__ = [
     "HandEye",
     "Method",
     "MethodError",
+    "Moved",
     "Params",
     "board_views",
     "calibrate",
+    "camera_moved",
     "detect_board",
     "estimate_intrinsics",
     "find_corners",
+    "flange_motions",
+    "image_coverage",
     "largest_distortion",
     "parse_board",
+    "read_intrinsics",
+    "read_poses",
     "undistorted",
+    "why_unseen",
 ]
 
 FEW_FOR_NOISE = 6
@@ -66,6 +82,8 @@ HOPELESS = float(np.deg2rad(4)), 0.04
 """Half of the views disagree by more than one of these [rad], [m]: the poses do not belong to the images."""
 ROUNDS = 8
 """After so many rounds the outliers stay what they are, should they still change."""
+LEAST_TURN = float(np.deg2rad(3))
+"""The flange must turn about two different axes by at least this [rad]."""
 LOOSE = 0.002
 """Standard error of the camera's place from which on the views are called too poor [m]."""
 
@@ -81,7 +99,6 @@ class Params:
             to begin, and estimated.
         translation_sigma: the same for its translation [m].
         outlier: views less likely than this many standard deviations of a normal distribution are left out.
-        least_turn: the flange must turn about two different axes by at least this [rad].
     """
 
     method: Method = "tsai"
@@ -89,7 +106,6 @@ class Params:
     rotation_sigma: float = float(np.deg2rad(0.1))
     translation_sigma: float = 0.001
     outlier: float = 4.0
-    least_turn: float = float(np.deg2rad(3))
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -97,7 +113,6 @@ class Params:
         check_range("rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
         check_range("translation sigma", self.translation_sigma, 1e-6, 1, "m")
         check_range("outlier threshold", self.outlier, 1, 8)
-        check_range("least turn", self.least_turn, 1e-3, 1, "rad")
 
 
 def calibrate(
@@ -130,7 +145,7 @@ def calibrate(
     board = check_transform("T_cam_board", views.T_cam_board, len(views.images))
     flange = check_transform("T_base_flange", T_base_flange, len(board))
     names = images or tuple(str(number) for number in views.images)
-    check_motions(flange, params.least_turn)
+    check_motions(flange, LEAST_TURN)
     centre = np.concatenate(views.corners.points).mean(axis=0)
     sigmas = params.rotation_sigma, params.translation_sigma
     X, Z, misfit = robust_estimate(flange, board, centre, sigmas, params.method)
@@ -177,7 +192,7 @@ def _without_outliers(
     limit = float(np.sqrt(chi2.isf(2 * norm.sf(params.outlier), 6)))
     rounds = 0
     while True:
-        check_motions(flange[used], params.least_turn)
+        check_motions(flange[used], LEAST_TURN)
         fit = refine(problem, X, Z, noise, used)
         if used.sum() >= FEW_FOR_NOISE:
             noise = estimate_noise(problem, fit, pixel, used)

@@ -1,8 +1,16 @@
-"""A cell file: which machines stand where, and what they may do. docs/real_robot.md has every key."""
+"""A cell file: which machines stand where, and what they may do. docs/real_robot.md has every key.
+
+One owner for a cell: two processes of this machine cannot command one arm.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
+import os
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
@@ -13,11 +21,11 @@ import numpy as np
 from anther.arm.arms import named
 from anther.arm.model import ArmModel, outline
 from anther.arm.sawyer import SAWYER, TOOL
-from anther.calibration.hand_eye import HandEye
-from anther.cells import parts
-from anther.cells.reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
+from anther.calibration import HandEye
+from anther.cells import _parts
+from anther.cells._reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
 from anther.checks import check_range
-from anther.devices import SafetyLimits
+from anther.devices import DeviceError, SafetyLimits
 from anther.drivers.apart import ArmApart
 from anther.errors import bad_input
 from anther.geometry import Array, Box, transform_from_pose7
@@ -176,7 +184,7 @@ class CellFile:
             "arm_model": self.model,
             **given,
         }
-        return {name: value for name, value in rest.items() if parts.takes(part.make, name)}
+        return {name: value for name, value in rest.items() if _parts.takes(part.make, name)}
 
     def safety_limits(self) -> SafetyLimits:
         """Return what no command may exceed.
@@ -222,14 +230,14 @@ def read_cell(path: Path | str) -> CellFile:
     own, side = table["wrist_camera"], table.get("side_camera")
     cell = CellFile(
         source=source,
-        arm=_part(source, "arm", parts.ARMS, besides=("model",)),
+        arm=_part(source, "arm", _parts.ARMS, besides=("model",)),
         model=_model(source),
-        gripper=_part(source, "gripper", parts.GRIPPERS),
+        gripper=_part(source, "gripper", _parts.GRIPPERS),
         T_flange_cam=_hand_eye(source, own),
-        wrist_camera=_part(source, "wrist_camera", parts.CAMERAS, besides=("T_flange_cam", "calibration")),
+        wrist_camera=_part(source, "wrist_camera", _parts.CAMERAS, besides=("T_flange_cam", "calibration")),
         T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
-        side_camera=None if side is None else _part(source, "side_camera", parts.CAMERAS, besides=("T_world_cam",)),
-        shaker=_part(source, "shaker", parts.SHAKERS) if "shaker" in table else None,
+        side_camera=None if side is None else _part(source, "side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
+        shaker=_part(source, "shaker", _parts.SHAKERS) if "shaker" in table else None,
         tool=built(source, ("tool",), table.get("tool", {}), Tool),
         limits=built(source, ("limits",), table.get("limits", {}), Limits),
         workspace=checked(source, ("workspace",), table["workspace"], Box),
@@ -253,9 +261,9 @@ def _part(source: Source, name: str, drivers: dict[str, Callable[..., Any]], bes
         if ":" not in driver:
             allowed = ", ".join(f'"{known}"' for known in drivers) + ', "package.module:callable"'
             raise source.error(keys, given=f'"{driver}"', allowed=allowed, do="Choose one.")
-        make = parts.own_driver(driver, source.where(keys), source.path.parent)
+        make = _parts.own_driver(driver, source.where(keys), source.path.parent)
     rest = {key: value for key, value in table.items() if key not in ("driver", *besides)}
-    fitted(source, (name,), rest, make, parts.GIVEN)
+    fitted(source, (name,), rest, make, _parts.GIVEN)
     return Part(driver, make, rest, (name,))
 
 
@@ -289,3 +297,31 @@ def _keep_outs(source: Source) -> tuple[KeepOut, ...]:
         do = "Write [[keep_out]] above each."
         raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
     return tuple(built(source, ("keep_out", str(i)), table, KeepOut) for i, table in enumerate(tables))
+
+
+@contextmanager
+def owned(arm: str, folder: Path | None = None) -> Iterator[None]:
+    """Own an arm within the block. Its lock ends with the process, however that ends.
+
+    Args:
+        arm: which; the same words name the same arm.
+        folder: of the lock files; None: the machine's folder for temporary files.
+
+    Raises:
+        DeviceError: another process owns it.
+    """
+    fcntl: Any = importlib.import_module("fcntl")
+    path = (folder or Path(tempfile.gettempdir())) / f"anther-{re.sub(r'[^A-Za-z0-9.-]+', '-', arm)}.lock"
+    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            owner = os.pread(handle, 40, 0).decode(errors="replace").strip() or "unknown"
+            do = "Wait until it ends, or end it."
+            raise DeviceError(f"the arm {arm} is commanded by another process, number {owner}. {do}") from error
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, str(os.getpid()).encode(), 0)
+        yield
+    finally:
+        os.close(handle)

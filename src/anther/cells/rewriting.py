@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from anther.cells import read_cell
-from anther.cells.reading import Keys
+from anther.cells._reading import Keys
 from anther.errors import InputError, bad_input
 from anther.files import replacing
 

@@ -19,17 +19,25 @@ from numpy.typing import NDArray
 
 from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_parameters, check_range, check_transform
-from anther.cloud import registration
-from anther.cloud.clusters import attached_points
-from anther.cloud.disagreement import disagreement
-from anther.cloud.fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
-from anther.cloud.pixels import pixel_normals, supported_pixels
-from anther.cloud.plausibility import cloud_doubts, coverage_doubts, refuse_ground, view_doubts
+from anther.cloud import _registration
+from anther.cloud._clusters import attached_points
+from anther.cloud._disagreement import (
+    cloud_doubts,
+    coverage_doubts,
+    disagreement,
+    likely_cause,
+    refuse_ground,
+    view_doubts,
+)
+from anther.cloud._fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
+from anther.cloud._pixels import pixel_normals, supported_pixels
 from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array, Box, Intrinsics, transform_points
 from anther.masks import BACKGROUND, Masks
+
+__all__ = ["Cloud", "Params", "fuse", "likely_cause"]
 
 SCHEMA = 2
 
@@ -46,6 +54,10 @@ EDGE_SUPPORT = 5
 """Least number of pixels at its depth in that window: keeps a petiole one pixel wide, drops flying pixels."""
 EDGE_DEPTH = 0.003
 """How far the depth of a supporting pixel may differ at 0.5 m; it grows with z squared [m]."""
+OBSTACLE_VOXEL = 0.01
+"""Spacing of the obstacle points [m]."""
+LEAST_POINTS = 200
+"""With fewer points there is no plant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,23 +71,18 @@ class Params:
         gap: parts closer than this to the rest belong to it [m].
         far_gap: large parts belong to the plant up to this distance [m] (a real plant's cloud has gaps of 5 cm).
         far_share: least share of the plant's points that such a large part has.
-        obstacle_voxel: spacing of the obstacle points [m].
-        least_points: with fewer points there is no plant.
     """
 
     voxel: float = 0.0015
-    registration: registration.Params | None = field(default_factory=registration.Params)
+    registration: _registration.Params | None = field(default_factory=_registration.Params)
     seen_through: float = 0.02
     gap: float = 0.012
     far_gap: float = 0.05
     far_share: float = 0.002
-    obstacle_voxel: float = 0.01
-    least_points: int = 200
 
     def __post_init__(self) -> None:
         check_parameters(self)
         check_range("cloud voxel", self.voxel, 0.0002, 0.02, "m")
-        check_range("obstacle voxel", self.obstacle_voxel, 0.002, 0.1, "m")
         check_range("gap", self.gap, self.voxel, 0.2, "m")
         check_range("far gap", self.far_gap, self.gap, 0.5, "m")
         check_range("seen_through", self.seen_through, 1e-3, 1, "m")
@@ -197,7 +204,7 @@ def fuse(
     """
     params = params or Params()
     box = workspace or viewed_box(capture)
-    box.cells(params.obstacle_voxel, _MOST_CELLS)
+    box.cells(OBSTACLE_VOXEL, _MOST_CELLS)
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
     pixels = plant_pixels(capture, labels, box, params)
@@ -220,7 +227,7 @@ def fuse(
     _require(len(fused.points), params, "points that hang together")
     report()
     obstacles = _background_cells(
-        capture, labels, poses, box, plant=fused.points, voxel=params.obstacle_voxel, used=np.flatnonzero(used)
+        capture, labels, poses, box, plant=fused.points, voxel=OBSTACLE_VOXEL, used=np.flatnonzero(used)
     )
     report()
     return Cloud(
@@ -264,11 +271,11 @@ def _plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, view: int, p
 
 def _registered(
     pixels: list[ViewPoints], given: Array, params: Params
-) -> tuple[Array, list[ViewPoints], registration.Registration | None]:
+) -> tuple[Array, list[ViewPoints], _registration.Registration | None]:
     """Return the poses, the pixels freed of the sensor's bias (none of views to leave out), and the registration."""
     if params.registration is None:
         return given, pixels, None
-    found = registration.register([p.points for p in pixels], given, params.registration)
+    found = _registration.register([p.points for p in pixels], given, params.registration)
 
     def corrected(view: int) -> ViewPoints:
         return pixels[view].unbiased(found.reach) if found.used[view] else pixels[view].only(np.array([], dtype=int))
@@ -297,10 +304,10 @@ def _background_cells(
 
 
 def _require(count: int, params: Params, what: str) -> None:
-    if count < params.least_points:
+    if count < LEAST_POINTS:
         raise StageFailure(
             "no_plant_found",
-            f"cloud: {count} {what}; at least {params.least_points} are needed. Check the masks, the depth images "
+            f"cloud: {count} {what}; at least {LEAST_POINTS} are needed. Check the masks, the depth images "
             "and the workspace.",
         )
 

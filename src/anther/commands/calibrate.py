@@ -123,7 +123,7 @@ def _option(name: str) -> str:
 def _from_files(args: Args) -> None:
     """Calibrate from images and poses in files."""
     from anther import calibration
-    from anther.calibration.pose_file import read_poses
+    from anther.calibration import read_poses
     from anther.files import replacing
     from anther.pictures.calibration import draw_calibration
 
@@ -166,7 +166,7 @@ def _from_files(args: Args) -> None:
 
 def _given_intrinsics(args: Args, folder: Path) -> tuple[Intrinsics, Array] | None:
     """Return None where they are to be estimated."""
-    from anther.calibration.pose_file import read_intrinsics
+    from anther.calibration import read_intrinsics
 
     if args.estimate_intrinsics:
         if args.intrinsics is not None:
@@ -227,8 +227,7 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
 
 
 def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Array) -> list[str]:
-    from anther.calibration import largest_distortion
-    from anther.calibration.views import image_coverage
+    from anther.calibration import image_coverage, largest_distortion
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)

@@ -56,7 +56,7 @@ def check(file: CellFile) -> int:
     from rich.console import Console
     from rich.table import Table
 
-    from anther.cells.owner import owned
+    from anther.cells import owned
     from anther.errors import AntherError
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
@@ -93,7 +93,7 @@ def check(file: CellFile) -> int:
 
 def enable(file: CellFile) -> int:
     """Switch the arm's motors on and let the gripper find its ends, each after a yes."""
-    from anther.cells.owner import owned
+    from anther.cells import owned
 
     with ExitStack() as stack:
         stack.enter_context(owned(file.owner_name))
@@ -120,7 +120,7 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     Raises:
         StageFailure: the way is not free, or passes a limit; nothing moved.
     """
-    from anther.cells.owner import owned
+    from anther.cells import owned
     from anther.checks import check_range
     from anther.safety import GuardedArm
 

@@ -19,8 +19,7 @@ from anther.arm.sawyer import SAWYER
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, plan_views
 from anther.capture import Capture
-from anther.cells import CellFile, Part
-from anther.cells.owner import owned
+from anther.cells import CellFile, Part, owned
 from anther.cloud import Cloud
 from anther.devices import JointTrajectory, Robot, Tap, untapped
 from anther.geometry import Array

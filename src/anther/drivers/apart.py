@@ -19,7 +19,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, SafetyLimits, Watch
-from anther.drivers.priority import BESIDE, served_first
+from anther.drivers._priority import BESIDE, served_first
 from anther.errors import AntherError, InputError, StageFailure
 from anther.geometry import Array
 from anther.safety import GuardedArm

@@ -24,14 +24,14 @@ from typing import Any
 import numpy as np
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.drivers.franka_loop import SHOWN, Told
-from anther.drivers.priority import quick_turns, served_first
-from anther.drivers.readings import STALE, RobotClock
+from anther.drivers._franka_loop import SHOWN, Told
+from anther.drivers._priority import quick_turns, served_first
+from anther.drivers._readings import STALE, RobotClock
 from anther.errors import MissingExtra, bad_input
 from anther.geometry import Array
 
 JOINTS = 7
-BEGINS = "from anther.drivers.franka_loop import main; main()"
+BEGINS = "from anther.drivers._franka_loop import main; main()"
 BEGIN, ANSWER = 60.0, 2.0
 """The loop is connected within the first, and answers within the second [s]; libfranka gives a network up before."""
 RECOVERS = 5.0

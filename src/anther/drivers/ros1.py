@@ -20,7 +20,7 @@ from xmlrpc.client import ServerProxy, Transport
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 from anther.devices import DeviceError
-from anther.drivers.priority import served_first
+from anther.drivers._priority import served_first
 from anther.errors import MissingExtra, bad_input
 
 PATIENCE = 3.0

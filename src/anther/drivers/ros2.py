@@ -19,10 +19,10 @@ from scipy.interpolate import CubicHermiteSpline
 
 from anther.checks import check_array, check_range
 from anther.devices import DeviceError
-from anther.drivers.priority import served_first
-from anther.drivers.readings import STALE
-from anther.drivers.reference import Reference, braking
-from anther.drivers.streamed import NEAR, StreamedArm
+from anther.drivers._priority import served_first
+from anther.drivers._readings import STALE
+from anther.drivers._reference import Reference, braking
+from anther.drivers._streamed import NEAR, StreamedArm
 from anther.errors import MissingExtra, bad_input
 from anther.geometry import Array
 

@@ -11,11 +11,11 @@ import numpy as np
 from anther.arm import sawyer
 from anther.checks import check_range
 from anther.devices import DeviceError
+from anther.drivers._readings import STALE
+from anther.drivers._reference import Reference, braking
+from anther.drivers._streamed import NEAR, StreamedArm
 from anther.drivers.intera import IoDevice
-from anther.drivers.readings import STALE
-from anther.drivers.reference import Reference, braking
 from anther.drivers.ros1 import Node
-from anther.drivers.streamed import NEAR, StreamedArm
 from anther.geometry import Array
 
 SILENCE = 0.03

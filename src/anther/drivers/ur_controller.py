@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from anther.devices import DeviceError
-from anther.drivers.readings import STALE, RobotClock
+from anther.drivers._readings import STALE, RobotClock
 from anther.errors import MissingExtra
 from anther.geometry import Array
 

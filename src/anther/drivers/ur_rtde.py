@@ -17,10 +17,10 @@ import numpy as np
 
 from anther.checks import check_range
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.drivers.priority import quick_turns, served_first
-from anther.drivers.readings import STALE
-from anther.drivers.reference import Reference, braking
-from anther.drivers.streamed import SETTLE
+from anther.drivers._priority import quick_turns, served_first
+from anther.drivers._readings import STALE
+from anther.drivers._reference import Reference, braking
+from anther.drivers._streamed import SETTLE
 from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller, Reading
 from anther.geometry import Array
 

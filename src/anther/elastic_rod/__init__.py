@@ -5,15 +5,20 @@
 modes and their damping ratios, `base_response` for a shaking table.
 """
 
-from anther.elastic_rod.equilibrium import equilibrium, least_stiffness, stands, with_gravity_equilibrium
-from anther.elastic_rod.modes import Modes, natural_frequencies
-from anther.elastic_rod.motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive
-from anther.elastic_rod.response import base_response, frequency_response, response_map
-from anther.elastic_rod.rods import GRAVITY, NaturalShape, Rods
-from anther.elastic_rod.simulation import Trajectory, simulate
+from anther.elastic_rod._equilibrium import equilibrium, least_stiffness, stands, with_gravity_equilibrium
+from anther.elastic_rod._grip import RIGID, Rocking, Springs
+from anther.elastic_rod._linear import Modes, natural_frequencies
+from anther.elastic_rod._motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive, unit_direction
+from anther.elastic_rod._observed import Observed, joints, observed_response, strain_changes
+from anther.elastic_rod._response import base_response, frequency_response, response_map, steady_motion
+from anther.elastic_rod._rods import GRAVITY, Array, NaturalShape, Rods
+from anther.elastic_rod._simulation import Trajectory, simulate
+from anther.elastic_rod._vectors import compiled
 
 __all__ = [
     "GRAVITY",
+    "RIGID",
+    "Array",
     "Burst",
     "Chirp",
     "Clamp",
@@ -21,16 +26,25 @@ __all__ = [
     "Modes",
     "Motion",
     "NaturalShape",
+    "Observed",
+    "Rocking",
     "Rods",
     "SampledDrive",
+    "Springs",
     "Trajectory",
     "base_response",
+    "compiled",
     "equilibrium",
     "frequency_response",
+    "joints",
     "least_stiffness",
     "natural_frequencies",
+    "observed_response",
     "response_map",
     "simulate",
     "stands",
+    "steady_motion",
+    "strain_changes",
+    "unit_direction",
     "with_gravity_equilibrium",
 ]

@@ -23,9 +23,9 @@ from anther.devices import (
     Watch,
 )
 from anther.errors import AntherError, FailureKind, InputError, StageFailure
-from anther.execution.closing import close, wait_after
-from anther.execution.params import Params
-from anther.execution.trial import EARLY, PHASES, Step, Trial
+from anther.execution._closing import close, wait_after
+from anther.execution._params import Params
+from anther.execution._trial import EARLY, PHASES, Step, Trial
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.oscillation import choose_rate

@@ -20,8 +20,7 @@ from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.errors import bad_input
 from anther.files import existing
-from anther.formats.clouds import checked_cloud
-from anther.formats.colmap_model import (
+from anther.formats._colmap_model import (
     ColmapCamera,
     ColmapImage,
     read_cameras,
@@ -29,6 +28,7 @@ from anther.formats.colmap_model import (
     read_images,
     read_points,
 )
+from anther.formats.clouds import checked_cloud
 from anther.formats.points import RawPoints, read_ply
 from anther.geometry import Array, Intrinsics
 from anther.images import read_image

@@ -5,7 +5,7 @@ uncertainty; its steps are `density_from_samples`, `fit_free_vibration`, `youngs
 `youngs_from_deflection`. From a shake: `refine`.
 """
 
-from anther.identification.clamped_stem import (
+from anther.identification._clamped_stem import (
     ClampedStem,
     Orientation,
     first_frequency,
@@ -13,20 +13,23 @@ from anther.identification.clamped_stem import (
     youngs_from_deflection,
     youngs_from_first_mode,
 )
-from anther.identification.free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
-from anther.identification.material_test import (
+from anther.identification._free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
+from anther.identification._material_test import (
     Density,
+    Estimate,
     Identification,
     InstrumentErrors,
     MaterialTest,
+    combine,
     density_from_samples,
+    disagreement,
     identify,
+    propagate,
     read_material,
     write_material,
 )
-from anther.identification.observed import Felt, Observed, feel
-from anther.identification.refinement import Expected, Params, Refinement, expect, flowers_at, loads_at, refine
-from anther.identification.uncertainty import Estimate, combine, disagreement, propagate
+from anther.identification._observed import Felt, Observed, feel
+from anther.identification._refinement import Expected, Params, Refinement, expect, flowers_at, loads_at, refine
 
 __all__ = [
     "ClampedStem",

@@ -16,9 +16,8 @@ from typing import Any
 
 from anther.devices import Robot, SafetyLimits
 from anther.geometry import Array
-from anther.log.file import LogFile
-from anther.log.machines import heard
-from anther.log.messages import Scribe
+from anther.log._machines import heard
+from anther.log._messages import LogFile, Scribe
 
 __all__ = ["Kept", "Log"]
 

@@ -8,9 +8,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from anther.calibration import BoardViews, HandEye
-from anther.calibration.motions import flange_motions
-from anther.calibration.views import CELLS, image_coverage
+from anther.calibration import CELLS, BoardViews, HandEye, flange_motions, image_coverage
 from anther.geometry import Array, transform_points
 
 USED, OUTLIER, LEFT_OUT = "tab:blue", "tab:red", "tab:orange"

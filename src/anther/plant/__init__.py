@@ -15,16 +15,13 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_parameters, check_range
 from anther.cloud import Cloud
-from anther.elastic_rod.equilibrium import stands, with_gravity_equilibrium
-from anther.elastic_rod.motion import Clamp
-from anther.elastic_rod.rods import NaturalShape, Rods
+from anther.elastic_rod import Clamp, NaturalShape, Rods, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers, supposed_flowers
 from anther.geometry import Array
-from anther.plant.material import LEARNED, PEPPER, TOMATO, Material
-from anther.plant.shape import edge_radii, hang_flowers, in_blade, leaf_mass
-from anther.plant.stability import branch_stiffening, least_youngs
+from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
+from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
@@ -49,7 +46,6 @@ class Params:
             4-6 mm on stems of 8-12 mm (facts: pollination 2 [R]).
         least_radius: of any stem or branch edge [m].
         areal_density: of a leaf blade [kg/m2]. A prior of ours; no source found.
-        leaf_drag: drag per leaf area [N s/m3]; 0 because the material's damping ratio has the leaves' share already.
         flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
         flower_radius: of its mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm).
         pedicel_length, pedicel_radius: [m] (facts: 9-22 mm long, about 1 mm thick).
@@ -57,8 +53,6 @@ class Params:
         pedicel_spread: standard deviation of ln of the pedicel's stiffness, ln 2 / sqrt 12 for that range [-].
         peduncle_radius: of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R]).
         pedicel_pieces: edges per pedicel.
-        pedicel_joint: extra compliance where a pedicel leaves its branch, for a soft abscission joint [rad/(N m)]; 0 as
-            no measurement was found (facts: pollination, "Not found").
         margin: least ratio of Young's modulus to the value at which the plant buckles [-].
         stiffen: raise Young's modulus to that margin, with a note, since the plant evidently stands; False refuses.
     """
@@ -66,7 +60,6 @@ class Params:
     branch_share: float = 0.7
     least_radius: float = 0.5e-3
     areal_density: float = 0.25
-    leaf_drag: float = 0.0
     flower_mass: float = 1e-4
     flower_radius: float = 5e-3
     pedicel_length: float = 0.015
@@ -75,7 +68,6 @@ class Params:
     pedicel_spread: float = 0.2
     peduncle_radius: float = 1.25e-3
     pedicel_pieces: int = 3
-    pedicel_joint: float = 0.0
     margin: float = 1.5
     stiffen: bool = True
 
@@ -84,7 +76,6 @@ class Params:
         check_range("branch_share", self.branch_share, 0.01, 1)
         check_range("least_radius", self.least_radius, 1e-5, 0.1, "m")
         check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
-        check_range("leaf_drag", self.leaf_drag, 0, 1e3, "N s/m3")
         check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
         check_range("flower_radius", self.flower_radius, 0, 0.05, "m")
         check_range("pedicel_length", self.pedicel_length, 1e-3, 0.2, "m")
@@ -93,7 +84,6 @@ class Params:
         check_range("pedicel_spread", self.pedicel_spread, 0, 3)
         check_range("peduncle_radius", self.peduncle_radius, 1e-5, 0.02, "m")
         check_range("pedicel_pieces", self.pedicel_pieces, 1, 50)
-        check_range("pedicel_joint", self.pedicel_joint, 0, 1e6, "rad/(N m)")
         check_range("margin", self.margin, 1, 100)
 
 
@@ -305,22 +295,19 @@ def _rods(
             areal_density=params.areal_density,
             voxel=LEAF_VOXEL,
         )
-    leaves, drag, inertia = float(mass.sum()), mass * params.leaf_drag / max(params.areal_density, 1e-9), 0 * mass
+    leaves, inertia = float(mass.sum()), 0 * mass
     mass[stalks.tips] += params.flower_mass
     inertia[stalks.tips] = 0.4 * params.flower_mass * params.flower_radius**2
     is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
-    parent = np.concatenate([skeleton.parent, stalks.parent])
     rods = Rods(
         nodes=np.concatenate([skeleton.nodes, stalks.nodes]),
-        parent=parent,
+        parent=np.concatenate([skeleton.parent, stalks.parent]),
         edge_radius=np.concatenate([radius, stalks.radius]),
         youngs=np.where(is_pedicel, params.pedicel_youngs, material.youngs),
         density=material.density,
         bend_over_twist=material.bend_over_twist,
-        joint_compliance=np.where(is_pedicel & ~is_pedicel[parent], params.pedicel_joint, 0),
         lumped_mass=mass,
         lumped_inertia=inertia,
-        node_drag=drag,
     )
     return rods, is_pedicel, stalks.tips, leaves
 

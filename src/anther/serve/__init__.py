@@ -3,6 +3,6 @@
 It reads the history and never writes but a note, with a token; it knows no arm and sends nothing to one.
 """
 
-from anther.serve.app import make_app
+from anther.serve._app import make_app
 
 __all__ = ["make_app"]

@@ -21,11 +21,11 @@ from anther.arm.model import ArmModel
 from anther.arm.sawyer import SAWYER
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
-from anther.sim import arm_model, plant_mechanics
-from anther.sim.air import Air
-from anther.sim.blades import add_blades
+from anther.sim import _plant_mechanics, arm_model
+from anther.sim._blades import add_blades
+from anther.sim._plant_mechanics import PlantMechanics
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.plant_mechanics import PlantMechanics
+from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
@@ -49,8 +49,8 @@ class Params:
 
     timestep: float = 1e-3
     log_every: int = 2
-    plant: plant_mechanics.Params = field(
-        default_factory=lambda: plant_mechanics.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
+    plant: _plant_mechanics.Params = field(
+        default_factory=lambda: _plant_mechanics.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
     )
     arm: arm_model.Params = field(default_factory=arm_model.Params)
 
@@ -109,7 +109,7 @@ class Cell:
         """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open."""
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
         spec = _world(self.params.timestep, plant)
-        pieces = plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
+        pieces = _plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
         add_blades(spec, plant, pieces, contype=PLANT_BIT, conaffinity=0)
         arm_model.add_arm(spec, arm, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()

@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt
 
 from anther.checks import check_array, check_transform
 from anther.geometry import Array, Intrinsics
-from anther.sim.greenhouse import Setting, repainted, surroundings
+from anther.sim._greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
 
 SKY_LIGHT = 0.72

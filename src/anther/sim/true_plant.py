@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim import plant_mechanics
-from anther.sim.growth import AREAL_DENSITY
-from anther.sim.mechanics import buckling_factor, supported_youngs
+from anther.sim import _plant_mechanics
+from anther.sim._growth import AREAL_DENSITY, buckling_factor, supported_youngs
+from anther.sim._plant_mechanics import PlantMechanics, add_plant, mujoco
 from anther.sim.plant import GRAVITY, Organ, SimPlant
-from anther.sim.plant_mechanics import PlantMechanics, add_plant, mujoco
 from anther.sim.truth import NOMINAL, Truth
 
 FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)
@@ -33,7 +32,7 @@ TIE_AT, TIE = (0.55, 0.85), (20.0, 200.0)
 SLOWEST, STIFFEN = 0.3, 1.2
 """A plant that swings more slowly than this [Hz] would hang down or twist over in a breath of air (facts: pollination
 2 has 1.1 and 1.4 Hz): it is made so much stiffer until it does not."""
-FINELY_CUT = plant_mechanics.Params(twist_every=1)
+FINELY_CUT = _plant_mechanics.Params(twist_every=1)
 
 
 def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
@@ -167,7 +166,7 @@ def _stands(plant: SimPlant) -> bool:
         return False
 
 
-def natural_frequencies(plant: SimPlant, params: plant_mechanics.Params) -> Array:
+def natural_frequencies(plant: SimPlant, params: _plant_mechanics.Params) -> Array:
     """Return (D,) the natural frequencies of a plant in its pot [Hz], lowest first.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from anther.elastic_rod.motion import Drive
+from anther.elastic_rod import Drive
 from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
 from anther.grasp import Grasp

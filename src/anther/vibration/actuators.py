@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from anther.checks import check_range
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod import Array
 from anther.grasp import Grasp
 from anther.vibration.limits import ArmLimit, sawyer_limit
 

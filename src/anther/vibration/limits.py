@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod import Array
 from anther.grasp import Grasp
 
 ArmLimit = Callable[[Grasp, Array, Array], Array]

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from anther.elastic_rod.moments import joints
-from anther.elastic_rod.rods import Array, Rods
+from anther.elastic_rod import Array, Rods, joints
 from anther.plant import PlantModel
 
 ComplexArray = NDArray[np.complex128]

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_range
-from anther.elastic_rod.grip import Springs
-from anther.elastic_rod.rods import Array
+from anther.elastic_rod import Array, Springs
 from anther.errors import StageFailure
 from anther.plant import PlantModel
 

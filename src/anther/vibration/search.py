@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.stats import qmc
 
-from anther.elastic_rod.observed import Observed, observed_response
-from anther.elastic_rod.rods import Array
-from anther.elastic_rod.vectors import compiled
+from anther.elastic_rod import Array, Observed, compiled, observed_response
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
 from anther.vibration.observables import ComplexArray, branch_of, observables

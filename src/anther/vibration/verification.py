@@ -8,12 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from anther.elastic_rod.grip import RIGID, Rocking, Springs
-from anther.elastic_rod.moments import strain_changes
-from anther.elastic_rod.motion import Drive
-from anther.elastic_rod.response import steady_motion
-from anther.elastic_rod.rods import Array
-from anther.elastic_rod.simulation import Trajectory, simulate
+from anther.elastic_rod import (
+    RIGID,
+    Array,
+    Drive,
+    Rocking,
+    Springs,
+    Trajectory,
+    simulate,
+    steady_motion,
+    strain_changes,
+)
 from anther.plant import PlantModel
 from anther.vibration.observables import Observables, observables, semi_major
 

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from anther.arm.arms import in_simulated_cell, named
 from anther.arm.model import ArmModel
-from anther.elastic_rod.motion import Drive
-from anther.elastic_rod.response import steady_motion
+from anther.elastic_rod import Drive, steady_motion
 from anther.execution import Trial
 from anther.geometry import Array
 from anther.plant import PlantModel

@@ -1,0 +1,259 @@
+"""The rods linearised about their equilibrium under gravity: M q'' + C q' + K q = 0, in tree-structured blocks.
+
+Natural frequencies, mode shapes and damping ratios, by a block Lanczos method with the tree solver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.checks import check_range
+from anther.elastic_rod._assembly import Blocks, assemble, new_blocks
+from anther.elastic_rod._edges import Tangent, assemble_edges, by_edges, hangs_together, tangent
+from anther.elastic_rod._equilibrium import static_state
+from anther.elastic_rod._model import Model, build_model
+from anther.elastic_rod._motion import Clamp
+from anther.elastic_rod._newton import State
+from anther.elastic_rod._rods import GRAVITY, Array, Rods
+from anther.elastic_rod._tree_solver import constrain
+from anther.elastic_rod._vectors import compiled
+from anther.errors import StageFailure
+
+MATRIX = ("diagonal", "near", "far")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """The linearised system.
+
+    Attributes:
+        model: the constants.
+        free: (N, 4) which unknowns are free; rows and columns of the others are those of the identity in `stiffness`.
+        stiffness: K, with the stiffness of weight under tilt.
+        damping: C, from viscosity and drag.
+        loss: the elastic stiffness times the loss factor: hysteretic damping, i loss at every frequency.
+        mass: M.
+        state: the equilibrium.
+    """
+
+    model: Model
+    free: NDArray[np.bool_]
+    stiffness: Blocks
+    damping: Blocks
+    loss: Blocks
+    mass: Blocks
+    state: State
+
+
+def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float = 0.0) -> Linear:
+    """Return the linearised system.
+
+    Raises:
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    model, frames = build_model(rods, gravity, clamp.planted)
+    free = clamp.free(rods)
+    state = static_state(model, frames, rods.nodes, free)
+    n = len(free)
+
+    def assembled(constants: Model, rate: float) -> Blocks:
+        blocks = new_blocks(n)
+        assemble(constants, state.x, state.x, state.frames, state.v, rate, blocks)
+        return blocks
+
+    def per_rate(constants: Model) -> Blocks:
+        """What viscosity adds per unit of rate."""
+        faster = assembled(constants, 1.0)
+        for name in MATRIX:
+            getattr(faster, name)[:] -= getattr(stiffness, name)
+        return faster
+
+    stiffness = assembled(model, 0.0)
+    damping = per_rate(model)
+    _add_diagonal(damping, np.repeat(model.drag[:, None], 3, axis=1))
+    loss = per_rate(model._replace(viscous=np.full(n, loss_factor))) if loss_factor > 0 else new_blocks(n)
+    constrain(model, free, stiffness)
+    return Linear(model, free, stiffness, damping, loss, _mass(model), state)
+
+
+def _mass(model: Model) -> Blocks:
+    blocks = new_blocks(len(model.mass))
+    _add_diagonal(blocks, np.repeat(model.mass[:, None], 3, axis=1))
+    blocks.diagonal[:, 3, 3] = model.spin_inertia
+    j = np.arange(1, len(model.mass))
+    p, rotary, three = model.parent[1:], model.rotary[1:, None], np.arange(3)
+    near = (model.near[1:] == p)[:, None]
+    blocks.diagonal[j[:, None], three, three] += rotary
+    np.add.at(blocks.diagonal, (p[:, None], three, three), rotary)
+    blocks.near[j[:, None], three, three] -= np.where(near, rotary, 0)
+    blocks.far[j[:, None], three, three] -= np.where(near, 0, rotary)
+    return blocks
+
+
+def _add_diagonal(blocks: Blocks, values: Array) -> None:
+    blocks.diagonal[:, range(3), range(3)] += values
+
+
+def set_dynamic(system: Linear, omega: float, dynamic: Blocks) -> None:
+    """Fill `dynamic` (complex) with K + i omega C + i loss - omega^2 M, held unknowns as in the identity."""
+    for name in MATRIX:
+        parts = [getattr(blocks, name) for blocks in (system.stiffness, system.damping, system.loss, system.mass)]
+        _combine(*parts, omega, getattr(dynamic, name))
+    constrain(system.model, system.free, dynamic)
+
+
+@compiled
+def _combine(stiffness: Any, damping: Any, loss: Any, mass: Any, omega: float, out: Any) -> None:
+    for j in range(len(out)):
+        for i in range(4):
+            for k in range(4):
+                real = stiffness[j, i, k] - omega * omega * mass[j, i, k]
+                out[j, i, k] = complex(real, omega * damping[j, i, k] + loss[j, i, k])
+
+
+def product(model: Model, blocks: Blocks, vectors: Array) -> Array:
+    """Return the symmetric matrix that the blocks stand for, times (N, 4, B) vectors."""
+    full = np.triu(blocks.diagonal) + np.swapaxes(np.triu(blocks.diagonal, 1), 1, 2)
+    out = np.einsum("nij,njb->nib", full, vectors)
+    for block, other in ((blocks.near, model.near), (blocks.far, model.far)):
+        j = np.flatnonzero(other >= 0)
+        out[j] += np.einsum("nij,njb->nib", block[j], vectors[other[j]])
+        np.add.at(out, other[j], np.einsum("nij,nib->njb", block[j], vectors[j]))
+    return out
+
+
+def dense(model: Model, blocks: Blocks) -> Any:
+    """Return the (4N, 4N) matrix that the blocks stand for."""
+    n = 4 * len(model.parent)
+    return product(model, blocks, np.eye(n).reshape(-1, 4, n)).reshape(n, n)
+
+
+CONVERGED, ROUNDED = 1e-8, 1e-4
+"""What is left of a mode after K^-1 M, over what K^-1 M makes of it: wanted, and accepted where rounding forbids that.
+
+The error of the squared frequency is that squared, over the relative distance to the next one.
+"""
+
+
+class Modes(NamedTuple):
+    """The lowest K modes of N nodes.
+
+    Attributes:
+        frequencies: (K,) undamped natural frequencies [Hz], rising.
+        shapes: (K, N, 3) mode shapes, largest displacement 1.
+        damping_ratios: (K,) share of critical damping [-] from viscosity and drag: phi^T C phi / (2 w phi^T M phi).
+    """
+
+    frequencies: Array
+    shapes: Array
+    damping_ratios: Array
+
+
+def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY) -> Modes:
+    """Return the lowest modes of small vibrations about the equilibrium under gravity.
+
+    Block Lanczos iteration with K^-1 M (Golub & Underwood 1977) and full orthogonalisation. A block has more vectors
+    than modes are wanted, so that equal frequencies, as of a round rod in its two planes, come out as often as they
+    occur. K = min(count, half of the unknowns).
+
+    Raises:
+        InputError: count < 1.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium, or the modes do not converge.
+    """
+    check_range("number of modes", count, 1, 1e5)
+    system = linearise(rods, clamp, gravity)
+    count = max(1, min(count, int(system.free.sum()) // 2))
+    n = len(system.free)
+    stiffness = tangent(system.model, system.free, system.state.x, system.state.frames, new_blocks(n))
+    squares, vectors = _lowest(stiffness, partial(_times_mass, system), count)
+    ratios = _damping_of(system, vectors) / (2 * np.sqrt(squares))
+    shapes = vectors[:, :, :3]
+    largest = np.abs(shapes).max(axis=(1, 2), keepdims=True)
+    return Modes(np.sqrt(squares) / (2 * np.pi), shapes / np.where(largest > 0, largest, 1), ratios)
+
+
+Operator = Callable[[Array], Array]
+"""From rows (B, 4N) to as many."""
+
+
+def _times_mass(system: Linear, rows: Array) -> Array:
+    """Return M times rows (B, 4N), without the held unknowns."""
+    vectors = np.moveaxis(rows.reshape(-1, *system.free.shape), 0, 2)
+    weights = np.where(system.free[:, :, None], product(system.model, system.mass, vectors), 0)
+    return np.moveaxis(weights, 2, 0).reshape(rows.shape)
+
+
+def _damping_of(system: Linear, vectors: Array) -> Array:
+    """Return (K,) v^T C v of vectors (K, N, 4); of what hangs together by its edges, see `edges`."""
+    v, model = np.moveaxis(vectors, 0, 2), system.model
+    if not hangs_together(model, system.free):
+        return np.einsum("nik,nik->k", v, product(model, system.damping, v))
+    turns = v.copy()
+    turns[1:, :3] -= v[model.parent[1:], :3]
+    faster, still = new_blocks(len(v)), new_blocks(len(v))
+    for rate, blocks in ((1.0, faster), (0.0, still)):
+        assemble_edges(model, system.state.x, system.state.frames, rate, blocks)
+    viscous = Blocks(*(a - b for a, b in zip(faster, still, strict=True)))
+    drag = np.einsum("n,nik->k", model.drag, v[:, :3] ** 2)
+    return drag + np.einsum("nik,nik->k", turns, product(by_edges(model), viscous, turns))
+
+
+def _lowest(stiffness: Tangent, mass: Operator, count: int) -> tuple[Array, Array]:
+    """Return (K,) squared angular frequencies and (K, N, 4) vectors with v^T M v = 1.
+
+    Raises:
+        StageFailure: kind "no_convergence".
+    """
+    free, most = stiffness.free, int(stiffness.free.sum())
+    start = np.where(free, np.random.default_rng(0).normal(size=(min(most, count + 2), *free.shape)), 0)
+    block, basis, weights, images = (
+        _solved(stiffness, mass(start.reshape(len(start), -1))),
+        *np.empty((3, 0, free.size)),
+    )
+    errors: list[float] = []
+    while len(basis) < most:
+        block, weight = _orthonormal(block, basis, weights, mass)
+        image = _solved(stiffness, weight)
+        basis, weights, images = (np.vstack(pair) for pair in ((basis, block), (weights, weight), (images, image)))
+        gram = weights @ images.T
+        values, mix = np.linalg.eigh((gram + gram.T) / 2)
+        inverse, mix = values[: -count - 1 : -1], mix[:, : -count - 1 : -1].T
+        left = mix @ images - inverse[:, None] * (mix @ basis)
+        errors.append(float(np.max(np.sqrt(np.abs(np.sum(left * mass(left), axis=1))) / inverse)))
+        rounded = len(errors) > 3 and errors[-1] > errors[-4] / 2 and errors[-1] < ROUNDED
+        if len(inverse) == count and (errors[-1] < CONVERGED or rounded or len(block) == 0):
+            return 1 / inverse, (mix @ basis).reshape(-1, *free.shape)
+        if len(block) == 0:
+            break
+        block = image
+    raise StageFailure("no_convergence", f"rods: {count} modes did not converge. Ask for a few more or fewer modes.")
+
+
+def _solved(stiffness: Tangent, loads: Array) -> Array:
+    """Return K^-1 times rows (B, 4N)."""
+    shape = stiffness.free.shape
+    return np.array([stiffness.solve(load.reshape(shape)).ravel() for load in loads]).reshape(loads.shape)
+
+
+def _orthonormal(block: Array, basis: Array, weights: Array, mass: Operator) -> tuple[Array, Array]:
+    """Return rows (B, 4N) made orthogonal to the basis and to each other, v^T M v = 1, and M times them.
+
+    Done twice, as the first time leaves rounding; what depends on the other rows is dropped.
+    """
+    weight = block
+    for _ in range(2):
+        block = block - (block @ weights.T) @ basis
+        weight = mass(block)
+        gram = block @ weight.T
+        size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+        values, mix = np.linalg.eigh(gram / size / size[:, None])
+        sound = values > 1e-12
+        mix = (mix / size[:, None])[:, sound] / np.sqrt(values[sound])
+        block, weight = mix.T @ block, mix.T @ weight
+    return block, weight

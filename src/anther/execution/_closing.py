@@ -1,0 +1,57 @@
+"""Closing the gripper on the stem."""
+
+from __future__ import annotations
+
+from anther.devices import Gripper, GripperState
+from anther.errors import StageFailure
+from anther.execution._params import Params
+from anther.grasp import Grasp
+
+LOOSE = 0.0005
+"""Closing begins at the measured stem diameter and this [m]: where a gripper's force cannot be set (facts: sawyer 3),
+its position is the gentleness."""
+THINNEST = 0.002
+"""The pads do not close farther [m]."""
+THICKEST = 0.012
+"""What is wider than the measured diameter by this [m] is not the stem."""
+ENOUGH = 0.95
+"""Share of the force asked for with which the pads press enough: a gripper at its holding force reads a little less."""
+
+
+def close(gripper: Gripper, grasp: Grasp, press: float, params: Params) -> GripperState:
+    """Close to the measured diameter and on in steps until the pads press with a force [N]; verify the grip.
+
+    Depth sensors see thin stems too thick (facts: perception). One that was measured too thin is pressed hard at once:
+    the pads let go a little and close again from where they met it.
+
+    Raises:
+        StageFailure: nothing_grasped; branch_or_leaf_grasped when it is much too thick; limits_exceeded when the pads
+            cannot press so hard.
+    """
+    expected = max(grasp.stem_diameter + LOOSE, THINNEST)
+    state = _press(gripper, expected, press, params)
+    if expected + params.step < state.opening < expected + THICKEST:
+        state = _press(gripper, state.opening + params.step, press, params)
+    if state.is_gripping and state.opening <= grasp.stem_diameter + THICKEST:
+        if state.force >= ENOUGH * press:
+            return state
+        given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
+        raise StageFailure("limits_exceeded", f"{given}, or the stem slips. Try the next grasp, or a gentler shake.")
+    kind, what = ("branch_or_leaf_grasped", "something thick") if state.is_gripping else ("nothing_grasped", "nothing")
+    found = f"the pads stand {1e3 * state.opening:.1f} mm apart with {state.force:.1f} N, not {1e3 * expected:.1f} mm"
+    raise StageFailure(kind, f"the gripper holds {what}: {found}. Try the next grasp.")
+
+
+def wait_after(grasp: Grasp, params: Params) -> float:
+    """Return how long what the gripper touched swings after closing [s]: a petiole between the pads for longer."""
+    free = grasp.squeezed is not None and grasp.squeezed < params.beside
+    return params.settle if free else params.calm
+
+
+def _press(gripper: Gripper, width: float, press: float, params: Params) -> GripperState:
+    """Close to a width [m], and on in steps until the pads press."""
+    state = gripper.move(width)
+    while (not state.is_gripping or state.force < ENOUGH * press) and width - params.step > THINNEST - 1e-9:
+        width -= params.step
+        state = gripper.move(width)
+    return state

@@ -1,0 +1,281 @@
+"""The guard: every command to arm and gripper passes here first, and every reading of a moving arm on its way back.
+
+A bad command is refused before anything moves; a bad reading stops the arm. Either way the arm holds.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from anther.checks import check_array
+from anther.devices import (
+    Arm,
+    ArmRecord,
+    Camera,
+    DeviceError,
+    Frame,
+    Gripper,
+    GripperState,
+    JointTrajectory,
+    More,
+    Robot,
+    SafetyLimits,
+    Watch,
+)
+from anther.errors import InputError, StageFailure
+from anther.geometry import Array, Intrinsics
+from anther.safety._motion import AT_REST, JUMP, LONGEST, Watchdog, check_shake, check_trajectory, demand
+from anther.safety._motor import GuardedMotor
+
+__all__ = ["GuardedArm", "GuardedCamera", "GuardedGripper", "check_shake", "check_trajectory", "guard", "stem_stress"]
+
+TRIES = 3
+"""So often a lost frame is asked for."""
+
+
+def guard(robot: Robot, limits: SafetyLimits) -> Robot:
+    """Return the same machines behind the guard; a guarded robot is returned as it is."""
+    if isinstance(robot.arm, GuardedArm):
+        return robot
+    side = None if robot.side_camera is None else GuardedCamera(robot.side_camera)
+    return replace(
+        robot,
+        arm=GuardedArm(robot.arm, limits),
+        gripper=GuardedGripper(robot.gripper, limits),
+        wrist_camera=GuardedCamera(robot.wrist_camera),
+        side_camera=side,
+        motor=None if robot.motor is None else GuardedMotor(robot.motor, limits),
+    )
+
+
+class GuardedArm:
+    """An arm that refuses what exceeds the limits, and stops on what it feels. It is itself an `Arm`.
+
+    Once its readings were stale the arm is not moved again through this guard: nobody knows where it is.
+
+    Args:
+        arm: the machine.
+        limits: what no trajectory and no reading may exceed.
+    """
+
+    def __init__(self, arm: Arm, limits: SafetyLimits) -> None:
+        self._arm, self._limits = arm, limits
+        self._expected: Array | None = None
+        self._lost = ""
+
+    def joints(self) -> Array:
+        """Return the measured joint angles (J,) [rad].
+
+        Raises:
+            DeviceError: the reading is not finite, or not where the arm was last sent: it is stale, or the arm was
+                moved by hand.
+        """
+        try:
+            q = check_array("measured joints", self._arm.joints(), self._limits.joint_lower.shape)
+        except InputError as error:
+            raise DeviceError(f"{error} The arm does not tell where it is.") from error
+        if self._expected is not None:
+            gap = float(np.abs(q - self._expected).max())
+            if gap > self._limits.start_tolerance:
+                self._lost = f"joints: got a reading {gap:.3g} rad from where the arm was sent; allowed: "
+                self._lost += f"<= {self._limits.start_tolerance:g}. It is stale or the arm was moved: start anew."
+                raise DeviceError(self._lost)
+        return q
+
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
+        """Follow a trajectory, and what follows it, within the limits.
+
+        What was checked is a copy, and the copy is what is commanded.
+
+        Raises:
+            StageFailure: limits_exceeded, nothing was commanded; or collision, the arm pressed on something and
+                stopped. Either way it holds.
+            DeviceError: the arm refused, stopped, or does not tell where it is; it holds.
+        """
+        watchdog = Watchdog(self._limits, watch)
+        try:
+            if self._lost:
+                raise DeviceError(self._lost)
+            checked = _copied(trajectory)
+            check_trajectory(checked, self.joints(), self._limits, goes_on=more is not None)
+            self._expected = None
+            if more is None:
+                record = self._arm.follow(checked, watchdog)
+            else:
+                chain = _Chain(checked, more, self._limits)
+                record = self._arm.follow(checked, watchdog, chain.next)
+                checked = chain.last
+        except BaseException:
+            self._lost = self._lost or watchdog.lost
+            with suppress(Exception):  # what went wrong first is what is reported
+                self._arm.hold()
+            raise
+        self._expected = checked.positions[-1]
+        return record
+
+    def hold(self) -> None:
+        """Stop and hold the present position."""
+        self._arm.hold()
+
+
+class _Chain:
+    """Motions that follow each other without a stop; each is checked before the arm is told of it.
+
+    Attributes:
+        last: of them so far.
+    """
+
+    def __init__(self, first: JointTrajectory, more: More, limits: SafetyLimits) -> None:
+        self.last = first
+        self._more, self._limits, self._seconds = more, limits, first.duration
+
+    def next(self) -> JointTrajectory | None:
+        """Return the motion that comes next, or None where the last one ends at rest."""
+        following, ends = self._more(), self.last.velocities[-1]
+        if following is None:
+            demand("speed at the ends", float(np.abs(ends).max()), AT_REST, "rad/s", "Let the last motion end at rest.")
+            return None
+        checked = _copied(following)
+        self._seconds += checked.duration
+        demand("length of the motion", self._seconds, LONGEST, "s", "Plan shorter motions.")
+        jump = float(np.abs(checked.velocities[0] - ends).max())
+        demand("jump in speed between motions", jump, JUMP, "rad/s", "Join them with equal speed.")
+        check_trajectory(checked, self.last.positions[-1], self._limits, joined=True, goes_on=True)
+        self.last = checked
+        return checked
+
+
+class GuardedGripper:
+    """A gripper that refuses openings beyond its stroke, lets go of what it would crush, and tells when it jams.
+
+    Args:
+        gripper: the machine.
+        limits: of its force.
+    """
+
+    def __init__(self, gripper: Gripper, limits: SafetyLimits) -> None:
+        self._gripper, self._limits = gripper, limits
+
+    @property
+    def stroke(self) -> float:
+        """Largest opening between the pads [m]."""
+        return self._gripper.stroke
+
+    def move(self, opening: float) -> GripperState:
+        """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
+
+        Raises:
+            StageFailure: limits_exceeded: beyond the stroke (nothing was commanded), or more than the grip force or
+                the stem stress allowed (the pads were opened).
+            DeviceError: the gripper refused or jammed.
+        """
+        limits, stroke = self._limits, self.stroke
+        if not 0 <= opening <= stroke:
+            given = f"gripper opening: got {opening:g} m; allowed: 0 <= opening <= {stroke:g} m."
+            raise StageFailure("limits_exceeded", f"{given} Check the unit.")
+        before = self.state().opening
+        state = _readable(self._gripper.move(opening))
+        stress = stem_stress(state, limits)
+        if (state.force > limits.grip_force or stress > limits.pressing.stem_stress) and opening < stroke:
+            self._gripper.move(stroke)
+            demand("grip force", state.force, limits.grip_force, "N; the pads were opened", "Close less far.")
+            demand("stem stress", stress, limits.pressing.stem_stress, "Pa; the pads were opened", "Close less far.")
+        short = abs(state.opening - opening)
+        if short > limits.grip_tolerance and (opening > before or not state.is_gripping):
+            asked = f"sent to {1000 * opening:.1f} mm, the pads stand at {1000 * state.opening:.1f} mm"
+            raise DeviceError(f"the gripper jammed: {asked} with {state.force:.1f} N. Free it by hand.")
+        return state
+
+    def state(self) -> GripperState:
+        """Return the present state.
+
+        Raises:
+            DeviceError: the reading is not finite.
+        """
+        return _readable(self._gripper.state())
+
+
+def stem_stress(state: GripperState, limits: SafetyLimits) -> float:
+    """Return the greatest pressure of a pad on what is held, taken as a stiff round stem [Pa]; 0 if nothing is."""
+    if not state.is_gripping or state.opening <= 0:
+        return 0.0
+    return float(limits.pressing.stress(max(state.force, 0.0), state.opening))
+
+
+class GuardedCamera:
+    """A camera that asks again for a lost frame, and drops those of a recording that are of no use.
+
+    Args:
+        camera: the machine.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """Of every frame."""
+        return self._camera.intrinsics
+
+    def read(self) -> Frame:
+        """Return one frame taken now.
+
+        Raises:
+            DeviceError: it was lost, `TRIES` times in a row.
+        """
+        reasons = []
+        for _ in range(TRIES):
+            try:
+                frame = self._camera.read()
+            except DeviceError as error:
+                reasons.append(str(error))
+            else:
+                if self._whole(frame):
+                    return frame
+                reasons.append(f"an image of {frame.depth.shape} pixels")
+        raise DeviceError(f"camera: no frame in {TRIES} tries ({reasons[-1]}). Check its cable.")
+
+    def start(self, rate: float) -> None:
+        """Begin to record at `rate` frames per second."""
+        self._camera.start(rate)
+
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the whole frames so far whose time goes forward.
+
+        Raises:
+            DeviceError: there are none.
+        """
+        return self._in_order(self._camera.recorded(since))
+
+    def stop(self) -> list[Frame]:
+        """End the recording and return its whole frames whose time goes forward."""
+        return self._in_order(self._camera.stop())
+
+    def _in_order(self, recorded: list[Frame]) -> list[Frame]:
+        frames: list[Frame] = []
+        for frame in recorded:
+            if self._whole(frame) and (not frames or frame.time > frames[-1].time):
+                frames.append(frame)
+        return frames
+
+    def _whole(self, frame: Frame) -> bool:
+        size = (self.intrinsics.height, self.intrinsics.width)
+        return bool(np.isfinite(frame.time)) and frame.depth.shape == size and frame.rgb.shape == (*size, 3)
+
+
+def _copied(trajectory: JointTrajectory) -> JointTrajectory:
+    """Return a copy nobody else can change, its times and numbers checked again."""
+    try:
+        arrays = (trajectory.times, trajectory.positions, trajectory.velocities)
+        return JointTrajectory(*(np.array(x, dtype=float) for x in arrays))
+    except InputError as error:
+        raise StageFailure("limits_exceeded", str(error)) from error
+
+
+def _readable(state: GripperState) -> GripperState:
+    if not (np.isfinite(state.opening) and np.isfinite(state.force)):
+        raise DeviceError(f"the gripper reads {state.opening} m and {state.force} N. Check its connection.")
+    return state

@@ -1,0 +1,173 @@
+"""What a motion may do: all that is known of it is checked before it begins, and every reading while it lasts."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from anther.devices import ArmSample, DeviceError, JointTrajectory, SafetyLimits, Watch
+from anther.errors import StageFailure
+from anther.geometry import Array
+
+CHECK_STEP = 0.005
+"""A trajectory is checked at its own samples and, in between, this often [s]: 7.5 mm of the flange at its top speed."""
+AT_REST = 0.05
+"""A trajectory begins and ends no faster than this [rad/s]."""
+LONGEST = 120.0
+"""No trajectory lasts longer [s]."""
+SOON = 1e-4
+"""The flange's speed is the way it goes in this time [s]."""
+JUMP = 1e-3
+"""Motions that follow each other without a stop join to this [rad/s], and [rad] of the joints."""
+
+
+def check_trajectory(
+    trajectory: JointTrajectory,
+    present: Array,
+    limits: SafetyLimits,
+    *,
+    joined: bool = False,
+    goes_on: bool = False,
+) -> None:
+    """Check all that is known of a motion before it begins.
+
+    What is checked is the curve that the arm follows, cubic between the samples: at every sample and every
+    `CHECK_STEP`. Start at the present joints, rest at both ends, joint range less the margin, joint speed and
+    acceleration; of the flange workspace and speed; of all of arm and tool the keep-out boxes.
+
+    Args:
+        trajectory: about to be commanded.
+        present: (J,) measured joints [rad].
+        limits: what is allowed.
+        joined: whether it follows another without a stop; then it need not begin at rest, but where that ends.
+        goes_on: whether another may follow; then it need not end at rest.
+
+    Raises:
+        StageFailure: limits_exceeded, with the value, what is allowed and what to do.
+    """
+    joints, arm = trajectory.positions.shape[1], len(limits.joint_lower)
+    if joints != arm:
+        raise StageFailure(
+            "limits_exceeded", f"path: got {joints} joints; allowed: the arm's {arm}. Plan for this arm."
+        )
+    demand("length of the motion", trajectory.duration, LONGEST, "s", "Plan shorter motions.")
+    gap = float(np.abs(trajectory.positions[0] - present).max())
+    allowed = JUMP if joined else limits.start_tolerance
+    demand("start of the path", gap, allowed, "rad from the present joints", "Plan from there.")
+    resting = trajectory.velocities[[end for end, moves in ((0, joined), (-1, goes_on)) if not moves]]
+    ends = float(np.abs(resting).max(initial=0.0))
+    demand("speed at the ends", ends, AT_REST, "rad/s", "Begin and end at rest.")
+    times = np.union1d(trajectory.times, np.arange(0, trajectory.duration, CHECK_STEP))
+    q, rates = _check_joints(trajectory, times, limits)
+    position = limits.forward(q)[:, :3, 3]
+    outside = float(np.maximum(limits.workspace.lower - position, position - limits.workspace.upper).max())
+    demand("flange", outside, 0.0, "m outside the workspace box", "Stay inside, or set the box larger.")
+    soon = limits.forward(q + SOON * rates)[:, :3, 3]
+    speed = float(np.linalg.norm(soon - position, axis=1).max()) / SOON
+    demand("flange speed", speed, limits.flange_speed, "m/s", "Slow the path down.")
+    _check_keep_out(q, limits)
+
+
+def _check_joints(trajectory: JointTrajectory, times: Array, limits: SafetyLimits) -> tuple[Array, Array]:
+    """Check range, speed and acceleration; return joints and rates, both (T, J), at (T,) times."""
+    curve = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
+    q, rates, m = curve(times), curve(times, 1), limits.joint_margin
+    beyond = np.maximum(limits.joint_lower + m - q, q - (limits.joint_upper - m)).max(axis=0)
+    worst = int(np.argmax(beyond))
+    demand(f"joint {worst}", float(beyond[worst]), 0.0, "rad beyond its range less the margin", "Plan another branch.")
+    # between two samples the acceleration of a cubic is linear: its extremes are at the ends, seen from inside
+    ends = np.concatenate([curve(trajectory.times[:-1], 2), curve(np.nextafter(trajectory.times[1:], 0), 2)])
+    shares = {"speed": np.abs(rates) / limits.joint_speed, "acceleration": np.abs(ends) / limits.joint_acceleration}
+    for name, share in shares.items():
+        worst = int(np.argmax(share.max(axis=0)))
+        demand(f"{name} of joint {worst}", float(share[:, worst].max()), 1.0, "of its limit", "Slow the path down.")
+    return q, rates
+
+
+def _check_keep_out(q: Array, limits: SafetyLimits) -> None:
+    for some in np.array_split(q, len(q) // 1000 + 1) if limits.keep_out else ():
+        balls = limits.outline(some)
+        least, most = ((balls[..., :3] + sign * balls[..., 3:]) for sign in (-1, 1))
+        least, most = least.min(axis=0), most.max(axis=0)
+        for box in limits.keep_out:
+            near = balls[:, np.all((least <= box.upper) & (most >= box.lower), axis=1)]  # else never in reach of it
+            gap = np.maximum(np.maximum(box.lower - near[..., :3], near[..., :3] - box.upper), 0)
+            if np.any(np.linalg.norm(gap, axis=-1) <= near[..., 3]):
+                where = f"{box.lower} .. {box.upper} m"
+                raise StageFailure(
+                    "limits_exceeded", f"arm or tool would enter the keep-out box {where}. Plan around it."
+                )
+
+
+def check_shake(amplitude: float, frequency: float, duration: float, limits: SafetyLimits) -> None:
+    """Check a shake's amplitude [m], frequency [Hz] and duration [s].
+
+    Raises:
+        StageFailure: limits_exceeded.
+    """
+    numbers = {"amplitude": amplitude, "frequency": frequency, "duration": duration}
+    for name, value in numbers.items():
+        if not (np.isfinite(value) and value > 0):
+            raise StageFailure("limits_exceeded", f"shake {name}: got {value}; allowed: a number > 0. Plan again.")
+    omega = 2 * np.pi * frequency
+    demand("shake amplitude x 2 pi frequency", amplitude * omega, limits.shake_speed, "m/s", "Shake less or slower.")
+    acceleration = amplitude * omega**2
+    limit = limits.shake_acceleration
+    demand("shake amplitude x (2 pi frequency)^2", acceleration, limit, "m/s^2", "Shake less or slower.")
+    demand("shake duration", duration, limits.shake_duration, "s", "Shake shorter.")
+
+
+def demand(what: str, value: float, limit: float, unit: str, do: str) -> None:
+    """Raise a StageFailure, limits_exceeded, unless value <= limit."""
+    if not value <= limit + 1e-9:
+        raise StageFailure("limits_exceeded", f"{what}: got {value:.4g} {unit}; allowed: <= {limit:.4g}. {do}")
+
+
+STILL = 2e-3
+"""A command that has travelled further than this [rad] must show in the readings."""
+
+
+class Watchdog:
+    """Holds every reading of a moving arm against the limits, then shows it to whoever else watches.
+
+    Attributes:
+        lost: why the arm's readings are not to be believed; empty while they are.
+    """
+
+    def __init__(self, limits: SafetyLimits, watch: Watch | None) -> None:
+        self.lost = ""
+        self._limits, self._watch = limits, watch
+        self._last: ArmSample | None = None
+        self._fresh, self._travelled = 0.0, 0.0
+
+    def __call__(self, sample: ArmSample) -> None:
+        self._check_fresh(sample)
+        limits = self._limits
+        gap = float(np.abs(sample.measured - sample.commanded).max())
+        if not gap <= limits.tracking:
+            raise DeviceError(f"the arm does not follow: {gap:.3g} rad behind; allowed: <= {limits.tracking:g}.")
+        if sample.force > limits.contact_force:
+            felt = f"contact force: got {sample.force:.3g} N; allowed: <= {limits.contact_force:g}"
+            raise StageFailure("collision", f"{felt}. The arm presses on something: look what it is.")
+        if self._watch:
+            self._watch(sample)
+
+    def _check_fresh(self, sample: ArmSample) -> None:
+        """Raise where the clock stands, or the joints read the same to the last bit while the command travels."""
+        last, self._last = self._last, sample
+        if last is None:
+            self._fresh = sample.time
+            return
+        if not sample.time > last.time:
+            self._distrust(f"the clock of the readings stands at {sample.time:.3f} s")
+        if np.array_equal(sample.measured, last.measured):
+            self._travelled += float(np.abs(sample.commanded - last.commanded).max())
+            age = sample.time - self._fresh
+            if age > self._limits.stale_after and self._travelled > STILL:
+                self._distrust(f"the joints read the same for {age:.2f} s of motion")
+        else:
+            self._fresh, self._travelled = sample.time, 0.0
+
+    def _distrust(self, why: str) -> None:
+        self.lost = f"joint readings are stale: {why}. The arm holds; check its connection and start anew."
+        raise DeviceError(self.lost)

@@ -1,0 +1,141 @@
+"""What stands around the plant: a grey bench under the pot, a concrete floor, hazy pale walls some metres off.
+
+A `Setting` changes the looks of it, adds a stake or other plants behind, and says what light falls on everything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.geometry import Array
+from anther.sim._mesh import Mesh, box, grid_faces, join, tube, unit
+from anther.sim.plant import Organ, Pot
+
+RGB = tuple[int, int, int]
+Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+BENCH_SIZE = (0.5, 0.8, 0.04)
+"""Of the bench's top [m], centred under the pot."""
+FLOOR_Z = -1.25
+WALL_DISTANCE = 3.5
+WALL_TOP = 2.2
+BENCH_GREY, FLOOR_GREY = (150, 152, 154), (176, 172, 165)
+HAZE_LOW, HAZE_HIGH = (170, 180, 166), (244, 248, 250)
+TERRACOTTA, BLACK_PLASTIC, WHITE_FILM = (178, 98, 66), (42, 42, 45), (236, 238, 238)
+BAMBOO, STRING_WHITE = (196, 164, 110), (228, 226, 214)
+
+DAYLIGHT: Matrix = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+WARM: Matrix = ((1.5, 0, 0), (0, 1, 0), (0, 0, 0.33))
+"""A camera balanced for daylight under lamps of about 3000 K (an estimate)."""
+COLD: Matrix = ((0.5, 0, 0), (0, 0.95, 0), (0, 0, 1.5))
+"""A camera balanced for lamps under a blue sky (an estimate)."""
+DIM: Matrix = ((0.12, 0, 0), (0, 0.12, 0), (0, 0, 0.12))
+"""Three stops too dark: a third of full scale where daylight gives white."""
+RED_LED: Matrix = ((0.80, 0, 0.02), (0.06, 0, 0.05), (0.02, 0, 0.32))
+"""Grow lamps of 660 nm and some 450 nm. There is no green light: what the green channel sees has leaked into it
+from red and blue (the shares are estimates)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """How the greenhouse looks; the default is daylight and nothing added.
+
+    Attributes:
+        light: (3, 3) maps linear light as the renderer has it (red, green, blue) to what the camera's channels take in.
+        sun: whether the sun shines, with its shadows.
+        pot, soil, bench: sRGB; None keeps the plant's own pot and soil, and grey for the bench.
+        stake: whether a bamboo stake stands beside the stem, with a white string up from the pot.
+        greenery: whether other plants stand behind, just out of the workspace.
+    """
+
+    light: Matrix = DAYLIGHT
+    sun: bool = True
+    pot: RGB | None = None
+    soil: RGB | None = None
+    bench: RGB = BENCH_GREY
+    stake: bool = False
+    greenery: bool = False
+
+
+def surroundings(
+    pot: Pot, setting: Setting | None = None
+) -> tuple[Array, NDArray[Any], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return vertices [m], faces, the `Organ` of each face and sRGB vertex colours of all that is not plant or pot."""
+    setting = setting or Setting()
+    rng = np.random.default_rng(7)
+    x, y = pot.centre[:2]
+    half = np.array(BENCH_SIZE) / 2
+    bench = box([x - half[0], y - half[1], pot.bench_z - BENCH_SIZE[2]], [x + half[0], y + half[1], pot.bench_z])
+    floor, walls = _floor(x, y), _walls(x, y)
+    height = np.clip((walls[0][:, 2:] - FLOOR_Z) / (WALL_TOP - FLOOR_Z) * 1.6 - 0.25, 0, 1)
+    haze = (1 - height) * HAZE_LOW + height * HAZE_HIGH + rng.normal(0, 3, (len(walls[0]), 1))
+    colours = [np.tile(setting.bench, (len(bench[0]), 1)), FLOOR_GREY + rng.normal(0, 6, (len(floor[0]), 1)), haze]
+    meshes, organs = [bench, floor, walls], [Organ.BENCH, Organ.SURROUNDINGS, Organ.SURROUNDINGS]
+    if setting.stake:
+        for mesh, colour in (
+            (_rod(pot, (0.02, 0.015), 0.004, 0.55), BAMBOO),
+            (_rod(pot, (-0.03, 0.03), 0.0012, 0.8), STRING_WHITE),
+        ):
+            meshes.append(mesh)
+            organs.append(Organ.BENCH)
+            colours.append(np.tile(colour, (len(mesh[0]), 1)))
+    if setting.greenery:
+        mesh, green = _neighbours(x, y)
+        meshes.append(mesh)
+        organs.append(Organ.SURROUNDINGS)
+        colours.append(green)
+    vertices, faces = join(meshes)
+    organ = np.repeat(np.array(organs, dtype=np.uint8), [len(f) for _, f in meshes])
+    return vertices, faces, organ, np.clip(np.vstack(colours), 0, 255).astype(np.uint8)
+
+
+def repainted(face_organ: NDArray[Any], faces: NDArray[Any], colour: NDArray[Any], setting: Setting) -> NDArray[Any]:
+    """Return sRGB vertex colours (Nv, 3) with pot and soil as the setting wants them; soil keeps its grain."""
+    colour = np.array(colour)
+    if setting.pot is not None:
+        colour[faces[face_organ == Organ.POT]] = setting.pot
+    if setting.soil is not None:
+        soil = np.unique(faces[face_organ == Organ.SOIL])
+        grain = colour[soil].mean(axis=1, keepdims=True) / max(float(colour[soil].mean()), 1.0)
+        colour[soil] = np.clip(np.array(setting.soil) * (0.9 + 0.1 * grain), 0, 255)
+    return colour
+
+
+def _rod(pot: Pot, beside: tuple[float, float], radius: float, height: float) -> Mesh:
+    """A straight rod out of the soil, leaning a little, `beside` the pot's axis [m]."""
+    foot = pot.centre + np.array([*beside, -0.03])
+    rise = np.linspace(0, height + 0.03, 12)[:, None]
+    return tube(foot + rise * unit([0.02, -0.03, 1.0]), np.full(12, radius), sides=8)
+
+
+def _neighbours(x: float, y: float) -> tuple[Mesh, NDArray[Any]]:
+    """Leaves of other plants on an arc behind (x, y), as seen from the arm, and their sRGB vertex colours."""
+    rng = np.random.default_rng(11)
+    count = 2500
+    angle, away = rng.uniform(-1.75, 1.75, count), rng.uniform(0.75, 1.3, count)
+    centre = np.stack([x + away * np.cos(angle), y + away * np.sin(angle), rng.uniform(-0.55, 0.5, count)], axis=1)
+    along = unit(rng.normal(size=(count, 3)))
+    across = unit(np.cross(along, rng.normal(size=(count, 3))))
+    length, width = rng.uniform(0.03, 0.06, (2, count, 1)) * np.array([[[1.0]], [[0.6]]])
+    corners = [centre - length * along, centre + width * across, centre + length * along, centre - width * across]
+    vertices = np.stack(corners, axis=1).reshape(-1, 3)
+    faces = (4 * np.arange(count)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.int32)
+    green = np.array([62, 108, 44]) * rng.uniform(0.7, 1.3, (count, 1))
+    return (vertices, faces), np.repeat(green, 4, axis=0)
+
+
+def _floor(x: float, y: float) -> Mesh:
+    u, v = np.meshgrid(np.linspace(-WALL_DISTANCE, WALL_DISTANCE, 29), np.linspace(-WALL_DISTANCE, WALL_DISTANCE, 29))
+    vertices = np.stack([x + u, y + v, np.full_like(u, FLOOR_Z)], axis=-1).reshape(-1, 3)
+    return vertices, grid_faces(29, 29, closed=False)
+
+
+def _walls(x: float, y: float) -> Mesh:
+    """A round wall of 48 panels: no corner catches the eye, and every view ends in it."""
+    angle, z = np.meshgrid(np.arange(48) * 2 * np.pi / 48, np.linspace(FLOOR_Z, WALL_TOP, 9))
+    ring = [x + WALL_DISTANCE * np.cos(angle), y + WALL_DISTANCE * np.sin(angle), z]
+    return np.stack(ring, axis=-1).reshape(-1, 3), grid_faces(9, 48, closed=True)

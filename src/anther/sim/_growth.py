@@ -1,0 +1,289 @@
+"""Growing a simulated plant piece by piece: chains of segments with their tubes, surfaces that ride on a segment.
+
+Local frame while growing: the soil surface at the pot's axis is the origin, z up. `Growth.finish` places the plant.
+
+How stiff a simulated plant has to be: it holds itself up, and its flowers swing on their pedicels as measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
+
+from anther.geometry import Array, transform, transform_points
+from anther.sim._mesh import Mesh, revolve, tube
+from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, Pot, SimPlant
+
+STEM_YOUNGS = (30e6, 300e6)
+"""Range of the stem's Young's modulus [Pa], log-uniform (facts: pollination 0, prior for E, centre about 100 MPa)."""
+PEDICEL_YOUNGS = (50e6, 100e6)
+"""Range of a pedicel's Young's modulus [Pa] (facts: pollination 1a)."""
+FLOWER_RESONANCE = (20.0, 35.0)
+"""Range in which a flower swings on its pedicel [Hz] (facts: pollination 1a: 20-35 Hz, 30 Hz measured)."""
+SELF_SUPPORT = 2.0
+"""How many times stiffer a plant is than one that just does not buckle under its own weight; 2 is a height margin of
+2^(1/3) = 1.26 over Greenhill's limit (height ~ E^(1/3)). An estimate: plants in pots stand without a stake."""
+
+
+def draw_youngs(rng: np.random.Generator) -> float:
+    """Return a stem's Young's modulus [Pa], log-uniform over STEM_YOUNGS."""
+    return float(np.exp(rng.uniform(*np.log(STEM_YOUNGS))))
+
+
+def pedicel_radius(length: float, flower_mass: float, youngs: float, resonance: float) -> float:
+    """Return the radius [m] with which a pedicel and its flower resonate at `resonance` [Hz].
+
+    A massless cantilever with a tip mass: (2 pi f)^2 = 3 E I / (m L^3), I = pi r^4 / 4.
+    """
+    stiffness = (2 * np.pi * resonance) ** 2 * flower_mass
+    return float((4 * stiffness * length**3 / (3 * np.pi * youngs)) ** 0.25)
+
+
+def buckling_factor(plant: SimPlant) -> float:
+    """Return the factor by which all Young's moduli could fall before the plant buckles under its own weight.
+
+    Segments are rigid, with a bending spring E I / L at each joint (L between the middles of the two segments). A small
+    tilt theta of segment k about a horizontal axis releases m_k g dz_k theta^2 / 2, where m_k is all mass it carries
+    and dz_k its rise. Buckling is where the spring energy no longer exceeds that: the largest eigenvalue of G x = l K x
+    is 1 / factor. For one tapered pole this converges to Greenhill's limit.
+    """
+    springs, weight = _spring_matrix(plant), _weight_moments(plant)
+    return float(1 / max(eigh(np.diag(weight), springs, eigvals_only=True)[-1], 1e-12))
+
+
+def _spring_matrix(plant: SimPlant) -> Array:
+    count = len(plant.parent)
+    inertia = np.pi / 4 * plant.radius_start**4
+    K = np.zeros((count, count))
+    for k, p in enumerate(plant.parent):
+        span = plant.length[k] / 2 + (plant.length[p] / 2 if p >= 0 else 0.0)
+        stiffness = 1 / (span / (plant.youngs[k] * inertia[k]) + (1 / plant.foot if p < 0 else 0.0))
+        K[k, k] += stiffness
+        if p >= 0:
+            K[p, p] += stiffness
+            K[k, p] -= stiffness
+            K[p, k] -= stiffness
+    return K
+
+
+def _weight_moments(plant: SimPlant) -> Array:
+    """(K,) second derivative of the weight's energy that each segment's tilt releases [N m]."""
+    carried = plant.mass + plant.lump_mass
+    own = carried.copy()
+    for k in range(len(carried) - 1, 0, -1):
+        carried[plant.parent[k]] += carried[k]
+    rise = (plant.end - plant.start)[:, 2]
+    own_rise = plant.mass * rise / 2 + plant.lump_mass * (plant.lump_centre - plant.start)[:, 2]
+    return GRAVITY * ((carried - own) * rise + own_rise)
+
+
+def supported_youngs(plant: SimPlant) -> SimPlant:
+    """Return the plant, all but its pedicels stiffened if it could not hold itself up with the margin SELF_SUPPORT."""
+    raise_by = SELF_SUPPORT / buckling_factor(plant)
+    if raise_by <= 1:
+        return plant
+    green = plant.organ != Organ.PEDICEL
+    return replace(plant, youngs=np.where(green, plant.youngs * raise_by, plant.youngs))
+
+
+AREAL_DENSITY = 0.25
+"""Mass of a fresh blade per area [kg/m2]: 0.25 mm of tissue that is mostly water (an estimate)."""
+
+
+def arc(base: Array, azimuth: float, length: float, elevation: tuple[float, float], count: int) -> Array:
+    """Return points (count + 1, 3) of an arc of `length` [m].
+
+    Args:
+        base: (3,) where it starts.
+        azimuth: of the vertical plane it lies in [rad].
+        length: [m].
+        elevation: of its first and last piece above the horizon [rad].
+        count: pieces.
+    """
+    angle = np.linspace(*elevation, count)
+    steps = np.stack([np.cos(angle) * np.cos(azimuth), np.cos(angle) * np.sin(azimuth), np.sin(angle)], axis=1)
+    return np.vstack([base, base + np.cumsum(steps * length / count, axis=0)])
+
+
+def ripple(rng: np.random.Generator, rows: int, size: float) -> Array:
+    """Return (rows, 7) smooth waves over a blade along its normal, growing to `size` [m] at its margins."""
+    across, along = np.linspace(-1, 1, 7), np.linspace(0, 1, rows)[:, None]
+    left, right = (size * np.sin(2 * np.pi * (rng.uniform(1.5, 3) * along + rng.uniform())) for _ in range(2))
+    return np.where(across < 0, left, right) * across**2
+
+
+def blade_colours(rng: np.random.Generator, colour: ArrayLike, rows: int) -> NDArray[np.uint8]:
+    """Return (rows * 7, 3) sRGB colours of a blade: a lighter midrib, patches, a shade of its own."""
+    shade = rng.normal(0, 7) + rng.normal(0, 3, (rows, 7))
+    warm = max(0.0, rng.normal(0, 9))
+    midrib = np.array([0, 0, 6, 22, 6, 0, 0.0])
+    level = shade + midrib
+    tinted = np.stack([level + warm, level, 0.6 * level], axis=-1) + np.asarray(colour)
+    return np.clip(tinted, 0, 255).astype(np.uint8).reshape(-1, 3)
+
+
+LONGEST = 0.05
+"""Longest segment [m]: `sim.plant_mechanics` bends a plant between its segments only."""
+SOIL_COLOUR = (58, 43, 33)
+POT_COLOURS = ((178, 98, 66), (42, 42, 45), (160, 88, 60))
+"""Terracotta, black plastic, darker terracotta."""
+
+
+def varied(colour: ArrayLike, count: int, rng: np.random.Generator, spread: float = 5.0) -> NDArray[np.uint8]:
+    """Return (count, 3) sRGB colours around `colour`, with one common shift in lightness and small noise."""
+    shift = rng.normal(0, spread)
+    noise = rng.normal(0, spread / 2.5, (count, 1)) * np.array([1.0, 1.0, 0.7])
+    return np.clip(np.asarray(colour) + shift + noise, 0, 255).astype(np.uint8)
+
+
+@dataclass
+class Growth:
+    """The pieces of a plant that is still growing.
+
+    Attributes:
+        rng: source of everything random.
+        youngs, density: of the tissue [Pa], [kg/m3]; a chain may have its own.
+    """
+
+    rng: np.random.Generator
+    youngs: float
+    density: float
+    _segments: list[dict[str, Any]] = field(default_factory=list)
+    _flowers: list[tuple[int, Array]] = field(default_factory=list)
+    _meshes: list[dict[str, Any]] = field(default_factory=list)
+    _vertices: int = 0
+
+    def chain(
+        self,
+        points: Array,
+        radii: ArrayLike,
+        organ: Organ,
+        parent: int,
+        colour: ArrayLike,
+        *,
+        youngs: float | None = None,
+        sides: int = 8,
+        tip: bool = True,
+    ) -> list[int]:
+        """Add tapered segments, none over `LONGEST`, along a polyline (n, 3) from the parent's end, and their tube.
+
+        Args:
+            points: (n, 3) [m].
+            radii: (n,) [m].
+            organ: of every segment.
+            parent: segment it grows from, -1 for the soil.
+            colour: sRGB.
+            youngs: Young's modulus [Pa] if not the plant's.
+            sides: of the tube.
+            tip: whether the tube's end is closed.
+
+        Returns:
+            the n - 1 numbers of the segments that end at points[1:].
+        """
+        radii = np.asarray(radii, dtype=np.float64)
+        tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": self.density}
+        first, last = len(self._segments), []
+        for i, step in enumerate(np.diff(points, axis=0)):
+            count = int(np.ceil(np.linalg.norm(step) / LONGEST))
+            places, widths = (np.linspace(x[i], x[i + 1], count + 1) for x in (points, radii))
+            for j in range(count):
+                ends = {
+                    "start": places[j],
+                    "end": places[j + 1],
+                    "radius_start": widths[j],
+                    "radius_end": widths[j + 1],
+                }
+                carried = {"lump_mass": 0.0, "lump_moment": np.zeros(3)}
+                self._segments.append({"parent": parent, **ends, **tissue, **carried})
+                parent = len(self._segments) - 1
+            last.append(parent)
+        ring = np.repeat([first, *last], sides)
+        rides = np.concatenate([ring, last[-1:]]) if tip else ring
+        self.surface(tube(points, radii, sides=sides, tip=tip), organ, colour, rides)
+        return last
+
+    def beside(self, segment: int, point: Array) -> int:
+        """Return which segment lies beside a point (3,) [m]: this one, or one before it in the same organ."""
+        here = self._segments[segment]
+        above = here["parent"]
+        before = (point - here["start"]) @ (here["end"] - here["start"]) < 0
+        if before and above >= 0 and self._segments[above]["organ"] == here["organ"]:
+            return self.beside(above, point)
+        return segment
+
+    def surface(self, mesh: Mesh, organ: Organ, colour: ArrayLike, segment: int | NDArray[Any]) -> None:
+        """Add a mesh. `colour` is one sRGB colour, varied a little, or (n, 3); `segment` one or (n,)."""
+        vertices, faces = mesh
+        n = len(vertices)
+        colours = np.asarray(colour)
+        colours = varied(colours, n, self.rng) if colours.ndim == 1 else colours.astype(np.uint8)
+        piece = {"vertices": vertices, "faces": faces + self._vertices, "vertex_color": colours}
+        labels = {"face_organ": np.full(len(faces), organ), "vertex_segment": np.broadcast_to(segment, n)}
+        self._meshes.append(piece | labels)
+        self._vertices += n
+
+    def carry(self, segment: int, mass: float, centre: ArrayLike) -> None:
+        """Add a mass [kg] that segment carries at `centre` (3,) [m]."""
+        self._segments[segment]["lump_mass"] += mass
+        self._segments[segment]["lump_moment"] = self._segments[segment]["lump_moment"] + mass * np.asarray(centre)
+
+    def flower(self, segment: int, centre: Array, mass: float) -> None:
+        """Say that a pedicel segment carries a flower of `mass` [kg] at `centre` (3,) [m]."""
+        self.carry(segment, mass, centre)
+        self._flowers.append((segment, centre))
+
+    def end(self, segment: int) -> Array:
+        """Return where a segment ends (3,) [m]."""
+        return self._segments[segment]["end"]
+
+    def pot(self, radius: float) -> None:
+        """Add a pot with soil under the origin."""
+        colour = POT_COLOURS[self.rng.integers(len(POT_COLOURS))]
+        r, h = radius, POT_HEIGHT
+        outside = [
+            (0, -h),
+            (0.74 * r, -h),
+            (0.95 * r, -0.2 * h),
+            (r, -0.2 * h),
+            (r, 0),
+            (r - 0.005, 0),
+            (r - 0.01, -0.03),
+        ]
+        self.surface(revolve(np.repeat(outside, 2, axis=0)), Organ.POT, colour, -1)
+        rings = np.linspace(0, r - 0.006, 18)
+        soil, faces = revolve(np.stack([rings, -0.012 * (rings / r) ** 2], axis=1), sides=56)
+        crumbs = slice(56, -56)
+        soil[crumbs] += self.rng.normal(0, 0.0014, soil[crumbs].shape)
+        colours = np.clip(np.array(SOIL_COLOUR) * self.rng.uniform(0.6, 1.35, (len(soil), 1)), 0, 255)
+        self.surface((soil, faces), Organ.SOIL, colours, -1)
+
+    def finish(
+        self, species: str, seed: int, *, axis: tuple[float, float], soil_z: float, viewpoint: float, pot_radius: float
+    ) -> SimPlant:
+        """Return the plant, turned by `viewpoint` [deg] about the pot's axis and placed at (axis, soil_z) [m]."""
+        self.pot(pot_radius)
+        c, s = np.cos(np.radians(viewpoint)), np.sin(np.radians(viewpoint))
+        T = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [*axis, soil_z])
+        part: dict[str, Any] = {name: np.array([s[name] for s in self._segments]) for name in self._segments[0]}
+        mesh: dict[str, Any] = {name: np.concatenate([m[name] for m in self._meshes]) for name in self._meshes[0]}
+        lump_mass, moment = part["lump_mass"], part.pop("lump_moment")
+        middle = (part["start"] + part["end"]) / 2
+        centre = np.where(lump_mass[:, None] > 0, moment / np.maximum(lump_mass, 1e-12)[:, None], middle)
+        places = {"start": part.pop("start"), "end": part.pop("end"), "lump_centre": centre}
+        places |= {"flower_position": np.array([p for _, p in self._flowers]), "vertices": mesh.pop("vertices")}
+        placed: dict[str, Any] = {name: transform_points(T, value) for name, value in places.items()}
+        plant = SimPlant(
+            species=species,
+            seed=seed,
+            damping_ratio=np.full(len(self._segments), self.rng.uniform(0.03, 0.08)),
+            flower_segment=np.array([k for k, _ in self._flowers]),
+            pot=Pot(T[:3, 3], pot_radius, 0.74 * pot_radius),
+            **part,
+            **mesh,
+            **placed,
+        )
+        return supported_youngs(plant)

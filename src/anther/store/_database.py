@@ -1,0 +1,377 @@
+"""Where the history lives: one SQLite file, or a PostgreSQL server; how it is opened, locked, and what can go wrong.
+
+The tables of the trial history, for SQLAlchemy. Units are in the names of the columns.
+
+One plant has many visits; a visit has at most one grasp and one shake, a response of every flower, and links to its run
+folder; outcomes belong to a plant, and to one of its visits where the grower says so. A sweep has many jobs, which
+have no visits. The tables themselves are made by `migrations`, which a test holds equal to these classes. Visits,
+responses, outcomes and notes are never changed; what a plant taught is a sum over its visits, kept beside it because a
+crop's would take minutes to add up.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from datetime import UTC, date, datetime
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    URL,
+    DateTime,
+    Double,
+    Engine,
+    ForeignKey,
+    Index,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+    create_engine,
+    event,
+    false,
+    make_url,
+)
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, relationship
+from sqlalchemy.pool import NullPool
+
+from anther.errors import AntherError, InputError, MissingExtra, bad_input
+from anther.files import understood
+from anther.store.migrations import HEAD, migrate, version
+
+
+class Utc(TypeDecorator[datetime]):
+    """A moment: timestamptz in PostgreSQL; UTC without its zone in SQLite, which has no zones."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Any) -> datetime | None:
+        """Return the moment as the database takes it."""
+        if value is None:
+            return None
+        moment = value.astimezone(UTC)
+        return moment.replace(tzinfo=None) if dialect.name == "sqlite" else moment
+
+    def process_result_value(self, value: datetime | None, dialect: Any) -> datetime | None:
+        """Return the moment in UTC."""
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+class Base(DeclarativeBase):
+    """Common base of the tables."""
+
+    type_annotation_map = {float: Double, str: Text, datetime: Utc, Any: JSON(none_as_null=True)}  # noqa: RUF012
+
+
+class Plant(Base):
+    """A plant, known by its species and label; `learned`: quantity -> sums over its visits (`evidence.summed`)."""
+
+    __tablename__ = "plants"
+    __table_args__ = (UniqueConstraint("species", "label"), Index("ix_plants_taught", "species", "taught"))
+    id: Mapped[int] = mapped_column(primary_key=True)
+    species: Mapped[str]
+    label: Mapped[str]
+    taught: Mapped[datetime | None]
+    learned: Mapped[Any] = mapped_column(nullable=True)
+
+
+class Visit(Base):
+    """One trial at a plant. The materials are `plant.Material` as JSON, so that a new property needs no new column.
+
+    Plant, time (by the robot's own clock) and robot name a visit in every history it is in.
+    """
+
+    __tablename__ = "visits"
+    __table_args__ = (
+        Index("ix_visits_plant", "plant_id", "time", "robot", unique=True),
+        Index("ix_visits_time", "time", "robot", "success", "failure", "acceleration_ms2"),  # trends read it alone
+    )
+    id: Mapped[int] = mapped_column(primary_key=True)
+    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
+    robot: Mapped[str] = mapped_column(server_default="")
+    time: Mapped[datetime]
+    success: Mapped[bool]
+    taught: Mapped[bool] = mapped_column(server_default=false())
+    acceleration_ms2: Mapped[float | None]
+    failure: Mapped[str | None]
+    run: Mapped[str | None]
+    material_before: Mapped[Any] = mapped_column(nullable=True)
+    material_after: Mapped[Any] = mapped_column(nullable=True)
+    plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
+    grasp: Mapped[Grasp | None] = relationship(lazy="selectin", uselist=False)
+    shake: Mapped[Shake | None] = relationship(lazy="selectin", uselist=False)
+    responses: Mapped[list[Response]] = relationship(lazy="selectin", order_by="Response.flower")
+
+
+class Grasp(Base):
+    """Where the plant was held."""
+
+    __tablename__ = "grasps"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), unique=True)
+    arc_length_m: Mapped[float | None]
+    stem_diameter_m: Mapped[float | None]
+    confidence: Mapped[float | None]
+    organ: Mapped[str | None]
+    pose7: Mapped[Any] = mapped_column(nullable=True)
+
+
+class Shake(Base):
+    """How it was shaken."""
+
+    __tablename__ = "shakes"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), unique=True)
+    frequency_hz: Mapped[float]
+    amplitude_m: Mapped[float]
+    duration_s: Mapped[float | None]
+    waveform: Mapped[str | None]
+    direction: Mapped[Any] = mapped_column(nullable=True)
+
+
+class Response(Base):
+    """How one flower answered; null where it was not predicted or not measurable."""
+
+    __tablename__ = "responses"
+    __table_args__ = (UniqueConstraint("visit_id", "flower"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"))
+    flower: Mapped[int]
+    predicted_amplitude_m: Mapped[float | None]
+    measured_amplitude_m: Mapped[float | None]
+    measured_amplitude_std_m: Mapped[float | None]
+    predicted_acceleration_ms2: Mapped[float | None]
+    measured_acceleration_ms2: Mapped[float | None]
+
+
+class FruitSet(Base):
+    """How many flowers of a plant set fruit, as the grower counted; nothing is ever overwritten."""
+
+    __tablename__ = "outcomes"
+    __table_args__ = (Index("ix_outcomes_plant", "plant_id", "recorded"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
+    visit_id: Mapped[int | None] = mapped_column(ForeignKey("visits.id"))
+    date: Mapped[date]
+    flowers: Mapped[int]
+    fruit: Mapped[int]
+    note: Mapped[str]
+    recorded: Mapped[datetime]
+    plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
+
+
+class Sweep(Base):
+    """Many runs of one function over the rows of a table (`anther.sweep`); `uid` is kept in its folder too."""
+
+    __tablename__ = "sweeps"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    uid: Mapped[str] = mapped_column(unique=True)
+    folder: Mapped[str]
+    function: Mapped[str]
+    began: Mapped[datetime]
+
+
+class SweepJob(Base):
+    """One row of a sweep's table and what became of it; `row` and `result` are JSON objects."""
+
+    __tablename__ = "sweep_jobs"
+    __table_args__ = (UniqueConstraint("sweep_id", "key"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweeps.id"))
+    key: Mapped[str]
+    row: Mapped[Any]
+    state: Mapped[str]
+    tries: Mapped[int]
+    reason: Mapped[str | None]
+    result: Mapped[Any] = mapped_column(nullable=True)
+    seconds: Mapped[float | None]
+    ended: Mapped[datetime | None]
+
+
+class Note(Base):
+    """What somebody wrote about a visit afterwards."""
+
+    __tablename__ = "notes"
+    __table_args__ = (Index("ix_notes_visit", "visit_id", "recorded"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"))
+    recorded: Mapped[datetime]
+    text: Mapped[str]
+
+
+DEFAULT = Path("runs/history.sqlite")
+PATIENCE = 30.0
+"""How long a writer waits for another one to finish [s]."""
+INSTALL = "pip install 'anther[postgresql]'"
+
+
+@contextmanager
+def reading(where: Path | str) -> Iterator[Session | None]:
+    """Yield a session that reads the history, brought to the newest version; None when there is no such file.
+
+    The database itself refuses it to write. Readers never wait for writers, nor writers for readers.
+
+    Raises:
+        InputError: no history of Anther's, or it cannot be reached.
+    """
+    url = _url(where)
+    if url.database is not None and url.drivername == "sqlite" and not Path(url.database).exists():
+        yield None
+        return
+    with _opened(url, write=False) as session, _cells_understood(url):
+        yield session
+
+
+@contextmanager
+def writing(where: Path | str) -> Iterator[Session]:
+    """Yield a session that writes, and commit at the end: all or, on an error or a crash, nothing of it is there.
+
+    A SQLite file and its folder are made when they are missing. Writers wait for each other, up to `PATIENCE` seconds.
+
+    Raises:
+        InputError: no history of Anther's, or it cannot be written: locked, full, forbidden, out of reach.
+    """
+    url = _url(where)
+    with _opened(url, write=True) as session:
+        yield session
+        session.commit()
+
+
+def shown(where: Path | str) -> str:
+    """Return the history's place for people and files: without a password."""
+    return _place(_url(where))
+
+
+def _url(where: Path | str) -> URL:
+    """Return the database's URL: a path is a SQLite file."""
+    if isinstance(where, Path) or "://" not in where:
+        return _file(URL.create("sqlite", database=str(where)))
+    try:
+        url = make_url(where)
+    except ArgumentError as error:
+        raise _refused("history", where.split(":")[0] + "://...", "Check the address.") from error
+    if url.get_backend_name() not in ("postgresql", "postgres", "sqlite"):
+        raise _refused("history", url.render_as_string(), "Other databases were never tested.")
+    return _file(url) if url.get_backend_name() == "sqlite" else url.set(drivername="postgresql+psycopg")
+
+
+def _file(url: URL) -> URL:
+    """Return the URL of a SQLite file.
+
+    Raises:
+        InputError: no name, a database in memory, a folder, or what is there is no file (a pipe would be waited for).
+    """
+    name = url.database or ""
+    if not name or name.startswith(":") or (Path(name).exists() and not Path(name).is_file()):
+        raise _refused("history", f"'{name}'", "Name a file, e.g. runs/history.sqlite.")
+    return url.set(drivername="sqlite")
+
+
+def _refused(what: str, given: str, do: str) -> InputError:
+    return bad_input(what, given=given, allowed="a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE", do=do)
+
+
+@contextmanager
+def _opened(url: URL, *, write: bool) -> Iterator[Session]:
+    try:
+        engine = _engine(_anchored(url), PATIENCE)
+        with Session(engine.execution_options(write=write), expire_on_commit=False) as session:
+            with _cells_understood(url):
+                if version(session.connection()) != HEAD:
+                    session.rollback()
+                    with engine.execution_options(write=True).begin() as connection:
+                        migrate(connection)
+            yield session
+    except (SQLAlchemyError, OSError) as error:
+        if isinstance(error, AntherError):
+            raise
+        raise _explained(url, error) from error
+
+
+def _anchored(url: URL) -> URL:
+    """Return the address with a SQLite file's whole path, its folder made: an engine outlives a change of folder."""
+    if url.drivername != "sqlite" or not url.database:
+        return url
+    path = Path(url.database).absolute()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return url.set(database=str(path))
+
+
+def _cells_understood(url: URL) -> AbstractContextManager[None]:
+    """Whoever edits a database by hand can put anything into its cells."""
+    return understood(f"trial history {_place(url)}", do="Correct the cell, or restore a copy of the database.")
+
+
+def _place(url: URL) -> str:
+    """Return the database's place without a password."""
+    return str(url.database) if url.drivername == "sqlite" else url.render_as_string(hide_password=True)
+
+
+@cache
+def _engine(url: URL, patience: float) -> Engine:
+    """Return the database's engine. It keeps what SQL was compiled, half of the time of a query, and no connection."""
+    write = partial(json.dumps, allow_nan=False)
+    if url.drivername != "sqlite":
+        options = f"{url.query.get('options', '')} -c lock_timeout={patience:.0f}s"  # added to those of the address
+        arguments = {"connect_timeout": 10, "options": options}
+        try:
+            engine = create_engine(url, poolclass=NullPool, connect_args=arguments, json_serializer=write)
+        except ImportError as error:
+            raise MissingExtra(f"history: PostgreSQL needs psycopg. Install it with: {INSTALL}") from error
+        event.listen(engine, "begin", _begin_postgresql)
+        return engine
+    engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": patience}, json_serializer=write)
+    event.listen(engine, "connect", _configure_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _configure_sqlite(connection: Any, _: Any) -> None:
+    """Write-ahead log, flushed to the disk at every commit, and references that are checked."""
+    connection.isolation_level = None  # sqlite3 would begin transactions itself, and late: see _begin_sqlite
+    deadline = time.monotonic() + PATIENCE
+    while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+        except connection.OperationalError:
+            if time.monotonic() > deadline:
+                raise
+        if time.monotonic() > deadline:
+            raise connection.OperationalError("this file system keeps no write-ahead log")
+        time.sleep(0.02)
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("PRAGMA foreign_keys=ON")
+
+
+def _begin_sqlite(connection: Any) -> None:
+    """A writer takes its lock at once: two that had both read first could not both go on, whatever their patience."""
+    write = connection.get_execution_options().get("write", False)
+    connection.exec_driver_sql(f"PRAGMA query_only={'OFF' if write else 'ON'}")
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
+
+
+def _begin_postgresql(connection: Any) -> None:
+    if not connection.get_execution_options().get("write", False):
+        connection.exec_driver_sql("SET TRANSACTION READ ONLY")
+
+
+def _explained(url: URL, error: Exception) -> InputError:
+    cause = " ".join(str(getattr(error, "orig", None) or error).split())
+    advice = {
+        "locked": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
+        "lock timeout": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
+        "full": "Nothing was changed: free some space and try again.",
+        "No space left": "Nothing was changed: free some space and try again.",
+        "readonly": "Nothing was changed: ask for the right to write there.",
+        "connection": "Is the server running, and does it accept you?",
+    }
+    do = next((text for word, text in advice.items() if word in cause), "Check path, free space and rights.")
+    return _refused(f"trial history {_place(url)}", cause, do)
