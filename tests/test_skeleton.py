@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from made_plants import segment_distance, simple_plant, tube
+from made_plants import one_sided_trunk, segment_distance, simple_plant, tube
 
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
+from anther.grasp import plan_grasps
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Params, Skeleton, skeletonize
 from anther.stem import find_stem
@@ -181,3 +182,16 @@ def test_save_and_load(plant: Skeleton, tmp_path) -> None:
 def test_a_skeleton_without_width_can_be_kept(tmp_path) -> None:
     Skeleton(np.array([[0, 0, 0], [0, 0, 1.0]]), np.array([-1, 0]), np.array([0.1, 0.1])).save(tmp_path / "s.npz")
     assert Skeleton.load(tmp_path / "s.npz").width is None
+
+
+@pytest.mark.parametrize("seen", [360, 180, 140], ids=lambda degrees: f"{degrees} degrees seen")
+def test_a_hollow_or_one_sided_trunk_has_its_true_radius(seen: int) -> None:
+    """A trunk of 120 mm as a scanner sees it: a tube without an inside, or only the side that faces it."""
+    trunk = Cloud(one_sided_trunk(seen))
+    tree = skeletonize(trunk)
+    stem = find_stem(tree)
+    low = stem.node_ids[(tree.nodes[stem.node_ids, 2] > 0.2) & (tree.nodes[stem.node_ids, 2] < 0.8)]
+    assert np.median(tree.radius[low]) == pytest.approx(0.06, rel=0.15)
+    assert np.median(np.linalg.norm(tree.nodes[low, :2], axis=1)) < 0.015
+    with pytest.raises(StageFailure, match="thicker than the stroke"):
+        plan_grasps(stem, tree, trunk)

@@ -124,7 +124,8 @@ def _stem_like(
         thin = np.median(radius[coming[i]]) < params.thinnest * np.median(radius[: i + 1])
         straight[i] = not (turned or thin)
         slim[i] = breadth[i] <= max(params.broadest * narrowest[i], np.median(width[: i + 1]))
-        solid[i] = np.median(flatness[coming[i]]) < params.planar_blade
+        round_ = breadth[i] <= _ROUND * np.median(radius[coming[i]])  # the wall of a thick trunk is a plane, and round
+        solid[i] = round_ or np.median(flatness[coming[i]]) < params.planar_blade
     return straight, slim, solid
 
 
