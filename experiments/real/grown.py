@@ -43,8 +43,9 @@ def _grass(rng: np.random.Generator) -> Parts:
     for k, at in enumerate(nodes):
         length = long * rng.uniform(0.7, 1.1) * (0.6 + 0.8 * np.sin(np.pi * (k + 1) / (len(nodes) + 1)))
         rise = (rng.uniform(0.6, 1.3), droop + rng.normal(0, 0.3))
-        foot, width = _at(stem, at), length * rng.uniform(0.025, 0.12)
-        line = arc(foot, side + np.pi * k + rng.normal(0, 0.25), length, rise, 40)
+        azimuth, width = side + np.pi * k + rng.normal(0, 0.25), length * rng.uniform(0.025, 0.12)
+        surface = radius[0] * np.array([np.cos(azimuth), np.sin(azimuth), 0])
+        line = arc(_at(stem, at) + surface, azimuth, length, rise, 40)
         parts.append((_leaf(rng, line, width, neck=0.3), False))
     length = rng.uniform(0.15, 0.8)
     line = arc(stem[-1], side, length, (rng.uniform(1.2, 1.57), rng.uniform(0.5, 1.4)), 40)

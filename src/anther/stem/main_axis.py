@@ -77,9 +77,9 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     than the stem below. The stem ends where the length that is stem-like, less `doubt` times the length that is not, is
     largest: a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
 
-    A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: if any of it
-    is broader than the stem, or not stem-like, it is the youngest leaf, however round its petiole, its neck or its
-    rolled blade. If it is longer than every limb, limbs were missed.
+    A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: it counts as
+    the youngest leaf, however round its petiole, its neck or its rolled blade. If it is longer than every limb, limbs
+    were missed.
     """
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -89,7 +89,7 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     end = int(np.argmax(gain)) + 2
     last, longest = _last_limb(skeleton, path, end, params)
     believed = last > 0 and arc[last] >= params.shortest * size and arc[end - 1] - arc[last] <= longest
-    return last + 1 if believed and not (straight & slim)[last:].all() else end
+    return last + 1 if believed else end
 
 
 def _last_limb(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[int, float]:
