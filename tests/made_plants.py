@@ -45,6 +45,19 @@ def simple_plant(seed: int = 0, *, noise: float = 0.0004, leaves: int = 4, heigh
     return cloud + rng.normal(0, noise, cloud.shape)
 
 
+def one_sided_trunk(seen: float, radius: float = 0.06, height: float = 1.2, noise: float = 0.001) -> Array:
+    """Return the surface of an upright trunk with limbs of 12 mm, of which `seen` degrees are in the cloud [m]."""
+    rng, half = np.random.default_rng(0), np.radians(seen) / 2
+    angle, z = rng.uniform(-half, half, 9000), rng.uniform(0, height, 9000)
+    parts = [np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)]
+    for k in range(4):
+        out = np.array([np.cos(2.4 * k), np.sin(2.4 * k), 0.8])
+        base = np.array([0, 0, height * (0.75 + 0.08 * k)])
+        parts.append(tube(base, base + 0.5 * out, (0.012, 0.01), 0.008, rng))
+    cloud = np.concatenate(parts)
+    return cloud + rng.normal(0, noise, cloud.shape)
+
+
 def segment_distance(points: Array, start: ArrayLike, end: ArrayLike) -> Array:
     """Return the distance of each point from a segment [m]."""
     start, end = np.asarray(start, float), np.asarray(end, float)

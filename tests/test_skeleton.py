@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from made_plants import segment_distance, simple_plant, tube
+from made_plants import one_sided_trunk, segment_distance, simple_plant, tube
 
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
+from anther.grasp import plan_grasps
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Params, Skeleton, skeletonize
 from anther.stem import find_stem
@@ -73,14 +74,15 @@ def test_a_drooping_leaf_below_the_base_is_not_the_root() -> None:
 
 
 def test_how_sure_the_root_is_comes_from_its_rivals(plant: Skeleton, tmp_path: Path) -> None:
-    """A level bar between two like stems may stand on either; a plant with one stem on one place alone."""
+    """A level bar between two like stems stands on neither for sure; a plant with one stem on one place alone."""
     assert plant.root_confidence == pytest.approx(1.0, abs=0.02)
     rng = np.random.default_rng(1)
     foot = tube([0, 0, 0], [0, 0, 0.3], (0.005, 0.004), 0.0012, rng)
     half = np.concatenate([foot, tube([0, 0, 0.3], [0.15, 0, 0.3], (0.004, 0.004), 0.0012, rng)])
     table = Cloud(np.concatenate([half, [0.3, 0, 0] + half * [-1, 1, 1]]))
     either = skeletonize(table)
-    assert either.root_confidence == pytest.approx(0.5, abs=0.2)
+    assert either.root_confidence is not None
+    assert either.root_confidence <= 0.6
     other = 0.3 - either.nodes[0, 0]
     (note,) = [note for note in either.notes if note.startswith("root:")]
     assert float(note.split("stand at ")[1].split(",")[0]) == pytest.approx(other, abs=0.01)
@@ -180,3 +182,16 @@ def test_save_and_load(plant: Skeleton, tmp_path) -> None:
 def test_a_skeleton_without_width_can_be_kept(tmp_path) -> None:
     Skeleton(np.array([[0, 0, 0], [0, 0, 1.0]]), np.array([-1, 0]), np.array([0.1, 0.1])).save(tmp_path / "s.npz")
     assert Skeleton.load(tmp_path / "s.npz").width is None
+
+
+@pytest.mark.parametrize("seen", [360, 180, 140], ids=lambda degrees: f"{degrees} degrees seen")
+def test_a_hollow_or_one_sided_trunk_has_its_true_radius(seen: int) -> None:
+    """A trunk of 120 mm as a scanner sees it: a tube without an inside, or only the side that faces it."""
+    trunk = Cloud(one_sided_trunk(seen))
+    tree = skeletonize(trunk)
+    stem = find_stem(tree)
+    low = stem.node_ids[(tree.nodes[stem.node_ids, 2] > 0.2) & (tree.nodes[stem.node_ids, 2] < 0.8)]
+    assert np.median(tree.radius[low]) == pytest.approx(0.06, rel=0.15)
+    assert np.median(np.linalg.norm(tree.nodes[low, :2], axis=1)) < 0.015
+    with pytest.raises(StageFailure, match="thicker than the stroke"):
+        plan_grasps(stem, tree, trunk)

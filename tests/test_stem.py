@@ -205,8 +205,10 @@ def test_the_petiole_of_the_leaf_above_the_last_limb_is_not_stem(flat: float) ->
     assert stem_top(seedling(flat=flat)) == pytest.approx(0.2)
 
 
-def test_a_stem_that_ends_round_goes_on_above_its_last_limb() -> None:
-    assert stem_top(seedling(width=0.004, flat=0)) == pytest.approx(0.4)
+@pytest.mark.parametrize(("limb_at", "top"), [(0.26, 0.4), (0.2, 0.2)])
+def test_a_stem_that_ends_round_goes_on_above_its_last_limb_for_an_internode(limb_at: float, top: float) -> None:
+    """Longer than any internode below it is only the youngest leaf of a grass, still rolled."""
+    assert stem_top(seedling(limb_at=limb_at, width=0.003, flat=0)) == pytest.approx(top)
 
 
 def test_a_top_that_is_longer_than_every_limb_may_have_lost_its_limbs() -> None:

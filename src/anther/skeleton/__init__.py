@@ -304,15 +304,16 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
         return tree.taking(*rerooted(tree.parent, found.node)), _rooted(tree, found)
     lowest = int(np.argmin(voxels.points[:, 2]))
     source = lowest if params.root is None else nearest_node("root", params.root, voxels.points)
-    tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
+    paths = _not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params)
     if params.root is not None:
-        return middled(tree, voxels), _Rooted()
+        return middled(_pruned(paths, voxels, params), voxels), _Rooted()
+    tree = _parted(paths, voxels, params)
     found = find_root(tree)
-    base, rooted = tree.nodes[found.node], _rooted(tree, found)
+    base = tree.nodes[found.node]
     if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
         source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
-        tree = _pruned(geodesic_tree(voxels, source, params.geodesic), voxels, params)
-    return middled(tree, voxels), rooted
+        paths = geodesic_tree(voxels, source, params.geodesic)
+    return middled(_pruned(paths, voxels, params), voxels), _rooted(tree, found)
 
 
 def _rooted(tree: RawTree, found: Base) -> _Rooted:
@@ -324,11 +325,17 @@ def _rooted(tree: RawTree, found: Base) -> _Rooted:
     return _Rooted(found.probability, (f"{words} (--root names it)",))
 
 
-def _pruned(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:
-    """Return the tree without what is not an organ: paths side by side, spurs, veins."""
+def _parted(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:
+    """Return the tree without paths side by side and the shortest spurs; a stem's foot may look like a longer one."""
     tree = parted(tree, stem_gain(tree))
     tree = with_extents(tree.nodes, tree.parent, voxels)
-    tree = without_spurs(tree, per_width=params.spur_per_width, at_least=params.spur * voxels.voxel)
+    return without_spurs(tree, per_width=0, at_least=params.spur * voxels.voxel)
+
+
+def _pruned(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:
+    """Return the tree without what is not an organ: paths side by side, spurs, veins."""
+    tree = _parted(tree, voxels, params)
+    tree = without_spurs(tree, per_width=params.spur_per_width, at_least=0)
     return without_veins(tree, params.vein * voxels.voxel)
 
 

@@ -195,8 +195,10 @@ def _recentred(curves: Curves, points: Array) -> Curves:
     at = _sections(curves, points)
     trusted = (at.count >= _FEWEST) & (at.residual <= _ROUND * at.circle) & (at.circle <= 3 * curves.radius)
     length = np.linalg.norm(at.centre, axis=1)
-    step = at.centre * np.minimum(1, 1.5 * curves.radius / np.maximum(length, 1e-12))[:, None]
-    return replace(curves, nodes=curves.nodes + np.where(trusted[:, None], step, 0))
+    shell = _shells(curves, at)
+    most = np.where(shell, at.circle, 1.5 * curves.radius)
+    step = at.centre * np.minimum(1, most / np.maximum(length, 1e-12))[:, None]
+    return replace(curves, nodes=curves.nodes + np.where((trusted | shell)[:, None], step, 0))
 
 
 _FEWEST = 8
@@ -210,6 +212,17 @@ _FLAT = 2.2
 
 _ROUND = 0.25
 """A section is round when half its points lie within this share of the radius from the fitted circle."""
+
+
+_ARC = 0.08
+"""A stem that is an arc in the cloud, seen from one side or hollow: half its points are this near to the circle."""
+
+
+def _shells(curves: Curves, at: CrossSections) -> NDArray[np.bool_]:
+    """Return (J,) where the first chain runs in the wall of a stem seen from one side: a third of a round or more."""
+    first = np.zeros(len(curves.nodes), dtype=bool)
+    first[curves.chains[0]] = True
+    return first & (at.count >= _FEWEST) & (at.residual <= _ARC * at.circle) & (at.wide >= 0.6 * at.circle)
 
 
 def _straight_start(curves: Curves) -> Curves:
@@ -245,6 +258,7 @@ def _radii(curves: Curves, points: Array, fattening: float, smallest: float) -> 
     at = _sections(curves, points)
     known, flat = at.count >= _FEWEST, at.wide > _FLAT * at.thin
     radius = np.where(flat, np.minimum(at.thin, 1.5 * curves.radius), at.surface - fattening)
+    radius = np.where(_shells(curves, at) & flat, at.circle - fattening, radius)
     radius, width = np.where(known, radius, curves.radius), np.where(known, at.wide - fattening, curves.width)
     for number, chain in enumerate(curves.chains):
         own = chain if number == 0 else chain[1:]

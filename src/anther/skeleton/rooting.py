@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from anther.geometry import Array
-from anther.skeleton.raw_tree import RawTree, chains, path_gain, rerooted
+from anther.skeleton.raw_tree import RawTree, edge_lengths, path_gain, rerooted
+from anther.skeleton.support import probability
 
 _ALPHA, _V_BIAS = 2.0, 1.0
 _LOW = 0.5
-_BEGINNING = 0.15
-_AWAY, _ABOVE = 1.5, 2.5
-"""Per plant's extent, in an exponent. Of 121 trees of 43 plants (tomatoes, peppers, a broad-leaved plant, leafy maize;
-upright, leaning by 20 and 40 degrees) these choose the base in 43 of 43, 37 of 39 and 37 of 39."""
-_SHARP, _ELSEWHERE = 3.0, 0.05
-"""A candidate is the base with odds that go as this power of its score; a stub on the best one's stem, not longer than
-this share of the plant's extent, is no rival. Read off the same trees: of ten said to stand there with less than 0.75
-four are wrong, of the others none."""
+_BEGINNING, _SAME = 0.2, 0.1
+"""Per plant's extent: how much of the way up from a candidate tells how it begins, and how near another is the same."""
+_THICK = 1.5
+"""Wood counts as no thicker than this times the 95th percentile: a pot left over is no stem."""
+
+FITTED = (-22.65, 20.04, 1.17, 18.24)
+SEEN = (2.39, 0.272)
+"""Weights of `base_evidence` in the utility of a base; constant and weight of the best utility in the log-odds that the
+base is in the cloud at all: `python experiments/fit_confidence.py`."""
 
 
 def stem_gain(tree: RawTree) -> Array:
     """Return (J,) the path gain (P10) by inscribed radius and roundness: a blade is thin however wide it is."""
-    roundness = np.minimum(tree.thickness / tree.width, 1)
     gain = path_gain(tree.nodes, tree.parent, tree.thickness, alpha=_ALPHA, v_bias=_V_BIAS)
-    return gain * roundness * (1.1 - tree.flatness)
+    return gain * _roundness(tree)
 
 
 class Base(NamedTuple):
@@ -40,59 +39,93 @@ class Base(NamedTuple):
 
 
 def find_root(tree: RawTree, candidates: int = 60) -> Base:
-    """Return the tip in the lower half of the plant from which the best stem starts.
+    """Return the tip in the lower half of the plant at which it most likely stands.
 
-    From each low tip the best rising path of the tree rooted there is scored, times how thick and upright it
-    begins: a drooping leaf's tip begins thin, rises less straight, and misses the thick lower stem. Height above
-    the lowest tip and a long way through the tree to what it would carry count against a candidate.
+    The tips are the choices of a conditional logit, nested in whether the base is in the cloud (McFadden 1978).
 
     Args:
         tree: any rooting of the tree.
         candidates: only so many of the lowest tips are tried.
     """
-    degree = np.bincount(tree.parent[1:], minlength=len(tree.nodes))
-    degree[1:] += 1
-    degree[0] = 1  # where the tree was rooted so far may be the root, whatever leaves there
-    z = tree.nodes[:, 2]
-    extent = max(float(np.linalg.norm(np.ptp(tree.nodes, axis=0))), 1e-12)
-    tips = np.flatnonzero(degree == 1)
+    tips, evidence = base_evidence(tree, candidates)
+    utility = evidence @ np.asarray(FITTED)
+    best = int(np.argmax(utility))
+    odds, same = np.exp(utility - utility[best]), same_place(tree, tips, best)
+    seen = float(probability(SEEN, utility[best : best + 1] + np.log(odds.sum())))
+    rival = best if same.all() else int(np.argmax(np.where(same, -1, odds)))
+    return Base(int(tips[best]), seen * float(odds[same].sum() / odds.sum()), int(tips[rival]))
+
+
+def same_place(tree: RawTree, tips: NDArray[np.int64], best: int) -> NDArray[np.bool_]:
+    """Return which of the tips (C,) are the same base as the best of them: stubs beside it."""
+    parent, order = rerooted(tree.parent, int(tips[best]))
+    way = np.empty(len(order))
+    way[order] = _summed_down(parent, edge_lengths(tree.nodes[order], parent))
+    return way[tips] <= _SAME * _extent(tree)
+
+
+def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Array]:
+    """Return the tips (C,) where the plant may stand and what speaks for each, (C, 4), relative to the plant's extent.
+
+    Columns: the mean way through the tree to all that it would carry (a base is near to all); how much the plant's
+    wood would rise, each edge by its squared inscribed radius and roundness (a stem is thick and grows up, a drooping
+    leaf grows down); how upright it begins; how far it lies below the top.
+    """
+    middle = int(np.argmin(_mean_way(tree)))
+    parent, order = rerooted(tree.parent, middle)
+    tree, extent = tree.taking(parent, order), _extent(tree)
+    z, length = tree.nodes[:, 2], edge_lengths(tree.nodes, parent)
+    tips = np.flatnonzero(np.bincount(parent[1:], minlength=len(parent)) + (parent >= 0) == 1)
     tips = tips[np.argsort(z[tips])]
-    low = int(np.count_nonzero(z[tips] <= z.min() + _LOW * np.ptp(z)))
+    low = np.count_nonzero(z[tips] <= z.min() + _LOW * np.ptp(z))
     tips = tips[: min(max(low, 1), candidates)]  # what hangs in an arc has no low tip
-    child = np.arange(1, len(tree.nodes))
-    lengths = np.maximum(np.linalg.norm(tree.nodes[1:] - tree.nodes[tree.parent[1:]], axis=1), 1e-12)
-    graph = csr_array((lengths, (child, tree.parent[1:])), (len(tree.nodes),) * 2)
-    way = dijkstra(graph, directed=False, indices=tips)
-    mean_way = np.average(way[:, 1:], axis=1, weights=lengths)
-    place = np.exp(-(_ABOVE * (z[tips] - z.min()) + _AWAY * mean_way) / extent)
-    stems = [_stem_from(tree, tip) for tip in tips]
-    score = np.maximum(place * [stem.score for stem in stems], 1e-300)
-    best = int(np.argmax(score))
-    off_stem = way[:, stems[best].path].min(axis=1)
-    odds = (score / score[best]) ** _SHARP * (off_stem > _ELSEWHERE * extent)
-    rival = int(odds.argmax()) if odds.any() else best
-    return Base(int(tips[best]), float(1 / (1 + odds.sum())), int(tips[rival]))
+    wood = tree.thickness * _roundness(tree)
+    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), _THICK) ** _ALPHA
+    rising = (z - z[np.maximum(parent, 0)]) * wood  # from another root the way there is walked the other way round
+    rise = rising.sum() - 2 * _summed_down(parent, rising)
+    upright = [_upright(tree, tip, length, _BEGINNING * extent) for tip in tips]
+    columns = (_mean_way(tree)[tips] / extent, rise[tips] / extent, upright, (z.max() - z[tips]) / extent)
+    return order[tips], np.stack(columns, axis=1)
 
 
-class _StemFrom(NamedTuple):
-    """The best stem that starts at a node: how well it would be one, and its nodes."""
+def _upright(tree: RawTree, tip: int, length: Array, reach: float) -> float:
+    """Return the sine of the elevation of the way from a tip towards the tree's root, over `reach` [m]."""
+    node, gone = int(tip), 0.0
+    while gone < reach and node:
+        gone += length[node]
+        node = int(tree.parent[node])
+    step = tree.nodes[node] - tree.nodes[tip]
+    return float(step[2] / max(float(np.linalg.norm(step)), 1e-12))
 
-    score: float
-    path: NDArray[np.int64]
+
+def _mean_way(tree: RawTree) -> Array:
+    """Return (J,) the mean way through the tree from each node to all of its length [m]."""
+    length = edge_lengths(tree.nodes, tree.parent)
+    beyond = length.copy()
+    for j in range(len(length) - 1, 0, -1):
+        beyond[tree.parent[j]] += beyond[j]
+    total = max(float(length.sum()), 1e-12)
+    nearer = length * (1 - 2 * beyond / total)  # a step to a node nears what lies beyond it and leaves the rest
+    nearer[0] = np.average(_summed_down(tree.parent, length), weights=length) if length.any() else 0
+    return _summed_down(tree.parent, nearer)
 
 
-def _stem_from(tree: RawTree, root: int) -> _StemFrom:
-    parent, order = rerooted(tree.parent, root)
-    other = tree.taking(parent, order)
-    above = np.maximum(other.parent, 0)
-    step = other.nodes - other.nodes[above]
-    rising = np.maximum(step[:, 2], 0) / np.maximum(np.linalg.norm(step, axis=1), 1e-12)
-    gain = stem_gain(other) * rising
-    path = chains(other.parent, gain)[0]
-    length = np.linalg.norm(step[path[1:]], axis=1)
-    first = path[1:][np.cumsum(length) <= max(_BEGINNING * float(length.sum()), length[0])]
-    mean_gain = gain[path].sum() / max(float(length.sum()), 1e-12)  # the way over a leaf to the stem is longer
-    return _StemFrom(float(mean_gain * np.mean(rising[first] * other.thickness[first])), order[path])
+def _summed_down(parent: NDArray[Any], amount: Array) -> Array:
+    """Return (J,) the sum of `amount` over each node and all between it and the root."""
+    total = amount.copy()
+    for j in range(1, len(parent)):
+        total[j] += total[parent[j]]
+    return total
+
+
+def _roundness(tree: RawTree) -> Array:
+    """Return (J,) about 1 on a stem, near 0 on a blade."""
+    return np.minimum(tree.thickness / tree.width, 1) * (1.1 - tree.flatness)
+
+
+def _extent(tree: RawTree) -> float:
+    """Return the diagonal of the tree's bounding box [m]."""
+    return max(float(np.linalg.norm(np.ptp(tree.nodes, axis=0))), 1e-12)
 
 
 _SOIL_REACH = 0.05

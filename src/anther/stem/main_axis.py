@@ -15,6 +15,7 @@ from anther.stem.organs import BRANCH, longest_way, stem_breadth
 from anther.stem.params import Params
 
 _TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
+_LONGER = 1.5  # internodes shorten upward; the youngest leaf of a grass, rolled, looks like a long one
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
@@ -78,8 +79,8 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     largest: a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
 
     A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: if any of it
-    is broader than the stem, or not stem-like, it is the youngest leaf, however round its petiole, its neck or its
-    rolled blade. If it is longer than every limb, limbs were missed.
+    is broader than the stem, or not stem-like, or if it is much longer than every internode, it is the youngest leaf,
+    however round its petiole, its neck or its rolled blade. If it is longer than every limb, limbs were missed.
     """
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -87,13 +88,15 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     straight, slim, solid = _stem_like(skeleton, path, arc, params.window * size, params)
     gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -params.doubt))
     end = int(np.argmax(gain)) + 2
-    last, longest = _last_limb(skeleton, path, end, params)
-    believed = last > 0 and arc[last] >= params.shortest * size and arc[end - 1] - arc[last] <= longest
-    return last + 1 if believed and not (straight & slim)[last:].all() else end
+    limbs, longest = _limbs(skeleton, path, end, params)
+    last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
+    believed = last > 0 and arc[last] >= params.shortest * size and bare <= longest
+    stem_like = (straight & slim)[last:].all() and bare <= _LONGER * np.diff(arc[limbs]).max(initial=0)
+    return last + 1 if believed and not stem_like else end
 
 
-def _last_limb(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[int, float]:
-    """Return the last of the first `end` positions where a limb leaves the path, 0 for none; the longest limb [m].
+def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[NDArray[np.int64], float]:
+    """Return 0 and which of the first `end` positions of the path a limb leaves; and the longest limb [m].
 
     Leaflets are no limbs: the way up the youngest compound leaf bears them too.
     """
@@ -102,8 +105,7 @@ def _last_limb(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params)
     limb = np.isin(skeleton.parent, path[1:end]) & (way > params.spur * stem_breadth(skeleton, path[:end]))
     longest = float(way[limb].max(initial=0))
     limb &= way > params.leaflet * longest
-    last = int(np.flatnonzero(np.isin(path[:end], skeleton.parent[limb])).max(initial=0))
-    return last, longest
+    return np.union1d(0, np.flatnonzero(np.isin(path[:end], skeleton.parent[limb]))), longest
 
 
 def _stem_like(
@@ -124,7 +126,8 @@ def _stem_like(
         thin = np.median(radius[coming[i]]) < params.thinnest * np.median(radius[: i + 1])
         straight[i] = not (turned or thin)
         slim[i] = breadth[i] <= max(params.broadest * narrowest[i], np.median(width[: i + 1]))
-        solid[i] = np.median(flatness[coming[i]]) < params.planar_blade
+        round_ = breadth[i] <= _ROUND * np.median(radius[coming[i]])  # the wall of a thick trunk is a plane, and round
+        solid[i] = round_ or np.median(flatness[coming[i]]) < params.planar_blade
     return straight, slim, solid
 
 
