@@ -54,6 +54,13 @@ def test_ply(tmp_path: Path, encoding: str) -> None:
     assert np.array_equal(cloud.colors, COLORS)
 
 
+@pytest.mark.parametrize("encoding", ["binary", "ascii"])
+def test_a_mesh_is_read_as_its_vertices(tmp_path: Path, encoding: str) -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    (tmp_path / "a.ply").write_bytes(export_ply(mesh, encoding=encoding))
+    assert np.allclose(read_cloud(tmp_path / "a.ply", "m", "z").points, mesh.vertices, atol=1e-6)
+
+
 def test_pcd_binary_with_packed_colours(tmp_path: Path) -> None:
     write_pcd(tmp_path / "a.pcd", "binary")
     cloud = read_cloud(tmp_path / "a.pcd")
