@@ -20,8 +20,8 @@ from typing import Any
 PATIENCE = 2.0  # s
 
 COLLECT_EVERY = 100_000
-"""Garbage is looked for after so many new objects. Python's 700 costs a fifth of the time of `anther skeletonize`, since
-its libraries make half a million that live to the end."""
+"""Garbage is looked for after so many new objects. Python's 700 costs a fifth of the time of `anther skeletonize`: its
+libraries make half a million that live to the end."""
 
 COMMANDS = {
     "trial": "see, grasp and shake one plant, in the simulated cell or a real one, measure it, write a report",

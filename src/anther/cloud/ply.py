@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
-from anther.errors import InputError, bad_input
+from anther.errors import bad_input
 from anther.files import LARGEST, LARGEST_TEXT, replacing, whole_file
 from anther.geometry import Array
 
