@@ -188,7 +188,7 @@ def _said(skeleton: Skeleton, organ: NDArray[Any], results: RunResults) -> list[
     confidence = "" if sure is None else f"; the main stem with a probability of {sure:.0%}"
     return [
         f"node {j}: {ORGAN_NAMES[int(kind)]}, {2000 * r:.1f} mm thick{confidence if kind == STEM else ''}  \n"
-        f"`--root {x:.3f},{y:.3f},{z:.3f}`"
+        f"`--root={x:.3f},{y:.3f},{z:.3f}`, or `--stem-tip=` the same"
         for j, ((x, y, z), r, kind) in enumerate(zip(skeleton.nodes, skeleton.radius, organ, strict=True))
     ]
 
