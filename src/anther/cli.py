@@ -39,7 +39,7 @@ COMMANDS = {
     "outcome": "record how many flowers of a plant or visit set fruit",
     "fruit-set": "what the counts of fruit set teach of the dose-response, and what they do not",
     "serve": "pages of the history for a browser or a phone: today, failures, trends, robots, plants; read-only",
-    "view": "open a run in the 3-D viewer, write it to one HTML file, or show a trial as it happens",
+    "view": "open a run or a skeleton in the 3-D viewer, write it to one HTML file, or show a trial as it happens",
     "export": "a run's skeleton -> PLY, SWC, GraphML, MTG (OpenAlea) or glTF, by the file's suffix",
     "import-capture": "COLMAP, RealSense or ROS bags, MCAP -> a capture folder; fused PLY -> a cloud",
     "convert-kinect": "Kinect turntable frames -> a capture folder",
