@@ -36,8 +36,8 @@ POINTS, NOISE = 30_000, 5e-4
 """Of a simulated plant, and their spread about its surface [m]."""
 FIRST_SEEDLING, EVERY = 4, 8
 SEED = 4_100
-"""Other seedlings (0, 8, ...) and seeds (1000 to 1007) were looked at when the rule was made; so were the other real
-clouds."""
+"""Other seedlings (0, 8, ...) and seeds (1000 to 1007) were looked at when the rule was made. So were the real clouds
+that are no seedlings: on them it was not tried independently."""
 
 
 def real(folder: Path) -> Iterator[tuple[str, Array]]:

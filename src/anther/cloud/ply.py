@@ -115,7 +115,7 @@ def _ascii(body: bytes, kinds: _Kinds) -> dict[str, NDArray[Any]]:
         rows = lines[at : at + count]
         if len(rows) < count:
             raise ValueError(f"{len(rows)} of {count} rows of {name}")
-        table = np.loadtxt(rows, ndmin=2) if rows else np.zeros((0, len(dtype)))
+        table = np.loadtxt(rows, ndmin=2) if rows else np.zeros((0, len(dtype.names or ())))
         found[name], at = unstructured_to_structured(table, dtype), at + count
     return found
 
