@@ -37,6 +37,8 @@ docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/registration.py --figures docs/pictures
 	$(BIN)/python tools/record.py experiments/skeletons.py --figures docs/pictures
 	$(BIN)/python tools/record.py experiments/organs.py
+	$(BIN)/python tools/record.py experiments/up_axis.py
+	$(BIN)/python tools/record.py experiments/authors_plants.py --page docs/reports/authors_plants.md
 	$(BIN)/python tools/record.py experiments/views.py --figure docs/pictures/views.png
 	$(BIN)/python tools/record.py experiments/confidence.py --figure docs/pictures/confidence.png
 	$(BIN)/python tools/record.py experiments/faults.py

@@ -13,7 +13,8 @@ of the main stem's length on it, mean over plants), stem_on_label_95 (share of p
 stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants, and on the six
 clouds without labels others_reached and others_single_trees. For Anther alone: radius_over_points (the main stem's
 radius over the distance of its labelled points; 1 is right), and against the published graphs <scan>_precision_<1v|3v>
-and <scan>_recall_<1v|3v>; by the strict rule, those of disturbed_plants.py.
+and <scan>_recall_<1v|3v>; by the strict rule, those of disturbed_plants.py; and of a command in a process of its own,
+skeletonize_wall_s, help_wall_s, and both with cpu.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ from real.peer_process import WORKERS, Peer
 from real.pictures import Shown, draw_below, draw_methods, draw_references, draw_seen, save
 from real.plain_thinning import FINE, plain_thinning
 from real.plants import HARD, LABELLED, Labelled, Reference, labelled_plants, references, unlabelled
+from real.start import started
 from real.strict import judged_all, metrics
 from rich.console import Console
 from rich.progress import track
@@ -195,7 +197,7 @@ def main() -> None:
     if args.json:
         every = 31 if args.quick else STRICT_EVERY
         strict = labelled_plants(args.data, every, LABELLED + HARD)
-        write_json(args.json, found.metrics() | metrics(judged_all(strict)))
+        write_json(args.json, found.metrics() | metrics(judged_all(strict)) | started(args.data))
 
 
 def _print(console: Console, found: Run) -> None:

@@ -15,10 +15,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_plants import simple_plant
 
 from anther import __version__, cli
 from anther.capture import Capture
 from anther.cli import COMMANDS, main
+from anther.cloud import Cloud
 from anther.commands.run_folder import WRITTEN, open_run
 from anther.errors import InputError, StageFailure
 from anther.geometry import Intrinsics, look_at
@@ -290,6 +292,26 @@ def test_view_refuses_a_folder_that_is_no_run(capfd, tmp_path) -> None:
 def test_module_runs_as_a_program() -> None:
     done = subprocess.run([sys.executable, "-m", "anther.cli", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("anther ")
+
+
+UNNEEDED = {"coal", "matplotlib", "mujoco", "pinocchio", "rich", "sqlalchemy", "torch", "trimesh", "viser"}
+"""What takes a command long to import, and neither help nor a skeleton needs."""
+
+
+@pytest.mark.parametrize(
+    ("words", "unneeded"),
+    [
+        (["--help"], UNNEEDED | {"numba", "numpy", "scipy", "tyro"}),
+        (["skeletonize", "--units", "m", "--up", "z"], UNNEEDED),
+    ],
+)
+def test_a_command_starts_without_what_it_does_not_need(tmp_path, words, unneeded) -> None:
+    plant = tmp_path / "plant.ply"
+    Cloud(simple_plant()).save(plant)
+    asked = [*words, str(plant)]
+    code = f"import sys; from anther.cli import main; assert main({asked}) == 0; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not unneeded & set(done.stdout.splitlines()[-1].split())
 
 
 def test_a_plant_out_of_reach_is_said_so_and_kept(tmp_path, capfd) -> None:

@@ -10,10 +10,12 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_plants import simple_plant
 from trimesh.exchange.ply import export_ply
 
 from anther.errors import InputError
 from anther.formats.clouds import read_cloud
+from anther.formats.up_axis import axis_notes
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(0, 0.4, (400, 3)).astype(np.float32)
@@ -52,6 +54,13 @@ def test_ply(tmp_path: Path, encoding: str) -> None:
     assert np.allclose(cloud.points, POINTS, atol=1e-6)
     assert cloud.colors is not None
     assert np.array_equal(cloud.colors, COLORS)
+
+
+@pytest.mark.parametrize("encoding", ["binary", "ascii"])
+def test_a_mesh_is_read_as_its_vertices(tmp_path: Path, encoding: str) -> None:
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    (tmp_path / "a.ply").write_bytes(export_ply(mesh, encoding=encoding))
+    assert np.allclose(read_cloud(tmp_path / "a.ply", "m", "z").points, mesh.vertices, atol=1e-6)
 
 
 def test_pcd_binary_with_packed_colours(tmp_path: Path) -> None:
@@ -169,6 +178,27 @@ def test_what_a_file_leaves_open_is_said(tmp_path: Path) -> None:
     assert read_cloud(tmp_path / "a.npz", "m", "z").notes == ()
     np.savez(tmp_path / "b.npz", points=POINTS, units="m", up=[0, 0, 1.0])
     assert read_cloud(tmp_path / "b.npz").notes == ()
+
+
+@pytest.mark.parametrize("up", ["x", "y", "z"])
+def test_the_axis_that_is_up_is_named_by_its_stem(tmp_path: Path, up: str) -> None:
+    plant = simple_plant()
+    in_file = plant[:, {"x": [2, 0, 1], "y": [1, 2, 0], "z": [0, 1, 2]}[up]]
+    np.savez(tmp_path / "a.npz", points=in_file)
+    said = " ".join(read_cloud(tmp_path / "a.npz", "m").notes)
+    named = [axis for axis in "xyz" if f"try --up {axis}" in said]
+    assert named == ([] if up == "z" else [up])
+    assert "hard to tell" not in said
+    right = read_cloud(tmp_path / "a.npz", "m", up)
+    assert np.allclose(right.points, plant)
+    assert right.notes == (), "who says which is right is not contradicted"
+
+
+def test_what_has_no_stem_leaves_the_axis_open() -> None:
+    ball = RNG.normal(size=(4000, 3))
+    ball *= 0.1 / np.linalg.norm(ball, axis=1, keepdims=True)
+    (note,) = axis_notes(ball)
+    assert "hard to tell" in note
 
 
 def test_missing_unknown_and_wrong_arrays(tmp_path: Path) -> None:

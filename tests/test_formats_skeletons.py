@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.cli import main
+from anther.commands.skeletonize import main_stem, read_source
 from anther.errors import InputError
 from anther.formats import gltf
 from anther.formats.mtg import successors
@@ -354,6 +355,20 @@ def test_a_scrap_of_soil_is_not_the_root() -> None:
     assert rooted(nodes[:31], edges[:30]).rooted_at().numbers[0] == 0  # without a scrap: the lowest node
 
 
+def test_scraps_of_soil_at_the_root_are_left_out() -> None:
+    nodes, edges = scrap_of_soil()
+    bare = rooted(nodes, edges).rooted_at().without_scraps()
+    assert set(bare.numbers) == {*range(31), 35, 36}
+    for number in bare.numbers:
+        assert bare.nodes[bare.node(number)] == pytest.approx(nodes[number])
+    assert np.linalg.norm(bare.nodes[1:] - bare.nodes[bare.parent[1:]], axis=1).max() < 0.04, "edges as before"
+    again = bare.without_scraps()
+    assert len(again.nodes) == len(bare.nodes)
+    two = np.concatenate([nodes, [[0.05, 0.0, 0.25], [0.06, 0.0, 0.3]]])
+    both = rooted(two, np.concatenate([edges, [(0, 37), (37, 38)]])).rooted_at(0).without_scraps()
+    assert {37, 38} <= set(both.numbers), "what goes up is a shoot"
+
+
 def test_who_knows_better_names_the_root() -> None:
     nodes, edges = scrap_of_soil()
     found = rooted(nodes, edges).rooted_at(30)
@@ -375,11 +390,8 @@ def test_supposed_radii_add_up_as_pipes_do() -> None:
 
 @pytest.mark.parametrize("name", ["pepper0", "pepper4", "tomato1", "tomato2"])
 def test_the_authors_plants_stand_where_their_stem_begins_or_it_is_said(data: Path, name: str) -> None:
-    found = read_skeleton(data / "skeletons" / f"{name}.txt").rooted_at()
-    stem = find_stem(found.skeleton(supposed_radius(found, 5e-3)))
-    rise = np.ptp(found.nodes[stem.node_ids, 2]) / np.ptp(found.nodes[:, 2])
-    if name == "tomato1":  # a tangle: its lines wander from stem to leaves and back
-        assert any("is the root right?" in note for note in stem.notes)
-    else:
-        assert rise > 0.6
-        assert not stem.notes
+    _, skeleton = read_source(data / "skeletons" / f"{name}.txt")
+    stem = main_stem(skeleton)
+    assert np.ptp(skeleton.nodes[stem.node_ids, 2]) > 0.6 * np.ptp(skeleton.nodes[:, 2])
+    tangled = name == "tomato1"  # its lines wander from stem to leaves and back
+    assert any("--stem-tip names its end" in note for note in stem.notes) == tangled

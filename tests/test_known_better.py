@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +15,7 @@ from anther.cli import main
 from anther.cloud import Cloud
 from anther.commands import respond
 from anther.commands.rod_plant import read_plant
-from anther.commands.skeletonize import STEM, place
+from anther.commands.skeletonize import STEM, main_stem, place, read_source
 from anther.errors import InputError
 from anther.formats.skeletons import write_skeleton
 from anther.skeleton import Params, Skeleton, skeletonize
@@ -92,20 +93,52 @@ def test_a_file_without_radii_is_as_thick_as_its_crop(tmp_path: Path) -> None:
     assert np.asarray(given.edge_radius) == pytest.approx(3e-3)
 
 
+def test_a_stub_is_no_main_stem(tmp_path: Path) -> None:
+    """Where only the lowest tenth looks like a stem, the way to the top is taken, and said."""
+    low = np.stack([np.zeros(6), np.zeros(6), 0.01 * np.arange(6)], axis=1)
+    aside = np.stack([0.01 * np.arange(1, 16), np.zeros(15), np.full(15, 0.05)], axis=1)
+    thin = np.stack([np.full(30, 0.15), np.zeros(30), 0.06 + 0.01 * np.arange(30)], axis=1)
+    nodes = np.concatenate([low, aside, thin])
+    radius = np.repeat([5e-3, 3e-3, 1e-3], [len(low), len(aside), len(thin)])
+    crooked = Skeleton(nodes, np.arange(-1, len(nodes) - 1), radius)
+    assert len(find_stem(crooked).node_ids) < 20
+    stem = main_stem(crooked)
+    assert stem.node_ids[-1] == len(nodes) - 1
+    assert any("--stem-tip names its end" in note for note in stem.notes)
+    straight = branched()[0]
+    assert main_stem(straight).node_ids.tolist() == find_stem(straight).node_ids.tolist()
+    assert main_stem(straight, tip=4).node_ids[-1] == 4
+
+
+def test_a_shake_without_nodes_is_of_the_stem_and_says_which(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    words = ["--duration", "0.02", "--frequency", "20", "--youngs", "5e8"]
+    assert main(["shake", str(bare(tmp_path)), *words]) == 0
+    said = capfd.readouterr().out
+    grip, flower = (int(found) for found in re.findall(r"(?:grip|flower) node (\d+)", said)[::-1])
+    source, skeleton = read_source(bare(tmp_path))
+    stem = main_stem(skeleton)
+    along = stem.arc_length[stem.node_ids.tolist().index(source.node(grip))]
+    assert along == pytest.approx(stem.arc_length[-1] / 2, abs=0.02)
+    assert source.node(flower) not in skeleton.parent
+
+
 def test_a_node_of_a_file_is_its_root_or_ends_its_stem(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file, skeleton = bare(tmp_path), branched()[0]
     top = int(skeleton.nodes[:, 2].argmax())
-    turned = read_plant(respond.Args(file, root=top))
+    at = ",".join(f"{x:.4f}" for x in skeleton.nodes[top])
+    assert read_plant(respond.Args(file, root=at)).numbers[0] == top
+    turned = read_plant(respond.Args(file, root=str(top)))
     assert turned.rods.nodes[0] == pytest.approx(skeleton.nodes[top], abs=1e-6)
     assert turned.numbers[0] == top
     half = len(skeleton.path_from_root(top)) // 2
     node = int(skeleton.path_from_root(top)[half])
-    shorter = read_plant(respond.Args(file, stem_tip=node))
+    shorter = read_plant(respond.Args(file, stem_tip=str(node)))
     assert shorter.stem_nodes is not None
     assert shorter.rods.nodes[shorter.stem_nodes[-1]] == pytest.approx(skeleton.nodes[node], abs=1e-6)
     for option in ("--root", "--stem-tip"):
-        assert main(["respond", str(file), option, "9999"]) == 2
-        assert "got 9999" in capfd.readouterr().err
+        for wrong, said in (("9999", "got 9999"), ("top", "got top"), ("0,0,9", "from the plant"), ("1,2", "x,y,z")):
+            assert main(["respond", str(file), option, wrong]) == 2
+            assert said in capfd.readouterr().err
         (tmp_path / "run").mkdir(exist_ok=True)
         assert main(["respond", str(tmp_path / "run"), option, "3"]) == 2
         assert "with a run folder" in capfd.readouterr().err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,17 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import viser
 from fake_robot import horizontal_grasp
 from made_foresight import made_plan
 from sample_plants import branched
 
 from anther.arm import sawyer
 from anther.cloud import Cloud
+from anther.commands.skeletonize import node_named, read_source
+from anther.commands.view import skeleton_results
 from anther.execution import Trial
+from anther.formats.skeletons import write_skeleton
 from anther.geometry import look_at
 from anther.plant import TOMATO, build_plant
 from anther.response import Response
@@ -23,7 +28,7 @@ from anther.results import RunResults
 from anther.vibration import Pads
 from anther.viewer import write_html
 from anther.viewer.motion import RATE, motion_of
-from anther.viewer.scene import VIEW_FROM
+from anther.viewer.scene import VIEW_FROM, build_scene
 
 FREQUENCY, SECONDS, SWING = 4.0, 2.0, 0.01
 FIRM = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0.0, turning_spread=0.0)
@@ -170,3 +175,19 @@ def test_the_page_plays_in_a_browser_and_flowers_move_by_the_right_number_of_pix
     way = np.diff(expected.mean(axis=1), axis=0)[0]
     assert np.linalg.norm(way) > 20
     np.testing.assert_allclose(second - first, way, atol=0.15 * np.linalg.norm(way))
+
+
+def test_a_click_names_the_node_as_commands_take_it(tmp_path: Path) -> None:
+    skeleton = branched()[0]
+    write_skeleton(tmp_path / "plant.swc", skeleton)
+    results = skeleton_results(tmp_path / "plant.swc")
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        said = build_scene(server, results).said
+    finally:
+        server.stop()
+    source, _ = read_source(tmp_path / "plant.swc")
+    assert len(said) == len(skeleton.nodes)
+    for j, text in enumerate(said):
+        number, place = re.search(r"node (\d+):.*`--root=(\S+)`", text, re.DOTALL).groups()
+        assert (source.node(int(number)), node_named("--root", place, source)) == (j, int(number))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.capture import Capture
 from anther.cloud import Cloud
@@ -58,6 +59,7 @@ class RunResults:
         executed: as it was carried out; other than planned where it was watched.
         trial: the execution's record.
         visit: what the history keeps of the trial (visit.json).
+        numbers: (J,) what the file of an imported skeleton calls each node; None: they are numbered from 0.
     """
 
     folder: Path
@@ -77,6 +79,7 @@ class RunResults:
     trial: Trial | None = None
     response: Response | None = None
     visit: TrialRecord | None = None
+    numbers: NDArray[Any] | None = None
 
     @property
     def title(self) -> str:

@@ -1,4 +1,4 @@
-"""PLY files: writing ours, reading anybody's vertices. N points."""
+"""PLY files: writing ours, reading anybody's vertices, and edges. N points."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
-from anther.errors import InputError, bad_input
-from anther.files import replacing, whole_file
+from anther.errors import bad_input
+from anther.files import LARGEST, LARGEST_TEXT, replacing, whole_file
 from anther.geometry import Array
 
 _TYPES = {
@@ -64,7 +65,7 @@ def read_ply(path: Path | str) -> dict[str, Any]:
     Raises:
         InputError: the file is missing, truncated, or not a PLY with vertices x, y, z.
     """
-    table = _vertices(Path(path))
+    table = read_elements(path)["vertex"]
     names = table.dtype.names or ()
 
     def columns(*wanted: str) -> NDArray[Any] | None:
@@ -81,41 +82,67 @@ def read_ply(path: Path | str) -> dict[str, Any]:
     }
 
 
-def _vertices(path: Path) -> NDArray[Any]:
-    data = whole_file(path).read_bytes()
+def read_elements(path: Path | str) -> dict[str, NDArray[Any]]:
+    """Return the elements of a PLY by name, as structured arrays, up to the first that has lists: faces.
+
+    Raises:
+        InputError: the file is missing, truncated, not a PLY, or its first element is not "vertex" without lists.
+    """
+    path = Path(path)
+    with whole_file(path).open("rb") as stream:
+        ascii_text = b"ascii" in stream.read(64)
+    data = whole_file(path, LARGEST_TEXT if ascii_text else LARGEST).read_bytes()
     end = data.find(b"end_header", 0, _LONGEST_HEADER)
     if not data.startswith(b"ply") or end < 0:
-        raise bad_input(str(path), given="a file without a PLY header", allowed="a PLY file", do="Is it truncated?")
-    body = data.find(b"\n", end) + 1
+        raise bad_input(str(path), given="unreadable (no PLY header)", allowed="a PLY file", do="Is it truncated?")
     try:
-        count, dtype, order = _header(data[:end].decode("ascii", "replace").split("\n"))
-        if order == "":
-            lines = data[body:].decode("ascii").splitlines()[:count]
-            if len(lines) < count:
-                raise ValueError(f"{len(lines)} of {count} vertices")
-            rows = np.loadtxt(lines, ndmin=2)
-            return np.array([tuple(row) for row in rows], dtype=dtype)
-        return np.frombuffer(data, dtype=dtype, count=count, offset=body)
+        order, kinds = _header(data[:end].decode("ascii", "replace").split("\n"))
+        return _ascii(data[data.find(b"\n", end) + 1 :], kinds) if order == "" else _binary(data, end, kinds)
     except (ValueError, TypeError, KeyError, IndexError) as error:
-        if isinstance(error, InputError):
-            raise
         raise bad_input(
-            str(path), given=f"an unreadable PLY ({error})", allowed="vertices as the first element, scalar properties",
+            str(path), given=f"unreadable ({error})", allowed="vertices as the first element, scalar properties",
             do="Is it truncated? Export it again.",
         ) from error  # fmt: skip
 
 
-def _header(lines: list[str]) -> tuple[int, np.dtype[Any], str]:
-    """Return vertex count, row dtype and byte order ("" for ascii) of a header whose first element is the vertices."""
+_Kinds = dict[str, tuple[int, np.dtype[Any]]]
+"""Name of an element -> how many there are, and their type."""
+
+
+def _ascii(body: bytes, kinds: _Kinds) -> dict[str, NDArray[Any]]:
+    lines, at, found = body.decode("ascii").splitlines(), 0, {}
+    for name, (count, dtype) in kinds.items():
+        rows = lines[at : at + count]
+        if len(rows) < count:
+            raise ValueError(f"{len(rows)} of {count} rows of {name}")
+        table = np.loadtxt(rows, ndmin=2) if rows else np.zeros((0, len(dtype.names or ())))
+        found[name], at = unstructured_to_structured(table, dtype), at + count
+    return found
+
+
+def _binary(data: bytes, end: int, kinds: _Kinds) -> dict[str, NDArray[Any]]:
+    at, found = data.find(b"\n", end) + 1, {}
+    for name, (count, dtype) in kinds.items():
+        if len(data) < at + count * dtype.itemsize:
+            raise ValueError(f"less than {count} rows of {name}")
+        found[name], at = np.frombuffer(data, dtype, count, at), at + count * dtype.itemsize
+    return found
+
+
+def _header(lines: list[str]) -> tuple[str, _Kinds]:
+    """Return the byte order ("" for ascii), and the elements before the first with lists."""
     words = [line.split() for line in lines]
     order = _FORMATS[next((w[1] for w in words if w[:1] == ["format"]), "none stated")]
-    elements = [i for i, w in enumerate(words) if w[:1] == ["element"]]
-    if not elements or words[elements[0]][1] != "vertex":
+    starts = [i for i, w in enumerate(words) if w[:1] == ["element"]]
+    kinds: _Kinds = {}
+    for start, stop in zip(starts, [*starts[1:], len(words)], strict=True):
+        properties = [w for w in words[start:stop] if w[:1] == ["property"]]
+        if any(w[1] == "list" for w in properties):
+            break
+        count = int(words[start][2])
+        if count < 0:
+            raise ValueError(f"{count} of {words[start][1]}")
+        kinds[words[start][1]] = count, np.dtype([(w[2], (order or "<") + _TYPES[w[1]]) for w in properties])
+    if next(iter(kinds), None) != "vertex":
         raise ValueError("its first element is not 'vertex'")
-    stop = elements[1] if len(elements) > 1 else len(words)
-    properties = [w for w in words[elements[0] : stop] if w[:1] == ["property"]]
-    fields = [(w[2], (order or "<") + _TYPES[w[1]]) for w in properties]
-    count = int(words[elements[0]][2])
-    if count < 0:
-        raise ValueError(f"{count} vertices")
-    return count, np.dtype(fields), order
+    return order, kinds

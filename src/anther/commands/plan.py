@@ -14,7 +14,7 @@ from rich.table import Table
 
 from anther.cloud import Cloud
 from anther.commands.run_folder import PARAMS
-from anther.commands.skeletonize import best_grasps, read_source
+from anther.commands.skeletonize import best_grasps, main_stem, node_named, read_source
 from anther.errors import bad_input
 from anther.files import read_object, replacing
 from anther.flowers import Flowers
@@ -26,8 +26,7 @@ from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.runs import FILES
 from anther.skeleton import Skeleton
-from anther.stem import Params as StemParams
-from anther.stem import Stem, find_stem
+from anther.stem import Stem
 from anther.vibration import (
     Actuator,
     ArmShaker,
@@ -58,11 +57,11 @@ class Args:
     radius: float | None = None
     """Of a skeleton file without radii: of every node [m]; by default as thick as the crop's stem is at its base, and
     thinner with what a node carries."""
-    root: int | None = None
-    """Of a skeleton file: the node at which the plant stands, numbered as in the file; by default where it begins to
-    rise from the soil, or the file's own root."""
-    stem_tip: int | None = None
-    """Of a skeleton file: the node at which the main stem ends; by default it is found."""
+    root: str | None = None
+    """Of a skeleton file: where the plant stands, a node's number in the file or x,y,z [m]; by default where it begins
+    to rise from the soil, or the file's own root."""
+    stem_tip: str | None = None
+    """Of a skeleton file: where the main stem ends, named likewise; by default it is found."""
     crop: Crop = "tomato"
     """Whose prior the material is, where neither the run nor --material tells it, and whose breeze the limits are
     likened to."""
@@ -178,9 +177,10 @@ def _of_skeleton(args: Args, material: Material) -> tuple[PlantModel, list[Grasp
     out = skeleton.nodes[at] - skeleton.nodes[skeleton.parent[at]]
     out *= PEDICEL / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
     flowers = Flowers(skeleton.nodes[at] + out, at)
-    tip = None if args.stem_tip is None else tuple(skeleton.nodes[source.node(args.stem_tip)].tolist())
-    stem = find_stem(skeleton, StemParams(tip=tip), flowers_at=flowers.positions)
-    return plant_with_flowers(skeleton, stem, flowers, None, material), _grasps(stem, skeleton, None)
+    tip = None if args.stem_tip is None else source.node(node_named("--stem-tip", args.stem_tip, source))
+    stem = main_stem(skeleton, tip, flowers.positions)
+    plant = plant_with_flowers(skeleton, stem, flowers, None, material)
+    return replace(plant, notes=(*stem.notes, *plant.notes)), _grasps(stem, skeleton, None)
 
 
 def _grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud | None) -> list[Grasp]:

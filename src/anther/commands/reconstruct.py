@@ -46,11 +46,10 @@ def run(args: Args) -> None:
     from anther.capture import Capture
     from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run
-    from anther.commands.skeletonize import place
+    from anther.commands.skeletonize import known_better
     from anther.geometry import Box
 
-    skeleton = replace(args.params.skeleton, root=place("--root", args.root) or args.params.skeleton.root)
-    stem = replace(args.params.stem, tip=place("--stem-tip", args.stem_tip) or args.params.stem.tip)
+    skeleton, stem = known_better(args.root, args.stem_tip, args.params.skeleton, args.params.stem)
     args = replace(args, params=replace(args.params, skeleton=skeleton, stem=stem))
     out = args.out or Path("runs") / args.capture.resolve().name
     workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))

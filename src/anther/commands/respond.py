@@ -17,14 +17,12 @@ from rich.table import Table
 from anther.arm.sawyer import SAWYER
 from anther.arm.shaking import amplitude_limit
 from anther.checks import check_range
-from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant
+from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
 from anther.elastic_rod import natural_frequencies, response_map
 from anther.errors import bad_input
 from anther.files import replacing, write_json
 from anther.geometry import Array
 from anther.pictures.response_map import GripResponse, draw_response_map
-from anther.skeleton import Skeleton
-from anther.stem import find_stem
 from anther.vibration import Params as ShakeParams
 from anther.vibration.observables import semi_major
 
@@ -73,7 +71,7 @@ def run(args: Args) -> None:
         StageFailure: the plant cannot stand, or no main stem is found.
     """
     _check(args)
-    plant = hanging(read_plant(args), args.skeleton)
+    plant = hanging(with_stem(read_plant(args)), args.skeleton)
     flowers, grips = _flowers(args, plant), _grips(args, plant)
     response = respond(args, plant, grips, flowers)
     result = summary(plant, response, flowers)
@@ -113,9 +111,8 @@ def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
     if args.grips:
         nodes = np.unique([plant.node(number) for number in args.grips])
     else:
-        rods, stem = plant.rods, plant.stem_nodes
-        if stem is None:
-            stem = find_stem(Skeleton(rods.nodes, rods.parent, np.asarray(rods.edge_radius))).node_ids
+        stem = plant.stem_nodes
+        assert stem is not None
         low = min(args.base_margin, 0.25 * float(distance[stem].max()))
         free = np.setdiff1d(stem[distance[stem] >= low], plant.clamp.nodes)
         if not len(free):

@@ -11,7 +11,7 @@ import tyro
 from numpy.typing import NDArray
 
 from anther.checks import check_range
-from anther.commands.skeletonize import read_source
+from anther.commands.skeletonize import main_stem, node_named, read_source
 from anther.elastic_rod import Clamp, Rods, least_stiffness, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile
@@ -20,6 +20,7 @@ from anther.identification import read_material
 from anther.plant import Material, PlantModel
 from anther.plant import Params as PlantParams
 from anther.runs import FILES
+from anther.skeleton import Skeleton
 from anther.vibration import Crop
 
 YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
@@ -37,11 +38,11 @@ class PlantOptions:
     radius: float | None = None
     """Radius of every edge [m]. By default the radii in the file; if it has none, as thick as the crop's stem is at its
     base, and thinner with what a node carries."""
-    root: int | None = None
-    """Of a skeleton file: the node at which the plant stands, numbered as in the file; by default where it begins to
-    rise from the soil, or the file's own root."""
-    stem_tip: int | None = None
-    """Of a skeleton file: the node at which the main stem ends; by default it is found where it is needed."""
+    root: str | None = None
+    """Of a skeleton file: where the plant stands, a node's number in the file or x,y,z [m]; by default where it begins
+    to rise from the soil, or the file's own root."""
+    stem_tip: str | None = None
+    """Of a skeleton file: where the main stem ends, named likewise; by default it is found where it is needed."""
     crop: Crop = "tomato"
     """Whose stem, of a file without radii."""
     least_radius: float = 0.0
@@ -133,6 +134,19 @@ def read_plant(options: PlantOptions) -> RodPlant:
     return replace(plant, rods=rods, clamp=clamp)
 
 
+def with_stem(plant: RodPlant) -> RodPlant:
+    """Return the plant with its main stem, found where nobody named its end.
+
+    Raises:
+        StageFailure: there is none.
+    """
+    if plant.stem_nodes is not None:
+        return plant
+    rods = plant.rods
+    stem = main_stem(Skeleton(rods.nodes, rods.parent, np.asarray(rods.edge_radius)))
+    return replace(plant, stem_nodes=stem.node_ids, notes=(*plant.notes, *stem.notes))
+
+
 def _with_material(options: PlantOptions, material: Material) -> PlantOptions:
     names = ("youngs", "density", "bend_over_twist", "damping_ratio")
     return replace(options, **{name: _given(getattr(options, name), getattr(material, name)) for name in names})
@@ -140,7 +154,8 @@ def _with_material(options: PlantOptions, material: Material) -> PlantOptions:
 
 def _of_skeleton(options: PlantOptions) -> RodPlant:
     source, skeleton = read_source(options.skeleton, radius=options.radius, root=options.root, crop=options.crop)
-    stem = None if options.stem_tip is None else skeleton.path_from_root(source.node(options.stem_tip))
+    tip = None if options.stem_tip is None else source.node(node_named("--stem-tip", options.stem_tip, source))
+    stem = None if tip is None else skeleton.path_from_root(tip)
     rods = Rods(
         nodes=skeleton.nodes,
         parent=skeleton.parent,

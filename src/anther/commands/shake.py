@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import detrend, hilbert
 
 from anther.checks import check_range
-from anther.commands.rod_plant import PlantOptions, hanging, held_nodes, read_plant
+from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
 from anther.elastic_rod import Burst, Chirp, Clamp, Drive, Rods, Trajectory, natural_frequencies, simulate
 from anther.files import replacing, write_json
 from anther.pictures.shake import draw_shake
@@ -24,10 +24,11 @@ AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class Args(PlantOptions):
     """Attributes: what to shake, how, and what it is made of. Node numbers are those of the file."""
 
-    grip: int
-    """Node that the gripper moves."""
-    flower: int
-    """Node whose motion is reported."""
+    grip: int | None = None
+    """Node that the gripper moves; by default halfway up the main stem."""
+    flower: int | None = None
+    """Node whose motion is reported; by default the first flower of a run, else the end that is farthest from the root
+    along the plant."""
     amplitude: float = 0.004
     """Shake amplitude [m]."""
     frequency: float = 1.3
@@ -87,8 +88,8 @@ def run(args: Args) -> None:
     check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
     check_range("end_frequency", args.end_frequency, 1e-3, 1e4, "Hz")
     check_range("duration", args.duration, 10 * args.dt, 3600, "s")
-    plant = read_plant(args)
-    grip, flower = plant.node(args.grip), plant.node(args.flower)
+    plant = read_plant(args) if args.grip is not None else with_stem(read_plant(args))
+    grip, flower = _grip(args, plant), _flower(args, plant)
     plant = hanging(plant, args.skeleton) if args.rest == "hanging" else plant
     last = args.end_frequency if args.waveform == "chirp" else args.frequency
     rods, clamp = plant.damped(float(np.sqrt(args.frequency * last))), plant.clamp
@@ -102,7 +103,24 @@ def run(args: Args) -> None:
         with replacing(args.out / "shake.png") as temporary:
             figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
             figure.savefig(temporary, dpi=110)
-    print(json.dumps(asdict(motion), indent=2) if args.json else _text(args, motion, plant.notes))
+    if args.json:
+        print(json.dumps(asdict(motion), indent=2))
+    else:
+        print(_text(args, motion, plant, (int(plant.numbers[grip]), int(plant.numbers[flower]))))
+
+
+def _grip(args: Args, plant: RodPlant) -> int:
+    if args.grip is not None:
+        return plant.node(args.grip)
+    assert plant.stem_nodes is not None
+    along = plant.distances()[plant.stem_nodes]
+    return int(plant.stem_nodes[np.abs(along - 0.5 * along[-1]).argmin()])
+
+
+def _flower(args: Args, plant: RodPlant) -> int:
+    if args.flower is not None:
+        return plant.node(args.flower)
+    return int(plant.flower_nodes[0]) if len(plant.flower_nodes) else int(plant.distances().argmax())
 
 
 def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:
@@ -149,15 +167,16 @@ def vibration(displacement: Any, dt: float) -> tuple[float, float]:
     return float(np.median(envelope)), float(np.fft.rfftfreq(padded, dt)[np.argmax(spectrum)])
 
 
-def _text(args: Args, motion: Motion, notes: tuple[str, ...]) -> str:
+def _text(args: Args, motion: Motion, plant: RodPlant, named: tuple[int, int]) -> str:
+    grip, flower = named
     ratio = "" if motion.amplitude_ratio is None else f", {motion.amplitude_ratio:.3f} of the shake"
     lines = [
-        f"flower node {args.flower}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"
+        f"flower node {flower}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"
         f"{ratio}), {motion.flower_frequency_hz:.3f} Hz, at most {motion.flower_peak_m * 1e3:.3f} mm from rest",
-        f"grip node {args.grip}: {motion.grip_amplitude_m * 1e3:.3f} mm, peak force {motion.grip_force_peak_n:.3g} N"
+        f"grip node {grip}: {motion.grip_amplitude_m * 1e3:.3f} mm, peak force {motion.grip_force_peak_n:.3g} N"
         + (f" and moment {motion.grip_moment_peak_nm:.3g} N m" if args.pads else ""),
         f"first natural frequency, not gripped: {motion.first_frequency_hz:.3f} Hz",
         f"{motion.newton_iterations} Newton iterations, {motion.split_steps} split steps",
-        *(f"note: {note}" for note in notes),
+        *(f"note: {note}" for note in plant.notes),
     ]
     return "\n".join(lines if args.out is None else [*lines, f"written: {args.out}"])

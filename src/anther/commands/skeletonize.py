@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
 
 from anther.checks import check_range
@@ -19,11 +20,12 @@ from anther.formats.clouds import read_cloud
 from anther.formats.points import Axis, Units
 from anther.formats.skeleton_file import supposed_radius
 from anther.formats.skeletons import SkeletonFile, read_skeleton, write_skeleton
+from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps, save_grasps
 from anther.grasp import Params as GraspParams
-from anther.skeleton import Params, Skeleton, skeletonize
+from anther.skeleton import Params, Skeleton, nearest_node, skeletonize
+from anther.stem import LOW, Stem, find_stem
 from anther.stem import Params as StemParams
-from anther.stem import Stem, find_stem
 
 if TYPE_CHECKING:
     from anther.vibration import Crop
@@ -38,7 +40,7 @@ ROOTLESS = (".txt", ".ply")
 
 
 def read_source(
-    path: Path, *, radius: float | None = None, root: int | None = None, crop: Crop = "tomato"
+    path: Path, *, radius: float | None = None, root: str | None = None, crop: Crop = "tomato"
 ) -> tuple[SkeletonFile, Skeleton]:
     """Return a skeleton file, rooted, and the skeleton in it.
 
@@ -46,8 +48,8 @@ def read_source(
         path: .npz, .swc, .txt, .ply, .graphml or .mtg.
         radius: of every node [m]; None: those in the file, else the crop's stem at its base, thinner with what a node
             carries (`supposed_radius`).
-        root: the node at which the plant stands, numbered as in the file; None: the file's own root, or where the way
-            up begins to rise.
+        root: where the plant stands, see `node_named`; None: the file's own root, or where the way up begins to rise.
+            What lies flat there is then a scrap of soil, and left out.
         crop: whose stem.
 
     Raises:
@@ -56,20 +58,64 @@ def read_source(
     source = read_skeleton(path)
     if radius is not None:
         check_range("radius", radius, 1e-4, 0.2, "m")
-    if root is not None or path.suffix.lower() in ROOTLESS:
-        source = source.rooted_at(root)
+    if root is not None:
+        source = source.rooted_at(node_named("--root", root, source))
+    elif path.suffix.lower() in ROOTLESS:
+        source = source.rooted_at().without_scraps()
     bare = radius is None and source.radius is None
     return source, source.skeleton(supposed_radius(source, STEM[crop]) if bare else radius)
 
 
-def place(option: str, text: str | None) -> Place | None:
-    """Return the place [m] that an option such as "--root" names as x,y,z; None for None.
+def node_named(option: str, text: str, source: SkeletonFile) -> int:
+    """Return the node that an option such as "--root" names: by its number in the file, or as the nearest to x,y,z [m].
+
+    Raises:
+        InputError: neither, no such node, or a place off the plant.
+    """
+    if "," in text:
+        return int(source.numbers[nearest_node(option, place(option, text), source.nodes)])
+    if not text.strip().isdecimal():
+        allowed = "a node's number in the file, or x,y,z in metres"
+        raise bad_input(option, given=text, allowed=allowed, do=f"Write {option}=12 or {option}=0.01,0.02,0.")
+    return int(source.numbers[source.node(int(text))])
+
+
+def main_stem(skeleton: Skeleton, tip: int | None = None, flowers_at: Array | None = None) -> Stem:
+    """Return the main stem of a skeleton that somebody else made.
+
+    Args:
+        skeleton: the tree.
+        tip: the node at which the stem ends, by who knows better; None: where it is found to end or, if that leaves
+            it a stub, at the plant's top, with a note.
+        flowers_at: see `find_stem`.
+
+    Raises:
+        StageFailure: there is none.
+    """
+    nodes = skeleton.nodes
+    if tip is not None:
+        return find_stem(skeleton, StemParams(tip=_xyz(nodes[tip])), flowers_at=flowers_at)
+    found, top = find_stem(skeleton, flowers_at=flowers_at), int(nodes[:, 2].argmax())
+    rise, height = np.ptp(nodes[found.node_ids, 2]), nodes[top, 2] - nodes[0, 2]
+    if rise >= LOW * height:
+        return found
+    stem = find_stem(skeleton, StemParams(tip=_xyz(nodes[top])), flowers_at=flowers_at)
+    stub = f"only {1e3 * rise:.0f} of {1e3 * height:.0f} mm look like a main stem"
+    note = f"main stem: {stub}; the way to the top is taken for it. --stem-tip names its end, --root its base."
+    return replace(stem, notes=(*stem.notes, note))
+
+
+def _xyz(node: Array) -> Place:
+    x, y, z = node.tolist()
+    return x, y, z
+
+
+def place(option: str, text: str) -> Place:
+    """Return the place [m] that an option such as "--root" names as x,y,z.
 
     Raises:
         InputError: no three numbers.
     """
-    if text is None:
-        return None
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
@@ -80,6 +126,12 @@ def place(option: str, text: str | None) -> Place | None:
             do=f"Write {option}=0.01,0.02,0.",
         ) from None
     return x, y, z
+
+
+def known_better(root: str | None, tip: str | None, params: Params, stem: StemParams) -> tuple[Params, StemParams]:
+    """Return the parameters with the places that --root and --stem-tip name, where they are given."""
+    params = params if root is None else replace(params, root=place("--root", root))
+    return params, stem if tip is None else replace(stem, tip=place("--stem-tip", tip))
 
 
 @dataclass(frozen=True)
@@ -114,8 +166,8 @@ def run(args: Args) -> None:
     """Read, skeletonise, find stem and grasp, write and print them."""
     cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
     begin = time.perf_counter()
-    skeleton = skeletonize(cloud, replace(args.params, root=place("--root", args.root) or args.params.root))
-    known = replace(args.stem, tip=place("--stem-tip", args.stem_tip) or args.stem.tip)
+    params, known = known_better(args.root, args.stem_tip, args.params, args.stem)
+    skeleton = skeletonize(cloud, params)
     stem = find_stem(skeleton, known, flowers_at=flower_centres(cloud))
     grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)
     seconds = time.perf_counter() - begin

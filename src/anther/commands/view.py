@@ -1,12 +1,15 @@
-"""Open a run in the 3-D viewer, write it to one HTML file, or show a trial in Foxglove while it goes on."""
+"""Open a run or a skeleton in the 3-D viewer, write it to one HTML file, or show a trial in Foxglove as it goes on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from anther.results import RunResults
 
 
 @dataclass(frozen=True)
@@ -14,7 +17,7 @@ class Args:
     """Attributes: what to view and how."""
 
     run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, e.g. runs/demo."""
+    """Run folder, e.g. runs/demo; or a skeleton file."""
     html: Path | None = None
     """Write the scene to this HTML file instead of opening a viewer."""
     exaggeration: float = 5.0
@@ -37,12 +40,27 @@ def run(args: Args) -> None:
     from anther.results import read_run
 
     check_range("exaggeration", args.exaggeration, 0, 1000)
-    results = read_run(args.run)
+    results = skeleton_results(args.run) if args.run.is_file() else read_run(args.run)
     if args.html is None:
         viewer.serve(results, args.port or 8080, exaggeration=args.exaggeration)
     else:
         viewer.write_html(args.html, results, exaggeration=args.exaggeration)
         print(f"scene: {args.html}")
+
+
+def skeleton_results(path: Path) -> RunResults:
+    """Return what can be shown of an imported skeleton: its lines and, if one is found, its main stem."""
+    from contextlib import suppress
+
+    from anther.commands.skeletonize import main_stem, read_source
+    from anther.errors import StageFailure
+    from anther.results import RunResults
+
+    source, skeleton = read_source(path)
+    stem = None
+    with suppress(StageFailure):
+        stem = main_stem(skeleton)
+    return RunResults(path, {"capture": str(path)}, skeleton=skeleton, stem=stem, numbers=source.numbers)
 
 
 def _show(args: Args) -> None:

@@ -11,9 +11,9 @@ from anther.cloud import Cloud
 from anther.errors import bad_input
 from anther.files import existing
 from anther.formats.points import Axis, RawPoints, Units, read_npz_points, read_pcd, read_ply, read_text
+from anther.formats.up_axis import TO_Z_UP, axis_notes
 
 _METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
-_TO_Z_UP = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
 _FEWEST = 50
 _MOST_BROKEN = 0.05
 _SMALLEST, _LARGEST = 0.005, 20.0
@@ -30,7 +30,8 @@ def read_cloud(
     Args:
         path: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz.
         units: of the file; None takes what the file states, else metres, with a note.
-        up: axis that points up in the file; None takes what the file states, else z, with a note.
+        up: axis that points up in the file; None takes what the file states, else z, with a note, which names another
+            axis where its stem is the better one (`up_axis.py`, half a second).
         plant: which plant of an .npz that holds several; None: it must hold one.
 
     Raises:
@@ -42,10 +43,11 @@ def read_cloud(
     units, up = units or raw.units, up or raw.up
     taken = [] if units else ["in metres (--units)"]
     taken += [] if up else ["with z up (--up)"]
-    upright = np.ascontiguousarray(raw.points[:, _TO_Z_UP[up or "z"]]) * _METRES[units or "m"]
+    upright = np.ascontiguousarray(raw.points[:, TO_Z_UP[up or "z"]]) * _METRES[units or "m"]
     cloud = checked_cloud(path, RawPoints(upright, raw.colors), units or "m")
     notes = (f"the file does not say all: it is read {' and '.join(taken)}",) if taken else ()
-    return replace(cloud, notes=(*cloud.notes, *notes))
+    axis = () if up else axis_notes(cloud.points)
+    return replace(cloud, notes=(*cloud.notes, *axis, *notes))
 
 
 def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
 from anther.checks import check_array
+from anther.cloud import ply
 from anther.errors import InputError, bad_input
-from anther.files import LARGEST, LARGEST_TEXT, load_npz, read_lines, understood, whole_file
+from anther.files import load_npz, read_lines, understood, whole_file
 from anther.geometry import Array
 
 Units = Literal["m", "cm", "mm", "0.01mm"]
@@ -21,10 +21,6 @@ Axis = Literal["x", "y", "z"]
 
 MOST_POINTS = 20_000_000
 """Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
-
-
-HIDDEN, HEADER = "hidden_edge", 64_000
-"""See `_with_hidden_edges`; a PLY's header ends within so many bytes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,54 +42,8 @@ class RawPoints:
 
 def read_ply(path: Path) -> RawPoints:
     """Read a PLY, ASCII or binary; of a mesh, its vertices."""
-    stored = load_whole_ply(path)
-    try:
-        points = np.asarray(stored["vertices"], dtype=np.float64)
-        colors = stored.get("vertex_colors", stored.get("colors"))
-        has_colors = colors is not None and len(colors) == len(points)
-        return RawPoints(points, _bytes(np.asarray(colors)[:, :3]) if has_colors else None)
-    except InputError:
-        raise
-    except Exception as error:  # trimesh raises whatever the bytes provoke
-        raise _unreadable(path, error, "a PLY with vertices x, y, z") from error
-
-
-def load_whole_ply(path: Path) -> dict[str, Any]:
-    """Return what trimesh's `load_ply` makes of a file, if every element is as long as the header says.
-
-    Raises:
-        InputError: missing, too large, no PLY, or truncated, of which trimesh says nothing where it is ASCII.
-    """
-    with whole_file(path).open("rb") as stream:
-        ascii_text = b"ascii" in stream.read(64)
-    try:
-        with whole_file(path, LARGEST_TEXT if ascii_text else LARGEST).open("rb") as stream:
-            from trimesh.exchange.ply import load_ply  # noqa: PLC0415  # half a second, for PLY files alone
-
-            stored = load_ply(_with_hidden_edges(stream), fix_texture=False, skip_materials=True)
-        elements = stored["metadata"]["_ply_raw"]
-        if HIDDEN in elements:
-            elements["edge"] = elements.pop(HIDDEN)
-        for name, element in elements.items():
-            data = element.get("data", ())
-            held = min(map(len, data.values())) if isinstance(data, dict) else len(data)
-            if held != element["length"]:
-                raise ValueError(f"{held} of {element['length']} rows of {name}")
-    except InputError:
-        raise
-    except Exception as error:  # trimesh raises whatever the bytes provoke
-        raise _unreadable(path, error, "a PLY") from error
-    return stored
-
-
-def _with_hidden_edges(stream: IO[bytes]) -> IO[bytes]:
-    """Return a PLY in whose header edges are called `HIDDEN`: trimesh would follow them from end to end, which takes
-    hours where a garbled one names a node far beyond the last."""
-    head = stream.read(HEADER)
-    stream.seek(0)
-    if b"\nelement edge " not in head.partition(b"end_header")[0]:
-        return stream
-    return BytesIO(stream.read().replace(b"\nelement edge ", b"\nelement " + HIDDEN.encode() + b" ", 1))
+    stored = ply.read_ply(path)
+    return RawPoints(stored["points"], stored["colors"])
 
 
 def read_text(path: Path) -> RawPoints:

@@ -80,6 +80,21 @@ class SkeletonFile:
         root = _base(self.nodes, edges) if number is None else self.node(number)
         return rooted(self.nodes, edges, radius=self.radius, numbers=self.numbers, root=root, labels=labels)
 
+    def without_scraps(self) -> SkeletonFile:
+        """Return the tree without what leaves the root and stays low: soil in the scan. What goes up stays."""
+        ceiling = self.nodes[0, 2] + LOW * np.ptp(self.nodes[:, 2])
+        limb = np.arange(len(self.nodes))  # of each node, the child of the root that it hangs on
+        for j in range(1, len(limb)):
+            limb[j] = j if self.parent[j] == 0 else limb[self.parent[j]]
+        tall = np.unique(limb[self.nodes[:, 2] > ceiling])
+        kept = np.flatnonzero(np.isin(limb, tall) | (limb == 0))
+        if not len(tall) or len(kept) == len(limb):
+            return self
+        parent = np.searchsorted(kept, self.parent[kept], side="right") - 1
+        labels = None if self.labels is None else tuple(self.labels[j] for j in kept)
+        radius = None if self.radius is None else self.radius[kept]
+        return SkeletonFile(self.nodes[kept], parent, radius, self.numbers[kept], labels)
+
     def skeleton(self, radius: float | Array | None = None) -> Skeleton:
         """Return the `Skeleton`; `radius` [m], one or (J,), replaces the file's radii.
 

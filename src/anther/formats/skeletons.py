@@ -14,10 +14,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from anther.checks import check_array
+from anther.cloud.ply import read_elements
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, read_lines, replacing, understood, whole_file, write_text
 from anther.formats.mtg import read_mtg, write_mtg
-from anther.formats.points import load_whole_ply
 from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
 from anther.geometry import Array
 from anther.skeleton import Skeleton
@@ -67,12 +67,12 @@ def read_skeleton_ply(path: Path | str) -> SkeletonFile:
         InputError: unreadable, no edges (a plain cloud), or not one tree.
     """
     path = Path(path)
-    elements = load_whole_ply(path)["metadata"]["_ply_raw"]
+    elements = read_elements(path)
     vertices = _element(path, elements, "vertex", ("x", "y", "z"))
     edges = _element(path, elements, "edge", ("vertex1", "vertex2"))
-    nodes = np.column_stack([np.ravel(vertices[axis]) for axis in "xyz"]).astype(np.float64)
-    pairs = np.column_stack([np.ravel(edges[end]) for end in ("vertex1", "vertex2")]).astype(np.int64)
-    held = {key: np.ravel(vertices[key]) for key in ("radius", "parent", "organ") if _has(vertices, key)}
+    nodes = np.column_stack([vertices[axis] for axis in "xyz"]).astype(np.float64)
+    pairs = np.column_stack([edges[end] for end in ("vertex1", "vertex2")]).astype(np.int64)
+    held = {key: vertices[key] for key in ("radius", "parent", "organ") if key in vertices.dtype.names}
     tops = np.flatnonzero(held["parent"] < 0) if "parent" in held else np.zeros(0, np.int64)
     names = _organ_names(path)
     return rooted(
@@ -85,8 +85,8 @@ def read_skeleton_ply(path: Path | str) -> SkeletonFile:
 
 
 def _element(path: Path, elements: dict[str, Any], name: str, wanted: tuple[str, ...]) -> Any:
-    data = elements.get(name, {}).get("data")
-    if data is None or not all(_has(data, key) for key in wanted):
+    data = elements.get(name)
+    if data is None or not set(wanted) <= set(data.dtype.names or ()):
         raise bad_input(
             str(path),
             given=f"no element '{name}' with {', '.join(wanted)}",
@@ -94,10 +94,6 @@ def _element(path: Path, elements: dict[str, Any], name: str, wanted: tuple[str,
             do="A cloud is no skeleton yet: `anther skeletonize` makes one.",
         )
     return data
-
-
-def _has(data: Any, key: str) -> bool:
-    return key in data if isinstance(data, dict) else key in (data.dtype.names or ())
 
 
 def _organ_names(path: Path) -> list[str]:

@@ -86,8 +86,9 @@ def build_scene(server: viser.ViserServer, results: RunResults, most_points: int
     _add_cameras(scene, results, handles)
     _add_skeleton(scene, results, handles)
     _add_grasps(scene, results, handles)
-    if results.cloud is not None:
-        middle = results.cloud.points.mean(axis=0)
+    points = results.cloud.points if results.cloud is not None else handles.rest
+    if len(points):
+        middle = points.mean(axis=0)
         server.initial_camera.look_at = tuple(middle)
         server.initial_camera.position = tuple(middle + VIEW_FROM)
     return handles
@@ -186,10 +187,11 @@ def _add_joints(scene: Any, skeleton: Skeleton, organ: NDArray[Any]) -> Any:
 def _said(skeleton: Skeleton, organ: NDArray[Any], results: RunResults) -> list[str]:
     sure = None if results.stem is None else results.stem.confidence
     confidence = "" if sure is None else f"; the main stem with a probability of {sure:.0%}"
+    numbers = np.arange(len(organ)) if results.numbers is None else results.numbers
     return [
         f"node {j}: {ORGAN_NAMES[int(kind)]}, {2000 * r:.1f} mm thick{confidence if kind == STEM else ''}  \n"
-        f"`--root {x:.3f},{y:.3f},{z:.3f}`"
-        for j, ((x, y, z), r, kind) in enumerate(zip(skeleton.nodes, skeleton.radius, organ, strict=True))
+        f"`--root={x:.3f},{y:.3f},{z:.3f}`, or `--stem-tip=` the same"
+        for j, (x, y, z), r, kind in zip(numbers, skeleton.nodes, skeleton.radius, organ, strict=True)
     ]
 
 
