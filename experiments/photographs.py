@@ -8,8 +8,8 @@ and sha256 where each comes from: put them all into one folder (--folder or $ANT
 and left out. Each image is shrunk to at most 1280 px, as wide as the arm's camera sees, and looked at alone: there is
 neither depth nor pose, so `masks.segment_images` is what is measured, not the masks of thirty views.
 
-A flower is found by a patch of at least 20 flower pixels whose middle is within one flower radius of the label's; a
-patch in an "ignore" box counts neither way. A stem is found where half of its centre line or more has a mask pixel
+A flower is found by a patch of at least 20 flower pixels whose middle is within one flower radius of the label's; further
+patches on that flower (sepals part petals) and patches in an "ignore" box count neither way. A stem is found where half of its centre line or more has a mask pixel
 within 2 px, the precision of the hand. Shares have Wilson's 95 % interval, as if independent; frames of one video are
 not.
 
@@ -114,14 +114,15 @@ def judged(row: dict[str, Any], rgb: NDArray[Any], labels: NDArray[np.uint8]) ->
     """Compare one image's masks with the hand's labels."""
     height, width = labels.shape
     found = patches(labels == FLOWER)
-    right, seen = [], []
+    right, seen, on_flower = [], [], np.zeros(len(found), dtype=bool)
     for x, y, radius in row["flowers"]:
-        near = np.hypot(*(found - (x, y)).T) <= radius if len(found) else np.zeros(0, dtype=bool)
+        near = np.hypot(found[:, 0] - x, found[:, 1] - y) <= radius
         free = [patch for patch in np.flatnonzero(near) if patch not in right]
         right += free[:1]
         seen.append(bool(free))
+        on_flower |= near
     unsure = [any(a <= x <= c and b <= y <= d for a, b, c, d in row["ignore"]) for x, y in found]
-    wrong = [n for n in range(len(found)) if n not in right and not unsure[n]]
+    wrong = [n for n in range(len(found)) if not on_flower[n] and not unsure[n]]
     near = cv2.dilate((labels > 0).astype(np.uint8), np.ones((2 * HAND + 1, 2 * HAND + 1), np.uint8))
     covered, on_stem = [], np.zeros(labels.shape, dtype=np.uint8)
     for thickness, points in row["stems"]:

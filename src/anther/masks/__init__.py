@@ -22,7 +22,7 @@ from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
 from anther.masks.cells import kinds
-from anther.masks.images import labels_of_image
+from anther.masks.images import COLOURFUL, labels_of_image
 from anther.masks.light import GREEN, GREEN_NO_DEPTH, Light, green_rule
 from anther.masks.survey import each_view, survey
 from anther.masks.voting import EMPTY, GROUND, RIM, clear, read_back, vote
@@ -177,10 +177,10 @@ def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
     light = Light.on(images, params.green)
     labels = np.zeros(images.shape[:3], dtype=np.uint8)
     if light.holds_green:
-        rule = green_rule(light, params)
+        rule, greys = green_rule(light, params), Light.on(images, params.green, COLOURFUL)
 
         def label_image(view: int) -> None:
-            labels[view] = labels_of_image(images[view], rule, light)
+            labels[view] = labels_of_image(images[view], rule, light, greys)
 
         each_view(label_image, len(images))
     _require_plant(labels, "Is it green, and the light not that of red grow lamps?")
