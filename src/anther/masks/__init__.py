@@ -46,6 +46,8 @@ class Params:
         voxel: edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts:
             perception) so that views agree.
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
+        white_petals: whether petals may be white, as of most peppers, beside yellow. Of tomatoes they are not, and
+            leaves that shine are then not taken for them.
         petal_views: a petal cell is seen as petal from at least so many views.
         flower_extent: greatest extent of a flower cluster (a truss) [m].
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
@@ -56,6 +58,7 @@ class Params:
 
     voxel: float = 0.005
     green: float = 0.10
+    white_petals: bool = True
     petal_views: int = 3
     flower_extent: float = 0.12
     ground_radius: float = 0.035

@@ -111,7 +111,8 @@ def green_rule(light: Light, params: Params) -> ColourRule:
     yellow_value = np.clip(YELLOW_GAIN * light.leaf, 20, 200)
     white_value = np.clip(WHITE_GAIN * light.leaf, 40, 220)
     table = np.where(_excess_green(colour) >= params.green, GREEN, OTHER)
-    table[(saturated <= WHITE_SATURATION) & (high >= white_value)] = WHITE
+    if params.white_petals:
+        table[(saturated <= WHITE_SATURATION) & (high >= white_value)] = WHITE
     yellow = (r >= 0.9 * g) & (g >= 0.58 * r) & (high >= yellow_value)
     table[(saturated >= YELLOW_SATURATION) & yellow] = YELLOW
     table[total < _DARK] = OTHER
