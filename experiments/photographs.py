@@ -12,9 +12,10 @@ not the masks of thirty views.
 
 A flower is found by a patch of at least 20 flower pixels whose middle is within one flower radius of the label's;
 further patches on that flower (sepals part petals) and patches in an "ignore" box count neither way. A stem is found
-where half of its centre line or more has a mask pixel within 2 px, the precision of the hand. It is *told* where the pixels are
-said to be of a stem (photographs_looks.py). Precision of stems: up to ten points an image, drawn at random where the
-colour masks told a stem, were looked at by hand; it is the share of stems and stalks among those that are still told.
+where half of its centre line or more has a mask pixel within 2 px, the precision of the hand. It is *told* where its
+pixels are said to be of a stem (photographs_looks.py). Precision of stems: about ten points an image, drawn at random
+where the masks by colour told a stem, were looked at by hand; it is the share of stems and stalks among those of them
+that are told. After a change of these masks, and for words, points need to be drawn anew.
 Shares have Wilson's 95 % interval, as if independent; frames of one video are not.
 
 Half of the images were looked at when rules were chosen; the others are held out.
