@@ -73,7 +73,8 @@ def slender(plant: NDArray[np.bool_]) -> NDArray[np.bool_]:
     narrow = filled & ~cv2.morphologyEx(filled, cv2.MORPH_OPEN, disc)
     lines = np.zeros_like(narrow)
     for angle in np.linspace(0, np.pi, DIRECTIONS, endpoint=False):
-        lines |= cv2.morphologyEx(narrow, cv2.MORPH_OPEN, _line(3 * width, angle))
+        window = _line(3 * width, angle)
+        lines |= cv2.morphologyEx(narrow, cv2.MORPH_OPEN, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return lines > 0
 
 
