@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FOUND, MISSED, WRONG, MASK = (60, 220, 60), (255, 40, 40), (255, 0, 255), (0, 110, 255)
+FOUND, MISSED, WRONG, MASK, STEM = (60, 220, 60), (255, 40, 40), (255, 0, 255), (0, 110, 255), (255, 255, 0)
 
 _WIDTH = 4200  # greatest, of a row of pictures [px]
 
@@ -23,29 +23,34 @@ class Judged:
     Attributes:
         row: the labels, as in real/photographs.json.
         rgb, labels: (H, W, 3) and (H, W) uint8.
+        stems: (H, W) bool, what is told to be a stem.
         seen: of each labelled flower, whether it was found.
         right, wrong: (n, 2) middles of flower patches that are a flower, and that are none [px].
         covered: of each labelled stem, whether each pixel of its centre line is masked.
-        mask_on_stems: number of mask pixels on labelled stems, and of all mask pixels.
+        told: the same, whether each pixel is told to be a stem.
+        told_right: of each point that was looked at and is told to be a stem, whether it is one.
         other_masked: of each point that shows no plant, whether it is masked.
     """
 
     row: dict[str, Any]
     rgb: NDArray[Any]
     labels: NDArray[np.uint8]
+    stems: NDArray[np.bool_]
     seen: list[bool]
     right: NDArray[np.float64]
     wrong: NDArray[np.float64]
     covered: list[NDArray[np.bool_]]
-    mask_on_stems: tuple[int, int]
+    told: list[NDArray[np.bool_]]
+    told_right: list[bool]
     other_masked: list[bool]
 
 
 def contact_sheet(path: Path, found: Sequence[Judged], height: int = 700) -> None:
     """Write all images side by side, each `height` px high.
 
-    The mask's outline is blue; flowers are green (found) or red (missed), wrong patches magenta; stems are drawn red
-    where the mask misses some of them, else green; points without plant that are masked are magenta crosses.
+    The mask's outline is blue, that of what is told to be a stem yellow; flowers are green (found) or red (missed),
+    wrong patches magenta; stems are drawn red where the mask misses some of them, else green; points without plant that
+    are masked are magenta crosses.
     """
     rows: list[list[NDArray[Any]]] = [[]]
     for one in found:
@@ -61,8 +66,9 @@ def contact_sheet(path: Path, found: Sequence[Judged], height: int = 700) -> Non
 
 def _tile(one: Judged, height: int) -> NDArray[Any]:
     image = one.rgb.copy()
-    outlines, _ = cv2.findContours((one.labels > 0).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(image, outlines, -1, MASK, 1)
+    for part, colour in ((one.labels > 0, MASK), (one.stems, STEM)):
+        outlines, _ = cv2.findContours(part.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, outlines, -1, colour, 1)
     for (_, points), covered in zip(one.row["stems"], one.covered, strict=True):
         missed = covered.mean() < 1
         cv2.polylines(

@@ -141,6 +141,34 @@ def test_golden_petals_are_a_flower_and_yellow_leaves_are_plant() -> None:
     assert labels[190, 255] == PLANT
 
 
+def test_ripe_fruit_beside_a_flower_is_no_red_lamp() -> None:
+    image = picture()
+    cv2.circle(image[0], (200, 56), 5, (235, 205, 40), -1)
+    image[0, 250:300, 20:120] = 200
+    image[0, 40:100, 300:360] = (240, 30, 20)
+    assert segment_images(image).labels[0, 56, 200] == FLOWER
+
+
+def test_orange_fruit_is_no_flower() -> None:
+    image = picture()
+    cv2.circle(image[0], (200, 56), 5, (240, 150, 30), -1)
+    assert segment_images(image).labels[0, 56, 200] != FLOWER
+
+
+def test_a_plant_has_petals_of_one_colour() -> None:
+    """A leaf shines beside a golden flower; alone it passes for a white one, unless the crop has none."""
+    image = picture()
+    shining = (230, 200)
+    cv2.circle(image[0], shining, 4, (240, 242, 238), -1)
+    cv2.circle(image[0], (200, 56), 5, (70, 120, 40), -1)
+    assert segment_images(image).labels[0, shining[1], shining[0]] == FLOWER
+    assert not (segment_images(image, Params(white_petals=False)).labels == FLOWER).any()
+    cv2.circle(image[0], (200, 56), 6, (235, 205, 40), -1)
+    labels = segment_images(image).labels[0]
+    assert labels[56, 200] == FLOWER
+    assert labels[shining[1], shining[0]] != FLOWER
+
+
 def test_gaps_between_leaves_before_white_film_are_no_flowers() -> None:
     image = np.full((1, 300, 400, 3), (235, 232, 238), dtype=np.uint8)
     image[0, 60:260, 100:300] = (70, 120, 40)

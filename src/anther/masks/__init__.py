@@ -22,7 +22,7 @@ from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
 from anther.masks.cells import kinds
-from anther.masks.images import labels_of_image
+from anther.masks.images import COLOURFUL, labels_of_image
 from anther.masks.light import GREEN, GREEN_NO_DEPTH, Light, green_rule
 from anther.masks.survey import each_view, survey
 from anther.masks.voting import EMPTY, GROUND, RIM, clear, read_back, vote
@@ -46,6 +46,8 @@ class Params:
         voxel: edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts:
             perception) so that views agree.
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
+        white_petals: whether petals may be white, as of most peppers, beside yellow. Of tomatoes they are not, and
+            leaves that shine are then not taken for them.
         petal_views: a petal cell is seen as petal from at least so many views.
         flower_extent: greatest extent of a flower cluster (a truss) [m].
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
@@ -56,6 +58,7 @@ class Params:
 
     voxel: float = 0.005
     green: float = 0.10
+    white_petals: bool = True
     petal_views: int = 3
     flower_extent: float = 0.12
     ground_radius: float = 0.035
@@ -177,10 +180,10 @@ def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
     light = Light.on(images, params.green)
     labels = np.zeros(images.shape[:3], dtype=np.uint8)
     if light.holds_green:
-        rule = green_rule(light, params)
+        rule, greys = green_rule(light, params), Light.on(images, params.green, COLOURFUL)
 
         def label_image(view: int) -> None:
-            labels[view] = labels_of_image(images[view], rule, light)
+            labels[view] = labels_of_image(images[view], rule, light, greys)
 
         each_view(label_image, len(images))
     _require_plant(labels, "Is it green, and the light not that of red grow lamps?")

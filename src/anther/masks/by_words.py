@@ -102,7 +102,7 @@ def segment(
     masks = None if kept is None else _read(kept)
     source = " and ".join(network.name for network in NETWORKS[method])
     if masks is None:
-        networks = _load(method, folders, params)
+        networks = load_networks(method, folders, params)
         batch = params.batch or (4 if networks.device.type == "cuda" else 1)
         masks = Masks(label_views(capture.rgb, networks, params, batch=batch, progress=progress), source)
         if kept is not None:
@@ -147,8 +147,12 @@ def paint(image: NDArray[np.uint8], masks: NDArray[np.bool_], labels: NDArray[np
         image[masks[k]] = labels[k]
 
 
-def _load(method: Method, folders: Sequence[Path], params: Params) -> Networks:
-    """Import torch, which is an extra and takes seconds, and read the weights."""
+def load_networks(method: Method, folders: Sequence[Path], params: Params) -> Networks:
+    """Return the networks of `find_models`'s folders, ready to run; torch, an extra, takes seconds to import.
+
+    Raises:
+        InputError: weights are not usable, or there is no such device.
+    """
     if method == "sam3":
         from anther.masks.sam3 import Sam3 as Chosen  # noqa: PLC0415
     else:

@@ -75,11 +75,12 @@ class Light:
     holds_green: bool
 
     @classmethod
-    def on(cls, rgb: NDArray[Any], green: float) -> Light:
-        """Estimate it from images (V, H, W, 3): shades of grey of all that is not green.
+    def on(cls, rgb: NDArray[Any], green: float, colourful: float = np.inf) -> Light:
+        """Estimate it from images (V, H, W, 3): shades of grey of all that is neither green nor colourful.
 
         Shades of grey with Minkowski norm p = 6: Finlayson and Trezzi 2004. Green pixels (excess green > `green`) are
-        left out, because a plant before a black cloth is all the light there is to see.
+        left out, because a plant before a black cloth is all the light there is to see, and those with a saturation
+        (0..1) of `colourful` or more, because ripe tomatoes are no red lamp.
         """
         sample = rgb[:, ::16, ::16].reshape(-1, 3).astype(np.float64)
         lit = sample[sample.sum(axis=1) >= _DARK]
@@ -88,7 +89,8 @@ class Light:
             if len(grey):
                 lamp = np.power(np.mean(grey**6, axis=0), 1 / 6) + 1e-9
             gains = np.clip(lamp.mean() / lamp, *_GAINS)
-            grey = lit[_excess_green(lit * gains) < green]
+            balanced = lit * gains
+            grey = lit[(_excess_green(balanced) < green) & (saturation(balanced) < colourful)]
         leaves = (lit * gains).max(axis=1)[_excess_green(lit * gains) > green]
         if len(leaves):
             leaves = leaves[leaves > _LEAF_SHADE * np.percentile(leaves, 99)]
@@ -105,13 +107,14 @@ def green_rule(light: Light, params: Params) -> ColourRule:
     r, g, b = np.meshgrid(*(level * gain for gain in light.gains), indexing="ij")
     colour = np.stack([r, g, b], axis=-1)
     high, total = colour.max(axis=-1), colour.sum(axis=-1)
-    saturation = (high - colour.min(axis=-1)) / high
+    saturated = saturation(colour)
     yellow_value = np.clip(YELLOW_GAIN * light.leaf, 20, 200)
     white_value = np.clip(WHITE_GAIN * light.leaf, 40, 220)
     table = np.where(_excess_green(colour) >= params.green, GREEN, OTHER)
-    table[(saturation <= WHITE_SATURATION) & (high >= white_value)] = WHITE
+    if params.white_petals:
+        table[(saturated <= WHITE_SATURATION) & (high >= white_value)] = WHITE
     yellow = (r >= 0.9 * g) & (g >= 0.58 * r) & (high >= yellow_value)
-    table[(saturation >= YELLOW_SATURATION) & yellow] = YELLOW
+    table[(saturated >= YELLOW_SATURATION) & yellow] = YELLOW
     table[total < _DARK] = OTHER
     return ColourRule(table.astype(np.uint8), _alike(light.leaf))
 
@@ -141,6 +144,11 @@ def _density(colours: NDArray[Any]) -> NDArray[np.float32]:
 def _excess_green(colour: NDArray[Any]) -> Array:
     """Return 2g - r - b of the chromaticities of (..., 3)."""
     return 3 * colour[..., 1] / (colour.sum(axis=-1) + 1e-9) - 1
+
+
+def saturation(colour: NDArray[Any]) -> NDArray[Any]:
+    """Return the saturation, 0..1, of colours (..., 3)."""
+    return np.asarray(1 - colour.min(axis=-1) / (colour.max(axis=-1) + 1e-9))
 
 
 def _alike(leaf: float) -> float:
