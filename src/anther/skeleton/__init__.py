@@ -19,7 +19,7 @@ from anther.masks import FLOWER
 from anther.skeleton import geodesics
 from anther.skeleton.bridging import bridges, without_specks
 from anther.skeleton.centreline import beginning, centred, extended, resample
-from anther.skeleton.geodesics import geodesic_tree
+from anther.skeleton.geodesics import geodesic_tree, shortest_paths
 from anther.skeleton.nearby import nearest
 from anther.skeleton.raw_tree import RawTree, middled, parted, rerooted, with_extents, without_spurs, without_veins
 from anther.skeleton.rooting import Base, distance_to_soil, find_root, stem_gain
@@ -306,13 +306,19 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     source = lowest if params.root is None else nearest_node("root", params.root, voxels.points)
     tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
     if params.root is not None:
-        return middled(tree, voxels), _Rooted()
+        return _middled(tree, voxels), _Rooted()
     found = find_root(tree)
     base, rooted = tree.nodes[found.node], _rooted(tree, found)
     if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
         source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
         tree = _pruned(geodesic_tree(voxels, source, params.geodesic), voxels, params)
-    return middled(tree, voxels), rooted
+    return _middled(tree, voxels), rooted
+
+
+def _middled(tree: RawTree, voxels: Voxels) -> RawTree:
+    source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[0], axis=1)))
+    way, _ = shortest_paths(voxels.points, voxels.edges, np.ones(len(voxels.points)), source)
+    return middled(tree, voxels, way, stem_gain(tree))
 
 
 def _rooted(tree: RawTree, found: Base) -> _Rooted:
