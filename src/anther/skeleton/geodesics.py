@@ -54,7 +54,20 @@ def geodesic_tree(voxels: Voxels, source: int, params: Params) -> RawTree:
     cost = 1 + params.flat * voxels.flatness + params.edge * np.minimum(voxels.off_middle / _AT_THE_EDGE, 1) ** 2
     distance, before = shortest_paths(voxels.points, voxels.edges, cost, source)
     cover = voxels.voxel * (params.cover + params.cover_flat * np.clip((voxels.flatness - 0.5) / 0.3, 0, 1))
-    chosen = covering_paths(voxels.points, distance, before, cover)
+    import os
+    if os.environ.get("LS"):
+        D = float(os.environ["LS"])
+        way, _ = shortest_paths(voxels.points, voxels.edges, np.ones(len(cost)), source)
+        level = (way // (D * voxels.voxel)).astype(np.int64)
+        same = voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]]
+        from anther.skeleton.voxel_solid import components
+        label = components(len(way), same)
+        tips = np.argsort(-distance, kind="stable")
+        on = _claimed(tips, before, label, way, int(label.max()) + 1, float(os.environ.get("LEAST", 0)) * voxels.voxel)
+        chosen = np.flatnonzero(on)
+        chosen = chosen[np.lexsort((chosen, distance[chosen]))]
+    else:
+        chosen = covering_paths(voxels.points, distance, before, cover)
     rank = np.full(len(voxels.points), -1)
     rank[chosen] = np.arange(len(chosen))
     parent = np.where(before[chosen] >= 0, rank[before[chosen]], -1)
@@ -115,5 +128,24 @@ def _walked(points, tips, before, cover, edge, key, held, start, stride):
                         if waiting[m]:
                             x, y, z = points[m] - points[n]
                             waiting[m] = x * x + y * y + z * z > cover[n] ** 2
+            n = before[n]
+    return on_tree
+
+
+@numba.njit(cache=True)
+def _claimed(tips, before, label, way, count, least):
+    claimed, on_tree = np.zeros(count, np.bool_), np.zeros(len(label), np.bool_)
+    for tip in tips:
+        if claimed[label[tip]]:
+            continue
+        n = tip
+        while n >= 0 and not claimed[label[n]]:
+            n = before[n]
+        if n >= 0 and way[tip] - way[n] < least:
+            continue
+        n = tip
+        while n >= 0 and not on_tree[n]:
+            on_tree[n] = True
+            claimed[label[n]] = True
             n = before[n]
     return on_tree

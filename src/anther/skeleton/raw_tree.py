@@ -65,7 +65,12 @@ def middled(tree: RawTree, voxels: Voxels, way: Array, gain: Array) -> RawTree:
         gain: (J,) path gain that decides which child goes on with its parent's chain.
     """
     _, owner = nearest(voxels.points, tree.nodes)
-    at = way[nearest(tree.nodes, voxels.points)[1]]
+    import os
+    vox = nearest(tree.nodes, voxels.points)[1]
+    at = way[vox]
+    from anther.skeleton.voxel_solid import components
+    level = (way // (float(os.environ["LS"]) * voxels.voxel)).astype(np.int64)
+    label = components(len(way), voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]])
     chain_of, nodes = np.zeros(len(tree.nodes), dtype=np.int64), tree.nodes.copy()
     every = chains(tree.parent, gain)
     for number, chain in enumerate(every[1:], 1):
@@ -76,11 +81,12 @@ def middled(tree: RawTree, voxels: Voxels, way: Array, gain: Array) -> RawTree:
     for number, chain in enumerate(every):
         own = order[first[number] : first[number + 1]]
         mine = chain[min(number, 1) :]
+        own = own[np.isin(label[own], label[vox[mine]])]
         if len(own) and len(mine):
             middle, spread = _level_means(voxels.points[own], way[own], at[mine], np.full(len(mine), 2 * voxels.voxel))
             spread = gaussian_filter1d(spread, 4, mode="nearest")
             middle, _ = _level_means(voxels.points[own], way[own], at[mine], np.maximum(_BAND * spread, 2 * voxels.voxel))
-            nodes[mine] += (middle - nodes[mine]) * np.clip(2 * tree.flatness[mine] - 1, 0, 1)[:, None]
+            nodes[mine] += (middle - nodes[mine]) * _weight(tree.flatness[mine])[:, None]
     return with_extents(nodes, tree.parent, voxels)
 
 
@@ -250,3 +256,8 @@ def _follow(start: int, parent: Parents, heir: NDArray[Any]) -> NDArray[Any]:
         path.append(node)
         node = int(heir[node])
     return np.array(path)
+
+def _weight(f):
+    import os
+    a, b = map(float, os.environ.get("WT", "0.5,1").split(","))
+    return np.clip((f - a) / (b - a), 0, 1)
