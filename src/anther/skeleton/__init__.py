@@ -19,9 +19,10 @@ from anther.masks import FLOWER
 from anther.skeleton import geodesics
 from anther.skeleton.bridging import bridges, without_specks
 from anther.skeleton.centreline import beginning, centred, extended, resample
-from anther.skeleton.geodesics import geodesic_tree, shortest_paths
+from anther.skeleton.geodesics import LevelSets, geodesic_tree, level_sets
+from anther.skeleton.midribs import middled
 from anther.skeleton.nearby import nearest
-from anther.skeleton.raw_tree import RawTree, middled, parted, rerooted, with_extents, without_spurs, without_veins
+from anther.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
 from anther.skeleton.rooting import Base, distance_to_soil, find_root, stem_gain
 from anther.skeleton.support import node_confidence
 from anther.skeleton.surroundings import surroundings
@@ -304,21 +305,22 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
         return tree.taking(*rerooted(tree.parent, found.node)), _rooted(tree, found)
     lowest = int(np.argmin(voxels.points[:, 2]))
     source = lowest if params.root is None else nearest_node("root", params.root, voxels.points)
-    tree = _pruned(_not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params), voxels, params)
-    if params.root is not None:
-        return _middled(tree, voxels), _Rooted()
-    found = find_root(tree)
-    base, rooted = tree.nodes[found.node], _rooted(tree, found)
-    if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
-        source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
-        tree = _pruned(geodesic_tree(voxels, source, params.geodesic), voxels, params)
-    return _middled(tree, voxels), rooted
+    tree, levels = _paths(voxels, source, size, params)
+    rooted = _Rooted()
+    if params.root is None:
+        found = find_root(tree)
+        base, rooted = tree.nodes[found.node], _rooted(tree, found)
+        if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
+            source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
+            tree, levels = _paths(voxels, source, size, params)
+    return middled(tree, stem_gain(tree), voxels, levels), rooted
 
 
-def _middled(tree: RawTree, voxels: Voxels) -> RawTree:
-    source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[0], axis=1)))
-    way, _ = shortest_paths(voxels.points, voxels.edges, np.ones(len(voxels.points)), source)
-    return middled(tree, voxels, way, stem_gain(tree))
+def _paths(voxels: Voxels, source: int, size: float, params: Params) -> tuple[RawTree, LevelSets]:
+    """Return the pruned tree of shortest paths to a voxel, and its level sets."""
+    levels = level_sets(voxels, source)
+    tree = geodesic_tree(voxels, source, levels, params.geodesic, params.spur * voxels.voxel)
+    return _pruned(_not_trivial(tree, size, params), voxels, params), levels
 
 
 def _rooted(tree: RawTree, found: Base) -> _Rooted:

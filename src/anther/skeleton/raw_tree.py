@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import KDTree
 
@@ -51,56 +50,6 @@ def with_extents(nodes: Array, parent: Parents, voxels: Voxels) -> RawTree:
     spread = np.sqrt(np.bincount(owner, weights=distance**2, minlength=len(nodes)) / count)
     flatness = np.bincount(owner, weights=voxels.flatness, minlength=len(nodes)) / count
     return RawTree(nodes, parent, thickness, np.maximum(spread, thickness), along_tree(parent, flatness))
-
-
-def middled(tree: RawTree, voxels: Voxels, way: Array, gain: Array) -> RawTree:
-    """Return the tree with its nodes on blades in the middle of the blade's width.
-
-    A chain of the tree moves to the centroids of the level sets (Xu et al. 2007) of what lies nearest to it.
-
-    Args:
-        tree: its nodes are voxels.
-        voxels: the plant.
-        way: (N,) length of the shortest way from the root through the plant to each voxel [m].
-        gain: (J,) path gain that decides which child goes on with its parent's chain.
-    """
-    _, owner = nearest(voxels.points, tree.nodes)
-    import os
-    vox = nearest(tree.nodes, voxels.points)[1]
-    at = way[vox]
-    from anther.skeleton.voxel_solid import components
-    level = (way // (float(os.environ["LS"]) * voxels.voxel)).astype(np.int64)
-    label = components(len(way), voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]])
-    chain_of, nodes = np.zeros(len(tree.nodes), dtype=np.int64), tree.nodes.copy()
-    every = chains(tree.parent, gain)
-    for number, chain in enumerate(every[1:], 1):
-        chain_of[chain[1:]] = number
-    home = chain_of[owner]
-    order = np.lexsort((way, home))
-    first = np.searchsorted(home[order], np.arange(len(every) + 1))
-    for number, chain in enumerate(every):
-        own = order[first[number] : first[number + 1]]
-        mine = chain[min(number, 1) :]
-        own = own[np.isin(label[own], label[vox[mine]])]
-        if len(own) and len(mine):
-            middle, spread = _level_means(voxels.points[own], way[own], at[mine], np.full(len(mine), 2 * voxels.voxel))
-            spread = gaussian_filter1d(spread, 4, mode="nearest")
-            middle, _ = _level_means(voxels.points[own], way[own], at[mine], np.maximum(_BAND * spread, 2 * voxels.voxel))
-            nodes[mine] += (middle - nodes[mine]) * _weight(tree.flatness[mine])[:, None]
-    return with_extents(nodes, tree.parent, voxels)
-
-
-_BAND = 0.5
-
-
-def _level_means(points: Array, way: Array, at: Array, half: Array) -> tuple[Array, Array]:
-    """Return the mean (M, 3) of points whose way, sorted, is within `half` of `at`, and their rms distance from it (M,)."""
-    columns = np.column_stack([points, np.sum(points**2, axis=1)])
-    total = np.concatenate([np.zeros((1, 4)), np.cumsum(columns, axis=0)])
-    low, high = np.searchsorted(way, at - half), np.searchsorted(way, at + half, side="right")
-    low = np.minimum(low, len(way) - 1); high = np.maximum(high, low + 1)
-    mean = (total[high] - total[low]) / (high - low)[:, None]
-    return mean[:, :3], np.sqrt(np.maximum(mean[:, 3] - np.sum(mean[:, :3] ** 2, axis=1), 0))
 
 
 def along_tree(parent: Parents, values: Array, rounds: int = 4) -> Array:
@@ -256,8 +205,3 @@ def _follow(start: int, parent: Parents, heir: NDArray[Any]) -> NDArray[Any]:
         path.append(node)
         node = int(heir[node])
     return np.array(path)
-
-def _weight(f):
-    import os
-    a, b = map(float, os.environ.get("WT", "0.5,1").split(","))
-    return np.clip((f - a) / (b - a), 0, 1)
