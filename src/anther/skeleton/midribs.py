@@ -52,7 +52,7 @@ def middled(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> Ra
 
 
 def _middle(points: Array, way: Array, at: Array, voxel: float) -> Array:
-    """Return the middle (M, 3) of points, sorted by their way, about `at` (M,), over a depth that fits their breadth."""
+    """Return the middle (M, 3) of points, sorted by way, about `at` (M,): the broader they spread, the deeper."""
     thinnest = np.full(len(at), _THINNEST * voxel)
     _, spread = _mean(points, way, at, thinnest)
     return _mean(points, way, at, np.maximum(_DEPTH * gaussian_filter1d(spread, 4, mode="nearest"), thinnest))[0]
