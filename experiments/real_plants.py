@@ -3,18 +3,21 @@
 Labelled clouds (read from --data): 93 scans of tomato seedlings (trackplant3d_tomato1a), a 26-day tomato
 (salk_tomato_D26), a maize (gavriel_maize). Clouds with a published skeleton graph: two tomatoes and a maize of
 Pheno4D. One parameter set for all. Beside Anther, in the same run: plain Lee thinning with the paper's tree, stem and
-grasp rule and none of Anther's steps, at two resolutions; and pc-skeletor and skeletor with the same rules, when
---pc-skeletor and --skeletor name a Python that has them. docs/reports/real_plants.md shows the results and says what
-each number means.
+grasp rule and none of Anther's steps, at two resolutions, and once closed and filled first; and pc-skeletor, skeletor
+and PyGEL3D with the same rules, when --pc-skeletor, --skeletor and --pygel name a Python that has them.
+docs/reports/real_plants.md shows the results and says what each number means.
 
-Keys of the --json file, without a prefix Anther's, then with plain_, plain_fine_, pc_skeletor_ and skeletor_:
+Keys of the --json file, without a prefix Anther's, then with plain_, plain_fine_, closed_, pc_skeletor_, skeletor_ and
+pygel_:
 trackplant_grasp_on_stem and all_grasp_on_stem (share of plants whose grasp is on the stem system), stem_on_label (share
 of the main stem's length on it, mean over plants), stem_on_label_95 (share of plants with 95 % or more), stem_reach,
 stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants, and on the six
-clouds without labels others_reached and others_single_trees. For Anther alone: radius_over_points (the main stem's
-radius over the distance of its labelled points; 1 is right), and against the published graphs <scan>_precision_<1v|3v>
-and <scan>_recall_<1v|3v>; by the strict rule, those of disturbed_plants.py; and of a command in a process of its own,
-skeletonize_wall_s, help_wall_s, and both with cpu.
+clouds without labels others_reached and others_single_trees; against the published graphs <scan>_precision_<1v|3v>,
+<scan>_recall_<1v|3v> and <scan>_spurious_tips, recall_3v (mean) and spurious_tips (sum). best_peer_recall_3v and
+best_peer_spurious_tips: of the method with the best recall_3v but Anther; fewest_peer_spurious_tips: the fewest of any.
+For Anther alone: radius_over_points (the main stem's radius over the distance of its labelled points; 1 is right); by
+the strict rule, those of disturbed_plants.py; and of a command in a process of its own, skeletonize_wall_s,
+help_wall_s, and both with cpu.
 """
 
 from __future__ import annotations
@@ -30,11 +33,11 @@ from typing import Any
 
 import numpy as np
 from real.answers import Answer, Method, Seen, anther, asked
-from real.judge import Outcome, Tolerance, agreement, judge, radius_over_points, reached
+from real.judge import Outcome, Tolerance, agreement, judge, radius_over_points, reached, spurious_tips
 from real.peer_process import WORKERS, Peer
 from real.pictures import Shown, draw_below, draw_methods, draw_references, draw_seen, save
-from real.plain_thinning import FINE, plain_thinning
-from real.plants import HARD, LABELLED, Labelled, Reference, labelled_plants, references, unlabelled
+from real.plain_thinning import CLOSED, FINE, plain_thinning
+from real.plants import HARD, LABELLED, WITH_REFERENCE, Labelled, Reference, labelled_plants, references, unlabelled
 from real.start import started
 from real.strict import judged_all, metrics
 from rich.console import Console
@@ -70,7 +73,7 @@ class Run:
     Attributes:
         outcomes: by method, on the labelled plants.
         others: by method, on the six other clouds: (share of points reached, is a single tree).
-        agreements: precision and recall against the published graphs.
+        agreements: by method, precision, recall and spurious tips against the published graphs.
         radius_ratios: Anther's stem radius over the distance of the stem's points, by labelled plant.
         shown: plants drawn with all methods.
         below: labelled plants whose main stem leaves the stem system.
@@ -79,7 +82,7 @@ class Run:
 
     outcomes: Outcomes = field(default_factory=lambda: defaultdict(list))
     others: dict[str, list[tuple[float, bool]]] = field(default_factory=lambda: defaultdict(list))
-    agreements: dict[str, float] = field(default_factory=dict)
+    agreements: dict[str, dict[str, float]] = field(default_factory=lambda: defaultdict(dict))
     radius_ratios: list[float] = field(default_factory=list)
     shown: list[Shown] = field(default_factory=list)
     below: list[tuple[Labelled, Seen]] = field(default_factory=list)
@@ -98,21 +101,23 @@ class Run:
         if self.outcomes["anther"][-1].stem_share < ENOUGH:
             self.below.append((plant, seen))
 
-    def add_other(self, name: str, cloud: Cloud, methods: dict[str, Method]) -> Seen:
-        """Run all methods on a plant without labels."""
+    def add_other(self, name: str, cloud: Cloud, methods: dict[str, Method]) -> tuple[Seen, dict[str, Answer | str]]:
+        """Run all methods on a plant without labels; return what Anther sees and every answer."""
         seen, answers = all_answers(cloud, methods)
         for method, answer in answers.items():
             self.others[method].append((reached(cloud, answer), isinstance(answer, Answer) and answer.is_tree))
         if name in SHOWN:
             self.shown.append(Shown(name, cloud, answers))
-        return seen
+        return seen, answers
 
     def add_reference(self, plant: Reference, methods: dict[str, Method]) -> None:
-        """Run all methods on a plant with a published graph; compare Anther's skeleton with it."""
-        seen = self.add_other(plant.name, plant.cloud, methods)
+        """Run all methods on a plant with a published graph; compare their skeletons with it."""
+        seen, answers = self.add_other(plant.name, plant.cloud, methods)
         self.references.append((plant, seen))
-        for name, value in agreement(plant, seen.answer).items():
-            self.agreements[f"{plant.name}_{name}"] = value
+        for method, answer in answers.items():
+            if isinstance(answer, Answer):
+                found = agreement(plant, answer) | {"spurious_tips": spurious_tips(plant, answer)}
+                self.agreements[method] |= {f"{plant.name}_{name}": value for name, value in found.items()}
 
     def draw(self, folder: Path) -> None:
         """Write the pictures."""
@@ -128,15 +133,25 @@ class Run:
         found: dict[str, float] = {}
         for method, row in self.rows().items():
             found |= {("" if method == "anther" else f"{method}_") + name: value for name, value in row.items()}
-        return found | self.for_anther_alone()
+        return found | self.beside_peers()
 
-    def for_anther_alone(self) -> dict[str, float]:
-        """Return what has no like for the other methods."""
-        return {"radius_over_points": float(np.median(self.radius_ratios))} | self.agreements
+    def beside_peers(self) -> dict[str, float]:
+        """Return what has no like for the other methods, and what the best of them reach."""
+        peers = [row for name, row in self.rows().items() if name != "anther"]
+        best = max(peers, key=lambda row: row["recall_3v"])
+        return {
+            "radius_over_points": float(np.median(self.radius_ratios)),
+            "best_peer_recall_3v": best["recall_3v"],
+            "best_peer_spurious_tips": best["spurious_tips"],
+            "fewest_peer_spurious_tips": min(row["spurious_tips"] for row in peers),
+        }
 
     def rows(self) -> dict[str, dict[str, float]]:
         """Return the numbers by method."""
-        return {name: _of_method(outcomes, self.others[name]) for name, outcomes in self.outcomes.items()}
+        return {
+            name: _of_method(outcomes, self.others[name]) | _on_graphs(self.agreements[name])
+            for name, outcomes in self.outcomes.items()
+        }
 
 
 def all_answers(cloud: Cloud, methods: dict[str, Method]) -> tuple[Seen, dict[str, Answer | str]]:
@@ -163,6 +178,13 @@ def _of_method(outcomes: list[Outcome], others: list[tuple[float, bool]]) -> dic
     }
 
 
+def _on_graphs(found: dict[str, float]) -> dict[str, float]:
+    """Return a method's numbers on the published graphs, with mean recall and all spurious tips."""
+    recall = [value for name, value in found.items() if name.endswith("recall_3v")]
+    tips = [value for name, value in found.items() if name.endswith("spurious_tips")]
+    return found | {"recall_3v": sum(recall) / len(WITH_REFERENCE), "spurious_tips": float(sum(tips))}
+
+
 def main() -> None:
     """Run, print a table, list what went wrong, write --json and the pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -179,7 +201,8 @@ def main() -> None:
     args = parser.parse_args()
     console, found = Console(), Run()
     wanted = [(name, python) for name in WORKERS if (python := getattr(args, name))]
-    plain: dict[str, Method] = {"plain": plain_thinning, "plain_fine": partial(plain_thinning, resolution=FINE)}
+    fine = partial(plain_thinning, resolution=FINE)
+    plain: dict[str, Method] = {"plain": plain_thinning, "plain_fine": fine, "closed": partial(fine, closed=CLOSED)}
     with contextlib.ExitStack() as stack:
         peers = {name: stack.enter_context(contextlib.closing(Peer(name, python))) for name, python in wanted}
         methods = {**plain, **peers}
@@ -190,7 +213,7 @@ def main() -> None:
         for plant in track(list(references(args.data)), "published graphs", console=console):
             found.add_reference(plant, methods)
         for name, cloud in track(list(unlabelled(args.data)), "without labels", console=console):
-            found.seen[name] = found.add_other(name, cloud, methods)
+            found.seen[name], _ = found.add_other(name, cloud, methods)
     _print(console, found)
     if args.figures:
         found.draw(args.figures)
@@ -204,9 +227,9 @@ def _print(console: Console, found: Run) -> None:
     rows = found.rows()
     table = Table("metric", *rows)
     for name in rows["anther"]:
-        table.add_row(name, *(f"{row[name]:.4g}" for row in rows.values()))
+        table.add_row(name, *(f"{row.get(name, np.nan):.4g}" for row in rows.values()))
     console.print(table)
-    for name, value in found.for_anther_alone().items():
+    for name, value in found.beside_peers().items():
         console.print(f"{name}: {value:.2f}", highlight=False)
     for o in found.outcomes["anther"]:
         if not o.grasp_on_stem or o.stem_share < ENOUGH:

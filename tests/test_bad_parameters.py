@@ -41,7 +41,7 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
     ("kind", "name", "value"),
     [
         (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "resolution", 1e6),
-        (skeleton.Params, "close", 10_000), (skeleton.Params, "recentre", 1_000_000), (geodesics.Params, "cover", 0.0),
+        (skeleton.Params, "close", 10_000), (skeleton.Params, "recentre", 1_000_000), (geodesics.Params, "flat", -1.0),
         (flowers.Params, "gap", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
         (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),

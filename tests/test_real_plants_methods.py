@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from real.answers import Answer, NoAnswer, asked
-from real.judge import Tolerance, judge, reached, sampled
+from real.judge import Tolerance, ends, judge, reached, sampled, spurious_tips
 from real.paper_rule import core_stem
-from real.plain_thinning import plain_thinning
-from real.plants import Labelled
+from real.plain_thinning import CLOSED, FINE, plain_thinning
+from real.plants import Labelled, Reference, plant_size
 
 from anther.cloud import Cloud
 from anther.geometry import Array
@@ -97,6 +97,28 @@ def test_what_a_dropped_leaf_costs() -> None:
     assert reached(plant.cloud, whole) == 1
     assert 0.6 < reached(plant.cloud, stem) < 0.8
     assert reached(plant.cloud, "died") == 0
+
+
+def test_spurious_tips_are_those_no_published_end_claims() -> None:
+    """A spur of 4 voxels does not count, one of 8 does, and a blade's line may end beyond the published one."""
+    nodes, edges, _ = small_tree()
+    cloud = labelled(np.random.default_rng(0)).cloud
+    voxel = plant_size(cloud.points) / 200
+    published = Reference("small", cloud, nodes[:-3], edges[:-3])
+    assert len(ends(nodes, edges, 0.0)) == 3
+    assert spurious_tips(published, Answer(nodes, edges, edges, nodes[0], 0.0)) == 0
+    for length, spurious in [(4, 0), (8, 1)]:
+        spur = np.concatenate([nodes, [STEM[5] + [0, length * voxel / 2, 0], STEM[5] + [0, length * voxel, 0]]])
+        with_spur = np.concatenate([edges, [[5, len(nodes)], [len(nodes), len(nodes) + 1]]])
+        assert spurious_tips(published, Answer(spur, with_spur, edges, nodes[0], 0.0)) == spurious
+
+
+def test_thinning_of_a_sparse_tube_makes_fewer_ends_when_closed() -> None:
+    rng = np.random.default_rng(0)
+    angle, z = rng.uniform(0, 2 * np.pi, 4000), rng.uniform(0, 0.3, 4000)
+    cloud = Cloud(np.stack([0.01 * np.cos(angle), 0.01 * np.sin(angle), z], axis=1))
+    cage, line = plain_thinning(cloud, FINE), plain_thinning(cloud, FINE, closed=CLOSED)
+    assert line.tips < cage.tips / 4
 
 
 def test_no_answer_counts_as_missed() -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made_plants import segment_distance, simple_plant, tube
+from made_plants import blade, segment_distance, simple_plant, tube
 
 from anther.cloud import Cloud
-from anther.skeleton import Params, skeletonize
+from anther.skeleton import Params, geodesics, skeletonize
 from anther.skeleton.cross_sections import cross_sections
-from anther.skeleton.geodesics import covering_paths, shortest_paths
+from anther.skeleton.geodesics import LevelSets, covering_paths, geodesic_tree, level_sets, shortest_paths
+from anther.skeleton.midribs import middled
 from anther.skeleton.raw_tree import RawTree, parted
 from anther.skeleton.rooting import distance_to_soil
 from anther.skeleton.surroundings import surroundings
+from anther.skeleton.voxel_solid import Voxels, VoxelSolid, neighbour_edges
 
 
 def grid(*sizes: int) -> np.ndarray:
@@ -33,16 +35,68 @@ def test_a_blade_is_flat_and_a_stem_is_not() -> None:
 
 def test_paths_take_the_stem_and_not_the_shorter_way_across_a_blade() -> None:
     stem = [[0, 0, 0], [0, 0, 1], [0, 0, 2], [1, 0, 2], [2, 0, 2]]
-    blade = [[1, 0, 1]]
-    points = np.array(stem + blade, dtype=float)
+    leaf = [[1, 0, 1]]
+    points = np.array(stem + leaf, dtype=float)
     edges = np.array([[0, 1], [1, 2], [2, 3], [3, 4], [0, 5], [5, 4]])
     for cost_of_blade, via in [(1.0, 5), (9.0, 3)]:
         distance, before = shortest_paths(points, edges, np.array([1, 1, 1, 1, 1, cost_of_blade]), 0)
         assert before[4] == via
         assert before[0] == -1
-        chosen = covering_paths(points, distance, before, np.full(6, 0.1))
+        every = LevelSets(distance, np.arange(6))
+        chosen = covering_paths(distance, before, every, 0.0)
         assert chosen[0] == 0
         assert sorted(chosen) == list(range(6))
+
+
+def voxels_of(index: np.ndarray, flat: np.ndarray) -> tuple[Voxels, np.ndarray]:
+    """Voxels of edge 1, neighbours joined, and their indices."""
+    order, ones = np.lexsort(index.T[::-1]), np.ones(len(index))
+    index = index[order]
+    edges = neighbour_edges(VoxelSolid(index, np.zeros(3), 1.0, ones))
+    return Voxels(index.astype(float), edges, 1.0, ones, flat[order].astype(float), 0 * ones), index
+
+
+@pytest.mark.parametrize(("slit", "shortest", "lines"), [(0, 6.0, 1), (21, 6.0, 2), (21, 60.0, 1)])
+def test_a_blade_has_one_line_and_each_long_lobe_another(slit: int, shortest: float, lines: int) -> None:
+    """A blade of 41 x 61 voxels on a stem of 3 x 3 x 60, slit at its tip."""
+    leaf = grid(41, 1, 61) + np.array([-19, 1, 60])
+    index = np.concatenate([grid(3, 3, 60), leaf[(leaf[:, 0] != 1) | (leaf[:, 2] <= 120 - slit)]])
+    voxels, index = voxels_of(index, index[:, 2] >= 60)
+    source = int(np.flatnonzero((index == [1, 1, 0]).all(axis=1))[0])
+    tree = geodesic_tree(voxels, source, level_sets(voxels, source), geodesics.Params(), shortest)
+    ends = tree.nodes[np.bincount(tree.parent[1:], minlength=len(tree.nodes)) == 0]
+    assert len(ends) == lines
+    assert ends[:, 2].min() >= 119
+    assert np.count_nonzero(tree.nodes[:, 2] == 30) == 1
+
+
+def test_a_line_on_a_blade_moves_to_its_middle_and_one_on_a_stem_stays() -> None:
+    index = np.concatenate([grid(3, 3, 60), grid(31, 1, 61) + np.array([-14, 1, 60])])
+    voxels, index = voxels_of(index, index[:, 2] >= 60)
+    aside = np.array([[2, 1, z] for z in range(60)] + [[9 + z % 3, 1, z] for z in range(60, 121)], dtype=float)
+    flat = np.where(aside[:, 2] < 60, 0.0, 1.0)
+    tree = RawTree(aside, np.arange(-1, 120), np.ones(121), np.ones(121), flat)
+    source = int(np.flatnonzero((index == [1, 1, 0]).all(axis=1))[0])
+    moved = middled(tree, np.ones(121), voxels, level_sets(voxels, source)).nodes
+    np.testing.assert_allclose(moved[:60], aside[:60])
+    assert np.abs(moved[80:110, 0] - 1).max() < 0.5
+    assert np.abs(np.diff(moved[80:110, 0])).max() < 0.2
+
+
+def test_a_broad_blade_has_one_smooth_midrib() -> None:
+    """Seen with noise; 60 mm long, 40 mm wide, on a petiole of 30 mm."""
+    rng = np.random.default_rng(3)
+    foot, base, tip = np.array([0, 0, 0.2]), np.array([0.03, 0, 0.21]), np.array([0.09, 0, 0.22])
+    stem = tube([0, 0, 0], [0, 0, 0.25], (0.004, 0.003), 0.001, rng)
+    leaf = [tube(foot, base, (0.0015, 0.0015), 0.0007, rng), blade(base, tip, 0.02, 0.0007, rng)]
+    points = np.concatenate([stem, *leaf])
+    skeleton = skeletonize(Cloud(points + rng.normal(0, 0.0004, points.shape)))
+    ends = skeleton.nodes[skeleton.children_count == 0]
+    assert len(ends) == 2
+    assert np.linalg.norm(ends - tip, axis=1).min() < 0.005
+    assert np.linalg.norm(ends - [0, 0, 0.25], axis=1).min() < 0.005
+    midrib = skeleton.nodes[skeleton.nodes[:, 0] > 0.032]
+    assert segment_distance(midrib, base, tip).max() < 0.0025
 
 
 def test_paths_side_by_side_in_one_stem_become_one() -> None:

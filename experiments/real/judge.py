@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from anther.cloud import Cloud
 from anther.geometry import Array
@@ -18,6 +20,11 @@ STEPS = 400
 """A centreline is sampled every plant size / STEPS."""
 TOLERANCES = (1, 3)
 """Tolerances of precision and recall against published graphs, in 200ths of the plant's diagonal (facts: peers)."""
+
+SPUR = 5
+"""Ends of branches shorter than this [voxels, 200 to the diagonal] count for no method (facts: peers)."""
+SHORT_OF = 0.15
+"""A published end may be so far from the end that is meant [plant sizes]: some end 0.13 short of the blade's tip."""
 
 REACH = 0.05
 """A point farther than this share of the plant's size from the skeleton belongs to a part that was dropped."""
@@ -115,6 +122,33 @@ def agreement(plant: Reference, answer: Answer) -> dict[str, float]:
         found[f"precision_{voxels}v"] = float(np.mean(precision <= limit))
         found[f"recall_{voxels}v"] = float(np.mean(recall <= limit))
     return found
+
+
+def spurious_tips(plant: Reference, answer: Answer) -> int:
+    """Return how many ends of a skeleton no published end claims, one to one within SHORT_OF."""
+    size = plant_size(plant.cloud.points)
+    found = ends(answer.nodes, answer.edges, SPUR * size / 200)
+    gap = cdist(found, ends(plant.nodes, plant.edges, 0.0))
+    allowed = gap <= SHORT_OF * size
+    pairs = linear_sum_assignment(np.where(allowed, gap, 1e3 * size))
+    return len(found) - int(allowed[pairs].sum())
+
+
+def ends(nodes: Array, edges: NDArray[Any], shortest: float) -> Array:
+    """Return the ends (T, 3) of a graph whose branches, up to the next fork, are not shorter than `shortest` [m]."""
+    beside: list[list[int]] = [[] for _ in nodes]
+    for one, other in edges.tolist():
+        beside[one].append(other)
+        beside[other].append(one)
+    kept = []
+    for end in (n for n, near in enumerate(beside) if len(near) == 1):
+        before, at, length = end, beside[end][0], float(np.linalg.norm(nodes[end] - nodes[beside[end][0]]))
+        while len(beside[at]) == 2:
+            before, at = at, sum(beside[at]) - before
+            length += float(np.linalg.norm(nodes[at] - nodes[before]))
+        if length >= shortest:
+            kept.append(end)
+    return nodes[kept]
 
 
 def reached(cloud: Cloud, answer: Answer | str) -> float:

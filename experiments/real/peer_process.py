@@ -1,8 +1,8 @@
 """Peers that live in an environment of their own: a worker answers, main stem and grasp follow by the paper's rules.
 
 pc-skeletor (Meyer et al. 2023): Laplacian-based contraction (Cao et al. 2010). skeletor (Schlegel et al.): wave fronts
-on a mesh. Both get the voxels of the largest cluster, 200 to the diagonal, as peers were compared before (facts:
-skeleton peers).
+on a mesh. PyGEL3D (Baerentzen et al.): local separators. All get the voxels of the largest cluster, 200 to the
+diagonal, as peers were compared before (facts: skeleton peers).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from real.paper_rule import core_stem
 from real.plain_thinning import FINE, depth, largest_cluster, occupancy
 from real.plants import plant_size
 
-WORKERS = {"pc_skeletor": "pc_skeletor_worker.py", "skeletor": "skeletor_worker.py"}
+WORKERS = {"pc_skeletor": "pc_skeletor_worker.py", "skeletor": "skeletor_worker.py", "pygel": "pygel_worker.py"}
 
 
 class Peer:

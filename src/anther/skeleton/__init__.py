@@ -19,9 +19,10 @@ from anther.masks import FLOWER
 from anther.skeleton import geodesics
 from anther.skeleton.bridging import bridges, without_specks
 from anther.skeleton.centreline import beginning, centred, extended, resample
-from anther.skeleton.geodesics import geodesic_tree
+from anther.skeleton.geodesics import LevelSets, geodesic_tree, level_sets
+from anther.skeleton.midribs import middled
 from anther.skeleton.nearby import nearest
-from anther.skeleton.raw_tree import RawTree, middled, parted, rerooted, with_extents, without_spurs, without_veins
+from anther.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
 from anther.skeleton.rooting import Base, distance_to_soil, find_root, stem_gain
 from anther.skeleton.support import node_confidence
 from anther.skeleton.surroundings import surroundings
@@ -304,16 +305,24 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
         return tree.taking(*rerooted(tree.parent, found.node)), _rooted(tree, found)
     lowest = int(np.argmin(voxels.points[:, 2]))
     source = lowest if params.root is None else nearest_node("root", params.root, voxels.points)
-    paths = _not_trivial(geodesic_tree(voxels, source, params.geodesic), size, params)
-    if params.root is not None:
-        return middled(_pruned(paths, voxels, params), voxels), _Rooted()
-    tree = _parted(paths, voxels, params)
-    found = find_root(tree)
-    base = tree.nodes[found.node]
-    if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
-        source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
-        paths = geodesic_tree(voxels, source, params.geodesic)
-    return middled(_pruned(paths, voxels, params), voxels), _rooted(tree, found)
+    paths, levels = _paths(voxels, source, size, params)
+    rooted = _Rooted()
+    if params.root is None:
+        tree = _parted(paths, voxels, params)
+        found = find_root(tree)
+        base, rooted = tree.nodes[found.node], _rooted(tree, found)
+        if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
+            source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
+            paths, levels = _paths(voxels, source, size, params)
+    pruned = _pruned(paths, voxels, params)
+    return middled(pruned, stem_gain(pruned), voxels, levels), rooted
+
+
+def _paths(voxels: Voxels, source: int, size: float, params: Params) -> tuple[RawTree, LevelSets]:
+    """Return the tree of shortest paths to a voxel, and its level sets."""
+    levels = level_sets(voxels, source)
+    tree = geodesic_tree(voxels, source, levels, params.geodesic, params.spur * voxels.voxel)
+    return _not_trivial(tree, size, params), levels
 
 
 def _rooted(tree: RawTree, found: Base) -> _Rooted:

@@ -52,18 +52,6 @@ def with_extents(nodes: Array, parent: Parents, voxels: Voxels) -> RawTree:
     return RawTree(nodes, parent, thickness, np.maximum(spread, thickness), along_tree(parent, flatness))
 
 
-def middled(tree: RawTree, voxels: Voxels, rounds: int = 2) -> RawTree:
-    """Return the tree with its nodes on blades in the middle of the voxels nearest to them."""
-    nodes = tree.nodes
-    for _ in range(rounds):
-        _, owner = nearest(voxels.points, nodes)
-        count = np.maximum(np.bincount(owner, minlength=len(nodes)), 1)
-        offset = voxels.points - nodes[owner]
-        step = [along_tree(tree.parent, np.bincount(owner, column, len(nodes)) / count) for column in offset.T]
-        nodes = nodes + np.stack(step, axis=1) * np.clip(2 * tree.flatness - 1, 0, 1)[:, None]
-    return with_extents(nodes, tree.parent, voxels)
-
-
 def along_tree(parent: Parents, values: Array, rounds: int = 4) -> Array:
     """Return the values (J,) averaged with those of the neighbours on the tree, so many times."""
     child, above = np.arange(1, len(parent)), parent[1:]
