@@ -27,8 +27,7 @@ class Args(PlantOptions):
     grip: int | None = None
     """Node that the gripper moves; by default halfway up the main stem."""
     flower: int | None = None
-    """Node whose motion is reported; by default the first flower of a run, else the end that is farthest from the root
-    along the plant."""
+    """Node whose motion is reported; by default a run's first flower, else the farthest end."""
     amplitude: float = 0.004
     """Shake amplitude [m]."""
     frequency: float = 1.3
