@@ -58,8 +58,8 @@ class Args:
     """Of a skeleton file without radii: of every node [m]; by default as thick as the crop's stem is at its base, and
     thinner with what a node carries."""
     root: str | None = None
-    """Of a skeleton file: where the plant stands, a node's number in the file or x,y,z [m]; by default where it begins
-    to rise from the soil, or the file's own root."""
+    """Of a skeleton file: where the plant stands, a node's number or x,y,z [m]; by default the file's own root, or
+    where it begins to rise."""
     stem_tip: str | None = None
     """Of a skeleton file: where the main stem ends, named likewise; by default it is found."""
     crop: Crop = "tomato"

@@ -27,8 +27,7 @@ class Args(PlantOptions):
     grip: int | None = None
     """Node that the gripper moves; by default halfway up the main stem."""
     flower: int | None = None
-    """Node whose motion is reported; by default the first flower of a run, else the end that is farthest from the root
-    along the plant."""
+    """Node whose motion is reported; by default a run's first flower, else the farthest end."""
     amplitude: float = 0.004
     """Shake amplitude [m]."""
     frequency: float = 1.3
@@ -97,16 +96,14 @@ def run(args: Args) -> None:
     drive = _drive(args, grip, also)
     trajectory = simulate(rods, clamp, drive, args.duration, args.dt, integrator=args.integrator)
     motion = measure(rods, clamp, drive, trajectory, flower)
+    named = {"grip_node": int(plant.numbers[grip]), "flower_node": int(plant.numbers[flower])}
     if args.out is not None:
         trajectory.save(args.out / "trajectory.npz")
-        write_json(args.out / "shake.json", asdict(motion))
+        write_json(args.out / "shake.json", named | asdict(motion))
         with replacing(args.out / "shake.png") as temporary:
             figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
             figure.savefig(temporary, dpi=110)
-    if args.json:
-        print(json.dumps(asdict(motion), indent=2))
-    else:
-        print(_text(args, motion, plant, (int(plant.numbers[grip]), int(plant.numbers[flower]))))
+    print(json.dumps(named | asdict(motion), indent=2) if args.json else _text(args, motion, plant, **named))
 
 
 def _grip(args: Args, plant: RodPlant) -> int:
@@ -167,13 +164,12 @@ def vibration(displacement: Any, dt: float) -> tuple[float, float]:
     return float(np.median(envelope)), float(np.fft.rfftfreq(padded, dt)[np.argmax(spectrum)])
 
 
-def _text(args: Args, motion: Motion, plant: RodPlant, named: tuple[int, int]) -> str:
-    grip, flower = named
+def _text(args: Args, motion: Motion, plant: RodPlant, *, grip_node: int, flower_node: int) -> str:
     ratio = "" if motion.amplitude_ratio is None else f", {motion.amplitude_ratio:.3f} of the shake"
     lines = [
-        f"flower node {flower}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"
+        f"flower node {flower_node}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"
         f"{ratio}), {motion.flower_frequency_hz:.3f} Hz, at most {motion.flower_peak_m * 1e3:.3f} mm from rest",
-        f"grip node {grip}: {motion.grip_amplitude_m * 1e3:.3f} mm, peak force {motion.grip_force_peak_n:.3g} N"
+        f"grip node {grip_node}: {motion.grip_amplitude_m * 1e3:.3f} mm, peak force {motion.grip_force_peak_n:.3g} N"
         + (f" and moment {motion.grip_moment_peak_nm:.3g} N m" if args.pads else ""),
         f"first natural frequency, not gripped: {motion.first_frequency_hz:.3f} Hz",
         f"{motion.newton_iterations} Newton iterations, {motion.split_steps} split steps",

@@ -31,7 +31,7 @@ def read_cloud(
         path: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz.
         units: of the file; None takes what the file states, else metres, with a note.
         up: axis that points up in the file; None takes what the file states, else z, with a note, which names another
-            axis where its stem is the better one (`up_axis.py`, half a second).
+            axis where its stem is the better one (`up_axis.py`, 0.2 s).
         plant: which plant of an .npz that holds several; None: it must hold one.
 
     Raises:
