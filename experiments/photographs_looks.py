@@ -74,8 +74,9 @@ def slender(plant: NDArray[np.bool_]) -> NDArray[np.bool_]:
     lines = np.zeros_like(narrow)
     for angle in np.linspace(0, np.pi, DIRECTIONS, endpoint=False):
         window = _line(3 * width, angle)
-        lines |= cv2.morphologyEx(narrow, cv2.MORPH_OPEN, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return lines > 0
+        found = cv2.morphologyEx(narrow, cv2.MORPH_OPEN, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        lines = cv2.bitwise_or(lines, found)
+    return np.asarray(lines, dtype=bool)
 
 
 def _line(length: int, angle: float) -> NDArray[np.uint8]:
