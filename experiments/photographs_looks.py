@@ -59,7 +59,7 @@ def named(networks: Networks, params: Params, rgb: NDArray[Any]) -> tuple[NDArra
     found, word = networks.find(rgb[None], words)[0]
     labels = np.zeros(rgb.shape[:2], dtype=np.uint8)
     paint(labels, found, np.array([PLANT] * len(params.plant) + [FLOWER] * len(params.flower), dtype=np.uint8)[word])
-    return labels, found[word == words.index(STEM)].any(axis=0)
+    return labels, np.asarray(found[word == words.index(STEM)].any(axis=0), dtype=bool)
 
 
 def slender(plant: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -70,12 +70,13 @@ def slender(plant: NDArray[np.bool_]) -> NDArray[np.bool_]:
     width = round(WIDTH * max(plant.shape)) | 1
     filled = cv2.morphologyEx(plant.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    narrow = filled & ~cv2.morphologyEx(filled, cv2.MORPH_OPEN, disc)
+    narrow = cv2.subtract(filled, cv2.morphologyEx(filled, cv2.MORPH_OPEN, disc))
     lines = np.zeros_like(narrow)
     for angle in np.linspace(0, np.pi, DIRECTIONS, endpoint=False):
         window = _line(3 * width, angle)
-        lines |= cv2.morphologyEx(narrow, cv2.MORPH_OPEN, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    return lines > 0
+        found = cv2.morphologyEx(narrow, cv2.MORPH_OPEN, window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        lines = cv2.bitwise_or(lines, found)
+    return np.asarray(lines, dtype=bool)
 
 
 def _line(length: int, angle: float) -> NDArray[np.uint8]:
