@@ -351,6 +351,16 @@ def test_the_nearer_the_root_the_more_it_costs():
     assert cost[0] > 10 * cost[-1]
 
 
+def test_above_a_fork_every_place_costs_more_than_well_below_it():
+    stem, skeleton, cloud = make_plant(branches=())
+    stem = replace(stem, fork=25)
+    fork = stem.arc_length[stem.fork]
+    ranking = _rank(stem, skeleton, cloud, Params(), toward_base=False)
+    arc, cost = ranking.candidates.arc_length, ranking.costs["near or above a fork"]
+    assert cost[arc > fork].min() > cost[arc < fork - 0.05].max()
+    assert plan_grasps(stem, skeleton, cloud)[0].arc_length < fork
+
+
 def test_toward_the_base_every_place_below_the_fork_is_tried_and_few_above_it():
     stem, skeleton, cloud = make_plant()
     stem = replace(stem, fork=25)
