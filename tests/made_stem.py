@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from anther.elastic_rod import Clamp, _equilibrium, simulate, with_gravity_equilibrium
+from anther.elastic_rod import Clamp, equilibrium, simulate, with_gravity_equilibrium
 from anther.identification import ClampedStem, first_frequency, tip_deflections
 
 
@@ -39,7 +39,7 @@ def nonlinear_trace(truth: Truth, seconds: float = 6.0, dt: float = 2e-3) -> tup
     straight = replace(straight, viscous_time=truth.damping_ratio * frequency / (np.pi * elastic**2))
     clamp = Clamp.root(straight)
     sideways = (2.5, 0, -9.81)
-    bent = _equilibrium(straight, clamp, gravity=sideways)
+    bent = equilibrium(straight, clamp, gravity=sideways)
     released = with_gravity_equilibrium(replace(straight, nodes=bent), clamp, gravity=sideways)
     run = simulate(released, clamp, None, seconds, dt, start="scanned", record_every=5)
     return run.times, run.positions[:, -1, 0]

@@ -13,7 +13,7 @@ from made_rods import NO_GRAVITY, cantilever, random_tree
 from anther.elastic_rod import (
     Clamp,
     Rods,
-    _equilibrium,
+    equilibrium,
     least_stiffness,
     natural_frequencies,
     stands,
@@ -121,7 +121,7 @@ def test_rods_that_cannot_twist_are_the_limit_of_stiff_ones():
     ends = []
     for ratio in (1.0, 0.3, 0.1, 0.0):
         rods = random_tree(6, 14, bend_over_twist=ratio, lumped_mass=2e-3, youngs=1e9)
-        ends.append(_equilibrium(rods, Clamp.root(rods)))
+        ends.append(equilibrium(rods, Clamp.root(rods)))
     gaps = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
     assert gaps[0] > 1e-5
     np.testing.assert_allclose(
@@ -137,7 +137,7 @@ def test_a_soft_joint_is_a_hinge_with_a_spring():
     at_joint = np.zeros(41)
     at_joint[20] = soft
     jointed = replace(bare, joint_compliance=at_joint)
-    drops = [_equilibrium(rods, Clamp.root(rods))[-1, 2] for rods in (bare, jointed)]
+    drops = [equilibrium(rods, Clamp.root(rods))[-1, 2] for rods in (bare, jointed)]
     lever = bare.nodes[-1, 0] - bare.nodes[19, 0]
     assert drops[0] - drops[1] == pytest.approx(force * lever * soft * lever, rel=2e-3)
 
@@ -146,7 +146,7 @@ def test_forks_and_kinks_converge_with_the_second_order():
     tips = []
     for refinement in (1, 2, 4, 32):
         rods = refined_fork(refinement)
-        tips.append(_equilibrium(rods, Clamp.root(rods))[-1])
+        tips.append(equilibrium(rods, Clamp.root(rods))[-1])
     errors = [np.linalg.norm(tip - tips[-1]) for tip in tips[:-1]]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.3)
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2, abs=0.3)
@@ -214,7 +214,7 @@ def test_damping_ratios_are_told():
 
 def test_static_cantilever_is_euler_bernoulli():
     rods = cantilever(60, youngs=2e9)
-    tip = _equilibrium(rods, Clamp.root(rods))[-1]
+    tip = equilibrium(rods, Clamp.root(rods))[-1]
     area, inertia = np.pi * 3e-3**2, np.pi * 3e-3**4 / 4
     assert tip[2] == pytest.approx(-1100 * area * 9.81 * 0.3**4 / (8 * 2e9 * inertia), rel=1e-3)
 
@@ -227,7 +227,7 @@ def test_an_l_shaped_rod_bends_and_twists():
     weight = np.zeros(2 * k + 1)
     weight[-1] = 1e-4
     rods = Rods(nodes, np.arange(2 * k + 1) - 1, 3e-3, 2e9, 1e-3, bend_over_twist=12.0, lumped_mass=weight)
-    drop = _equilibrium(rods, Clamp.root(rods))[-1, 2]
+    drop = equilibrium(rods, Clamp.root(rods))[-1, 2]
     EI = 2e9 * np.pi * 3e-3**4 / 4
     expected = -1e-4 * 9.81 * ((a**3 + b**3) / (3 * EI) + a * b**2 / (EI / 12.0))
     assert drop == pytest.approx(expected, rel=0.01)

@@ -11,8 +11,8 @@ from made_rods import NO_GRAVITY, cantilever, random_tree
 from anther.elastic_rod import (
     Clamp,
     Rods,
-    _equilibrium,
     base_response,
+    equilibrium,
     frequency_response,
     natural_frequencies,
     simulate,
@@ -47,7 +47,7 @@ def test_a_planted_stem_bends_from_its_root_on():
 def test_soil_that_gives_is_the_joint_of_the_first_edge():
     rods = cantilever(30, youngs=2e12, density=1e-3, lumped_mass=1e-3 * (np.arange(31) == 30))
     give = 0.5 * (np.arange(31) == 1)
-    drop = _equilibrium(replace(rods, joint_compliance=give), Clamp.root(rods))[-1, 2]
+    drop = equilibrium(replace(rods, joint_compliance=give), Clamp.root(rods))[-1, 2]
     bend = 0.3**3 / (3 * 2e12 * np.pi * 3e-3**4 / 4)
     assert drop == pytest.approx(-1e-3 * 9.81 * (0.5 * 0.3**2 + bend), rel=1e-4)
 
@@ -55,8 +55,8 @@ def test_soil_that_gives_is_the_joint_of_the_first_edge():
 def test_planted_rods_hang_where_they_were_scanned():
     rods = random_tree(4, 20, lumped_mass=1e-4)
     hanging = with_gravity_equilibrium(rods, Clamp.root(rods))
-    np.testing.assert_allclose(_equilibrium(hanging, Clamp.root(rods)), rods.nodes, atol=1e-9)
-    assert np.abs(_equilibrium(rods, Clamp.root(rods)) - rods.nodes).max() > 1e-5
+    np.testing.assert_allclose(equilibrium(hanging, Clamp.root(rods)), rods.nodes, atol=1e-9)
+    assert np.abs(equilibrium(rods, Clamp.root(rods)) - rods.nodes).max() > 1e-5
 
 
 def test_the_soil_needs_the_root():

@@ -19,7 +19,7 @@ from anther.elastic_rod import (
     Rods,
     SampledDrive,
     Trajectory,
-    _equilibrium,
+    equilibrium,
     frequency_response,
     natural_frequencies,
     response_map,
@@ -137,7 +137,7 @@ def test_static_equilibrium_agrees_with_the_peer_solver(data: Path, name: str):
     with np.load(data / "rod_reference" / f"{name}.npz") as stored:
         reference = {key: stored[key] for key in ("nodes0", "edges", "traj")}
         setup = json.loads(str(stored["params"]))
-    settled = _equilibrium(peer_rods(reference, setup), Clamp([0, 1]))
+    settled = equilibrium(peer_rods(reference, setup), Clamp([0, 1]))
     np.testing.assert_allclose(settled, reference["traj"][-1], atol=1e-6)
 
 
@@ -154,7 +154,7 @@ def peer_rods(reference: dict, setup: dict) -> Rods:
 def test_the_hanging_shape_stays_still(seed):
     rods = random_tree(seed, n=25, lumped_mass=1e-3, youngs=5e8)
     clamp = Clamp.root(rods)
-    assert np.abs(_equilibrium(rods, clamp) - rods.nodes).max() > 1e-5
+    assert np.abs(equilibrium(rods, clamp) - rods.nodes).max() > 1e-5
     hanging = with_gravity_equilibrium(rods, clamp)
     run = simulate(hanging, clamp, None, 0.2, 1e-3, start="scanned")
     assert np.abs(run.positions - rods.nodes).max() < 1e-8

@@ -16,7 +16,7 @@ from anther.errors import InputError, StageFailure
 from anther.grasp import STROKE_MARGIN, Grasp, Gripper, Params, _rank, load_grasps, plan_grasps, save_grasps
 from anther.grasp.candidates import candidates_along, directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
-from anther.grasp.clearance import KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
+from anther.grasp.clearance import FAR, KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
 from anther.grasp.clearance import STEM as STEM_BALL
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
@@ -272,6 +272,25 @@ def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance)
     assert met.touched[0, OBSTACLE] == (distance < 0.002)
 
 
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=25)
+def test_clearance_is_that_of_all_balls_and_boxes_one_by_one(seed):
+    """Large balls, far balls, several cubes of them, turned grippers."""
+    rng, gripper = np.random.default_rng(seed), Gripper()
+    count = int(rng.integers(1, 40))
+    centers, radius = rng.uniform(-0.3, 0.3, (count, 3)), rng.choice([0.0, 0.005, 0.06], count)
+    balls = Surroundings(centers, radius, np.full(count, OBSTACLE), np.zeros(count))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.1, 0.1, 3)
+    boxes = gripper.boxes(0.1)
+    local = (centers - pose[:3, 3]) @ pose[:3, :3]
+    d = np.maximum(boxes[:, None, :3] - local, local - boxes[:, None, 3:])
+    gap = np.where((d > 0).any(axis=2), np.linalg.norm(np.maximum(d, 0), axis=2), d.max(axis=2)) - radius
+    met = clearance(pose[None], balls, boxes, gripper.closing(), touch=0.002)
+    assert met.distance[0, OBSTACLE] == pytest.approx(min(gap.min(), FAR), abs=1e-9)
+    assert met.touched[0, OBSTACLE] == (gap.min(axis=0) < 0.002).sum()
+
+
 def test_the_whole_way_in_counts():
     """A ball that the gripper's body passes on the way is met although the gripper at the grasp is clear of it."""
     gripper, pose = Gripper(), np.eye(4)[None]
@@ -307,12 +326,39 @@ def test_every_pose_is_a_rotation_and_each_direction_is_tried_both_ways_up():
         assert sorted(np.round(along[c.station == station])) == [-1] * 8 + [1] * 8
 
 
+def test_a_place_that_seems_thin_is_as_thick_as_the_stem_about_it():
+    """Half of it was hidden."""
+    stem, skeleton, _ = make_plant(branches=())
+    hidden = np.abs(stem.arc_length - 0.25) < 0.02
+    skeleton = replace(skeleton, radius=np.where(hidden, 0.002, skeleton.radius))
+    c = candidates_along(stem, skeleton, directions=1, spacing=0.01, window=0.014, ends=(0.05, 0.05), depth=0.1)
+    np.testing.assert_allclose(c.radius, 0.004)
+
+
+def test_a_stem_in_waves_between_the_pads_is_clearly_bad_and_a_straight_one_not():
+    stem, skeleton, cloud = make_plant(branches=())
+    waves = replace(skeleton, nodes=skeleton.nodes + np.outer(0.005 * np.sin(stem.arc_length / 0.01), [1, 0, 0]))
+    straight, bent = (_rank(stem, s, cloud, Params(), toward_base=False).costs["bent stem"] for s in (skeleton, waves))
+    assert straight.max() < 1e-6
+    assert np.median(bent) > 1
+
+
 def test_the_nearer_the_root_the_more_it_costs():
     ranking = _rank(*make_plant(branches=()), Params(), toward_base=False)
     order = np.argsort(ranking.candidates.arc_length, kind="stable")
     cost = ranking.costs["near the root"][order]
     assert np.all(np.diff(cost) <= 1e-12)
     assert cost[0] > 10 * cost[-1]
+
+
+def test_above_a_fork_every_place_costs_more_than_well_below_it():
+    stem, skeleton, cloud = make_plant(branches=())
+    stem = replace(stem, fork=25)
+    fork = stem.arc_length[stem.fork]
+    ranking = _rank(stem, skeleton, cloud, Params(), toward_base=False)
+    arc, cost = ranking.candidates.arc_length, ranking.costs["near or above a fork"]
+    assert cost[arc > fork].min() > cost[arc < fork - 0.05].max()
+    assert plan_grasps(stem, skeleton, cloud)[0].arc_length < fork
 
 
 def test_toward_the_base_every_place_below_the_fork_is_tried_and_few_above_it():

@@ -80,6 +80,18 @@ def test_every_room_imports_only_earlier_ones() -> None:
     assert not complaints(rule)
 
 
+def test_what_is_private_to_a_package_stays_in_it() -> None:
+    def rule(path: Path) -> Iterator[str]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("anther."):
+                names = [*node.module.split("."), *(alias.name for alias in node.names)]
+                private = [name for name in names if name.startswith("_")]
+                if private and names[1] != room(path):
+                    yield f"imports {private} of {names[1]}"
+
+    assert not complaints(rule)
+
+
 def test_files_and_functions_stay_short() -> None:
     def rule(path: Path) -> Iterator[str]:
         text = path.read_text()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_plants import branched, grasps_on, read_paper_plant, turned
 
-from anther.elastic_rod import Drive, _equilibrium, frequency_response
+from anther.elastic_rod import Drive, equilibrium, frequency_response
 from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
 from anther.geometry import Array
@@ -90,7 +90,7 @@ def test_stem_strain_is_moment_over_section_modulus() -> None:
     load[top] = push / 10
     pushed = replace(plant.rods, density=1e-3, lumped_mass=load, natural=None)
     moved = np.zeros((len(load), 4))
-    moved[:, :3] = _equilibrium(pushed, plant.clamp, gravity=(10, 0, 0)) - plant.rods.nodes
+    moved[:, :3] = equilibrium(pushed, plant.clamp, gravity=(10, 0, 0)) - plant.rods.nodes
     joints = plant.rods.nodes[plant.stem_nodes[2:-1], 2]
     youngs = np.asarray(plant.rods.youngs)[plant.stem_nodes[1]]
     strain = push * (plant.rods.nodes[top, 2] - joints) * 4e-3 / (youngs * np.pi * 4e-3**4 / 4)

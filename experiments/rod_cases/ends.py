@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import brentq
 
-from anther.elastic_rod import Clamp, Rods, _equilibrium, natural_frequencies, simulate, with_gravity_equilibrium
+from anther.elastic_rod import Clamp, Rods, equilibrium, natural_frequencies, simulate, with_gravity_equilibrium
 from anther.errors import StageFailure
 from rod_cases.beam_theory import rayleigh_roots, small_sag, uniform_roots
 from rod_cases.beams import NO_GRAVITY, Beam
@@ -47,7 +47,7 @@ def _sag_error(edges: int) -> float:
     own_weight, gravity = 8e-3, 9.81
     youngs = BEAM.line_mass * gravity * BEAM.length**3 / own_weight / (np.pi * BEAM.radius**4 / 4)
     rods = planted(edges, youngs=youngs)
-    tip = _equilibrium(rods, Clamp.root(rods), gravity=(0, 0, -gravity))[-1]
+    tip = equilibrium(rods, Clamp.root(rods), gravity=(0, 0, -gravity))[-1]
     return abs(-tip[2] / BEAM.length / small_sag(own_weight, 0) - 1)
 
 

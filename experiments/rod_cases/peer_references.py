@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from anther.elastic_rod import Clamp, Drive, Rods, _equilibrium, simulate
+from anther.elastic_rod import Clamp, Drive, Rods, equilibrium, simulate
 from rod_cases.beams import X_AXIS
 from rod_cases.table import Array, Findings, Row
 
@@ -51,7 +51,7 @@ def reference_cases(folder: Path, quick: bool) -> Findings:
     rows = []
     for name in STATIC:
         arrays, setup = reference(folder, name)
-        settled = _equilibrium(reference_rods(arrays, setup), Clamp(np.array([0, 1])))
+        settled = equilibrium(reference_rods(arrays, setup), Clamp(np.array([0, 1])))
         error = float(np.abs(settled - arrays["traj"][-1]).max())
         rows.append(Row(f"peer_{name}", f"peer, {name}, all nodes", error, LIMIT, "m"))
     for name in MOVING:

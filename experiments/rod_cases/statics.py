@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from anther.elastic_rod import _equilibrium
+from anther.elastic_rod import equilibrium
 from rod_cases.beam_theory import elastica, small_sag
 from rod_cases.beams import CLAMPED, Beam
 from rod_cases.table import Array, Convergence, Findings, Row
@@ -45,7 +45,7 @@ def tip_of(nodes: int, own_weight: float, tip_load: float) -> Array:
     beam = Beam(beam.length, beam.radius, youngs, beam.density)
     mass = tip_load * beam.bending_stiffness / beam.length**2 / gravity
     rods = beam.rods(nodes, tip_mass=mass)
-    tip = _equilibrium(rods, CLAMPED, gravity=(0, 0, -gravity))[-1]
+    tip = equilibrium(rods, CLAMPED, gravity=(0, 0, -gravity))[-1]
     x_of_clamp = 0.5 * beam.length * beam.spacing(nodes)
     return np.array([tip[0] - x_of_clamp, -tip[2]]) / beam.length
 

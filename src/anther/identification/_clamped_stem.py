@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import brentq, root_scalar
 
 from anther.checks import check_array, check_range
-from anther.elastic_rod import Clamp, Rods, _equilibrium, natural_frequencies
+from anther.elastic_rod import Clamp, Rods, equilibrium, natural_frequencies
 from anther.errors import InputError, StageFailure, bad_input
 from anther.geometry import Array
 
@@ -144,7 +144,7 @@ def tip_deflections(stem: ClampedStem, youngs: float, density: float, tip_mass: 
 
 def _tip_height(stem: ClampedStem, youngs: float, density: float) -> float:
     rods = stem.rods(youngs, density, "horizontal")
-    return float(_equilibrium(rods, Clamp.root(rods))[-1, 2])
+    return float(equilibrium(rods, Clamp.root(rods))[-1, 2])
 
 
 def tip_compliance(stem: ClampedStem) -> float:
