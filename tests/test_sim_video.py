@@ -10,6 +10,7 @@ from anther.sim.cell import Cell
 from anther.sim.plant import Organ
 from anther.sim.render import Scene
 from anther.sim.robot import SimCamera
+from anther.sim.tomato import grow_tomato
 
 CAMERA = Intrinsics(200, 160, 600.0, 600.0, 99.5, 79.5)
 
@@ -51,3 +52,16 @@ def test_a_frame_of_a_film_shows_what_a_whole_image_does() -> None:
         np.testing.assert_array_equal(frame.depth, image.depth)
         on_plant = image.organ < Organ.POT
         np.testing.assert_array_equal(frame.rgb[on_plant], image.rgb[on_plant])
+
+
+def test_a_pixel_of_a_flower_gathers_light_from_its_area() -> None:
+    plant = grow_tomato(3, axis=(0.72, 0.0))
+    cell, scene, flower = Cell(plant), Scene.of_plant(plant), plant.flower_position[0]
+    pose = look_at(flower - [0.0, 0.4, 0.0], flower)
+    frame = SimCamera(cell, scene, CAMERA, lambda: pose, errors=None).read()
+    fine = scene.render(Intrinsics(1600, 1280, 4800.0, 4800.0, 799.5, 639.5), pose)  # 64 rays a pixel
+    true = fine.rgb.reshape(160, 8, 200, 8, 3).mean(axis=(1, 3))
+    one = scene.render(CAMERA, pose)
+    at = one.organ == Organ.FLOWER
+    assert at.sum() > 100
+    assert np.abs(frame.rgb[at] - true[at]).mean() < 0.8 * np.abs(one.rgb[at] - true[at]).mean()

@@ -196,10 +196,12 @@ class Still(NamedTuple):
     Attributes:
         image: of the scene as it was.
         changing: (H, W) where the plant may be seen in the others.
+        flowers: (H, W) where its flowers may be.
     """
 
     image: Image
     changing: NDArray[np.bool_]
+    flowers: NDArray[np.bool_]
 
 
 class Scene:
@@ -285,8 +287,11 @@ class Scene:
     def still(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, reach: float) -> Still:
         """Return an image of a plant of which nothing will move by more than `reach` pixels, for `render`."""
         image = self.render(intrinsics, T_world_cam)
-        away = image.organ >= Organ.POT
-        return Still(image, np.asarray(distance_transform_edt(away)) <= reach + 1)
+        near = [
+            np.asarray(distance_transform_edt(~part)) <= reach + 1 if part.any() else part
+            for part in (image.organ < Organ.POT, image.organ == Organ.FLOWER)
+        ]
+        return Still(image, *near)
 
     def depth(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> NDArray[np.float32]:
         """Return only the exact depth (H, W) [m], 0 where nothing is hit."""

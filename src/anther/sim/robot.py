@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import repeat
 
 import numpy as np
@@ -26,10 +27,13 @@ from anther.geometry import Array, Intrinsics, look_at
 from anther.sim._motor import CYCLE, SimMotor, contact_force
 from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.cell import Cell, CellLog
-from anther.sim.render import Image, Scene, Still, d455
+from anther.sim.render import Scene, Still, d455
 
 LEAST_REACH = 6.0  # px around the plant in a still that are rendered again in each frame of a film
 SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred
+SHOTS = ((-0.33, -0.25, -0.25), (0.0, 0.25, 0.0), (0.33, -0.1, 0.25))
+"""Of a frame: moment [exposures], and place in each pixel [px]. A pixel gathers light from all of its area: by one ray
+alone, what moves by half a pixel seems to jump. Where nothing is blurred about flowers only: it takes time."""
 
 
 class SimArm:
@@ -161,7 +165,8 @@ class SimCamera:
 
     def read(self) -> Frame:
         """Return one frame taken now."""
-        return self._frame(self.cell.time, self._vertices(None), None, self._rng)
+        vertices = self._vertices(None)
+        return self._frame(self.cell.time, vertices, None, self._rng, self._still_of([vertices], [None]))
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
@@ -244,21 +249,21 @@ class SimCamera:
         way = (here - self._vertices(log.qpos[before])) * self._exposure / (log.times[after] - log.times[before])
         return way if self._pixels(way, here) > SEEN_BLUR else None
 
-    def _frame(
-        self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator, still: Still | None = None
-    ) -> Frame:
-        image = self._image(vertices, still)
-        rgb = image.rgb
-        if way is not None:
-            sides = [self._image(vertices + share * way, still).rgb for share in (-1 / 3, 1 / 3)]
-            rgb = np.rint(np.mean([rgb, *sides], axis=0)).astype(np.uint8)
+    def _frame(self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator, still: Still) -> Frame:
+        pose, eye, here = self.pose(), self._intrinsics, self.scene.moved(vertices)
+        image = here.render(eye, pose, still)
+        sharp = still._replace(image=image, changing=still.flowers if way is None else still.changing)
+        shots = [
+            (here if way is None else self.scene.moved(vertices + share * way))
+            .render(replace(eye, cx=eye.cx - across, cy=eye.cy - down), pose, sharp)
+            .rgb
+            for share, across, down in SHOTS
+        ]
+        rgb = np.rint(np.mean(shots, axis=0)).astype(np.uint8)
         if self.errors is None:
             return Frame(time + self._late, rgb, image.depth)
-        depth = noisy_depth(image.depth, self._intrinsics, rng, self.errors.depth)
+        depth = noisy_depth(image.depth, eye, rng, self.errors.depth)
         return Frame(time + self._late, noisy_rgb(rgb, rng, self.errors), depth)
-
-    def _image(self, vertices: Array, still: Still | None) -> Image:
-        return self.scene.moved(vertices).render(self._intrinsics, self.pose(), still)
 
 
 def cut_out(whole: Intrinsics, width: int, height: int) -> Intrinsics:
