@@ -21,7 +21,6 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from confidence import reliability
 from grasping_page import insert
 from real.strict import Judged, judged_all, metrics, reported, table
 from rich.console import Console
@@ -32,6 +31,8 @@ from anther.files import write_json
 from anther.stem.confidence import DOUBTFUL
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
+BINS = (0.25, 0.5, DOUBTFUL, 0.9)
+"""Between the groups of confidence that are drawn."""
 
 
 def main() -> None:
@@ -64,16 +65,19 @@ def main() -> None:
 def draw_reliability(rows: list[Judged], path: Path) -> None:
     """Draw how often grasps are right by their confidence; a refusal is no grasp."""
     given = [row for row in rows if not row.refused]
-    bins = reliability(np.array([row.confidence for row in given]), np.array([row.on_stem for row in given]))
+    claimed, right = (np.array([float(getattr(row, name)) for row in given]) for name in ("confidence", "on_stem"))
     figure, plot = plt.subplots(figsize=(5.2, 4.6), layout="constrained")
     plot.plot([0, 1], [0, 1], color="#5d6b62", lw=1, ls=":")
-    error = np.sqrt(bins[:, 1] * (1 - bins[:, 1]) / bins[:, 2])
-    plot.errorbar(bins[:, 0], bins[:, 1], yerr=error, color="#2f7d4f", marker="o", capsize=2, label="observed")
-    for claimed, right, count in bins:
-        plot.annotate(f"{count:.0f}", (claimed, right), xytext=(5, -11), textcoords="offset points", fontsize=8)
+    group = np.digitize(claimed, BINS)
+    for of in np.unique(group):
+        mine = group == of
+        x, share, count = claimed[mine].mean(), right[mine].mean(), mine.sum()
+        error = np.sqrt(share * (1 - share) / count)
+        plot.errorbar(x, share, yerr=error, color="#2f7d4f", marker="o", capsize=2)
+        plot.annotate(f"{count}", (x, share), xytext=(7, -4), textcoords="offset points", fontsize=8)
     plot.axvline(DOUBTFUL, color="#b3402e", lw=1, label="warns below")
     plot.set(xlabel="confidence of the grasp", ylabel="share that is right", xlim=(0, 1.02), ylim=(-0.02, 1.04))
-    plot.set_title(f"{len(given)} grasps of disturbed real plants")
+    plot.set_title(f"{len(given)} grasps of real plants, as scanned and disturbed", fontsize=10)
     plot.legend(loc="lower right")
     figure.savefig(path, dpi=110)
 

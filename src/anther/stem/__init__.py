@@ -139,12 +139,10 @@ LOW = 0.25
 
 
 def _low(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
-    share, height = rise_share(skeleton, node_ids), skeleton.nodes[:, 2].max() - skeleton.nodes[0, 2]
+    share, height = rise_share(skeleton, node_ids), 1e3 * (skeleton.nodes[:, 2].max() - skeleton.nodes[0, 2])
     if share >= LOW:
         return ()
-    return (
-        f"main stem: it rises only {1e3 * share * height:.0f} mm of the plant's {1e3 * height:.0f} mm; is the root right?",
-    )
+    return (f"main stem: it rises only {share * height:.0f} mm of the plant's {height:.0f} mm; is the root right?",)
 
 
 def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any], params: Params) -> NDArray[Any]:
