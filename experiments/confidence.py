@@ -6,7 +6,8 @@ within 5 mm of the axis of a stem, branch, petiole, rachis or truss; a stem with
 of the true axis (above a fork any of the stems); a grasp within 5 mm of the true main stem (pepper: below the fork).
 
     python experiments/confidence.py          evaluates on seeds 520 to 527 of both species
-    python experiments/confidence.py --fit    fits the constants on the development seeds 10 to 17 and prints them
+    python experiments/confidence.py --fit    fits those of nodes and stems on the development seeds 10 to 17
+                                              (those of root and grasp: fit_confidence.py)
 
 Keys of the --json file, for <kind> of node, stem, grasp: <kind>_brier and <kind>_base_brier (that of always saying the
 base rate), <kind>_right (base rate), <kind>_auc (chance that a right one is believed more than a wrong one),
@@ -45,7 +46,6 @@ from anther.files import write_json
 from anther.flowers import flower_centres
 from anther.geometry import Array
 from anther.grasp import plan_grasps
-from anther.grasp.confidence import place_evidence
 from anther.sim.plant import Organ, SimPlant
 from anther.skeleton import Skeleton, skeletonize
 from anther.skeleton.support import node_support, probability
@@ -161,15 +161,13 @@ def _sample(name: str, plant: SimPlant, cloud: Cloud) -> Sample:
 
 
 def fit(found: list[Sample]) -> dict[str, Array]:
-    """Return constant and weights of each confidence: nodes first, then stems and places with the nodes' new ones."""
+    """Return constant and weights of the confidences of nodes, and of stems with the nodes' new ones."""
     node = logistic(np.concatenate([s.support for s in found]), np.concatenate([s.node_right for s in found]))
     found = [replace(s, skeleton=replace(s.skeleton, confidence=probability(list(node), s.support))) for s in found]
     stems = np.stack([stem_evidence(s.skeleton, s.stem.node_ids) for s in found])
-    places = np.concatenate([place_evidence(s.stem, s.skeleton, s.arcs) for s in found])
     return {
         "skeleton/support.py": node,
         "stem/confidence.py": logistic(stems, np.array([s.stem_right for s in found])),
-        "grasp/confidence.py": logistic(places, np.concatenate([s.place_right for s in found])),
     }
 
 

@@ -37,9 +37,9 @@ from real.judge import Outcome, Tolerance, agreement, judge, radius_over_points,
 from real.peer_process import WORKERS, Peer
 from real.pictures import Shown, draw_below, draw_methods, draw_references, draw_seen, save
 from real.plain_thinning import CLOSED, FINE, plain_thinning
-from real.plants import HARD, LABELLED, WITH_REFERENCE, Labelled, Reference, labelled_plants, references, unlabelled
+from real.plants import LABELLED, WITH_REFERENCE, Labelled, Reference, labelled_plants, references, unlabelled
 from real.start import started
-from real.strict import judged_all, metrics
+from real.strict import judged_all, metrics, reported
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -58,8 +58,6 @@ SHOWN = (
     "sice_robot_cloud0",
 )
 """Plants drawn with all methods: the first, middle and last seedling, the two others with labels, the robot's."""
-STRICT_EVERY = 6
-"""By the strict rule, as in disturbed_plants.py, every so many seedlings are judged."""
 MOST_BELOW = 2
 """So many of the plants whose main stem leaves the stem system are drawn."""
 
@@ -218,9 +216,8 @@ def main() -> None:
     if args.figures:
         found.draw(args.figures)
     if args.json:
-        every = 31 if args.quick else STRICT_EVERY
-        strict = labelled_plants(args.data, every, LABELLED + HARD)
-        write_json(args.json, found.metrics() | metrics(judged_all(strict)) | started(args.data))
+        strict = judged_all(track(reported(args.data, quick=args.quick), "disturbed plants", console=console))
+        write_json(args.json, found.metrics() | metrics(strict) | started(args.data))
 
 
 def _print(console: Console, found: Run) -> None:

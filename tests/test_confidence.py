@@ -11,13 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anther.errors import InputError
-from anther.grasp import Grasp, load_grasps, save_grasps
+from anther.cloud import Cloud
+from anther.errors import InputError, StageFailure
+from anther.grasp import Grasp, load_grasps, plan_grasps, save_grasps
 from anther.grasp.confidence import place_confidence
 from anther.skeleton import Skeleton
 from anther.skeleton.support import node_confidence, probability
-from anther.stem import Stem, find_stem
-from anther.stem.confidence import DOUBTFUL, doubt, rivalry, second_stem, stem_confidence
+from anther.stem import Params, Stem, find_stem
+from anther.stem.confidence import DOUBTFUL, doubt, plant_evidence, second_stem, stem_confidence
 
 RNG = np.random.default_rng(0)
 
@@ -61,20 +62,32 @@ def test_a_tube_is_believed_and_neither_a_gap_nor_a_blade_nor_a_smear() -> None:
     assert 1 - np.median(smear) > 3 * (1 - np.median(whole))
 
 
-def test_rivalry_begins_at_the_fork_and_grows_with_the_rival() -> None:
-    weak, even = (rivalry(*fork(thickness)) for thickness in (0.3, 1.0))
-    assert np.all(even[:20] == 0)
-    assert even[-1] == pytest.approx(0.5, abs=0.05)
-    assert 0 < weak[-1] < 0.15
-
-
-def test_a_place_above_a_rival_is_doubted() -> None:
+def test_a_place_above_a_fork_is_doubted() -> None:
     skeleton, _ = fork(1.0)
     stem = find_stem(skeleton)
     places = place_confidence(stem, skeleton, np.array([0.1, 0.35]))
     assert places is not None
     assert places[0] > 0.9
     assert places[1] < 0.4
+
+
+def test_a_stem_is_doubted_for_its_root_its_flat_sections_and_the_little_it_carries() -> None:
+    skeleton, path = fork(0.3)
+    sure = plant_evidence(skeleton, path)
+    assert plant_evidence(replace(skeleton, root_confidence=0.6), path)[0] < sure[0]
+    assert plant_evidence(skeleton, path[:5])[1] < sure[1]
+    assert plant_evidence(replace(skeleton, width=3 * skeleton.radius), path)[2] < sure[2]
+
+
+def test_a_main_stem_of_a_few_per_cent_of_the_plant_is_warned_of_and_not_grasped() -> None:
+    skeleton, _ = fork(0.3)
+    short = find_stem(skeleton, Params(tip=(0.0, 0.0, 0.03)))
+    assert "it rises only 30 mm of the plant's 400 mm" in short.notes[0]
+    places = place_confidence(short, skeleton, np.array([0.01, 0.02]))
+    assert places is not None
+    assert places.max() < 0.5
+    with pytest.raises(StageFailure, match="probably not the main stem"):
+        plan_grasps(short, skeleton, Cloud(skeleton.nodes))
 
 
 def test_without_support_nothing_is_said_and_with_little_a_warning() -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from anther.cloud import Cloud
 from anther.geometry import Array
 from anther.sim.pepper import grow_pepper
-from anther.sim.plant import Organ
+from anther.sim.plant import Organ, SimPlant
 from anther.sim.tomato import grow_tomato
 from real.plants import Labelled
 
@@ -70,7 +70,7 @@ def _broad(rng: np.random.Generator) -> Parts:
     return parts
 
 
-def _simulated(grow: Callable[..., object]) -> Callable[[np.random.Generator], Parts]:
+def _simulated(grow: Callable[[int], SimPlant]) -> Callable[[np.random.Generator], Parts]:
     def parts(rng: np.random.Generator) -> Parts:
         plant = grow(int(rng.integers(10_000, 20_000)))
         organs = (Organ.STEM, Organ.BRANCH, Organ.PETIOLE, Organ.RACHIS, Organ.PEDUNCLE, Organ.PEDICEL)
@@ -112,16 +112,15 @@ def _leaf(rng: np.random.Generator, line: Array, width: float, neck: float) -> M
 
 def _scanned(parts: Parts, rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
     """Return points (N, 3) on the surfaces as a scanner sees them, the plant 0.03 to 1.5 m tall; and which are stem."""
-    area = [np.linalg.norm(_across(mesh), axis=1) / 2 for mesh, _ in parts]
-    count = rng.integers(3_000, 40_000)
-    density = count / sum(a.sum() for a in area)
+    area: list[Array] = [np.linalg.norm(_across(mesh), axis=1) / 2 for mesh, _ in parts]
+    density = rng.integers(3_000, 40_000) / sum(a.sum() for a in area)
     points, labels = [], []
     for (mesh, is_stem), a in zip(parts, area, strict=True):
-        face = rng.choice(len(a), round(density * a.sum()), p=a / a.sum())
-        one, two = np.sort(rng.uniform(0, 1, (2, len(face))), axis=0)
+        face = rng.choice(len(a), round(float(density * a.sum())), p=a / a.sum())
+        one, two = np.sort(rng.uniform(0, 1, (2, face.size)), axis=0)
         share = np.stack([one, two - one, 1 - two], axis=1)
         points.append(np.einsum("nk,nkd->nd", share, mesh[0][mesh[1][face]]))
-        labels.append(np.full(len(face), is_stem))
+        labels.append(np.full(face.size, is_stem))
     cloud = np.concatenate(points)
     size = float(np.linalg.norm(np.ptp(cloud, axis=0)))
     cloud = cloud + rng.normal(0, size / rng.uniform(350, 3000), cloud.shape)

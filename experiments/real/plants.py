@@ -22,6 +22,16 @@ HARD = ("salk_benthi_D18", "gavriel_maize_28.2.23_2")
 WITH_REFERENCE = ("pheno4d_tomato_03-05", "pheno4d_tomato_03-08", "pheno4d_maize_03-13")
 UNLABELLED = ("sice_robot_cloud0", "sorghum_kinect_fused", "adtree_tree1")
 
+DEVELOPMENT = (
+    "tomato1_heat_plant1",
+    "tomato1_control1_plant1",
+    "tomato1_drought_plant1",
+    "tomato1_drought_plant2",
+    "tomato1_control2_plant1",
+    "gavriel_maize_28.2.23_8",
+)
+"""Plants on which confidences are fitted (fit_confidence.py); the strict rule reports the others."""
+
 _METRES = {"m": 1.0, "mm": 1e-3}
 
 
@@ -69,6 +79,11 @@ def labelled_plants(folder: Path, every: int, others: tuple[str, ...] = LABELLED
         with np.load(folder / f"{name}.npz") as stored:
             labels, stem = stored["labels"], int(stored["stem_label"])
         yield Labelled(name, read_cloud(folder / f"{name}.npz"), labels == stem, len(np.unique(labels[labels != stem])))
+
+
+def develops(plant: Labelled) -> bool:
+    """Return whether a plant is one of those on which confidences are fitted."""
+    return any(f"{name}_" in f"{plant.name}_" for name in DEVELOPMENT)
 
 
 def references(folder: Path) -> Iterator[Reference]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from anther.cloud import Cloud
 from anther.geometry import Array
+from anther.grasp import Grasp
 from anther.stem.confidence import DOUBTFUL
 from real.answers import NoAnswer, anther
 from real.judge import STEPS, sampled
-from real.plants import Labelled, plant_size
+from real.plants import HARD, LABELLED, Labelled, develops, labelled_plants, plant_size
 
 NEIGHBOURS, RADII = 10, 1.5
 """A place is on the stem when most of so many nearest points are, and the stem's nearest is within so many radii."""
@@ -96,6 +98,11 @@ def _facing(points: Array, size: float) -> NDArray[np.int64]:
     return np.flatnonzero(points[:, 0] <= first[number.ravel()] + size / STEPS)
 
 
+def reported(folder: Path, *, quick: bool) -> list[Labelled]:
+    """Return the plants that are reported: every second scan (quick: every 31st) but those the fits have seen."""
+    return [p for p in labelled_plants(folder, 31 if quick else 2, LABELLED + HARD) if not develops(p)]
+
+
 def judged_all(plants: Iterable[Labelled]) -> list[Judged]:
     """Return what becomes of plants, each as scanned and in each way disturbed."""
     return [judged(plant, kind, base) for one in plants for kind, plant, base in disturbed(one)]
@@ -110,17 +117,23 @@ def judged(plant: Labelled, kind: str, base: Array) -> Judged:
     size, tree = plant_size(plant.cloud.points), KDTree(plant.cloud.points)
     line = sampled(seen.answer.nodes, seen.answer.stem, size / STEPS)
     in_leaf = plant.is_stem[tree.query(line, NEIGHBOURS)[1]].mean(axis=1) < 0.5
-    around = plant.is_stem[tree.query(seen.grasp.point, NEIGHBOURS)[1]]
-    gap = float(np.linalg.norm(plant.stem_points - seen.grasp.point, axis=1).min())
     return Judged(
         plant.name,
         kind,
-        on_stem=bool(around.mean() >= 0.5) and gap <= RADII * seen.grasp.stem_diameter / 2,
+        on_stem=on_stem(plant, seen.grasp),
         into_leaf=bool(in_leaf.mean() > INTO_LEAF),
         root_ok=bool(np.linalg.norm(seen.skeleton.nodes[0] - base) <= AT_BASE * size),
         confidence=1.0 if seen.grasp.confidence is None else seen.grasp.confidence,
         refused=False,
     )
+
+
+def on_stem(plant: Labelled, grasp: Grasp) -> bool:
+    """Return whether a grasp is on the stem system: most points around it are, and the nearest is near enough."""
+    away = np.linalg.norm(plant.cloud.points - grasp.point, axis=1)
+    around = plant.is_stem[np.argpartition(away, NEIGHBOURS)[:NEIGHBOURS]]
+    gap = float(away[plant.is_stem].min(initial=np.inf))
+    return bool(around.mean() >= 0.5) and gap <= RADII * grasp.stem_diameter / 2
 
 
 def table(rows: Sequence[Judged]) -> Table:

@@ -223,6 +223,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         met = Clearance.of(list(pool.map(lambda shape: clearance(poses, around, *shape, touch=params.touch), open_)))
     candidates = candidates.opened(openings)
     confidence = place_confidence(stem, skeleton, candidates.arc_length)
+    if confidence is not None:
+        confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
     refusals = _refusals(candidates, met, confidence, params)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem

@@ -13,13 +13,13 @@ from anther.skeleton.support import probability
 
 _ALPHA, _V_BIAS = 2.0, 1.0
 _LOW = 0.5
-_BEGINNING, _SAME = 0.2, 0.1
-"""Per plant's extent: how much of the way up from a candidate tells how it begins, and how near another is the same."""
+_SAME = 0.1
+"""Tips so near to each other through the tree are the same base, per plant's extent."""
 _THICK = 1.5
 """Wood counts as no thicker than this times the 95th percentile: a pot left over is no stem."""
 
-FITTED = (-22.65, 20.04, 1.17, 18.24)
-SEEN = (2.39, 0.272)
+FITTED = (-15.26, 15.54, 18.99)
+SEEN = (0.95, 0.23)
 """Weights of `base_evidence` in the utility of a base; constant and weight of the best utility in the log-odds that the
 base is in the cloud at all: `python experiments/fit_confidence.py`."""
 
@@ -65,16 +65,16 @@ def same_place(tree: RawTree, tips: NDArray[np.int64], best: int) -> NDArray[np.
 
 
 def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the tips (C,) where the plant may stand and what speaks for each, (C, 4), relative to the plant's extent.
+    """Return the tips (C,) where the plant may stand and what speaks for each, (C, 3), relative to the plant's extent.
 
     Columns: the mean way through the tree to all that it would carry (a base is near to all); how much the plant's
     wood would rise, each edge by its squared inscribed radius and roundness (a stem is thick and grows up, a drooping
-    leaf grows down); how upright it begins; how far it lies below the top.
+    leaf grows down); how far it lies below the top.
     """
     middle = int(np.argmin(_mean_way(tree)))
     parent, order = rerooted(tree.parent, middle)
     tree, extent = tree.taking(parent, order), _extent(tree)
-    z, length = tree.nodes[:, 2], edge_lengths(tree.nodes, parent)
+    z = tree.nodes[:, 2]
     tips = np.flatnonzero(np.bincount(parent[1:], minlength=len(parent)) + (parent >= 0) == 1)
     tips = tips[np.argsort(z[tips])]
     low = np.count_nonzero(z[tips] <= z.min() + _LOW * np.ptp(z))
@@ -83,19 +83,7 @@ def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Ar
     wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), _THICK) ** _ALPHA
     rising = (z - z[np.maximum(parent, 0)]) * wood  # from another root the way there is walked the other way round
     rise = rising.sum() - 2 * _summed_down(parent, rising)
-    upright = [_upright(tree, tip, length, _BEGINNING * extent) for tip in tips]
-    columns = (_mean_way(tree)[tips] / extent, rise[tips] / extent, upright, (z.max() - z[tips]) / extent)
-    return order[tips], np.stack(columns, axis=1)
-
-
-def _upright(tree: RawTree, tip: int, length: Array, reach: float) -> float:
-    """Return the sine of the elevation of the way from a tip towards the tree's root, over `reach` [m]."""
-    node, gone = int(tip), 0.0
-    while gone < reach and node:
-        gone += length[node]
-        node = int(tree.parent[node])
-    step = tree.nodes[node] - tree.nodes[tip]
-    return float(step[2] / max(float(np.linalg.norm(step)), 1e-12))
+    return order[tips], np.stack([_mean_way(tree)[tips], rise[tips], z.max() - z[tips]], axis=1) / extent
 
 
 def _mean_way(tree: RawTree) -> Array:

@@ -15,7 +15,7 @@ from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.skeleton import Skeleton, nearest_node
 from anther.skeleton.raw_tree import chains, edge_lengths
-from anther.stem.confidence import doubt, second_stem, stem_confidence
+from anther.stem.confidence import doubt, rise_share, second_stem, stem_confidence
 from anther.stem.main_axis import fork_at, growth_end, path_score
 from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS, classify, longest_way, stem_breadth
 from anther.stem.params import Params
@@ -130,7 +130,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     forked = [fork_at(skeleton, path, organ, int(i), params) for i in attachments]
     fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
     confidence = stem_confidence(skeleton, node_ids)
-    notes = (*_low(skeleton.nodes, node_ids), *second_stem(skeleton, node_ids), *doubt(confidence))
+    notes = (*_low(skeleton, node_ids), *second_stem(skeleton, node_ids), *doubt(confidence))
     return Stem(node_ids, arc_length, attachments, organ, fork, notes, confidence)
 
 
@@ -138,11 +138,11 @@ LOW = 0.25
 """A main stem that rises by less than this share of the plant is doubted: a guess."""
 
 
-def _low(nodes: Array, node_ids: NDArray[Any]) -> tuple[str, ...]:
-    rise, height = nodes[node_ids, 2].max() - nodes[0, 2], nodes[:, 2].max() - nodes[0, 2]
-    if rise >= LOW * height:
+def _low(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
+    share, height = rise_share(skeleton, node_ids), 1e3 * (skeleton.nodes[:, 2].max() - skeleton.nodes[0, 2])
+    if share >= LOW:
         return ()
-    return (f"main stem: it rises only {1e3 * rise:.0f} mm of the plant's {1e3 * height:.0f} mm; is the root right?",)
+    return (f"main stem: it rises only {share * height:.0f} mm of the plant's {height:.0f} mm; is the root right?",)
 
 
 def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any], params: Params) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""How sure the main stem is, and how good the best path that leaves it. J nodes, S stem samples."""
+"""How sure the main stem is, and what the plant says of it. J nodes, S stem samples."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import path_gain, subtree_best
 from anther.skeleton.support import logit, probability
 
 FITTED = (0.11, 1.37, 3.84)
@@ -21,6 +20,9 @@ DOUBTFUL = 0.75
 SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
 """A second stem stands so far from the first, its foot lies so low, and it is followed so far up (shares of the
 plant's size); it leans from the vertical by less than this [degrees]."""
+
+LEAST_RISE = 0.02
+"""A stem that rises by less than this share of the plant's height is no more doubtful for it."""
 
 TOP = 0.12
 """Share of the stem that counts as its top."""
@@ -55,25 +57,26 @@ def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
     return np.array([logit(skeleton.confidence[node_ids].mean()), -bend])
 
 
-def rivalry(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
-    """Return (S,) how strong the best path is that leaves the stem at or below each sample: 0 none, 0.5 as good.
+def plant_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
+    """Return (3,), larger is better: what the whole plant says of its main stem.
 
-    It is the share a rival has of what rival and stem gain beyond the place where they part; the gain is the path
-    score S (P10, `raw_tree.path_gain`), each edge weighed by its node's confidence.
+    The log-odds that it begins where the plant stands; the logarithm of the share of the plant's height that it rises
+    by (a drooping leaf's tip is low and short); and of how thick its sections are for their breadth (a blade is thin).
+
+    Args:
+        skeleton: the plant.
+        node_ids: (S,) the stem, root first.
     """
-    assert skeleton.confidence is not None
-    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius, alpha=2.0, v_bias=1.0) * skeleton.confidence
-    beyond = subtree_best(skeleton.parent, gain) + gain
-    on_stem = np.zeros(len(gain), dtype=bool)
-    on_stem[node_ids] = True
-    own, rival = np.zeros(len(gain)), np.zeros(len(gain))
-    child = np.arange(1, len(gain))
-    stays = on_stem[child]
-    np.maximum.at(own, skeleton.parent[child[stays]], beyond[child[stays]])
-    np.maximum.at(rival, skeleton.parent[child[~stays]], beyond[child[~stays]])
-    own, rival = own[node_ids[:-1]], rival[node_ids[:-1]]  # beyond the stem's last node there is nothing to compare
-    share = rival / np.maximum(rival + own, 1e-30)
-    return np.maximum.accumulate(np.append(share, 0.0))
+    rise = max(rise_share(skeleton, node_ids), LEAST_RISE)
+    width = skeleton.radius if skeleton.width is None else skeleton.width
+    thick = float(np.median(skeleton.radius[node_ids] / width[node_ids]))
+    return np.array([logit(skeleton.rooted), np.log(rise), np.log(thick)])
+
+
+def rise_share(skeleton: Skeleton, node_ids: NDArray[Any]) -> float:
+    """Return by how much a stem (S,) rises above the root, as a share of what the plant does."""
+    z = skeleton.nodes[:, 2] - skeleton.nodes[0, 2]
+    return float(z[node_ids].max() / max(z.max(), 1e-12))
 
 
 def doubt(confidence: float | None, what: str = "main stem") -> tuple[str, ...]:
