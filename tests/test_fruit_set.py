@@ -127,6 +127,13 @@ def visit(number: int, days: float, **more: object) -> TrialRecord:
     return replace(made, **more)  # type: ignore[arg-type]
 
 
+def test_a_visit_on_the_day_of_a_count_is_before_it_and_not_before_the_next() -> None:
+    felt = {"measured_acceleration": (30.0,)}
+    days = [date(2026, 5, 4), date(2026, 5, 8)]
+    counts, _ = counts_of([visit(1, 3, **felt)], [Outcome("tomato", "a", 10, 4, day) for day in days])
+    assert [len(count.shakes) for count in counts] == [1, 0]
+
+
 def test_counts_meet_their_visits() -> None:
     nan = float("nan")
     trials = [

@@ -264,6 +264,13 @@ def test_the_fit_is_exact_on_a_sinusoid(amplitude: float, frequency: float, phas
     assert swing.at(times) == pytest.approx(path, abs=1e-9)
 
 
+@given(begin=st.floats(-100, 100), phase=st.floats(0, 6.28))
+def test_the_phase_is_on_the_clock_of_the_samples_wherever_it_begins(begin: float, phase: float) -> None:
+    times = begin + np.arange(90) / 60
+    path = np.outer(0.002 * np.sin(2 * np.pi * 5 * times + phase), [1.0, 0, 0])
+    assert np.exp(1j * fit_swing(times, path, 5.0).phase) == pytest.approx(np.exp(1j * phase), abs=1e-6)
+
+
 def test_a_rate_of_twice_the_frequency_is_refused_not_guessed() -> None:
     times = np.arange(60) / 60
     with pytest.raises(InputError, match="frame rate"):
