@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 from itertools import cycle, islice
 
 import numpy as np
-from anther.sim.growth import arc, ripple
-from anther.sim.mesh import Mesh, blade, tube, unit
+from anther.sim._growth import arc, ripple
+from anther.sim._mesh import Mesh, blade, tube, unit
 from numpy.typing import NDArray
 
 from anther.cloud import Cloud
