@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 from itertools import cycle, islice
 
 import numpy as np
-from anther.sim._growth import arc, ripple
-from anther.sim._mesh import Mesh, blade, tube, unit
 from numpy.typing import NDArray
 
 from anther.cloud import Cloud
 from anther.geometry import Array
+from anther.sim._growth import arc, ripple
+from anther.sim._mesh import Mesh, blade, tube, unit
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.tomato import grow_tomato

@@ -10,7 +10,7 @@ from anther.skeleton.support import probability
 from anther.stem import Stem
 from anther.stem.confidence import plant_evidence, rise_share
 
-FITTED = (-4.35, 6.93, 0.96, 1.31, 3.03)
+FITTED = (-6.67, 8.66, 1.13, 1.26, 3.08)
 """Constant and weights of `place_evidence` in the log-odds: `python experiments/fit_confidence.py`."""
 
 LITTLE, LITTLE_RIGHT = 0.1, 0.4

@@ -18,8 +18,8 @@ _SAME = 0.1
 _THICK = 1.5
 """Wood counts as no thicker than this times the 95th percentile: a pot left over is no stem."""
 
-FITTED = (-15.26, 15.54, 18.99)
-SEEN = (0.95, 0.23)
+FITTED = (-19.95, 12.54, 14.04)
+SEEN = (2.79, 0.36)
 """Weights of `base_evidence` in the utility of a base; constant and weight of the best utility in the log-odds that the
 base is in the cloud at all: `python experiments/fit_confidence.py`."""
 
