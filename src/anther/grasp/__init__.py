@@ -243,11 +243,14 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     return _Ranking(candidates, met, costs, order, fell, confidence, _squeezed(candidates, met))
 
 
+DOUBTED = "probably not the main stem"
+
+
 def _refusals(c: Candidates, met: Clearance, confidence: Array | None, params: Params) -> dict[str, NDArray[np.bool_]]:
     """Return per criterion which candidates (C,) can never be taken."""
     doubtful = np.zeros(len(c.station), dtype=bool) if confidence is None else confidence < 0.5
     return {
-        "probably not the main stem": doubtful,
+        DOUBTED: doubtful,
         "thicker than the stroke": 2 * c.radius > params.gripper.stroke - STROKE_MARGIN,
         "would hit pot or bench": met.distance[:, OBSTACLE] < params.obstacle_clearance,
         "would hit the stem": met.distance[:, STEM] < params.stem_clearance,
@@ -314,7 +317,10 @@ def _nothing(ranking: _Ranking, asked: int) -> StageFailure:
     if asked:
         message = f"the arm reaches none of the {asked} best of {total} grasps ({fell}). Move the plant or the base."
         return StageFailure("unreachable", message)
-    return StageFailure("no_grasp_found", f"none of {total} grasps is free: {fell}. Give the gripper more room.")
+    do = "Give the gripper more room."
+    if ranking.fell[DOUBTED] == total:
+        do = "Take more views, or name what is right with --root and --stem-tip."
+    return StageFailure("no_grasp_found", f"none of {total} grasps is free: {fell}. {do}")
 
 
 def _grasp(ranking: _Ranking, i: int) -> Grasp:
