@@ -198,7 +198,7 @@ def test_a_place_that_is_probably_not_the_main_stem_is_never_taken():
     grasps = plan_grasps(forked, sure, cloud)
     assert all(g.arc_length <= 0.25 and g.confidence >= 0.5 for g in grasps)
     above = lambda _, grasp: np.ones(7) if grasp[2, 3] > -0.04 else None  # noqa: E731
-    with pytest.raises(StageFailure, match="probably not the main stem.*Take more views"):
+    with pytest.raises(StageFailure, match="probably not the main stem"):
         plan_grasps(forked, sure, cloud, reach=above)
     assert plan_grasps(forked, skeleton, cloud, reach=above), "where no confidence is known nothing is refused"
 
