@@ -17,8 +17,9 @@ TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]
 DOUBT = 2.0
 """An axis whose stem is not so many times worse than the best may be up (docs/formats.md)."""
 _COARSE = 120
-_BASE = 0.25
-"""The cloud is thinned to one point per cube of plant size / 120; a stem's base is its lowest quarter."""
+_BASE, _SURE = 0.25, 0.5
+"""The cloud is thinned to one point per cube of plant size / 120; a base is the lowest quarter, likelier a stem
+than not."""
 
 
 def axis_notes(points: Array) -> tuple[str, ...]:
@@ -37,7 +38,7 @@ def axis_notes(points: Array) -> tuple[str, ...]:
 
 
 def stem_worth(points: Array) -> float:
-    """Return how good a stem the points (N, 3) have if z is up; 0 without one.
+    """Return how good a stem the points (N, 3) have if z is up; 0 without one, or if its base is likelier none.
 
     It is the product of how thick the stem's base is over the plant's size, how sure its axis there, how upright the
     stem, and what share of the plant's height it rises.
@@ -52,5 +53,7 @@ def stem_worth(points: Array) -> float:
     extent = np.ptp(tree.nodes, axis=0)
     rise = max(float(line[-1, 2] - line[0, 2]), 0.0)
     sure = 0.0 if tree.confidence is None else float(tree.confidence[base].mean())
+    if sure < _SURE:
+        return 0.0
     thick = float(np.median(tree.radius[base])) / float(np.linalg.norm(extent))
     return thick * sure * rise / length * rise / float(extent[2])
