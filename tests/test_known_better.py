@@ -71,7 +71,8 @@ def test_the_command_takes_both(cloud: Cloud, tmp_path: Path, capfd: pytest.Capt
     words = [str(tmp_path / "plant.xyz"), "--units", "m", "--up", "z"]
     named = ",".join(f"{x:.4f}" for x in leaf)
     assert main(["skeletonize", *words, f"--stem-tip={named}", "--out", str(tmp_path / "o")]) == 0
-    assert "note: main stem: confidence" in capfd.readouterr().out, "a leaf is doubted, but taken"
+    (length,) = re.findall(r"main stem ([\d.]+) m", capfd.readouterr().out)
+    assert float(length) > np.linalg.norm(leaf - skeletonize(cloud).nodes[0]), "along stem and leaf"
     assert main(["skeletonize", *words, f"--root={named}9,", "--out", str(tmp_path / "p")]) == 2
     assert "--root" in capfd.readouterr().err
 

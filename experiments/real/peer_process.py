@@ -47,11 +47,13 @@ class Peer:
         """Return its answer on a plant.
 
         Raises:
-            NoAnswer: it stops with an error, dies, or no stem is found.
+            NoAnswer: it stops with an error, dies, gives nodes that are nowhere, or no stem is found.
         """
         voxel = plant_size(cloud.points) / FINE
         index = largest_cluster(cloud.points, voxel)
         found = self._asked(index)
+        if not np.isfinite(found["nodes"]).all():
+            raise NoAnswer("the peer's nodes are not finite")
         begin = time.process_time()
         nodes, edges = found["nodes"] * voxel, found["edges"]
         stem, grasp = core_stem(nodes, edges, _depth_at(index, found["nodes"]) * voxel)

@@ -18,7 +18,7 @@ from anther.skeleton.raw_tree import along_tree
 
 _ENOUGH = 40_000  # more points than this make the node statistics no better
 
-FITTED = (-4.04, 3.03, 6.74)
+FITTED = (-4.12, 4.63, 6.58)
 """Constant and weights of `node_support` in the log-odds: `python experiments/confidence.py --fit`."""
 
 

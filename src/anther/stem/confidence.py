@@ -11,7 +11,7 @@ from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.support import logit, probability
 
-FITTED = (0.11, 1.37, 3.84)
+FITTED = (-1.20, 1.48, 5.43)
 """Constant and weights of `stem_evidence` in the log-odds: `python experiments/confidence.py --fit`."""
 
 DOUBTFUL = 0.75
