@@ -20,6 +20,9 @@ DOUBTFUL = 0.75
 SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
 """A second stem stands so far from the first, its foot lies so low, and it is followed so far up (shares of the
 plant's size); it leans from the vertical by less than this [degrees]."""
+SECOND_THICK, SECOND_TAPER = 0.7, 0.9
+"""A second stem's last piece is so thick at least, over the first one's foot and over as much of itself above: a leaf
+that hangs down is thinner, or tapers to its tip. Seen on leaves of two maize and a sorghum, and on made pairs."""
 
 LEAST_RISE = 0.02
 """A stem that rises by less than this share of the plant's height is no more doubtful for it."""
@@ -89,8 +92,8 @@ def doubt(confidence: float | None, what: str = "main stem") -> tuple[str, ...]:
 def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
     """Return a warning when the tree comes down to the soil a second time: two plants have grown into each other.
 
-    What comes down must be upright over its last piece and half as thick as the stem's foot: drooping leaves are not
-    (measured: no false alarm on 56 views of ten single plants).
+    What comes down must be upright over its last piece, about as thick as the stem's foot, and not taper downwards:
+    drooping leaves are not, or do.
     """
     nodes, root = skeleton.nodes, skeleton.nodes[0]
     size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
@@ -99,10 +102,13 @@ def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
     aside = np.linalg.norm(nodes[:, :2] - root[:2], axis=1) >= SECOND_APART * size
     for tip in np.flatnonzero((skeleton.children_count == 0) & low & aside):
         path = skeleton.path_from_root(int(tip))
-        down = path[np.linalg.norm(nodes[path] - nodes[tip], axis=1) <= SECOND_LENGTH * size]
+        away = np.linalg.norm(nodes[path] - nodes[tip], axis=1)
+        down = path[away <= SECOND_LENGTH * size]
+        above = path[(away > SECOND_LENGTH * size) & (away <= 2 * SECOND_LENGTH * size)]
         rise = nodes[down[0]] - nodes[tip]
         upright = rise[2] >= np.cos(np.radians(SECOND_LEAN)) * max(SECOND_LENGTH * size * 0.8, np.linalg.norm(rise))
-        if upright and np.median(skeleton.radius[down]) >= 0.5 * thick:
+        foot, higher = (np.median(skeleton.radius[part]) if len(part) else 0.0 for part in (down, above))
+        if upright and foot >= SECOND_THICK * thick and foot >= SECOND_TAPER * higher:
             x, y = nodes[tip, :2]
             return (f"main stem: a second stem seems to stand at x, y = {x:.2f}, {y:.2f} m: two plants in one?",)
     return ()
