@@ -216,13 +216,19 @@ _ROUND = 0.25
 
 _ARC = 0.08
 """A stem that is an arc in the cloud, seen from one side or hollow: half its points are this near to the circle."""
+_CUT = 1  # node at the foot, whose section is cut off aslant
 
 
 def _shells(curves: Curves, at: CrossSections) -> NDArray[np.bool_]:
-    """Return (J,) where the first chain runs in the wall of a stem seen from one side: a third of a round or more."""
-    first = np.zeros(len(curves.nodes), dtype=bool)
-    first[curves.chains[0]] = True
-    return first & (at.count >= _FEWEST) & (at.residual <= _ARC * at.circle) & (at.wide >= 0.6 * at.circle)
+    """Return (J,) where the first chain runs in the wall of a stem seen from one side: a third of a round or more.
+
+    Most of the stem below must look so too, but for its cut foot: a blade rolled up above a solid stem has such sections
+    as well.
+    """
+    arc = (at.count >= _FEWEST) & (at.residual <= _ARC * at.circle) & (at.wide >= 0.6 * at.circle)
+    shells, own = np.zeros(len(curves.nodes), dtype=bool), curves.chains[0]
+    shells[own] = arc[own] & (np.cumsum(arc[own]) + _CUT >= 0.5 * np.arange(1, len(own) + 1))
+    return shells
 
 
 def _straight_start(curves: Curves) -> Curves:
