@@ -222,8 +222,8 @@ _CUT = 1  # node at the foot, whose section is cut off aslant
 def _shells(curves: Curves, at: CrossSections) -> NDArray[np.bool_]:
     """Return (J,) where the first chain runs in the wall of a stem seen from one side: a third of a round or more.
 
-    Most of the stem below must look so too, but for its cut foot: a blade rolled up above a solid stem has such sections
-    as well.
+    Most of the stem below must look so too, but for its cut foot: a blade rolled up above a solid stem has such
+    sections as well.
     """
     arc = (at.count >= _FEWEST) & (at.residual <= _ARC * at.circle) & (at.wide >= 0.6 * at.circle)
     shells, own = np.zeros(len(curves.nodes), dtype=bool), curves.chains[0]
