@@ -117,7 +117,7 @@ def test_a_tree_that_comes_down_to_the_soil_twice_is_two_plants() -> None:
     assert "x, y = 0.20, 0.00 m: two plants" in second_stem(twice, path)[0]
     tapers = replace(twice, radius=np.append(np.full(61, 0.005), np.linspace(0.02, 0.004, 40)))
     assert second_stem(tapers, path) == (), "a leaf hangs down"
-    thin = replace(twice, radius=np.append(np.full(61, 0.005), np.full(40, 0.003)))
+    thin = replace(twice, radius=np.append(np.full(61, 0.005), np.full(40, 0.0025)))
     assert second_stem(thin, path) == (), "so does a thin one"
 
 

@@ -20,9 +20,10 @@ DOUBTFUL = 0.75
 SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
 """A second stem stands so far from the first, its foot lies so low, and it is followed so far up (shares of the
 plant's size); it leans from the vertical by less than this [degrees]."""
-SECOND_THICK, SECOND_TAPER = 0.7, 0.9
+SECOND_THICK, SECOND_TAPER = 0.55, 0.85
 """A second stem's last piece is so thick at least, over the first one's foot and over as much of itself above: a leaf
-that hangs down is thinner, or tapers to its tip. Seen on leaves of two maize and a sorghum, and on made pairs."""
+that hangs down is thinner, or tapers to its tip. Set on leaves of two maize and a sorghum, made pairs, and two tomatoes
+in one capture."""
 
 LEAST_RISE = 0.02
 """A stem that rises by less than this share of the plant's height is no more doubtful for it."""
