@@ -16,6 +16,7 @@ from anther.stem.params import Params
 
 _TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
 _LONGER = 1.5  # internodes shorten upward; the youngest leaf of a grass, rolled, looks like a long one
+_FORKED = 2  # so many limbs show that a stem goes on; one line beside the path can be the blade's own
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
@@ -80,7 +81,8 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
 
     A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: if any of it
     is broader than the stem, or not stem-like, or if it is much longer than every internode, it is the youngest leaf,
-    however round its petiole, its neck or its rolled blade. If it is longer than every limb, limbs were missed.
+    however round its petiole, its neck or its rolled blade. If it is longer than every limb, or if `_FORKED` or more
+    limbs leave the path further on, limbs were missed: a leaf bears none.
     """
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -88,24 +90,26 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     straight, slim, solid = _stem_like(skeleton, path, arc, params.window * size, params)
     gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -params.doubt))
     end = int(np.argmax(gain)) + 2
-    limbs, longest = _limbs(skeleton, path, end, params)
+    limbs, further, longest = _limbs(skeleton, path, end, params)
     last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
-    believed = last > 0 and arc[last] >= params.shortest * size and bare <= longest
+    believed = last > 0 and arc[last] >= params.shortest * size and bare <= longest and further < _FORKED
     stem_like = (straight & slim)[last:].all() and bare <= _LONGER * np.diff(arc[limbs]).max(initial=0)
     return last + 1 if believed and not stem_like else end
 
 
-def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[NDArray[np.int64], float]:
-    """Return 0 and which of the first `end` positions of the path a limb leaves; and the longest limb [m].
+def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[NDArray[np.int64], int, float]:
+    """Return 0 and which of the first `end` positions of the path a limb leaves; how many leave it further on; and the
+    longest limb of those first ones [m].
 
     Leaflets are no limbs: the way up the youngest compound leaf bears them too.
     """
     way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
     way[path] = 0
-    limb = np.isin(skeleton.parent, path[1:end]) & (way > params.spur * stem_breadth(skeleton, path[:end]))
-    longest = float(way[limb].max(initial=0))
-    limb &= way > params.leaflet * longest
-    return np.union1d(0, np.flatnonzero(np.isin(path[:end], skeleton.parent[limb]))), longest
+    side = np.isin(skeleton.parent, path[1:]) & (way > params.spur * stem_breadth(skeleton, path[:end]))
+    at, way = np.searchsorted(path, skeleton.parent[side]), way[side]  # a child's number is larger than its parent's
+    longest = float(way[at < end].max(initial=0))
+    limbs = at[way > params.leaflet * longest]
+    return np.union1d(0, limbs[limbs < end]), int(np.sum(limbs >= end)), longest
 
 
 def _stem_like(
