@@ -36,8 +36,8 @@ from sqlalchemy import create_engine, text
 from anther.errors import AntherError
 from anther.files import write_json
 from anther.geometry import Array
+from anther.history import GraspRecord, ShakeRecord, TrialRecord, earlier_shake, record_trial, starting_material
 from anther.plant import TOMATO
-from anther.store import GraspRecord, ShakeRecord, TrialRecord, earlier_shake, record_trial, starting_material
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from postgresql_server import Server, start

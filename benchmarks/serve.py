@@ -29,7 +29,7 @@ import numpy as np
 from fleet import NOW, SEASON, fill, record
 
 from anther.files import write_json
-from anther.store import record_trial
+from anther.history import record_trial
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from postgresql_server import Server, start

@@ -37,9 +37,9 @@ from vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIS
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
 from anther.files import replacing, write_json
 from anther.geometry import Array
+from anther.shake.observables import semi_major
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
-from anther.vibration.observables import semi_major
 
 HEIGHTS = (0.35, 0.6, 0.85)
 """Grips, in shares of the main stem's length."""

@@ -30,9 +30,9 @@ from shaken_plant import ShakenPlant
 from anther import sweep
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow
 from anther.files import write_json
+from anther.shake.observables import semi_major
 from anther.sim.plant import Organ
 from anther.sim.truth import TOLERANCE
-from anther.vibration.observables import semi_major
 
 FREQUENCIES = np.geomspace(2, 11, 20)  # Hz, at which an arm shakes and a camera watches
 MOST, DRAG_AT = 12e-3, 2e-3  # m

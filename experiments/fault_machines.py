@@ -13,10 +13,10 @@ import numpy as np
 from anther.devices import ArmRecord, ArmSample, Frame, JointTrajectory, More, Watch
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
+from anther.shake import ShakePlan
 from anther.sim.cell import Cell, mujoco
 from anther.sim.robot import SimArm
 from anther.swing import Swing
-from anther.vibration import ShakePlan
 
 
 class ClockCamera:

@@ -49,10 +49,10 @@ from anther.geometry import Array
 from anther.plant import TOMATO
 from anther.runs import Run
 from anther.safety import GuardedCamera
+from anther.shake import ShakePlan
 from anther.sim.cell import BENCH, POT, Cell
 from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper
-from anther.vibration import ShakePlan
 
 SPECIES, SEED, DISTANCE = "tomato", 10, 0.72
 FEWEST_VIEWS = 3

@@ -22,12 +22,12 @@ from anther.flowers import supposed_flowers
 from anther.formats.skeletons import write_skeleton
 from anther.geometry import Intrinsics
 from anther.grasp import plan_grasps, save_grasps
+from anther.history import TrialRecord, record_trial
 from anther.plant import TOMATO, build_plant
 from anther.runs import FILES
 from anther.samples import write_samples
 from anther.skeleton import Skeleton
 from anther.stem import find_stem
-from anther.store import TrialRecord, record_trial
 
 SKELETONS = ("swc", "npz", "txt", "ply", "graphml", "mtg")
 STEM = "--samples stem/samples.csv --profile stem/profile.csv --leaves stem/leaves.csv --trace stem/pluck1.csv --json"

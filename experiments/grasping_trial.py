@@ -24,9 +24,9 @@ from anther.execution import EARLY, execute
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
+from anther.shake import ArmShaker, plan_shake
 from anther.sim.judge import judge
 from anther.sim.truth import NOMINAL, Truth, draw
-from anther.vibration import ArmShaker, plan_shake
 
 COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan", "motions")
 LISTED = (
@@ -215,7 +215,7 @@ def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
     rods = model_plant(seen, material, params)
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
-    shake = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.vibration, least_amplitude=LEAST_SHAKE))
+    shake = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
     robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)
     trial = execute(planner, shake, robot, cell.robot_side.limits, params.execution)
     return Done(shake, trial, None, rods.material)

@@ -52,15 +52,15 @@ from anther.files import replacing, write_json
 from anther.flowers import find_flowers, flower_centres
 from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps
+from anther.history import ShakeRecord, TrialRecord, add_missing, facts_prior, starting_material
 from anther.identification import Observed, refine
 from anther.plant import Material, PlantModel, build_plant
+from anther.shake import Params as ShakeParams
+from anther.shake import ShakePlan, plan_shake
 from anther.sim.judge import pollen_freed
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene as Rendered
 from anther.sim.truth import NOMINAL, Truth
-from anther.store import ShakeRecord, TrialRecord, add_missing, facts_prior, starting_material
-from anther.vibration import Params as ShakeParams
-from anther.vibration import ShakePlan, plan_shake
 
 ARMS = ("facts", "crop", "plant")
 CROPS: tuple[Species, ...] = ("tomato", "pepper")

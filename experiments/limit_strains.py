@@ -18,11 +18,11 @@ from shaken_plant import Params, ShakenPlant
 
 from anther.elastic_rod import observed_response
 from anther.geometry import Array
+from anther.shake.observables import Observables, observables, semi_major
+from anther.shake.pads import Pads, grip_rows, pad_nodes
+from anther.shake.search import Version, gains
 from anther.sim import _plant_mechanics
 from anther.sim.plant import Organ, SimPlant
-from anther.vibration.observables import Observables, observables, semi_major
-from anther.vibration.pads import Pads, grip_rows, pad_nodes
-from anther.vibration.search import Version, gains
 
 FREQUENCIES = np.array([1.0, 2.0, 5.0, 10.0, 30.0])
 HELD_AT = 0.5

@@ -4,7 +4,7 @@ r"""What the margins of the plant's loads promise: how many pass them, by the mo
 
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at two
 places and shaken a little at ten tones. The truth is MuJoCo's linear equations. The camera sees the nodes that are in
-sight at rest, each with an error of 12 % and 0.03 px. `vibration.params.load_error` and `escalation.known.seen_error`
+sight at rest, each with an error of 12 % and 0.03 px. `shake.params.load_error` and `escalation.known.seen_error`
 were set on the plants of --development; others check them: 5 % of the loads should pass a margin of 5 %.
 
 Keys of --json: `past_model_<load>`, `past_seen_<load>` (shares), `factor_...` (median of the margin over what is said),
@@ -41,13 +41,13 @@ from anther.escalation.known import Answer, known, seen_error
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.response.points import Sight, sight
+from anther.shake.choice import margined
+from anther.shake.observables import ComplexArray, semi_major
+from anther.shake.params import load_error
+from anther.shake.plant_limits import FAST
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.vibration.choice import margined
-from anther.vibration.observables import ComplexArray, semi_major
-from anther.vibration.params import load_error
-from anther.vibration.plant_limits import FAST
 
 TONES = np.array([2.0, 2.7, 3.6, 4.8, 6.4, 8.5, 11.3, 17.0, 24.0, 34.0])
 SHAKEN = np.where(TONES > FAST, 5.0, 1.0)

@@ -44,11 +44,11 @@ from scipy.spatial import KDTree
 from shaken_plant import Params, ShakenPlant
 
 from anther.files import write_json
+from anther.shake.observables import semi_major
 from anther.sim import _plant_mechanics
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
 from anther.sim.tomato import grow_tomato
-from anther.vibration.observables import semi_major
 
 FREQUENCIES = np.geomspace(1, 30, 12)
 ELEMENT = 0.005

@@ -20,7 +20,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_ros_master import FakeMaster, debian_roscore, has_roscore
 
 from anther.execution import Trial
-from anther.vibration import ShakePlan
+from anther.shake import ShakePlan
 
 TESTS = Path(__file__).parents[1] / "tests"
 LONGEST = 1200.0  # s of a trial

@@ -27,12 +27,12 @@ from anther.checks import check_range
 from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.oscillation import fit_swing
+from anther.shake.observables import semi_major
 from anther.sim import _plant_mechanics
 from anther.sim._plant_mechanics import PlantMechanics
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
-from anther.vibration.observables import semi_major
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 

@@ -19,11 +19,11 @@ from anther.elastic_rod import Clamp, Rods, least_stiffness, response_map, with_
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.plant import PEPPER, TOMATO, Material, PlantModel
+from anther.shake.observables import semi_major
 from anther.sim._plant_mechanics import TWISTING
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.vibration.observables import semi_major
 
 PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 PAPER_YOUNGS = {"tomato": 21.6e6, "pepper": 31.6e6}

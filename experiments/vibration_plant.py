@@ -27,15 +27,15 @@ from anther.grasp import Grasp
 from anther.identification import Felt, Observed, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
+from anther.shake import ShakePlan
+from anther.shake.limits import sawyer_limit
+from anther.shake.observables import semi_major
+from anther.shake.pads import PADS, grip_rows, pad_nodes
+from anther.shake.verification import steadily_shaken
 from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
-from anther.vibration import ShakePlan
-from anther.vibration.limits import sawyer_limit
-from anther.vibration.observables import semi_major
-from anther.vibration.pads import PADS, grip_rows, pad_nodes
-from anther.vibration.verification import steadily_shaken
 
 HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Grips, in shares of the main stem's length."""

@@ -34,16 +34,16 @@ from anther.geometry import Array
 from anther.identification import Felt, Observed, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import PlantModel
 from anther.response import measure_response, stem_near
+from anther.shake import ShakePlan
+from anther.shake.observables import semi_major
+from anther.shake.pads import PADS, grip_rows, pad_nodes
+from anther.shake.search import Version, flower_motion
 from anther.sim.capture import camera_errors, noisy_depth, noisy_rgb
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
 from anther.sim.sway import swaying
 from anther.sim.truth import NOMINAL, Truth
-from anther.vibration import ShakePlan
-from anther.vibration.observables import semi_major
-from anther.vibration.pads import PADS, grip_rows, pad_nodes
-from anther.vibration.search import Version, flower_motion
 
 HEIGHTS = (0.3, 0.45, 0.65)
 """Grips, in shares of the main stem's length."""

@@ -15,11 +15,11 @@ from anther.escalation import Escalation, Params
 from anther.escalation.foresight import LOADS, Foresight
 from anther.geometry import Array, Intrinsics, look_at
 from anther.response.points import Swings
+from anther.shake import Params as Limits
+from anther.shake import ResponseMap, ShakePlan
+from anther.shake.observables import ComplexArray, semi_major
+from anther.shake.plan import Tones
 from anther.swing import Swing
-from anther.vibration import Params as Limits
-from anther.vibration import ResponseMap, ShakePlan
-from anther.vibration.observables import ComplexArray, semi_major
-from anther.vibration.shake_plan import Tones
 
 TONES = np.array([2.5, 4.0, 6.3])
 FLOWERS, POINTS, MEMBERS = 6, 20, 32

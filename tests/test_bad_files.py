@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from made_rods import cantilever
 from scipy.sparse import csr_array
-from test_store import full
+from test_history import full
 
 import anther
 from anther import cli, files
@@ -30,11 +30,11 @@ from anther.files import existing, made_folder, read_json, read_npz, replacing, 
 from anther.formats.clouds import read_cloud
 from anther.formats.skeletons import read_skeleton, write_skeleton
 from anther.geometry import Box, Intrinsics, look_at
+from anther.history import TrialRecord, read_outcomes, read_trials, record_trial
 from anther.images import read_image
 from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.store import TrialRecord, read_outcomes, read_trials, record_trial
 
 POINTS = np.random.default_rng(0).uniform(0, 0.4, (400, 3))
 TREE = Skeleton(np.array([[0, 0, 0], [0, 0, 0.1], [0, 0.05, 0.2]]), np.array([-1, 0, 1]), np.full(3, 0.004))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, plant, response, skeleton, stem, vibration
+from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, plant, response, shake, skeleton, stem
 from anther.cli import main
 from anther.cloud import Cloud, _registration
 from anther.errors import InputError
@@ -33,7 +33,7 @@ def test_no_number_may_be_nan_infinite_or_negative(params: Any) -> None:
 def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
     whole = pipeline.Params()
     held = {type(getattr(whole, f.name)) for f in fields(whole) if is_dataclass(getattr(whole, f.name))}
-    apart = {"anther.vibration.params", "anther.escalation.params", "anther.masks.by_words"}  # checked one by one
+    apart = {"anther.shake.params", "anther.escalation.params", "anther.masks.by_words"}  # checked one by one
     assert {kind.__module__ for kind in held - {type(params) for params in STAGES}} == apart
 
 
@@ -47,8 +47,8 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
         (grasp.Params, "leaf_size", 0.0), (_registration.Params, "neighbours", 0),
         (_registration.Params, "match_distances", ()), (stem.Params, "window", 0.0), (stem.Params, "narrow", 1.0),
-        (vibration.Params, "seed", -1), (vibration.Params, "most_amplitude", 0.0),
-        (vibration.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
+        (shake.Params, "seed", -1), (shake.Params, "most_amplitude", 0.0),
+        (shake.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
         (response.Params, "near", 10_000), (masks.Params, "attach_distance", 10.0),
     ],
 )  # fmt: skip

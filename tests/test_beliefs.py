@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anther.errors import InputError
-from anther.plant import PEPPER, TOMATO, Material
-from anther.store import (
+from anther.history import (
     GraspRecord,
     ShakeRecord,
     TrialRecord,
@@ -24,7 +23,8 @@ from anther.store import (
     record_trial,
     starting_material,
 )
-from anther.store._records import material_of
+from anther.history._records import material_of
+from anther.plant import PEPPER, TOMATO, Material
 
 
 def trial(plant: str, before: Material, after: Material, *, hours: float = 0, species: str = "tomato") -> TrialRecord:

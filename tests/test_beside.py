@@ -14,7 +14,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.identification import Felt, Observed
 from anther.response import Response, StemNear, measure_response, stem_near
-from anther.vibration import ShakePlan
+from anther.shake import ShakePlan
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
 T_WORLD_CAM = look_at([0.72, -0.5, 0.1], [0.72, 0.0, 0.1])

@@ -12,12 +12,12 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.arm import sawyer
 from anther.geometry import Array, inverse, small_transform
+from anther.shake.pads import friction_force
 from anther.sim.cell import Cell, mujoco
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm
 from anther.sim.truth import NOMINAL, Truth, draw
 from anther.swing import whole_shake
-from anther.vibration.pads import friction_force
 
 GRASP = sawyer.T_FLANGE_GRASP
 Q = solve(horizontal_grasp(np.add(BASE, [0, 0, 0.22]), np.zeros(7)).T_world_flange)

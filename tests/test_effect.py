@@ -18,9 +18,9 @@ from anther.geometry import Array
 from anther.pipeline import Params
 from anther.report import write_report
 from anther.results import RunResults
+from anther.shake import PRESETS
 from anther.sim.judge import Harm, Verdict, pollen_freed
 from anther.sim.truth import HALF_DOSE, TOLERANCE, tolerances
-from anther.vibration import PRESETS
 
 GENTLE = {"stem": 0.005, "pedicel": 0.001, "base": 0.001, "leaf": 1.0}
 BREEZE = (4.0, 6.0, 12.0)

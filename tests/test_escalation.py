@@ -17,9 +17,9 @@ from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
 from anther.escalation.known import SEEN_ERROR, WATCHED, limits_of
-from anther.vibration import Params as Limits
-from anther.vibration import PlantLimits
-from anther.vibration.observables import semi_major
+from anther.shake import Params as Limits
+from anther.shake import PlantLimits
+from anther.shake.observables import semi_major
 
 WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
 """Limits that nothing reaches."""

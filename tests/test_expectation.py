@@ -13,11 +13,11 @@ from sample_plants import branched
 from anther.elastic_rod import Array
 from anther.identification import Felt, Observed, Params, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import TOMATO, PlantModel, build_plant
-from anther.vibration import PADS, Pads, ShakePlan
-from anther.vibration.observables import semi_major
-from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.params import FLOWER_SPREAD, LOAD_ERROR
-from anther.vibration.search import Version, flower_motion, gains
+from anther.shake import PADS, Pads, ShakePlan
+from anther.shake.observables import semi_major
+from anther.shake.pads import grip_rows, pad_nodes
+from anther.shake.params import FLOWER_SPREAD, LOAD_ERROR
+from anther.shake.search import Version, flower_motion, gains
 
 HELD, WAY, PITCH, SIZE = 8, np.array([0.8, 0.6, 0.0]), 4.0, 2e-3
 MEASURED, ERROR = np.array([3e-3, 5e-3, 1e-3]), 0.1

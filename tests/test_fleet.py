@@ -15,12 +15,11 @@ import pytest
 from postgresql_server import Server
 from sqlalchemy import insert
 from sqlalchemy.exc import SQLAlchemyError
-from test_store import numbers_of, writer
+from test_history import numbers_of, writer
 
 from anther.cli import main
 from anther.errors import AntherError, InputError
-from anther.plant import TOMATO
-from anther.store import (
+from anther.history import (
     Outcome,
     ShakeRecord,
     TrialRecord,
@@ -35,7 +34,8 @@ from anther.store import (
     record_trial,
     starting_material,
 )
-from anther.store._database import Plant
+from anther.history._database import Plant
+from anther.plant import TOMATO
 
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
 
@@ -120,7 +120,7 @@ def test_a_merge_that_was_cut_off_is_done_again(tmp_path: Path, monkeypatch: pyt
     offline, where = str(tmp_path / "robot.sqlite"), str(tmp_path / "fleet.sqlite")
     for minutes in range(7):
         record_trial(visit("a", "r", minutes), offline)
-    module, calls = sys.modules["anther.store._export"], []
+    module, calls = sys.modules["anther.history._export"], []
     monkeypatch.setattr(module, "BATCH", 2)
     add = module.add
 
@@ -148,7 +148,7 @@ def test_merge_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_however_many_there_are_they_come_in_order(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("anther.store._trials.BATCH", 3)
+    monkeypatch.setattr("anther.history._trials.BATCH", 3)
     for minutes in (5, 1, 4, 2, 3, 3):
         record_trial(visit("a", f"{minutes}" if minutes != 3 else os.urandom(4).hex(), minutes), where)
     record_trial(visit("b", "r", 9), where)
@@ -162,7 +162,7 @@ def test_the_crop_is_learned_from_the_plants_that_taught_last(tmp_path: Path, mo
     records = [visit(f"{k}", "r", k, youngs=1e8 * (1 + k)) for k in range(5)]
     for record in records:
         record_trial(record, where)
-    monkeypatch.setattr("anther.store._beliefs.MOST_PLANTS", 2)
+    monkeypatch.setattr("anther.history._beliefs.MOST_PLANTS", 2)
     belief = starting_material("tomato", "new", where)
     assert belief.plants == 2
     assert belief.material.youngs == pytest.approx(crop_prior(records[3:], TOMATO).youngs)

@@ -16,9 +16,9 @@ from anther.escalation import foresight as foresight_module
 from anther.escalation.foresight import LOADS, Foresight, foresee, misfit, narrowed
 from anther.escalation.known import Known, Look, answered, gripper_motion, known, lateness, summed
 from anther.plant import TOMATO, build_plant
+from anther.shake.observables import observables, semi_major
+from anther.shake.plant_limits import FAST
 from anther.swing import Swing
-from anther.vibration.observables import observables, semi_major
-from anther.vibration.plant_limits import FAST
 
 known_module = import_module("anther.escalation.known")
 ROWS = np.arange(FLOWERS + POINTS)

@@ -14,8 +14,8 @@ from scipy.special import expit
 
 from anther.errors import InputError
 from anther.fruit_set import GRID, NAMES, PRIORS, Count, counts_of, fit, pollen_dose, worth
+from anther.history import Outcome, ShakeRecord, TrialRecord
 from anther.pictures.fruit_set import draw_fruit_set
-from anther.store import Outcome, ShakeRecord, TrialRecord
 
 DAY = datetime(2026, 5, 1, 10, tzinfo=UTC)
 

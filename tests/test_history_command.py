@@ -18,8 +18,8 @@ from anther.commands.run_folder import VISIT, remember
 from anther.commands.trial import Args, _belief
 from anther.errors import InputError
 from anther.files import write_json
+from anther.history import GraspRecord, ShakeRecord, TrialRecord, read_outcomes, read_trials, record_trial
 from anther.plant import TOMATO
-from anther.store import GraspRecord, ShakeRecord, TrialRecord, read_outcomes, read_trials, record_trial
 
 BEGIN = datetime(2026, 5, 1, 23, 30, tzinfo=UTC)
 

@@ -12,14 +12,14 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 BASE = {"errors", "checks", "files", "geometry", "images", "style", "__init__"}
 ORDER = [
     "capture", "calibration", "masks", "cloud", "skeleton", "stem", "flowers", "grasp", "elastic_rod",
-    "plant", "pressing", "vibration", "swing", "devices", "safety",
+    "plant", "pressing", "shake", "swing", "devices", "safety",
     "oscillation", "execution",
-    "flower_tracking", "response", "escalation", "identification", "runs", "pipeline",
+    "response", "escalation", "identification", "runs", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)
 AROUND = [
     "formats",
-    "store",
+    "history",
     "fruit_set",
     "results",
     "pictures",

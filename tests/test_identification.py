@@ -20,11 +20,11 @@ from anther.identification import (
     refine,
 )
 from anther.plant import TOMATO, PlantModel, build_plant
-from anther.vibration import Params as ShakeParams
-from anther.vibration import ShakePlan, plan_shake
-from anther.vibration.observables import branch_of, semi_major
-from anther.vibration.pads import PADS, Pads, grip_rows, pad_nodes
-from anther.vibration.search import Version, deviates, drawn_version, flower_motion, gains
+from anther.shake import Params as ShakeParams
+from anther.shake import ShakePlan, plan_shake
+from anther.shake.observables import branch_of, semi_major
+from anther.shake.pads import PADS, Pads, grip_rows, pad_nodes
+from anther.shake.search import Version, deviates, drawn_version, flower_motion, gains
 
 
 def test_density_of_samples() -> None:

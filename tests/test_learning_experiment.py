@@ -12,8 +12,8 @@ import pytest
 import response as response_experiment  # pyright: ignore[reportMissingImports]
 from learning_figure import draw  # pyright: ignore[reportMissingImports]
 
+from anther.history import starting_material
 from anther.plant import TOMATO
-from anther.store import starting_material
 
 
 def visit(arm: str, ratio: float, gain: float = 1.0) -> learning.Visit:

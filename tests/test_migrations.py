@@ -16,10 +16,9 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, create_engine, inspect, text
 
-import anther.store.migrations as versions
+import anther.history.migrations as versions
 from anther.errors import InputError
-from anther.plant import LEARNED, TOMATO, Material
-from anther.store import (
+from anther.history import (
     GraspRecord,
     ShakeRecord,
     TrialRecord,
@@ -29,8 +28,9 @@ from anther.store import (
     record_trial,
     starting_material,
 )
-from anther.store._database import Base
-from anther.store.migrations import HEAD, migrate
+from anther.history._database import Base
+from anther.history.migrations import HEAD, migrate
+from anther.plant import LEARNED, TOMATO, Material
 
 BEGIN = datetime(2026, 5, 1, 12, tzinfo=UTC)
 

@@ -16,10 +16,10 @@ from anther.errors import InputError
 from anther.identification import Felt, Observed, Params, Refinement, refine
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.response import StemMotion
-from anther.vibration import PADS, Pads, ShakePlan
-from anther.vibration.observables import semi_major
-from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.search import Version, flower_motion
+from anther.shake import PADS, Pads, ShakePlan
+from anther.shake.observables import semi_major
+from anther.shake.pads import grip_rows, pad_nodes
+from anther.shake.search import Version, flower_motion
 
 WAY, HELD, OTHER, SIZE = np.array([0.8, 0.6, 0.0]), 10, 16, 2e-3
 FIRM = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0.0, turning_spread=0.0)

@@ -29,7 +29,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import DATA
-from test_store import full
+from test_history import full
 
 from anther import skeleton, stem
 from anther.calibration import read_poses
@@ -40,9 +40,9 @@ from anther.files import read_json
 from anther.formats.clouds import read_cloud
 from anther.formats.skeletons import read_skeleton
 from anther.geometry import Intrinsics, inverse, transform_points
+from anther.history import record_trial
 from anther.log import Log
 from anther.samples import write_samples
-from anther.store import record_trial
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/reports").glob("*.md"))]

@@ -107,7 +107,7 @@ def _pollinated(
     monkeypatch.setattr(pipeline, "perceive", lambda *_: SimpleNamespace(**dict.fromkeys(_SEEN)))
     monkeypatch.setattr(pipeline, "rank_grasps", lambda *_: list(ranked))
     monkeypatch.setattr(pipeline, "model_plant", lambda *_: SimpleNamespace(material=TOMATO))
-    monkeypatch.setattr(pipeline.vibration, "plan_shake", plan_shake)
+    monkeypatch.setattr(pipeline.shake, "plan_shake", plan_shake)
     robot = replace(fake_robot(arm, gripper), side_camera=None)
     planner: Any = SmallPlanner()
     planner.reach = None

@@ -16,7 +16,7 @@ from anther.formats.skeletons import write_skeleton
 from anther.grasp import save_grasps
 from anther.plant import TOMATO, build_plant
 from anther.runs import FILES
-from anther.vibration import Params, ShakePlan
+from anther.shake import Params, ShakePlan
 
 FAST = Params(directions=2, heights=3, draws=1)
 WORDS = ["--frequencies", "4", "--params.draws", "1", "--params.directions", "2", "--params.heights", "0"]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics
 from anther.response.points import Sight, Swings, sight, swings
-from anther.vibration.observables import ComplexArray
+from anther.shake.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
 DEPTH, RADIUS, RATE = 0.6, 13, 60.0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from anther.errors import InputError
 from anther.pressing import PRESSING, Pressing
-from anther.vibration.pads import friction_force
+from anther.shake.pads import friction_force
 
 RADIUS, WIDTH = 4e-3, 16e-3
 

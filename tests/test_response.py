@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from anther.devices import Frame
 from anther.errors import InputError
 from anther.execution import Params as ExecutionParams
-from anther.flower_tracking import Patch, petal_weight
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.oscillation import choose_rate, find_frequency, fit_swing, swing_basis
 from anther.response import Response, measure_response
 from anther.response.depth import depth_along
+from anther.response.petals import Patch, petal_weight
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
 T_WORLD_CAM = look_at([0.72, -0.55, 0.1], [0.72, 0.0, 0.1])

@@ -14,10 +14,10 @@ from second_judge import FREQUENCIES, bare_params, difference, loss_factor, loss
 from shaken_plant import Params, ShakenPlant
 from straight_plant import BASE, straight_plant, with_blade
 
+from anther.shake.observables import semi_major
 from anther.sim import _plant_mechanics
 from anther.sim._inertia import mass_properties
 from anther.sim.plant import Organ, SimPlant
-from anther.vibration.observables import semi_major
 
 LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0
 AREA, SECOND = np.pi * RADIUS**2, np.pi / 4 * RADIUS**4

@@ -24,10 +24,7 @@ pytest.importorskip("fastapi", reason="FastAPI is not installed: pip install 'an
 from fastapi.testclient import TestClient
 
 from anther.cli import main
-from anther.plant import TOMATO
-from anther.serve import make_app
-from anther.serve._app import charts
-from anther.store import (
+from anther.history import (
     GraspRecord,
     Job,
     Outcome,
@@ -39,7 +36,10 @@ from anther.store import (
     record_outcome,
     record_trial,
 )
-from anther.store.overview import State
+from anther.history.overview import State
+from anther.plant import TOMATO
+from anther.serve import make_app
+from anther.serve._app import charts
 
 NOW = datetime.now(UTC).replace(microsecond=0)
 TOKEN = "a token of the house"
@@ -118,7 +118,7 @@ def test_a_plant_and_its_visits(history: str, tmp_path: Path) -> None:
 
 
 def test_older_visits_come_page_by_page(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("anther.store.overview.PAGE", 3)
+    monkeypatch.setattr("anther.history.overview.PAGE", 3)
     for k in range(8):
         record_trial(visit("a", k / 60), where)
     pages, address, seen = client(where, tmp_path), "/plants/1", []

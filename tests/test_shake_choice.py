@@ -16,7 +16,7 @@ from anther.flowers import Flowers
 from anther.grasp import Grasp
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.pressing import PRESSING, Pressing
-from anther.vibration import (
+from anther.shake import (
     PADS,
     PRESETS,
     ArmShaker,
@@ -28,13 +28,13 @@ from anther.vibration import (
     plan_shake,
     with_preset,
 )
-from anther.vibration.choice import PRESS, _worth, plant_limits
-from anther.vibration.limits import sawyer_limit
-from anther.vibration.pads import friction_force, grip_rows, pad_nodes
-from anther.vibration.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, load_error
-from anther.vibration.plant_limits import FAST
-from anther.vibration.search import Version, gains, scenarios
-from anther.vibration.verification import steadily_shaken, verified
+from anther.shake.choice import PRESS, _worth, plant_limits
+from anther.shake.limits import sawyer_limit
+from anther.shake.pads import friction_force, grip_rows, pad_nodes
+from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, load_error
+from anther.shake.plant_limits import FAST
+from anther.shake.search import Version, gains, scenarios
+from anther.shake.verification import steadily_shaken, verified
 
 QUICK = Params(frequencies=12, directions=4, heights=0, draws=3)
 

@@ -15,13 +15,13 @@ from test_beliefs import trial
 from anther.commands.run_folder import VISIT, remember
 from anther.errors import InputError, StageFailure
 from anther.files import replacing, write_json
+from anther.history import starting_material
 from anther.identification import Observed, refine
 from anther.pipeline import Params, Seen, model_plant
 from anther.plant import TOMATO, Material, build_plant
 from anther.plant import Params as PlantParams
-from anther.store import starting_material
-from anther.vibration import Params as ShakeParams
-from anther.vibration import PlantLimits, plan_shake
+from anther.shake import Params as ShakeParams
+from anther.shake import PlantLimits, plan_shake
 
 QUICK = ShakeParams(frequencies=6, lowest=3, highest=6, draws=1, directions=2, heights=0)
 
@@ -76,7 +76,7 @@ def test_a_response_that_cannot_be_measured_leaves_the_belief_and_the_history_as
 def test_a_locked_history_keeps_the_trial_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     where, record = tmp_path / "h.sqlite", trial("a", TOMATO, TOMATO)
     assert remember(record, tmp_path / "first", str(where)) is None
-    monkeypatch.setattr("anther.store._database.PATIENCE", 0.2)
+    monkeypatch.setattr("anther.history._database.PATIENCE", 0.2)
     other = sqlite3.connect(where)
     other.execute("BEGIN IMMEDIATE")
     told = remember(replace(record, plant="b"), tmp_path / "second", str(where))

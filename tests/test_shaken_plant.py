@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from shaken_plant import Params, ShakenPlant
 from straight_plant import BASE, chain, plant_of, straight_plant
 
+from anther.shake.observables import semi_major
 from anther.sim import _plant_mechanics
 from anther.sim.pepper import grow_pepper
 from anther.sim.tomato import grow_tomato
 from anther.sim.truth import Truth
-from anther.vibration.observables import semi_major
 
 SIDEWAYS, UP = np.eye(3)[1], np.eye(3)[2]
 MIDDLE = BASE + 0.25 * UP

@@ -120,9 +120,9 @@ def test_the_flags_change_what_is_watched_and_kept() -> None:
     assert not _params(Args(watch=False)).escalate
     paper, bold = _params(Args(shake="paper")), _params(Args(shake="bold"))
     assert not paper.escalate, "the paper's shake is not raised"
-    assert not paper.vibration.keeps_limits
+    assert not paper.shake.keeps_limits
     assert bold.escalate
-    assert bold.vibration.plant.pedicel_strain > Params().vibration.plant.pedicel_strain
+    assert bold.shake.plant.pedicel_strain > Params().shake.plant.pedicel_strain
 
 
 @pytest.mark.parametrize("words", [{"watch": False}, {"shake": "paper"}])

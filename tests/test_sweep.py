@@ -23,7 +23,7 @@ from anther import sweep
 from anther.cli import main
 from anther.commands import sweep_kinds
 from anther.errors import InputError
-from anther.store import Job, overview, reading
+from anther.history import Job, overview, reading
 from anther.sweep import _running, _working
 from anther.sweep._places import Disk, Store, place
 
@@ -324,7 +324,7 @@ def test_places_that_cannot_be(tmp_path: Path, capsys) -> None:
 
 @pytest.mark.slow
 def test_trials_from_a_table(tmp_path: Path, capsys) -> None:
-    (tmp_path / "t.csv").write_text("plant,seed,preset,params.vibration.duration\ntomato,0,fast,2\n")
+    (tmp_path / "t.csv").write_text("plant,seed,preset,params.shake.duration\ntomato,0,fast,2\n")
     out = tmp_path / "s"
     assert main(["sweep", str(tmp_path / "t.csv"), "--out", str(out), "--workers", "1"]) == 0
     (job,) = sweep.read(out)

@@ -10,6 +10,7 @@ from shaken_plant import ShakenPlant
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.errors import InputError
+from anther.shake.observables import semi_major
 from anther.sim._growth import buckling_factor
 from anther.sim._plant_mechanics import Params
 from anther.sim.pepper import grow_pepper
@@ -18,7 +19,6 @@ from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
 from anther.sim.true_plant import SLOWEST, as_true, branches, natural_frequencies
 from anther.sim.truth import NOMINAL, WIDE, Truth, draw
-from anther.vibration.observables import semi_major
 
 UP, SIDEWAYS = np.eye(3)[2], np.eye(3)[1]
 

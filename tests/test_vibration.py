@@ -17,7 +17,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import TOMATO, Material, PlantModel, build_plant
-from anther.vibration import (
+from anther.shake import (
     ArmShaker,
     EarlierShake,
     Params,
@@ -27,8 +27,8 @@ from anther.vibration import (
     plan_shake,
     sawyer_limit,
 )
-from anther.vibration.observables import observables, semi_major
-from anther.vibration.verification import steadily_shaken
+from anther.shake.observables import observables, semi_major
+from anther.shake.verification import steadily_shaken
 
 QUICK = Params(frequencies=12, directions=4, heights=4, draws=3)
 

@@ -13,7 +13,7 @@ from vibration_models import true_model
 from vibration_plant import DIRECTION, HEIGHTS, MIDDLE, Case, arm_amplitude, matched, plan, stem_points
 from vibration_table import metrics, report, score
 
-from anther.vibration.observables import semi_major
+from anther.shake.observables import semi_major
 
 CASE = Case("tomato", 0, (1.0, 5.0), (4e-3, 8e-3, 12e-3))
 

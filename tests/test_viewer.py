@@ -25,7 +25,7 @@ from anther.geometry import look_at
 from anther.plant import TOMATO, build_plant
 from anther.response import Response
 from anther.results import RunResults
-from anther.vibration import Pads
+from anther.shake import Pads
 from anther.viewer import write_html
 from anther.viewer.motion import RATE, motion_of
 from anther.viewer.scene import VIEW_FROM, build_scene

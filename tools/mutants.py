@@ -42,7 +42,7 @@ AREAS = {
     ),
     "grasp": (["grasp"], ["test_grasp.py", "test_confidence.py"]),
     "shake": (
-        ["vibration", "escalation"],
+        ["shake", "escalation"],
         [
             "test_shake_choice.py", "test_vibration.py", "test_escalation.py", "test_foresight.py", "test_pads.py",
             "test_breeze.py", "test_expectation.py",
@@ -53,8 +53,8 @@ AREAS = {
         ["test_response.py", "test_points.py", "test_beside.py"],
     ),
     "history": (
-        ["store", "fruit_set.py"],
-        ["test_store.py", "test_beliefs.py", "test_fleet.py", "test_fruit_set.py", "test_serve.py"],
+        ["history", "fruit_set.py"],
+        ["test_history.py", "test_beliefs.py", "test_fleet.py", "test_fruit_set.py", "test_serve.py"],
     ),
 }  # fmt: skip
 """Area -> its sources under src/anther, and the tests that state its rules."""

@@ -23,7 +23,7 @@ from anther.capture import Capture
 from anther.pictures.report import draw_plan
 from anther.plant import TOMATO, build_plant
 from anther.samples import write_samples
-from anther.vibration import plan_shake
+from anther.shake import plan_shake
 
 folder = Path(tempfile.mkdtemp())
 write_samples(folder)

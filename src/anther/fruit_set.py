@@ -21,7 +21,7 @@ from anther.checks import check_array, check_range
 from anther.geometry import Array
 
 if TYPE_CHECKING:  # the database's library takes half a second
-    from anther.store import Outcome, TrialRecord
+    from anther.history import Outcome, TrialRecord
 
 NAMES = ("unshaken", "gain", "half_dose", "likeness", "exponent")
 GRID = (17, 17, 23, 13)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
-from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, skeleton, stem, vibration
+from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, shake, skeleton, stem
 from anther.capture import Capture
 from anther.cloud import Cloud, likely_cause
 from anther.devices import Robot, SafetyLimits
@@ -24,9 +24,9 @@ from anther.masks import Masks, by_words
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response, stem_near
 from anther.runs import Advance, Run
+from anther.shake import EarlierShake, Pads, ShakePlan
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.vibration import EarlierShake, Pads, ShakePlan
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
     "nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision", "limits_exceeded",
@@ -46,7 +46,7 @@ class Params:
     flowers: flowers.Params = field(default_factory=flowers.Params)
     grasp: grasp.Params = field(default_factory=grasp.Params)
     plant: plant.Params = field(default_factory=plant.Params)
-    vibration: vibration.Params = field(default_factory=vibration.Params)
+    shake: shake.Params = field(default_factory=shake.Params)
     execution: execution.Params = field(default_factory=execution.Params)
     escalation: escalation.Params = field(default_factory=escalation.Params)
     response: response.Params = field(default_factory=response.Params)
@@ -221,10 +221,10 @@ def pollinate(
             shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params=params, earlier=earlier)
     answer = _watched(cell, trial, shake, seen, run, params=params)
     if answer is None:
-        return Done(shake, trial, answer, rods.material, rods.material, params.vibration.pads)
+        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads)
     felt = feel(trial, shake, cell.limits.forward)
     told = [Observed.of(shake, answer, felt)]
-    learned = run.timed("learning", lambda _: refine(rods, told, pads=params.vibration.pads))
+    learned = run.timed("learning", lambda _: refine(rods, told, pads=params.shake.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
 
 
@@ -324,7 +324,7 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
     if camera is None or pose is None or not wanted or not len(seen.flowers.positions):
         return None
     points = watch_points(rods, params.escalation.points)
-    tones, pads = shake.tones, params.vibration.pads
+    tones, pads = shake.tones, params.shake.pads
     pressing = float(cell.limits.pressing.most(shake.grasp.stem_diameter))
     return Escalation(
         replace(shake, press=max(shake.press, pressing)),
@@ -333,7 +333,7 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
         rods.rods.nodes[points],
         camera=(camera.intrinsics, pose),
         middle=shake.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
-        limits=params.vibration,
+        limits=params.shake,
         params=params.escalation,
     )
 
@@ -354,9 +354,9 @@ def _planned(
         assert at.joints is not None
         return planner.shake_limit(at.joints, direction, frequencies)
 
-    actuator = vibration.ArmShaker(arm_limit) if params.actuator == "arm" else vibration.VibratingGripper()
+    actuator = shake.ArmShaker(arm_limit) if params.actuator == "arm" else shake.VibratingGripper()
     return run.stage(
         "shake plan",
         ShakePlan.load,
-        lambda _: vibration.plan_shake(rods, grasps, actuator, params.vibration, limits.pressing, earlier),
+        lambda _: shake.plan_shake(rods, grasps, actuator, params.shake, limits.pressing, earlier),
     )

@@ -18,8 +18,8 @@ from anther.pictures.report import draw_steps
 from anther.plant import LEARNED, Material
 from anther.response import Response
 from anther.results import FILM, RunResults, watched_words
+from anther.shake import like_breeze
 from anther.style import STYLE
-from anther.vibration import like_breeze
 
 SPREADS = {"youngs": "youngs_spread"} | {name: spread for name, spread in LEARNED.items() if name != "scanned_youngs"}
 """Attribute of `plant.Material` -> its spread."""

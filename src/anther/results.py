@@ -16,15 +16,15 @@ from anther.execution import Trial
 from anther.files import existing, read_object
 from anther.flowers import Flowers
 from anther.grasp import Grasp, load_grasps
+from anther.history import TrialRecord, read_record
 from anther.masks import Masks
 from anther.plant import PlantModel
 from anther.response import Response
 from anther.runs import FILES
+from anther.shake import Crop, ShakePlan
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt
-from anther.store import TrialRecord, read_record
-from anther.vibration import Crop, ShakePlan
 
 EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
 """The shake as it was carried out; its end, as the side camera saw it; the trial in numbers."""

@@ -39,7 +39,7 @@ def run(args: Args) -> None:
     from anther.errors import bad_input
     from anther.files import replacing
     from anther.fruit_set import PRIORS, counts_of, fit
-    from anther.store import read_outcomes, read_trials
+    from anther.history import read_outcomes, read_trials
 
     if args.figure is not None and args.figure.suffix.lower() != ".png":
         raise bad_input("figure", given=str(args.figure), allowed="a name that ends in .png", do="Name it so.")

@@ -15,7 +15,7 @@ from anther.errors import FailureKind, bad_input
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from anther.store import Outcome, TrialRecord
+    from anther.history import Outcome, TrialRecord
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ def run(args: Args) -> None:
     Raises:
         InputError: a history, folder or option that cannot be used.
     """
-    from anther.store import count_trials, each_trial, export, read_outcomes, read_trials
+    from anther.history import count_trials, each_trial, export, read_outcomes, read_trials
 
     kinds = ("success", "failure", *get_args(FailureKind))
     if args.result is not None and args.result not in kinds:
@@ -75,7 +75,7 @@ def _in_time(args: Args, outcome: Outcome) -> bool:
 
 def _add(args: Args) -> None:
     from anther.commands.run_folder import add_run
-    from anther.store import merge
+    from anther.history import merge
 
     for folder in args.add:
         number = add_run(folder, args.history)
@@ -88,7 +88,7 @@ def _add(args: Args) -> None:
 def _list(args: Args, trials: Sequence[TrialRecord], count: int, outcomes: Sequence[Outcome]) -> None:
     from rich.console import Console
 
-    from anther.store import shown
+    from anther.history import shown
 
     console = Console(markup=False)  # labels are the user's own: "[/bed]" is no markup
     if not count and not outcomes:
@@ -148,7 +148,7 @@ def _believed(args: Args, species: str) -> str:
     """Return what the next trial would begin with."""
     import math
 
-    from anther.store import starting_material
+    from anther.history import starting_material
 
     plant = "a plant not shaken before" if args.plant is None else args.plant
     belief = starting_material(species, plant, args.history)

@@ -40,7 +40,7 @@ def run(args: Args) -> None:
     Raises:
         InputError: no such plant or visit, more fruit than flowers, or a history that cannot be written.
     """
-    from anther.store import Outcome, record_outcome
+    from anther.history import Outcome, record_outcome
 
     species, plant, visit = _meant(args)
     outcome = Outcome(species, plant, args.flowers, args.fruit, args.date, visit, args.note)
@@ -52,7 +52,7 @@ def run(args: Args) -> None:
 
 def _meant(args: Args) -> tuple[str, str, int | None]:
     """Return (species, plant, visit or None) that the words mean."""
-    from anther.store import find_plants, find_visit
+    from anther.history import find_plants, find_visit
 
     kind, _, name = args.of.partition(":") if args.of.startswith(("plant:", "visit:")) else ("", "", args.of)
     plants = [] if kind == "visit" else find_plants(name, args.history, species=args.species)
@@ -71,7 +71,7 @@ def _meant(args: Args) -> tuple[str, str, int | None]:
 
 
 def _control(args: Args, name: str, plants: list[tuple[str, str]]) -> tuple[str, str, None]:
-    from anther.store import read_trials
+    from anther.history import read_trials
 
     if args.species is None:
         raise bad_input("control", given="no species", allowed="--species CROP", do="Name the crop.")

@@ -25,9 +25,7 @@ from anther.identification import read_material
 from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.runs import FILES
-from anther.skeleton import Skeleton
-from anther.stem import Stem
-from anther.vibration import (
+from anther.shake import (
     Actuator,
     ArmShaker,
     Crop,
@@ -40,6 +38,8 @@ from anther.vibration import (
     sawyer_limit,
     with_preset,
 )
+from anther.skeleton import Skeleton
+from anther.stem import Stem
 
 PEDICEL = 0.015
 """A flower named as a node of a skeleton hangs this far beyond it [m]: a pedicel (facts: pollination 2)."""
@@ -72,7 +72,7 @@ class Args:
     actuator: Literal["arm", "gripper"] = "arm"
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
     shake: Preset | None = None
-    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says. 'paper' is
+    """How boldly the plant may be loaded (docs/shake.md has the limits); by default what --params says. 'paper' is
     the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept and slip is not prevented."""
     lowest: float | None = None
     """Lowest frequency [Hz]; by default the actuator's."""

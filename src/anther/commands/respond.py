@@ -23,8 +23,8 @@ from anther.errors import bad_input
 from anther.files import replacing, write_json
 from anther.geometry import Array
 from anther.pictures.response_map import GripResponse, draw_response_map
-from anther.vibration import Params as ShakeParams
-from anther.vibration.observables import semi_major
+from anther.shake import Params as ShakeParams
+from anther.shake.observables import semi_major
 
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 TURNS = np.pi * np.arange(12) / 12

@@ -20,8 +20,8 @@ from anther.identification import read_material
 from anther.plant import Material, PlantModel
 from anther.plant import Params as PlantParams
 from anther.runs import FILES
+from anther.shake import Crop
 from anther.skeleton import Skeleton
-from anther.vibration import Crop
 
 YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
 """Of a bare skeleton: E of a tomato stem [Pa], the authors' density [kg/m^3], a round bar [-], and zeta [-]."""

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 from anther.devices import Tap, untapped
 from anther.errors import AntherError, bad_input, missing_extra
 from anther.files import existing, made_folder, read_object, write_json
+from anther.history import GraspRecord, ShakeRecord, TrialRecord, add_missing, read_record, record_trial, shown
 from anther.results import EXECUTED, FILM, SUMMARY
 from anther.runs import FILES, PROGRESS, Run
-from anther.store import GraspRecord, ShakeRecord, TrialRecord, add_missing, read_record, record_trial, shown
 
 if TYPE_CHECKING:
     from anther.pipeline import Done

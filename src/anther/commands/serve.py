@@ -41,7 +41,7 @@ def run(args: Args) -> None:
     from anther.checks import check_range
     from anther.errors import MissingExtra, bad_input
     from anther.files import existing
-    from anther.store import count_trials, shown
+    from anther.history import count_trials, shown
 
     check_range("port", args.port, 0, 65535)
     try:

@@ -28,7 +28,7 @@ from anther.stem import LOW, Stem, find_stem
 from anther.stem import Params as StemParams
 
 if TYPE_CHECKING:
-    from anther.vibration import Crop
+    from anther.shake import Crop
 
 Place = tuple[float, float, float]
 

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any, Literal
 from anther.commands.mask_source import MaskSource
 from anther.devices import Tap, untapped
 from anther.pipeline import Params
-from anther.vibration import Preset, with_preset
+from anther.shake import Preset, with_preset
 
 if TYPE_CHECKING:
     from anther.arm.views import Params as ViewParams
     from anther.commands.hardware_cell import HardwareCell
     from anther.commands.simulated_cell import SimulatedCell
+    from anther.history import Belief, TrialRecord
     from anther.pipeline import Done
+    from anther.shake import EarlierShake
     from anther.sim.judge import Verdict
-    from anther.store import Belief, TrialRecord
-    from anther.vibration import EarlierShake
 
 SIMULATED = "simulated"
 SAME = ("cell", "arm", "label", "plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
@@ -74,7 +74,7 @@ class Args:
     """Begin with what the history teaches of this plant or its crop, and with the shake that its last visit ended with;
     or as if nothing had ever been measured."""
     shake: Preset | None = None
-    """How boldly the plant may be loaded (docs/vibration.md has the limits); by default what --params says. 'paper' is
+    """How boldly the plant may be loaded (docs/shake.md has the limits); by default what --params says. 'paper' is
     the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept, slip is not prevented, nothing is raised."""
     watch: bool = True
     """Raise the shake in steps by what the side camera sees, or carry out the plan alone."""
@@ -99,11 +99,11 @@ def run(args: Args) -> int:
     from anther.commands.trial_summary import print_summary, summarise
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
+    from anther.history import shown
     from anther.pictures.shake import save_film
     from anther.pipeline import pollinate
     from anther.results import EXECUTED, FILM, SUMMARY
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
-    from anther.store import shown
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
@@ -175,13 +175,13 @@ def _params(args: Args) -> Params:
     """Return the stages' parameters: those asked for, with what the shake's preset and --no-watch change."""
     from anther.errors import bad_input
 
-    vibration = args.params.vibration if args.shake is None else with_preset(args.shake, args.params.vibration)
+    bounds = args.params.shake if args.shake is None else with_preset(args.shake, args.params.shake)
     watch, actuator = args.watch and args.params.escalate, args.actuator or args.params.actuator
-    if actuator == "gripper" and not (watch and vibration.keeps_limits):
+    if actuator == "gripper" and not (watch and bounds.keeps_limits):
         raise bad_input(
             "actuator", given="gripper with --no-watch or --shake paper", allowed="arm", do="A motor is always watched."
         )
-    return replace(args.params, vibration=vibration, escalate=watch and vibration.keeps_limits, actuator=actuator)
+    return replace(args.params, shake=bounds, escalate=watch and bounds.keeps_limits, actuator=actuator)
 
 
 def _folder(args: Args) -> str:
@@ -231,7 +231,7 @@ def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
 
 def _belief(args: Args) -> Belief:
     """Return what is believed of the plant. A history that cannot be read stops the trial before anything moves."""
-    from anther.store import Belief, facts_prior, starting_material
+    from anther.history import Belief, facts_prior, starting_material
 
     if args.material == "facts":
         return Belief(facts_prior(args.plant), "facts", 0, f"the facts' prior of {args.plant}, as asked for")
@@ -239,7 +239,7 @@ def _belief(args: Args) -> Belief:
 
 
 def _earlier(args: Args) -> EarlierShake | None:
-    from anther.store import earlier_shake
+    from anther.history import earlier_shake
 
     return None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
 
@@ -263,7 +263,7 @@ def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], don
     That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that.
     """
     from anther.commands.run_folder import with_what_was_done
-    from anther.store import TrialRecord
+    from anther.history import TrialRecord
 
     result = {"success": bool(summary["held"] and summary["unharmed"] is not False), "failure": summary["failure"]}
     record = TrialRecord(args.plant, _label(args), **result, run=str(out), robot=args.robot, time=began)

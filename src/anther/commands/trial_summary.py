@@ -137,7 +137,7 @@ def _alone(cell: SimulatedCell | HardwareCell, steps: Sequence[Step], params: Pa
     """Return why the plan alone was carried out; None if the shake was raised."""
     if steps:
         return "nothing was in the side camera's sight" if steps[0].decided.startswith(NOTHING_SEEN) else None
-    if not params.vibration.keeps_limits:
+    if not params.shake.keeps_limits:
         return "the paper's shake is done as it is"
     if not params.escalate:
         return "it was not to be watched, as asked"

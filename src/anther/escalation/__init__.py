@@ -33,11 +33,11 @@ from anther.escalation.params import Params
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.response.points import sight, swings
+from anther.shake import Params as Limits
+from anther.shake import ShakePlan
+from anther.shake.observables import semi_major
+from anther.shake.params import FLOWER_SPREAD
 from anther.swing import Swing
-from anther.vibration import Params as Limits
-from anther.vibration import ShakePlan
-from anther.vibration.observables import semi_major
-from anther.vibration.params import FLOWER_SPREAD
 
 __all__ = ["Escalation", "Foresight", "Params", "foresee", "watch_points"]
 

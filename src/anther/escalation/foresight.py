@@ -14,9 +14,9 @@ from scipy.sparse import csr_array, vstack
 
 from anther.geometry import Array
 from anther.plant import PlantModel
-from anther.vibration.observables import ComplexArray, observables, semi_major
-from anther.vibration.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
-from anther.vibration.search import Version, held_radius, scenarios, vectors, wrench
+from anther.shake.observables import ComplexArray, observables, semi_major
+from anther.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
+from anther.shake.search import Version, held_radius, scenarios, vectors, wrench
 
 MEMBERS = 32
 """Plants that are drawn; more change the narrowed loads by less than the camera's errors do."""

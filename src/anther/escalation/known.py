@@ -16,11 +16,11 @@ from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
 from anther.escalation.params import Params
 from anther.geometry import Array
 from anther.response.points import Swings
-from anther.vibration import Params as Limits
-from anther.vibration.choice import margined
-from anther.vibration.observables import ComplexArray, semi_major
-from anther.vibration.params import FLOWER_SPREAD
-from anther.vibration.plant_limits import FAST
+from anther.shake import Params as Limits
+from anther.shake.choice import margined
+from anther.shake.observables import ComplexArray, semi_major
+from anther.shake.params import FLOWER_SPREAD
+from anther.shake.plant_limits import FAST
 
 SEEN_ERROR = {
     "stem_strain": (0.9, 0.42),
@@ -30,13 +30,13 @@ SEEN_ERROR = {
     "grip_force": (0.5, 0.55),
 }
 """True over narrowed largest load of each kind: median, and standard deviation of ln beside what the members explain,
-as `vibration.params.LOAD_ERROR` but after the camera has seen a tone. Measured by us on 34 simulated plants (seeds
+as `shake.params.LOAD_ERROR` but after the camera has seen a tone. Measured by us on 34 simulated plants (seeds
 500-519; the stem's spread also on 9600-9607) whose truth no stage believes, two grips, seven tones from 2 to 11 Hz,
 points seen with an error of 12 %: 5 % of the loads pass what they say at that risk. Of pedicels (`Foresight.pedicels`):
 on 21 plants shaken in the whole cell (7752-7754, 9572-9579). Of the grip's force: that of the model."""
 
 FAST_SEEN_ERROR = SEEN_ERROR | {"joint_strain": (0.5, 0.45), "base_strain": (1.1, 0.85)}
-"""The same above `FAST`, as `vibration.params.FAST_LOAD_ERROR`; of pedicels beside what unknown flowers may do
+"""The same above `FAST`, as `shake.params.FAST_LOAD_ERROR`; of pedicels beside what unknown flowers may do
 (`Foresight.pedicels`)."""
 
 WATCHED = 3.0

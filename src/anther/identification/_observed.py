@@ -19,10 +19,10 @@ from anther.geometry import Array
 from anther.oscillation import fit_swing
 from anther.plant import PlantModel
 from anther.response import Response, StemMotion
-from anther.vibration import ShakePlan
-from anther.vibration.observables import ComplexArray, branch_of, semi_major
-from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.search import Answer, Version, answer, flower_motion
+from anther.shake import ShakePlan
+from anther.shake.observables import ComplexArray, branch_of, semi_major
+from anther.shake.pads import grip_rows, pad_nodes
+from anther.shake.search import Answer, Version, answer, flower_motion
 
 
 def _unknown() -> Array:

@@ -14,10 +14,10 @@ from anther.elastic_rod import Array, unit_direction
 from anther.errors import StageFailure, bad_input
 from anther.identification._observed import Errors, Misses, Observed, log_amplitude, misses, told
 from anther.plant import LEARNED, Material, PlantModel
-from anther.vibration.observables import semi_major
-from anther.vibration.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
-from anther.vibration.params import FLOWER_SPREAD, LOAD_ERROR
-from anther.vibration.search import Version, deviates, drawn_version, flower_motion, gains
+from anther.shake.observables import semi_major
+from anther.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
+from anther.shake.params import FLOWER_SPREAD, LOAD_ERROR
+from anther.shake.search import Version, deviates, drawn_version, flower_motion, gains
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +111,7 @@ def refine(
 ) -> Refinement:
     """Update what is believed of a plant's material, and of the pads that hold it, from measured responses.
 
-    An ensemble is drawn from the present belief (`vibration.search.scenarios`: E, damping, EI/GJ, pedicels, radius,
+    An ensemble is drawn from the present belief (`shake.search.scenarios`: E, damping, EI/GJ, pedicels, radius,
     gain; the pads' two stiffnesses; and each branch's own stiffness), each member's flowers' motion in every shake
     follows from linear theory times the nonlinear correction of the plan. The members are then moved towards what was
     measured by an ensemble smoother with multiple data assimilation (Emerick and Reynolds 2013, "Ensemble smoother with
@@ -291,7 +291,7 @@ def flowers_at(learned: Refinement, points: Array, direction: Array, frequencies
 def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> dict[str, Array]:
     """Return, by kind, (G, Q, 3) the 5 %, 50 % and 95 % quantile of a plant's largest loads per metre of motion.
 
-    Kinds are those of `vibration.params.LOAD_ERROR`; arguments as of `flowers_at`.
+    Kinds are those of `shake.params.LOAD_ERROR`; arguments as of `flowers_at`.
     """
     grips = learned.grips(points)
     ways = np.broadcast_to(direction, (len(grips), 1, 3))

@@ -38,9 +38,9 @@ from anther.devices import ArmSample, Frame, GripperState, JointTrajectory, Robo
 from anther.execution import Step, Trial
 from anther.geometry import Array, Intrinsics, inverse, pose7, transform
 from anther.log import _scene
+from anther.shake import ShakePlan
 from anther.skeleton import Skeleton
 from anther.stem import Stem
-from anther.vibration import ShakePlan
 
 LARGEST = 256_000_000
 """A log grows no further than about this [bytes]; a simulated trial makes 3 MB."""

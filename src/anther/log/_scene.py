@@ -32,8 +32,8 @@ from anther.devices import JointTrajectory
 from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.grasp import Grasp
+from anther.shake import ShakePlan
 from anther.skeleton import Skeleton
-from anther.vibration import ShakePlan
 
 GREEN, BROWN, YELLOW, RED, GREY, BLUE = (
     Color(r=r, g=g, b=b, a=a)

@@ -21,7 +21,7 @@ from anther.execution import Step
 from anther.masks import FLOWER, PLANT, Masks
 from anther.pictures.plant import draw_plant
 from anther.response import Response
-from anther.vibration import ShakePlan
+from anther.shake import ShakePlan
 
 if TYPE_CHECKING:
     from anther.results import RunResults

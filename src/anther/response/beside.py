@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from anther.checks import check_array
 from anther.devices import Frame
 from anther.errors import InputError
-from anther.flower_tracking import smoothed
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import fit_swing
 from anther.response.params import (
@@ -28,6 +27,7 @@ from anther.response.params import (
     SEEN_SHARE,
     Params,
 )
+from anther.response.petals import smoothed
 
 NEAREST, FARTHEST = 0.015, 0.06
 """Between these distances from the grasp along the stem [m]: beyond the pads, and where the grip still rules."""

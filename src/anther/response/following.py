@@ -12,7 +12,11 @@ from scipy.sparse.csgraph import connected_components
 
 from anther.devices import Frame
 from anther.errors import InputError
-from anther.flower_tracking import (
+from anther.geometry import Array, Intrinsics
+from anther.oscillation import fit_swing, swing_basis
+from anther.response.depth import depth_along
+from anther.response.params import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, Params
+from anther.response.petals import (
     Image,
     Patch,
     back_projected,
@@ -25,10 +29,6 @@ from anther.flower_tracking import (
     seek,
     smoothed,
 )
-from anther.geometry import Array, Intrinsics
-from anther.oscillation import fit_swing, swing_basis
-from anther.response.depth import depth_along
-from anther.response.params import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, Params
 
 FLOWER_RADIUS = 0.007
 """Of a flower [m]."""

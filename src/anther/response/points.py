@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.devices import Frame
-from anther.flower_tracking import Image, Patch, seek, smoothed
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.response.depth import depth_along
 from anther.response.following import OWN_DEPTH, OWN_LIKENESS, placed
 from anther.response.params import DEPTH_GATE, LEAST_COVER, Params
-from anther.vibration.observables import ComplexArray
+from anther.response.petals import Image, Patch, seek, smoothed
+from anther.shake.observables import ComplexArray
 
 DEFAULTS = Params()
 WINDOW = 15

@@ -26,9 +26,9 @@ from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 
 from anther.errors import AntherError, InputError, MissingExtra
-from anther.store import each_trial, export, find_visit, overview, read_outcomes, reading, record_note, shown
-from anther.store import starting_material as believed
-from anther.store.overview import Tally
+from anther.history import each_trial, export, find_visit, overview, read_outcomes, reading, record_note, shown
+from anther.history import starting_material as believed
+from anther.history.overview import Tally
 from anther.style import STYLE
 
 WIDTH, HEIGHT = 600.0, 100.0

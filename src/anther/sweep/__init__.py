@@ -20,7 +20,7 @@ from uuid import uuid4
 from anther.checks import check_range
 from anther.errors import InputError, MissingExtra, bad_input
 from anther.files import json_text, read_lines, understood
-from anther.store import Job, add_jobs, note_jobs, read_jobs
+from anther.history import Job, add_jobs, note_jobs, read_jobs
 from anther.sweep._places import INSTALL, Place, place
 from anther.sweep._running import Progress, carry_out
 from anther.sweep._working import Function, Order, forget_tries, versions

@@ -19,7 +19,7 @@ from rich import progress
 from rich.console import Console
 
 from anther.errors import AntherError, InputError, MissingExtra
-from anther.store import Job
+from anther.history import Job
 from anther.sweep._places import INSTALL
 from anther.sweep._working import Order, perform
 

@@ -18,7 +18,7 @@ from typing import Any
 
 from anther.errors import InputError
 from anther.files import json_text, understood
-from anther.store import Job
+from anther.history import Job
 from anther.sweep._places import RESULT, TASKS, UNDER_WAY, Place, empty, place
 
 Function = Callable[[dict[str, Any], Path], Mapping[str, Any] | None]

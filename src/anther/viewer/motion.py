@@ -17,8 +17,8 @@ from anther.execution import Trial
 from anther.geometry import Array
 from anther.plant import PlantModel
 from anther.results import RunResults
-from anther.vibration import ShakePlan
-from anther.vibration.pads import grip_rows, pad_nodes
+from anther.shake import ShakePlan
+from anther.shake.pads import grip_rows, pad_nodes
 
 RATE = 30.0
 """Pictures a second of play."""

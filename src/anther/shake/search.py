@@ -17,8 +17,8 @@ from scipy.stats import qmc
 from anther.elastic_rod import Array, Observed, compiled, observed_response
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
-from anther.vibration.observables import ComplexArray, branch_of, observables
-from anther.vibration.pads import PADS, Pads, friction_force
+from anther.shake.observables import ComplexArray, branch_of, observables
+from anther.shake.pads import PADS, Pads, friction_force
 
 
 class Gains(NamedTuple):

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from anther.checks import check_range
 from anther.errors import bad_input
 from anther.geometry import Array
-from anther.vibration.pads import PADS, Pads
-from anther.vibration.plant_limits import DEFAULT, FAST, PRESETS, PlantLimits
+from anther.shake.pads import PADS, Pads
+from anther.shake.plant_limits import DEFAULT, FAST, PRESETS, PlantLimits
 
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16

@@ -20,7 +20,7 @@ from anther.elastic_rod import (
     strain_changes,
 )
 from anther.plant import PlantModel
-from anther.vibration.observables import Observables, observables, semi_major
+from anther.shake.observables import Observables, observables, semi_major
 
 TRIES = 3
 """How often a shake that passes a limit is made smaller and simulated again."""

@@ -16,13 +16,13 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
-from anther.vibration.actuators import Actuator
-from anther.vibration.breeze import FLOWERS
-from anther.vibration.pads import grip_rows, pad_nodes
-from anther.vibration.params import LOAD_ERROR, Params, load_error
-from anther.vibration.search import Gains
-from anther.vibration.shake_plan import EarlierShake, Tones
-from anther.vibration.verification import PEAKS
+from anther.shake.actuators import Actuator
+from anther.shake.breeze import FLOWERS
+from anther.shake.pads import grip_rows, pad_nodes
+from anther.shake.params import LOAD_ERROR, Params, load_error
+from anther.shake.plan import EarlierShake, Tones
+from anther.shake.search import Gains
+from anther.shake.verification import PEAKS
 
 Place = tuple[int, int, int]
 """(q, g, d): one shake of the search."""

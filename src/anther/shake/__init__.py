@@ -16,9 +16,9 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
-from anther.vibration.actuators import Actuator, ArmShaker, VibratingGripper
-from anther.vibration.breeze import Crop, like_breeze
-from anther.vibration.choice import (
+from anther.shake.actuators import Actuator, ArmShaker, VibratingGripper
+from anther.shake.breeze import Crop, like_breeze
+from anther.shake.choice import (
     Grips,
     Place,
     Search,
@@ -32,13 +32,13 @@ from anther.vibration.choice import (
     search,
     tones_at,
 )
-from anther.vibration.limits import sawyer_limit
-from anther.vibration.pads import PADS, Pads
-from anther.vibration.params import FLOWER_SPREAD, Params, Preset, with_preset
-from anther.vibration.plant_limits import PRESETS, PlantLimits
-from anther.vibration.search import Gains, gains, scenarios
-from anther.vibration.shake_plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
-from anther.vibration.verification import Shaken, verified
+from anther.shake.limits import sawyer_limit
+from anther.shake.pads import PADS, Pads
+from anther.shake.params import FLOWER_SPREAD, Params, Preset, with_preset
+from anther.shake.plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
+from anther.shake.plant_limits import PRESETS, PlantLimits
+from anther.shake.search import Gains, gains, scenarios
+from anther.shake.verification import Shaken, verified
 
 __all__ = [
     "PADS", "PRESETS", "Actuator", "ArmShaker", "Crop", "EarlierShake", "Pads", "Params", "PlantLimits", "Preset",

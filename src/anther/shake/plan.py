@@ -14,7 +14,7 @@ from anther.errors import bad_input
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import Grasp, grasp_of, grasp_row
-from anther.vibration.pads import PADS, Pads
+from anther.shake.pads import PADS, Pads
 
 SCHEMA = 7
 """Of the files written; one of schema 5, which told a waveform, is read where that is a sine."""

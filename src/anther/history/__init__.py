@@ -6,7 +6,7 @@ shaken: its own last belief, else what the crop taught; `earlier_shake` with whi
 pages show.
 """
 
-from anther.store._beliefs import (
+from anther.history._beliefs import (
     Belief,
     crop_prior,
     earlier_shake,
@@ -14,10 +14,10 @@ from anther.store._beliefs import (
     hierarchical_normal,
     starting_material,
 )
-from anther.store._database import DEFAULT, PATIENCE, reading, shown
-from anther.store._export import TABLES, Merged, export, merge
-from anther.store._records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
-from anther.store._trials import (
+from anther.history._database import DEFAULT, PATIENCE, reading, shown
+from anther.history._export import TABLES, Merged, export, merge
+from anther.history._records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
+from anther.history._trials import (
     add_missing,
     count_trials,
     each_trial,
@@ -29,7 +29,7 @@ from anther.store._trials import (
     record_outcome,
     record_trial,
 )
-from anther.store.overview import Job, add_jobs, note_jobs, read_jobs
+from anther.history.overview import Job, add_jobs, note_jobs, read_jobs
 
 __all__ = [
     "DEFAULT",

@@ -20,8 +20,7 @@ from hypothesis import strategies as st
 from postgresql_server import Server
 
 from anther.errors import InputError, MissingExtra
-from anther.plant import Material
-from anther.store import (
+from anther.history import (
     GraspRecord,
     Job,
     Outcome,
@@ -41,7 +40,8 @@ from anther.store import (
     record_trial,
     shown,
 )
-from anther.store._database import _engine
+from anther.history._database import _engine
+from anther.plant import Material
 
 KILLS = int(os.environ.get("ANTHER_KILLS", "4"))
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -245,7 +245,7 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
 def test_locked_and_full_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "h.sqlite"
     record_trial(full(), path)
-    monkeypatch.setattr("anther.store._database.PATIENCE", 0.2)
+    monkeypatch.setattr("anther.history._database.PATIENCE", 0.2)
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN IMMEDIATE")
     with pytest.raises(InputError, match="Another program has held it"):
@@ -257,7 +257,7 @@ def test_locked_and_full_are_told_apart(tmp_path: Path, monkeypatch: pytest.Monk
         connection.isolation_level = None
         connection.execute("PRAGMA max_page_count=1")
 
-    monkeypatch.setattr("anther.store._database._configure_sqlite", no_more_pages)
+    monkeypatch.setattr("anther.history._database._configure_sqlite", no_more_pages)
     _engine.cache_clear()
     with pytest.raises(InputError, match="free some space"):
         record_trial(replace(full(minutes=1), run="x" * 100_000), path)

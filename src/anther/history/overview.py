@@ -17,7 +17,7 @@ from sqlalchemy import Integer, bindparam, cast, func, select, tuple_, update
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from anther.store._database import FruitSet, Note, Plant, Shake, Sweep, SweepJob, Visit, reading, writing
+from anther.history._database import FruitSet, Note, Plant, Shake, Sweep, SweepJob, Visit, reading, writing
 
 State = Literal["waiting", "done", "poison"]
 

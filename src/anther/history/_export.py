@@ -21,9 +21,9 @@ from sqlalchemy.orm import Session
 
 from anther.errors import bad_input
 from anther.formats.tables import write_table
-from anther.store._database import DEFAULT, FruitSet, Note, Plant, Visit, reading, shown, writing
-from anther.store._records import Outcome, TrialRecord
-from anther.store._trials import BATCH, add, plant_of, trial_of, visit_of
+from anther.history._database import DEFAULT, FruitSet, Note, Plant, Visit, reading, shown, writing
+from anther.history._records import Outcome, TrialRecord
+from anther.history._trials import BATCH, add, plant_of, trial_of, visit_of
 
 _VISIT = {"visit": int, "time": datetime, "species": str, "plant": str}
 TABLES: dict[str, dict[str, type]] = {

@@ -42,7 +42,7 @@ from sqlalchemy.pool import NullPool
 
 from anther.errors import AntherError, InputError, MissingExtra, bad_input
 from anther.files import understood
-from anther.store.migrations import HEAD, migrate, version
+from anther.history.migrations import HEAD, migrate, version
 
 
 class Utc(TypeDecorator[datetime]):

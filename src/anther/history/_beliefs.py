@@ -16,10 +16,10 @@ from sqlalchemy.orm import Session
 
 from anther.checks import check_array, check_range
 from anther.geometry import Array
+from anther.history._database import DEFAULT, Grasp, Plant, Response, Shake, Visit, reading
+from anther.history._records import Sums, TrialRecord, material_of, summed, told
 from anther.plant import LEARNED, PEPPER, TOMATO, Material
-from anther.store._database import DEFAULT, Grasp, Plant, Response, Shake, Visit, reading
-from anther.store._records import Sums, TrialRecord, material_of, summed, told
-from anther.vibration import EarlierShake
+from anther.shake import EarlierShake
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}
 """What is believed of a crop before any plant of it was measured; each says its sources."""

@@ -10,7 +10,7 @@ import numpy as np
 from anther.checks import check_range
 from anther.elastic_rod import Array
 from anther.grasp import Grasp
-from anther.vibration.limits import ArmLimit, sawyer_limit
+from anther.shake.limits import ArmLimit, sawyer_limit
 
 
 class Actuator(Protocol):

@@ -14,8 +14,8 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from anther.errors import bad_input
-from anther.store._database import DEFAULT, FruitSet, Grasp, Note, Plant, Response, Shake, Visit, reading, writing
-from anther.store._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of, summed, told
+from anther.history._database import DEFAULT, FruitSet, Grasp, Note, Plant, Response, Shake, Visit, reading, writing
+from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of, summed, told
 
 _COLUMNS = {name: f"{name}_{'ms2' if name.endswith('acceleration') else 'm'}" for name in MOTIONS}
 
