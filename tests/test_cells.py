@@ -24,7 +24,7 @@ from anther.drivers import sawyer_ros1
 from anther.errors import AntherError, InputError
 
 EXAMPLE = (Path(__file__).parent / "cells" / "sawyer.toml").read_text()
-PAGE = Path(__file__).parents[1] / "docs" / "real_robot.md"
+PAGE = Path(__file__).parents[1] / "docs" / "cell_file.md"
 
 Write = Callable[..., Path]
 Machines = tuple[Path, FakeSawyer, FakeRobotiq]

@@ -435,7 +435,7 @@ def test_a_cell_files_wrong_words_are_told(cell: Callable[[str], Any], keys: str
 
 
 def test_the_manuals_example_is_read(cell: Callable[[str], Any]) -> None:
-    page = (HERE.parent / "docs" / "real_robot.md").read_text().split("## Any arm under ROS 2")[1]
+    page = (HERE.parent / "docs" / "arm_drivers.md").read_text().split("## Any arm under ROS 2")[1]
     keys = page.split('model = "ur5e"', 1)[1].split("\n", 1)[1].split("```")[0]
     table = cell(keys).arm.table
     assert set(table) == {"controller", "rate", "states", "wrench", "joints"}

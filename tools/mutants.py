@@ -44,12 +44,12 @@ AREAS = {
     "shake": (
         ["shake", "escalation"],
         [
-            "test_shake_choice.py", "test_vibration.py", "test_escalation.py", "test_foresight.py", "test_pads.py",
+            "test_shake_choice.py", "test_plan_shake.py", "test_escalation.py", "test_foresight.py", "test_pads.py",
             "test_breeze.py", "test_expectation.py",
         ],
     ),
     "response": (
-        ["response", "flower_tracking.py", "oscillation.py"],
+        ["response", "oscillation.py"],
         ["test_response.py", "test_points.py", "test_beside.py"],
     ),
     "history": (

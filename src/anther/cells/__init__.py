@@ -1,4 +1,4 @@
-"""A cell file: which machines stand where, and what they may do. docs/real_robot.md has every key.
+"""A cell file: which machines stand where, and what they may do. docs/cell_file.md has every key.
 
 One owner for a cell: two processes of this machine cannot command one arm.
 """
@@ -225,7 +225,7 @@ def read_cell(path: Path | str) -> CellFile:
     for key in ("arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"):
         if key not in table:
             raise bad_input(
-                str(path), given=f"no [{key}]", allowed="a table of that name", do="docs/real_robot.md has one."
+                str(path), given=f"no [{key}]", allowed="a table of that name", do="docs/cell_file.md has one."
             )
     own, side = table["wrist_camera"], table.get("side_camera")
     cell = CellFile(
@@ -254,7 +254,7 @@ def _part(source: Source, name: str, drivers: dict[str, Callable[..., Any]], bes
     if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
         choices = ", ".join(f'"{driver}"' for driver in drivers)
         allowed = f'a table with driver = {choices} or "package.module:callable"'
-        raise source.error((name,), given="no driver", allowed=allowed, do="docs/real_robot.md has examples.")
+        raise source.error((name,), given="no driver", allowed=allowed, do="docs/cell_file.md has examples.")
     driver, keys = table["driver"], (name, "driver")
     make = drivers.get(driver)
     if make is None:

@@ -111,7 +111,7 @@ def fitted(
     for name, parameter in wanted.items():
         if name not in table and parameter.default is parameter.empty and parameter.kind is not parameter.VAR_KEYWORD:
             kind = _name(hints.get(name, Any))
-            raise source.error(keys, given=f"no '{name}'", allowed=f"{name} = {kind}", do="Add it: docs/real_robot.md.")
+            raise source.error(keys, given=f"no '{name}'", allowed=f"{name} = {kind}", do="Add it: docs/cell_file.md.")
     return {key: checked(source, (*keys, key), value, hints.get(key, Any)) for key, value in table.items()}
 
 

@@ -46,7 +46,7 @@ class Args:
     json: bool = False
     """Print the result as JSON."""
     cell: Path | None = None
-    """A real robot's cell file (docs/real_robot.md)."""
+    """A real robot's cell file (docs/cell_file.md)."""
     live: bool = False
     """Take the images with the cell's arm and wrist camera, and write the result into the cell file. Asks first."""
     check: bool = False

@@ -24,7 +24,7 @@ WATCHED = 1.0
 
 @dataclass(frozen=True)
 class Args:
-    """Attributes: what to do with which cell. docs/real_robot.md has the file, and the first hour."""
+    """Attributes: what to do with which cell. docs/cell_file.md has the file, docs/real_robot.md the first hour."""
 
     action: Annotated[Literal["check", "enable", "jog"], tyro.conf.Positional]
     """check: connect to each part and show what it sees; enable: switch motors on, after a released stop too, and let

@@ -37,7 +37,7 @@ class Args:
     plant: Literal["tomato", "pepper"] = "tomato"
     """Species of the simulated plant."""
     cell: str = "simulated"
-    """Which cell: 'simulated', or a cell file of a real one (docs/real_robot.md). Of a real one nobody knows the truth:
+    """Which cell: 'simulated', or a cell file of a real one (docs/cell_file.md). Of a real one nobody knows the truth:
     seed, viewpoint, distance and truth say nothing, and the verdict is what the gripper felt."""
     label: str = ""
     """Name of a real plant, for its history."""
