@@ -142,6 +142,7 @@ def test_a_record_survives_as_json_and_is_added_once(where: str) -> None:
     assert add_missing(again, where) is not None
     assert add_missing(again, where) is None
     assert len(read_trials(where)) == 1
+    assert add_missing(full("seed 4"), where) is not None  # at the same time, but another plant
     with pytest.raises(InputError, match="record of a trial"):
         TrialRecord.of({"species": "tomato"})
 

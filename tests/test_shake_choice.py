@@ -12,6 +12,7 @@ from sample_plants import branched, grasps_on, stem_along, straight_stem
 from anther.elastic_rod import Clamp, Drive, Rods
 from anther.elastic_rod._response import driven_response
 from anther.errors import InputError, StageFailure
+from anther.escalation.known import limits_of
 from anther.flowers import Flowers
 from anther.grasp import Grasp
 from anther.plant import TOMATO, PlantModel, build_plant
@@ -111,6 +112,11 @@ def test_a_slippery_grip_is_shaken_less(plant: PlantModel, grasps: list[Grasp]) 
     assert plan.press == pytest.approx(PRESSING.holding)
 
 
+def test_two_pads_hold_and_the_more_the_better_they_grip() -> None:
+    assert Params(pad_friction=0.4).held(10.0) == pytest.approx(2 * 0.4 * 10)
+    assert limits_of(Params(pad_friction=0.4), 10.0, 5.0)["grip_force"] == pytest.approx(8.0)
+
+
 def test_the_pads_press_as_the_shake_needs_and_it_is_made_smaller_where_they_may_not(
     plant: PlantModel, grasps: list[Grasp]
 ) -> None:
@@ -118,6 +124,8 @@ def test_the_pads_press_as_the_shake_needs_and_it_is_made_smaller_where_they_may
     free = plan_shake(plant, grasps, params=params)
     assert free.press == pytest.approx({name: value for name, value, *_ in free.limits}[PRESS])
     assert plan_shake(plant, grasps, params=replace(params, least_press=8.0)).press == 8.0
+    rough = plan_shake(plant, grasps, params=replace(params, pad_friction=2 * params.pad_friction))
+    assert (rough.amplitude, 2 * rough.press) == pytest.approx((free.amplitude, free.press))
     weak = Pressing(holding=max(free.press / 3, 0.1))
     held = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5), pressing=weak)
     again = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5))

@@ -263,8 +263,8 @@ def seen_error(hertz: float) -> Mapping[str, tuple[float, float]]:
 
 def limits_of(limits: Limits, press: float, hertz: float) -> dict[str, float]:
     """Return by kind what the plant may bear at a tone [Hz], and what pads hold that press with `press` [N]."""
-    plant, slip = limits.plant, 2 * limits.pad_friction * press
-    values = (plant.stem_strain, plant.pedicel_strain, plant.base_strain, float(plant.leaf_load_at(hertz)), slip)
+    plant, leaf = limits.plant, float(limits.plant.leaf_load_at(hertz))
+    values = (plant.stem_strain, plant.pedicel_strain, plant.base_strain, leaf, limits.held(press))
     return dict(zip(LOADS, values, strict=True))
 
 

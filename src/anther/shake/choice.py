@@ -137,7 +137,7 @@ def search(
         f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], params.arm_share),
         "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
         "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, params.most_speed),
-        PRESS: Bound(response.grip_force / (2 * params.pad_friction), grips.press, load_error("grip_force", hertz)),
+        PRESS: Bound(response.grip_force / params.held(1.0), grips.press, load_error("grip_force", hertz)),
         FLOWERS: Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
     }
     for (name, limit), kind in zip(plant_limits(params, hertz).items(), LOAD_ERROR, strict=False):

@@ -124,6 +124,10 @@ class Params:
         check_range("most_duration", self.most_duration, 0.1, 60, "s")
         check_range("duration", self.duration, 0.1, self.most_duration, "s")
 
+    def held(self, press: float) -> float:
+        """Return the pull that two pads hold against slip when each presses with `press` [N]."""
+        return 2 * self.pad_friction * press
+
 
 Preset = Literal["gentle", "default", "bold", "paper"]
 PAPER = {"lowest": 1.9, "highest": 1.9, "most_amplitude": 0.012, "keeps_limits": False}
