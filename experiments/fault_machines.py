@@ -74,10 +74,13 @@ class Pieces:
         own = np.arange(len(plan.tones.frequencies)) == 0
         probe = plan.amplitude / len(own)
         self.lines = (Line(plan.direction, own | True, 1.01 * plan.amplitude),)
-        self.frame_rate = 2.2 * float(plan.tones.frequencies.max())
         self.steps: tuple[Step, ...] = ()
         self._tones, self._ramp = plan.tones.frequencies, 1 / float(plan.tones.frequencies.min())
         self._sizes = [probe + 0.0 * own, 0.5 * plan.amplitude * own, plan.amplitude * own, 0.0 * own]
+
+    def frame_rate(self, rates: Sequence[float]) -> float:
+        """Return the fastest."""
+        return max(rates)
 
     def begin(self, frame: Frame) -> Swing:
         """Return the probe."""

@@ -17,6 +17,8 @@ from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
 from anther.escalation.known import SEEN_ERROR, WATCHED, limits_of
+from anther.execution import Params as ExecutionParams
+from anther.response.points import likeness
 from anther.shake import Params as Limits
 from anther.shake import PlantLimits
 from anther.shake.observables import semi_major
@@ -129,17 +131,19 @@ def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
         assert "the target" in watched.steps[-2].decided
 
 
-def test_every_look_has_the_frames_that_a_path_is_fitted_to(shaken: Shaken) -> None:
+def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(shaken: Shaken) -> None:
     for seed in range(10):
         foresight = made_foresight(seed)
         tones = TONES * np.random.default_rng(seed).uniform(0.5, 3)
         plan = replace(FREE, tones=replace(FREE.tones, frequencies=tones))
         world = World(foresight._replace(tones=tones), foresight.vectors[1], plan=plan, params=Params(look=0.2))
         watched = shaken(world)
-        rate = watched.frame_rate
-        assert rate > 2 * tones.max()
-        for step in single(watched):
-            assert (step.end - step.begin) * rate > 10
+        rates = ExecutionParams().rates
+        rate = watched.frame_rate(rates)
+        looks = [(step.end - step.begin, np.array(step.frequencies)) for step in watched.steps]
+        best = [likeness(max(rates), *look) for look in looks]
+        assert all(likeness(rate, *look) <= 1.6 * b for look, b in zip(looks, best, strict=True))
+        assert watched.frame_rate((*rates, 0.1 * rate)) == rate
 
 
 def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None:

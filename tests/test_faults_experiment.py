@@ -16,7 +16,7 @@ def test_its_pieces_are_a_watched_shake_that_comes_to_rest() -> None:
     plan = made_plan()
     watched = Pieces(plan)
     assert {name for name in (*dir(Watched), *Watched.__annotations__) if name[0] != "_"} <= set(dir(watched))
-    assert watched.frame_rate > 2 * plan.tones.frequencies.max()
+    assert watched.frame_rate((15.0, 30.0, 60.0, 90.0)) > 2 * plan.tones.frequencies.max()
     watched_from: Any = None
     piece = watched.begin(watched_from)
     sample: Any = SimpleNamespace(time=0.0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics
-from anther.response.points import Sight, Swings, sight, swings
+from anther.response.points import Sight, Swings, likeness, sight, swings
 from anther.shake.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
@@ -104,6 +104,26 @@ def test_tones_near_half_the_frame_rate_are_told_from_what_they_would_be_aliased
     rest, frames = film([wave(truth[0], tones), wave(truth[1], tones)], rate=30.0)
     found = swings(seen(rest, HOMES[:2]), frames, tones)
     assert off(found, truth).max() < 0.06
+
+
+def test_tones_above_half_the_frame_rate_are_measured_where_no_two_seem_alike() -> None:
+    tones = np.array([21.0, 34.5])  # at 30 frames a second they seem to be 9 and 4.5 Hz
+    assert likeness(30.0, 1.0, tones) < 1.5
+    truth = np.array([[[1.0, 0.5j], [0.8j, -0.7]]] * 2)
+    rest, frames = film([wave(truth[0], tones), wave(truth[1], tones)], rate=30.0)
+    assert off(swings(seen(rest, HOMES[:2]), frames, tones), truth).max() < 0.06
+
+
+@pytest.mark.parametrize(
+    ("tones", "why"),
+    [
+        ([30.1], "stands still"), ([15.2], "sine and cosine seem alike"), ([4.0, 25.8], "seem alike"),
+        ([4.0, 4.4], "too short"), ([2.0, 3.5, 5.0, 6.5, 8.0, 9.5, 11.0], "too few frames"),
+    ],
+)  # fmt: skip
+def test_tones_that_frames_cannot_tell_apart_look_alike(tones: list[float], why: str) -> None:
+    assert likeness(30.0, 0.7, np.array(tones)) > 3, why
+    assert 1 <= likeness(61.0, 2.5, np.array(tones)) < 2
 
 
 def test_a_large_swing_is_followed_over_many_pixels() -> None:

@@ -32,7 +32,7 @@ from anther.escalation.known import (
 from anther.escalation.params import Params
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
-from anther.response.points import sight, swings
+from anther.response.points import likeness, sight, swings
 from anther.shake import Params as Limits
 from anther.shake import ShakePlan
 from anther.shake.observables import semi_major
@@ -49,9 +49,8 @@ PERIODS = 2.0
 """A step is watched for so many of its periods at least."""
 PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
 """The probe is watched for so many periods of its slowest tone, at least so long [s]."""
-SAMPLES, FRAMES = 2.2, 11
-"""Frames a period at least, little more than two where frequencies are known; and in a look, of which six are fitted to
-each path."""
+WORSE = 1.5
+"""A frame rate will do at which tones look no more than so many times as much alike as at the fastest."""
 PROBED = 0.7
 """Of the probe: the rms of its loads over that of the plan's shake; its peaks are about 1.3 times those."""
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
@@ -137,11 +136,15 @@ class Escalation:
             for d, direction in enumerate(tones.directions)
         )
 
-    @property
-    def frame_rate(self) -> float:
-        """Frames a second that it needs: of a period of the fastest tone, and of the shortest look."""
-        fastest = int(self._hertz.argmax())
-        return max(SAMPLES * float(self._hertz[fastest]), FRAMES / self._watch(fastest))
+    def frame_rate(self, rates: Sequence[float]) -> float:
+        """Return the slowest of a camera's rates [1/s] that tells the tones apart about as well as the fastest does.
+
+        Fewer frames are followed sooner.
+        """
+        looks = [(self._watch(n), self._hertz[[n]]) for n in range(len(self._hertz))]
+        looks.append((self._probe, np.unique(self._hertz)))
+        best = [likeness(max(rates), *look) for look in looks]
+        return min(r for r in rates if all(likeness(r, *a) <= WORSE * b for a, b in zip(looks, best, strict=True)))
 
     def begin(self, frame: Frame) -> Swing:
         """Return the probe along the plan's line: all its tones, each `PROBED` times what the model allows of one over

@@ -99,15 +99,16 @@ class Watched(Protocol):
     Attributes:
         lines: along which its pieces move the pads.
         steps: what was done so far.
-        frame_rate: the least that it needs [1/s].
     """
 
     @property
     def lines(self) -> Sequence[Line]: ...
     @property
-    def frame_rate(self) -> float: ...
-    @property
     def steps(self) -> tuple[Step, ...]: ...
+
+    def frame_rate(self, rates: Sequence[float]) -> float:
+        """Return at which of the camera's rates [1/s] it wants frames."""
+        ...
 
     def begin(self, frame: Frame) -> Swing:
         """Return the first piece; `frame` shows the held plant at rest."""
@@ -360,11 +361,10 @@ def _filmed(work: _Work) -> Iterator[None]:
 
 
 def _rate(work: _Work) -> float:
-    """Return the frame rate: of a shake that is watched, the slowest that it can do with."""
+    """Return the frame rate that suits the shake."""
     if work.watched is None:
         return choose_rate(work.plan.frequency, work.params.rates)
-    ample = [rate for rate in work.params.rates if rate >= work.watched.frame_rate]
-    return min(ample, default=max(work.params.rates))
+    return work.watched.frame_rate(work.params.rates)
 
 
 def _back(work: _Work) -> None:

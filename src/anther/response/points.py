@@ -40,6 +40,8 @@ SURE = 0.85
 """Share of the frames in which it is found, over one and the fit's deviation [px]: if more, no other way is tried."""
 SLOW = 4
 """Legendre polynomials beside the tones: wind, and swings that die out."""
+SPARE = 5
+"""So many more frames than numbers that are fitted to them."""
 LEAST_SHARE = 0.6
 """Of the frames in which a point must be followed."""
 LEAST_ERROR = 0.03
@@ -148,6 +150,20 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
     return Swings(phasors, std, at.axes)
 
 
+def likeness(rate: float, seconds: float, tones: Array) -> float:
+    """Return how much alike tones (K,) [Hz] look in frames at a rate [1/s] over so many seconds; 1: not at all.
+
+    It is the variance of the tone that is told worst over what it would be beside no other and no slow motion. Tones
+    above half the rate seem slower than they are; known ones may (stroboscope), as long as no two seem alike. Infinite
+    where there are not `SPARE` more frames than numbers that are fitted.
+    """
+    times = np.arange(int(seconds * rate)) / rate
+    if len(times) < 2 * len(tones) + SLOW + SPARE:
+        return float("inf")
+    _, inverse_gram = _solved(_basis(times, tones), times[:, None])
+    return float(inverse_gram.diagonal()[:-SLOW].max()) * len(times) / 2
+
+
 def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     own = np.zeros(len(pixels), dtype=bool)
     for k in np.flatnonzero(inside):
@@ -159,8 +175,9 @@ def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bo
 
 
 def _gain(frame: Frame) -> float:
-    """Return what brings the median grey of a frame to `BRIGHT`."""
-    return BRIGHT / max(float(np.median(cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY))), 1.0)
+    """Return what brings the median grey of a frame, of every 16th pixel, to `BRIGHT`."""
+    some = np.ascontiguousarray(frame.rgb[::4, ::4])
+    return BRIGHT / max(float(np.median(cv2.cvtColor(some, cv2.COLOR_RGB2GRAY))), 1.0)
 
 
 def _smoothed(frame: Frame, gain: float) -> Image:
