@@ -57,7 +57,7 @@ def test_frames_of_a_late_clock_show_what_was_before_their_time() -> None:
 def test_a_long_exposure_blurs_what_moves_and_leaves_depth_alone() -> None:
     sharp = filmed()[1]
     changed, contrast = [], []
-    for exposure in (0.004, 0.008, 0.012):
+    for exposure in (0.004, 0.012, 0.02):
         frames = filmed(exposure=exposure)[1]
         np.testing.assert_array_equal([f.depth for f in frames], [f.depth for f in sharp])
         changed.append(sum(np.any(a.rgb != b.rgb, axis=2).sum() for a, b in zip(sharp, frames, strict=True)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from straight_plant import BASE, straight_plant, with_blade
 
+from anther.devices import Frame
 from anther.geometry import Intrinsics, look_at, transform_points
 from anther.sim.cell import Cell
 from anther.sim.plant import Organ
@@ -52,6 +53,27 @@ def test_a_frame_of_a_film_shows_what_a_whole_image_does() -> None:
         np.testing.assert_array_equal(frame.depth, image.depth)
         on_plant = image.organ < Organ.POT
         np.testing.assert_array_equal(frame.rgb[on_plant], image.rgb[on_plant])
+
+
+def test_what_moves_while_a_frame_is_exposed_is_blurred_there_and_nothing_else() -> None:
+    leaf = np.add(BASE, [0.0, 0.05, 0.45])
+    plant = with_blade(straight_plant(), leaf, [0.0, 1.0, 0.1], segment=17)
+    cell, pose = Cell(plant), look_at(leaf - [0.0, 0.5, 0.0], leaf)
+    camera = SimCamera(cell, Scene.of_plant(plant), CAMERA, lambda: pose, errors=None)
+    way = np.zeros(plant.vertices.shape)
+    way[:, 0] = 0.1 * np.maximum(plant.vertices[:, 2] - leaf[2] - 0.01, 0)  # its top alone, by up to 2 px
+    still = camera._still_of([plant.vertices], [way])
+
+    def frame() -> Frame:
+        return camera._frame(0.0, plant.vertices, way, np.random.default_rng(0), still)
+
+    here, sharp = frame(), camera._frame(0.0, plant.vertices, None, np.random.default_rng(0), still)
+    blurred = camera._blurred(way, plant.vertices)
+    assert 0.01 < blurred.mean() < 0.5
+    camera._blurred = lambda *_: np.ones(blurred.shape, bool)  # type: ignore[method-assign]
+    np.testing.assert_array_equal(here.rgb[blurred], frame().rgb[blurred])
+    np.testing.assert_array_equal(here.rgb[~blurred], sharp.rgb[~blurred])
+    assert np.abs(here.rgb[blurred].astype(float) - sharp.rgb[blurred]).mean() > 1
 
 
 def test_a_pixel_of_a_flower_gathers_light_from_its_area() -> None:

@@ -7,7 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import repeat
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.checks import check_range
@@ -23,7 +25,7 @@ from anther.devices import (
     Robot,
     Watch,
 )
-from anther.geometry import Array, Intrinsics, look_at
+from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.sim._motor import CYCLE, SimMotor, contact_force
 from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.cell import Cell, CellLog
@@ -33,7 +35,7 @@ LEAST_REACH = 6.0  # px around the plant in a still that are rendered again in e
 SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred
 SHOTS = ((-0.33, -0.25, -0.25), (0.0, 0.25, 0.0), (0.33, -0.1, 0.25))
 """Of a frame: moment [exposures], and place in each pixel [px]. A pixel gathers light from all of its area: by one ray
-alone, what moves by half a pixel seems to jump. Where nothing is blurred about flowers only: it takes time."""
+alone, what moves by half a pixel seems to jump. About flowers and what is blurred only: it takes time."""
 
 
 class SimArm:
@@ -224,18 +226,29 @@ class SimCamera:
         if self._still is None or not np.array_equal(self._still[0], pose):
             self._still = None
         base = shapes[0] if self._still is None else self._still[1]
-        reach = max(self._pixels(shape - base, base) for shape in shapes)
-        reach += max((self._pixels(way, base) for way in ways if way is not None), default=0.0)
+        reach = max(float(self._pixels(shape - base, base).max()) for shape in shapes)
+        reach += max((float(self._pixels(way, base).max()) for way in ways if way is not None), default=0.0)
         if self._still is None or reach > self._still[2]:
             reach = max(2 * reach, LEAST_REACH)
             self._still = (pose, base, reach, self.scene.moved(base).still(self._intrinsics, pose, reach))
         return self._still[3]
 
-    def _pixels(self, way: Array, vertices: Array) -> float:
-        """Return the longest of ways (Nv, 3) [m] of vertices (Nv, 3) in the image [px]."""
+    def _pixels(self, way: Array, vertices: Array) -> Array:
+        """Return how long ways (Nv, 3) [m] of vertices (Nv, 3) are in the image (Nv,) [px]."""
         T = self.pose()
         depth = np.maximum((vertices - T[:3, 3]) @ T[:3, 2], 0.1)
-        return float((self._intrinsics.fx * np.linalg.norm(way, axis=1) / depth).max())
+        return np.asarray(self._intrinsics.fx * np.linalg.norm(way, axis=1) / depth)
+
+    def _blurred(self, way: Array, vertices: Array) -> NDArray[np.bool_]:
+        """Return (H, W) where what moves visibly in an exposure may be, by ways (Nv, 3) of vertices (Nv, 3) [m]."""
+        moved = self._pixels(way, vertices)
+        fast = transform_points(inverse(self.pose()), vertices[moved > SEEN_BLUR])
+        column, row = np.rint(self._intrinsics.project(fast[fast[:, 2] > 0])).astype(int).T
+        mask = np.zeros((self._intrinsics.height, self._intrinsics.width), dtype=np.uint8)
+        inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
+        mask[row[inside], column[inside]] = 1
+        reach = round(LEAST_REACH + float(moved.max()))
+        return np.asarray(cv2.dilate(mask, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0)
 
     def _vertices(self, qpos: Array | None) -> Array:
         return self.cell.plant.posed_vertices(self.cell.segment_poses(qpos))
@@ -247,14 +260,15 @@ class SimCamera:
         before, after = max(sample - 1, 0), min(sample + 1, len(log.times) - 1)
         here = self._vertices(log.qpos[after])
         way = (here - self._vertices(log.qpos[before])) * self._exposure / (log.times[after] - log.times[before])
-        return way if self._pixels(way, here) > SEEN_BLUR else None
+        return way if self._pixels(way, here).max() > SEEN_BLUR else None
 
     def _frame(self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator, still: Still) -> Frame:
         pose, eye, here = self.pose(), self._intrinsics, self.scene.moved(vertices)
         image = here.render(eye, pose, still)
-        sharp = still._replace(image=image, changing=still.flowers if way is None else still.changing)
+        fine = still.flowers if way is None else still.flowers | (still.changing & self._blurred(way, vertices))
+        sharp = still._replace(image=image, changing=fine)
         shots = [
-            (here if way is None else self.scene.moved(vertices + share * way))
+            (here if way is None or share == 0 else self.scene.moved(vertices + share * way))
             .render(replace(eye, cx=eye.cx - across, cy=eye.cy - down), pose, sharp)
             .rgb
             for share, across, down in SHOTS
