@@ -46,6 +46,7 @@ from anther.execution import Params, Trial, execute
 from anther.execution.early_reach import early_reach
 from anther.files import read_json, write_json
 from anther.geometry import Array
+from anther.grasp import STAND_OFF
 from anther.plant import TOMATO
 from anther.runs import Run
 from anther.safety import GuardedCamera
@@ -187,7 +188,7 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
         "arm moves": bool(drift > 1e-3),
         "torn": not is_open and went_in and away > 0.03,
         "not open": not is_open and not (jammed or case.fault.kind == "kill -9"),
-        "not back": is_open and went_in and arm_obeys and away < Params().stand_off - 0.01,
+        "not back": is_open and went_in and arm_obeys and away < STAND_OFF - 0.01,
     }
     return ", ".join(name for name, bad in found.items() if bad)
 

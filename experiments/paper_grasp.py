@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
-from anther.grasp import Grasp, Params, Reach
+from anther.grasp import STAND_OFF, Grasp, Params, Reach
 from anther.grasp.candidates import directions_across, flange_pose
 from anther.skeleton import Skeleton
 from anther.stem import Stem
@@ -39,7 +39,7 @@ def paper_grasp(stem: Stem, skeleton: Skeleton, params: Params | None = None, re
     tangent = (high - low) / np.linalg.norm(high - low)
     branch_arc, branches = branch_directions(stem, skeleton, params.window)
     n = paper_approach(tangent, branches[_beside(branch_arc, start, end, margin=2 * params.window)])
-    back = transform(np.eye(3), [0, 0, -params.pregrasp_distance])
+    back = transform(np.eye(3), [0, 0, -STAND_OFF])
     for approach, up in ((n, tangent), (n, -tangent), (-n, tangent), (-n, -tangent)):
         pose = flange_pose(point, up, approach, params.gripper.depth)
         joints = None if reach is None else reach(pose @ back, pose)

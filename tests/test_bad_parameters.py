@@ -46,7 +46,7 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
         (grasp.Params, "leaf_size", 0.0), (_registration.Params, "neighbours", 0),
-        (_registration.Params, "match_distances", ()), (stem.Params, "window", 0.0), (stem.Params, "narrow", 1.0),
+        (_registration.Params, "match_distances", ()),
         (shake.Params, "seed", -1), (shake.Params, "most_amplitude", 0.0),
         (shake.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
         (response.Params, "near", 10_000), (masks.Params, "attach_distance", 10.0),

@@ -17,6 +17,7 @@ from anther.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
 from anther.errors import StageFailure
 from anther.execution import EARLY, PHASES, Params, execute
 from anther.execution.early_reach import early_reach
+from anther.grasp import STAND_OFF
 
 GRASP = horizontal_grasp(POINT, solve(horizontal_grasp(POINT, np.zeros(7)).T_world_flange))
 PARAMS = Params()
@@ -24,7 +25,7 @@ PARAMS = Params()
 
 def before_the_grasp(arm: FakeArm) -> float:
     """Return how far the arm is from where the straight way in begins [rad]."""
-    begin = SmallPlanner().line(GRASP.joints, GRASP.pregrasp(PARAMS.stand_off), PARAMS.approach_speed).positions[-1]
+    begin = SmallPlanner().line(GRASP.joints, GRASP.pregrasp(STAND_OFF), PARAMS.approach_speed).positions[-1]
     return float(np.abs(arm.joints() - begin).max())
 
 

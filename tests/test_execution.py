@@ -19,7 +19,7 @@ from anther.errors import InputError, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
 from anther.execution._closing import ENOUGH
 from anther.geometry import Array
-from anther.grasp import Grasp
+from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import alias, choose_rate
 from anther.swing import Swing
 
@@ -51,7 +51,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert seen == [(i, len(PHASES), name) for i, name in enumerate(PHASES)]
     assert gripper.commands == pytest.approx([Params().opening, 0.0085, 0.008, 0.0075, Params().opening])
     away = sawyer.forward(arm.joints())[:3, 3]
-    assert away == pytest.approx(GRASP.pregrasp(Params().stand_off)[:3, 3], abs=1e-4)
+    assert away == pytest.approx(GRASP.pregrasp(STAND_OFF)[:3, 3], abs=1e-4)
     assert len(trial.frames) == len(trial.frame_times) > 8
 
 

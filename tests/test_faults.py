@@ -23,6 +23,7 @@ from anther.devices import ArmSample, DeviceError
 from anther.errors import FailureKind, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
 from anther.files import read_json
+from anther.grasp import STAND_OFF
 from anther.runs import Run
 from anther.safety import GuardedArm
 from anther.sim.cell import Cell
@@ -68,7 +69,7 @@ def test_every_fault_ends_safely_on_record_and_the_next_trial_works(
     if jammed:
         assert away < 1e-3
     elif went_in and obeys:
-        assert away == pytest.approx(Params().stand_off, abs=2e-3)
+        assert away == pytest.approx(STAND_OFF, abs=2e-3)
     if failure is not None and fault.kind != "frames lost":
         assert arm.held >= 1
     again = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS)

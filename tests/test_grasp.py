@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
-from anther.grasp import STROKE_MARGIN, Grasp, Gripper, Params, _rank, load_grasps, plan_grasps, save_grasps
+from anther.grasp import STAND_OFF, STROKE_MARGIN, Grasp, Gripper, Params, _rank, load_grasps, plan_grasps, save_grasps
 from anther.grasp.candidates import candidates_along, directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
 from anther.grasp.clearance import FAR, KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
@@ -175,7 +175,7 @@ def test_asks_the_arm_lazily_and_keeps_its_joints():
 
     def reach(pregrasp, grasp):
         asked.append(grasp)
-        np.testing.assert_allclose(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]), Params().pregrasp_distance)
+        np.testing.assert_allclose(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]), STAND_OFF)
         return np.arange(7.0) if grasp[2, 3] > -0.1 else None
 
     grasps = plan_grasps(*make_plant(), Params(wanted=3), reach=reach)

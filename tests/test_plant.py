@@ -15,7 +15,7 @@ from anther.cloud import Cloud
 from anther.elastic_rod import natural_frequencies, simulate
 from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
-from anther.plant import PEPPER, TOMATO, Material, Params, PlantModel, build_plant
+from anther.plant import PEDICEL_PIECES, PEPPER, TOMATO, Material, Params, PlantModel, build_plant
 from anther.plant._shape import bar_radius, edge_radii, leaf_mass
 from anther.skeleton import Skeleton
 
@@ -126,7 +126,7 @@ def test_skeleton_nodes_keep_their_numbers_and_flowers_their_places() -> None:
     assert np.array_equal(plant.rods.nodes[: len(skeleton.nodes)], skeleton.nodes)
     assert plant.rods.nodes[plant.flower_nodes] == pytest.approx(flowers.positions, abs=1e-9)
     assert plant.branch_bases.tolist() == [25, 31, 37]
-    assert plant.is_pedicel.sum() == 3 * Params().pedicel_pieces
+    assert plant.is_pedicel.sum() == 3 * PEDICEL_PIECES
 
 
 def test_turning_the_plant_changes_nothing() -> None:

@@ -16,6 +16,7 @@ from anther.arm import sawyer
 from anther.devices import LEAD, ArmSample, DeviceError, Frame, Robot
 from anther.errors import InputError
 from anther.execution import PHASES, Line, Params, Step, Trial, execute
+from anther.grasp import STAND_OFF
 from anther.swing import Swing
 
 TONES = np.array([4.0, 6.0])
@@ -69,7 +70,7 @@ def check_end(trial: Trial, arm: FakeArm, gripper: FakeGripper) -> None:
     assert arm.held >= 1
     assert gripper.opening == Params().opening
     away = sawyer.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3]
-    assert np.linalg.norm(away) == pytest.approx(Params().stand_off, abs=4e-3)
+    assert np.linalg.norm(away) == pytest.approx(STAND_OFF, abs=4e-3)
 
 
 def test_the_pieces_follow_each_other_without_a_stop() -> None:

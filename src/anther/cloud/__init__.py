@@ -54,6 +54,7 @@ EDGE_SUPPORT = 5
 """Least number of pixels at its depth in that window: keeps a petiole one pixel wide, drops flying pixels."""
 EDGE_DEPTH = 0.003
 """How far the depth of a supporting pixel may differ at 0.5 m; it grows with z squared [m]."""
+LEAST_POINTS = 200  # with fewer there is no plant
 OBSTACLE_VOXEL = 0.01
 """Spacing of the obstacle points [m]."""
 
@@ -69,7 +70,6 @@ class Params:
         gap: parts closer than this to the rest belong to it [m].
         far_gap: large parts belong to the plant up to this distance [m] (a real plant's cloud has gaps of 5 cm).
         far_share: least share of the plant's points that such a large part has.
-        least_points: with fewer points there is no plant.
     """
 
     voxel: float = 0.0015
@@ -78,7 +78,6 @@ class Params:
     gap: float = 0.012
     far_gap: float = 0.05
     far_share: float = 0.002
-    least_points: int = 200
 
     def __post_init__(self) -> None:
         check_parameters(self)
@@ -304,10 +303,10 @@ def _background_cells(
 
 
 def _require(count: int, params: Params, what: str) -> None:
-    if count < params.least_points:
+    if count < LEAST_POINTS:
         raise StageFailure(
             "no_plant_found",
-            f"cloud: {count} {what}; at least {params.least_points} are needed. Check the masks, the depth images "
+            f"cloud: {count} {what}; at least {LEAST_POINTS} are needed. Check the masks, the depth images "
             "and the workspace.",
         )
 

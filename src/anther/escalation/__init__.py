@@ -50,7 +50,8 @@ PERIODS = 2.0
 PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
 """The probe is watched for so many periods of its slowest tone, at least so long [s]."""
 WORSE = 1.5
-"""A frame rate will do at which tones look no more than so many times as much alike as at the fastest."""
+"""A frame rate will do if tones look no more than so many times as much alike as at the fastest: few frames are soon
+followed."""
 PROBED = 0.7
 """Of the probe: the rms of its loads over that of the plan's shake; its peaks are about 1.3 times those."""
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
@@ -137,10 +138,7 @@ class Escalation:
         )
 
     def frame_rate(self, rates: Sequence[float]) -> float:
-        """Return the slowest of a camera's rates [1/s] that tells the tones apart about as well as the fastest does.
-
-        Fewer frames are followed sooner.
-        """
+        """Return the slowest of a camera's rates [1/s] that tells the tones apart about as well as the fastest does."""
         looks = [(self._watch(n), self._hertz[[n]]) for n in range(len(self._hertz))]
         looks.append((self._probe, np.unique(self._hertz)))
         best = [likeness(max(rates), *look) for look in looks]

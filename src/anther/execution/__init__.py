@@ -27,7 +27,7 @@ from anther.execution._closing import close, wait_after
 from anther.execution._params import Params
 from anther.execution._trial import EARLY, PHASES, Step, Trial
 from anther.geometry import Array
-from anther.grasp import Grasp
+from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
 from anther.swing import Swing, whole_shake
@@ -249,7 +249,7 @@ def _forward(work: _Work) -> None:
     if grasp.joints is None:
         raise StageFailure("unreachable", "the grasp has no arm joints. Plan it with the arm's reach.")
     with work.phase("open"):  # whatever cannot be done at this grasp is refused before anything moves to it
-        p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
+        p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(STAND_OFF), params.approach_speed)
         shake = JointTrajectory.standstill(grasp.joints, 1.0)
         if work.robot.motor is None:
             pieces = whole_shake(p.amplitude, p.frequency, p.duration)
@@ -371,7 +371,7 @@ def _back(work: _Work) -> None:
     with work.phase("release"):
         work.grips.append(work.robot.gripper.move(work.opening))
     with work.phase("retreat"):
-        back = work.plan.grasp.pregrasp(work.params.stand_off)
+        back = work.plan.grasp.pregrasp(STAND_OFF)
         work.follow(work.planner.line(work.robot.arm.joints(), back, work.params.approach_speed))
     work.in_plant = False
 

@@ -12,7 +12,6 @@ class Params:
     """How the plant is approached and held.
 
     Attributes:
-        stand_off: the straight approach begins this far back along the approach axis [m].
         approach_speed: on that line [m/s].
         step: closing goes on in such steps [m] until it presses as the plan asks.
         settle: wait between closing and shaking, in which touched leaves calm down [s],
@@ -22,7 +21,6 @@ class Params:
         rates: frame rates the side camera has [Hz] (D455).
     """
 
-    stand_off: float = 0.12
     approach_speed: float = 0.12
     step: float = 0.0005
     settle: float = 0.6
@@ -33,7 +31,6 @@ class Params:
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        check_range("stand_off", self.stand_off, 0.0, 0.5, "m")
         check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
         check_range("settle", self.settle, 0.01, 30.0, "s")
         check_range("calm", self.calm, 0.01, 30.0, "s")

@@ -10,7 +10,7 @@ from threading import Event
 from anther.devices import ArmRecord, ArmSample, DeviceError, Robot, SafetyLimits
 from anther.errors import StageFailure
 from anther.execution import Params, Planner
-from anther.grasp import Grasp
+from anther.grasp import STAND_OFF, Grasp
 from anther.safety import guard
 
 Arrive = Callable[[], ArmRecord]
@@ -42,7 +42,7 @@ def early_reach(
     try:
         if grasp.joints is None:
             raise StageFailure("unreachable", "the grasp has no arm joints.")
-        outward = planner.line(grasp.joints, grasp.pregrasp(params.stand_off), params.approach_speed)
+        outward = planner.line(grasp.joints, grasp.pregrasp(STAND_OFF), params.approach_speed)
         motion = planner.move(safe.arm.joints(), outward.positions[-1])
     except (StageFailure, DeviceError):  # the trial meets it again, and says so
         yield None

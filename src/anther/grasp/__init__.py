@@ -31,13 +31,14 @@ from anther.grasp.clearance import (
     surroundings_of,
 )
 from anther.grasp.confidence import place_confidence
-from anther.grasp.params import STROKE_MARGIN, Params
+from anther.grasp.params import STAND_OFF, STROKE_MARGIN, Params
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
 __all__ = [
-    "Grasp", "Gripper", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps", "save_grasps",
+    "STAND_OFF", "Grasp", "Gripper", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps",
+    "save_grasps",
 ]  # fmt: skip
 
 DEFAULTS = Params()
@@ -218,7 +219,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         candidates = candidates.only(few & (candidates.outward() > 0))
     around, poses = surroundings_of(stem, skeleton, cloud, leaf_size=params.leaf_size), candidates.T_world_flange
     openings = tuple(share * gripper.stroke for share in params.openings)
-    open_ = [(gripper.boxes(params.pregrasp_distance, o), gripper.closing(params.doubt, o)) for o in openings]
+    open_ = [(gripper.boxes(STAND_OFF, o), gripper.closing(params.doubt, o)) for o in openings]
     with ThreadPoolExecutor() as pool:
         met = Clearance.of(list(pool.map(lambda shape: clearance(poses, around, *shape, touch=params.touch), open_)))
     candidates = candidates.opened(openings)
@@ -300,7 +301,7 @@ def _first_reached(ranking: _Ranking, params: Params, reach: Reach | None) -> li
         grasp = _grasp(ranking, int(i))
         if reach is not None:
             asked += 1
-            joints = reach(grasp.pregrasp(params.pregrasp_distance), grasp.T_world_flange)
+            joints = reach(grasp.pregrasp(STAND_OFF), grasp.T_world_flange)
             if joints is None:
                 refused.add(pose)
                 continue

@@ -9,6 +9,8 @@ from anther.grasp.clearance import Gripper
 
 STROKE_MARGIN = 0.008
 """The stem must be thinner than the stroke by this [m]."""
+STAND_OFF = 0.12
+"""The straight way in begins this far back along the approach axis [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,6 @@ class Params:
             the pads bent stems that change direction at a node nearly twice as much (measured).
         window: how far along a branch the paper's rule takes its direction [m].
         base_margin, top_margin: stem left out at its ends [m]; each at most a quarter of the stem.
-        pregrasp_distance: length of the straight way in [m]: `execution.Params.stand_off`, where it begins.
         obstacle_clearance: least distance of gripper from pot, soil and bench [m].
         stem_clearance: least distance of the open fingers from the stem's surface [m].
         leaf_size: leaves are counted as pieces of this size [m].
@@ -53,7 +54,6 @@ class Params:
     window: float = 0.03
     base_margin: float = 0.065
     top_margin: float = 0.05
-    pregrasp_distance: float = 0.12
     obstacle_clearance: float = 0.015
     stem_clearance: float = 0.003
     leaf_size: float = 0.006
@@ -70,7 +70,6 @@ class Params:
         check_parameters(self)
         check_range("spacing", self.spacing, 1e-4, 1, "m")
         check_range("directions", self.directions, 1, 360)
-        check_range("pregrasp distance", self.pregrasp_distance, 0.01, 0.5, "m")
         check_range("wanted grasps", self.wanted, 1, 1000)
         for name in ("straight", "window", "leaf_size"):
             check_range(name, getattr(self, name), 1e-3, 0.5, "m")

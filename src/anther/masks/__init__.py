@@ -48,10 +48,7 @@ class Params:
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
         white_petals: whether petals may be white, as of most peppers, beside yellow. Of tomatoes they are not, and
             leaves that shine are then not taken for them.
-        petal_views: a petal cell is seen as petal from at least so many views.
-        flower_extent: greatest extent of a flower cluster (a truss) [m].
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
-        ground_margin: what lies less than this above the ground is ground [m].
         rim_height: a pot's rim stands at most this much above its soil [m].
         attach_distance: a part that is not green belongs to the plant if it comes this close to green ones [m].
     """
@@ -59,10 +56,7 @@ class Params:
     voxel: float = 0.005
     green: float = 0.10
     white_petals: bool = True
-    petal_views: int = 3
-    flower_extent: float = 0.12
     ground_radius: float = 0.035
-    ground_margin: float = 0.008
     rim_height: float = 0.05
     attach_distance: float = 0.012
 

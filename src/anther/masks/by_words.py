@@ -23,6 +23,8 @@ from anther.errors import InputError, StageFailure, bad_input
 from anther.masks import FLOWER, PLANT, Masks
 from anther.masks.weights import NETWORKS, Method, find_models, fingerprint
 
+LEAST_PIXELS = 200  # with fewer plant pixels in all views together there is no plant
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -34,7 +36,6 @@ class Params:
         flower: words whose objects become flower.
         score: least score of a find, 0..1. transformers' decoding has 0.25 for Grounding DINO, 0.3 for SAM 3.
         most: so many of the best finds in a view; bounds time and memory.
-        least_pixels: with fewer plant pixels in all views together there is no plant.
         batch: views at a time; None means 4 on a GPU, 1 on a CPU.
         device: auto takes the GPU when there is one.
     """
@@ -43,7 +44,6 @@ class Params:
     flower: tuple[str, ...] = ("flower.",)
     score: float = 0.25
     most: int = 64
-    least_pixels: int = 200
     batch: int | None = None
     device: Literal["auto", "cpu", "cuda"] = "auto"
 
@@ -109,11 +109,11 @@ def segment(
             with suppress(OSError):  # a capture on a read-only disk is segmented anew each time
                 masks.save(kept)
     found = int((masks.labels > 0).sum())
-    if found < params.least_pixels:
+    if found < LEAST_PIXELS:
         raise StageFailure(
             "no_plant_found",
             f"masks: {source} found {found} pixels of {' '.join((*params.plant, *params.flower))} in {capture.views} "
-            f"views; at least {params.least_pixels} are needed. Try other words or a score below {params.score:g}.",
+            f"views; at least {LEAST_PIXELS} are needed. Try other words or a score below {params.score:g}.",
         )
     return masks
 
@@ -162,9 +162,7 @@ def load_networks(method: Method, folders: Sequence[Path], params: Params) -> Ne
 
 def _key(rgb: NDArray[Any], folders: Sequence[Path], params: Params) -> str:
     """Return a name for the masks of these images by these weights with these parameters."""
-    settings = {
-        name: value for name, value in asdict(params).items() if name not in ("batch", "device", "least_pixels")
-    }
+    settings = {name: value for name, value in asdict(params).items() if name not in ("batch", "device")}
     digest = hashlib.blake2b(f"{settings} {rgb.shape} {fingerprint(folders)}".encode(), digest_size=8)
     digest.update(np.ascontiguousarray(rgb).data)
     return digest.hexdigest()

@@ -37,6 +37,12 @@ PETAL_COVER = 0.4
 FLOWER_DISTANCE = 0.02
 """A flower comes at least this close to green cells [m]."""
 
+FLOWER_EXTENT = 0.12
+"""Greatest extent of a flower cluster, a truss [m]."""
+
+SEEN_AS_PETAL = 3
+"""A petal cell is seen as petal from at least so many views."""
+
 BROWN_EXTENT = 0.08
 """Greatest second extent of a part that is not green [m]: stems and fruits are slender, walls are not."""
 
@@ -63,7 +69,7 @@ def _enough_petals(capture: Capture, grid: Grid, params: Params) -> tuple[float,
     centre = grid.lower + np.multiply(grid.shape, grid.voxel) / 2
     distance = float(np.median(np.linalg.norm(capture.T_world_cam[:, :3, 3] - centre, axis=1)))
     pixels = (grid.voxel * capture.intrinsics.fx / max(distance, grid.voxel)) ** 2
-    return PETAL_COVER * pixels, min(params.petal_views, capture.views)
+    return PETAL_COVER * pixels, min(SEEN_AS_PETAL, capture.views)
 
 
 def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: int) -> NDArray[np.uint8]:
@@ -88,7 +94,7 @@ def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: in
     petals = free & seen_often & (petal_votes >= PETAL_SHARE * total)
     leaves = _large_parts(grid_of(green & ~petals), LEAST_PART)
     flowers = _parts_near(
-        grid_of(petals), leaves, distance=FLOWER_DISTANCE, extent=params.flower_extent, axis=0,
+        grid_of(petals), leaves, distance=FLOWER_DISTANCE, extent=FLOWER_EXTENT, axis=0,
         voxel=params.voxel,
     )  # fmt: skip
     brown = _parts_near(

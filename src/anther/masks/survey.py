@@ -27,6 +27,7 @@ _THREADS = 2  # each votes in a grid of its own
 _MOST_BYTES = 2.5e9  # of the votes, the sums and masks of all cells together
 _COARSE = 3  # step of the pixels that the colours are learned from
 
+GROUND_MARGIN = 0.008  # what lies less than this above the ground is ground [m]
 BARE_GROUND_RADIUS = 0.06
 """`Params.ground_radius` for the soil without colour, when leaves could be mistaken for it [m]."""
 
@@ -57,7 +58,7 @@ class Survey:
 
     def foot(self, plant: NDArray[np.bool_], params: Params) -> NDArray[np.bool_]:
         """Return the ground cells (X, Y, Z) that hold the foot of a stem of `plant` (X, Y, Z)."""
-        return foot_cells(plant, self.below, params.voxel, params.ground_margin)
+        return foot_cells(plant, self.below, params.voxel, GROUND_MARGIN)
 
 
 def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
@@ -135,7 +136,7 @@ def _ground(
         params.voxel,
         radius=params.ground_radius,
         sure_radius=sure_radius,
-        margin=params.ground_margin,
+        margin=GROUND_MARGIN,
         rim_height=params.rim_height,
         rings=rings,
     )

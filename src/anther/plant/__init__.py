@@ -30,6 +30,7 @@ __all__ = [
 ]  # fmt: skip
 
 SCHEMA = 3
+PEDICEL_PIECES = 3  # edges per pedicel
 LEAF_VOXEL = 0.006
 """Size of the cubes that count leaf area [m]."""
 BLADE_STIFFNESS = 10.0
@@ -52,7 +53,6 @@ class Params:
         pedicel_youngs: [Pa] (facts: 50-100 MPa gives the 23-33 Hz at which tomato flowers answer stem shaking best).
         pedicel_spread: standard deviation of ln of the pedicel's stiffness, ln 2 / sqrt 12 for that range [-].
         peduncle_radius: of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R]).
-        pedicel_pieces: edges per pedicel.
         margin: least ratio of Young's modulus to the value at which the plant buckles [-].
         stiffen: raise Young's modulus to that margin, with a note, since the plant evidently stands; False refuses.
     """
@@ -67,7 +67,6 @@ class Params:
     pedicel_youngs: float = 70e6
     pedicel_spread: float = 0.2
     peduncle_radius: float = 1.25e-3
-    pedicel_pieces: int = 3
     margin: float = 1.5
     stiffen: bool = True
 
@@ -83,7 +82,6 @@ class Params:
         check_range("pedicel_youngs", self.pedicel_youngs, 1e5, 1e11, "Pa")
         check_range("pedicel_spread", self.pedicel_spread, 0, 3)
         check_range("peduncle_radius", self.peduncle_radius, 1e-5, 0.02, "m")
-        check_range("pedicel_pieces", self.pedicel_pieces, 1, 50)
         check_range("margin", self.margin, 1, 100)
 
 
@@ -283,7 +281,7 @@ def _rods(
         length=params.pedicel_length,
         radius=params.pedicel_radius,
         peduncle_radius=params.peduncle_radius,
-        pieces=params.pedicel_pieces,
+        pieces=PEDICEL_PIECES,
     )
     new = len(stalks.nodes)
     mass = np.zeros(len(radius) + new)

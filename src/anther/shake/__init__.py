@@ -1,4 +1,4 @@
-"""Vibration: which grasp to hold, and in which direction, how fast and how far to shake it (P24).
+"""The shake: which grasp to hold, and in which direction, how fast and how far to shake it (P24).
 
 F flowers, G grip heights, Q frequencies, D directions, M scenarios.
 """

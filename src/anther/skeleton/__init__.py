@@ -37,6 +37,12 @@ _FINEST = 700  # a cloud of many points is thinned to one per cube of plant size
 _MOST_VOXELS = 1500  # along the plant: with more, filled hollows take gigabytes
 _REACH, _FLAT = 6.0, 0.5  # surroundings looked at [voxels], and the planarity that counts as a blade
 _SURE = 0.75  # a root that is less likely is said
+_SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
+_SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
+"""Side branches shorter than the first times the half width of the organ they leave, or than the second [voxels], are
+pruned."""
+_VEIN = 2.5  # side branches that leave on a blade go if they hold less stem or petiole than this [voxels]
+_SMALLEST_RADIUS = 1e-4  # no radius is reported smaller [m]
 _SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
 _FATTENING = 0.5
 """How much farther than the radius the surface of a round organ lies from its axis in a fused cloud [pixels]: what the
@@ -56,17 +62,12 @@ class Params:
         resolution: voxels along the plant's size when `voxel` is None.
         close: gaps of up to so many voxels are closed.
         hollow: stems hollow in the scan are filled up to this diameter (relative).
-        speck: fragments shorter than this are dropped (relative).
         bridge: gaps up to this are bridged (relative; 5 cm on a 0.6 m robot plant is 0.08).
         geodesic: what these paths prefer.
-        vein: side branches that leave on a blade go if they hold less stem or petiole than this [voxels].
-        spur_per_width: side branches shorter than this times the half width of the organ they leave are pruned.
-        spur: side branches shorter than this are pruned [voxels].
         spacing: distance between nodes [m]; None: plant size / 110 (6 mm on a 0.65 m plant).
         recentre: rounds of sub-voxel centring; 0 keeps the coarse tree's steps.
         fattening: how much thicker the sensor makes organs [m of radius], taken off the radii; None: half a pixel
             of the cloud's footprint, 0 for a cloud without one.
-        smallest_radius: no radius is reported smaller [m].
     """
 
     root: tuple[float, float, float] | None = None
@@ -75,16 +76,11 @@ class Params:
     resolution: float = 350.0
     close: int = 2
     hollow: float = 0.06
-    speck: float = 0.02
     bridge: float = 0.15
     geodesic: geodesics.Params = field(default_factory=geodesics.Params)
-    vein: float = 2.5
-    spur_per_width: float = 2.5
-    spur: float = 6.0
     spacing: float | None = None
     recentre: int = 2
     fattening: float | None = None
-    smallest_radius: float = 1e-4
 
     def __post_init__(self) -> None:
         check_parameters(self, places=("root",))
@@ -96,7 +92,6 @@ class Params:
         check_range("spacing", 0.005 if self.spacing is None else self.spacing, 1e-4, 1, "m")
         check_range("recentre", self.recentre, 0, 20)
         check_range("fattening", self.fattening or 0, 0, 0.1, "m")
-        check_range("smallest radius", self.smallest_radius, 1e-6, 0.1, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,7 +229,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
     surface = points[:: -(-len(points) // _ENOUGH_POINTS)]
-    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening, smallest=params.smallest_radius)
+    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening, smallest=_SMALLEST_RADIUS)
     hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
     if hidden > 0:
         curves = extended(curves, hidden, spacing)
@@ -321,7 +316,7 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
 def _paths(voxels: Voxels, source: int, size: float, params: Params) -> tuple[RawTree, LevelSets]:
     """Return the tree of shortest paths to a voxel, and its level sets."""
     levels = level_sets(voxels, source)
-    tree = geodesic_tree(voxels, source, levels, params.geodesic, params.spur * voxels.voxel)
+    tree = geodesic_tree(voxels, source, levels, params.geodesic, _SPUR * voxels.voxel)
     return _not_trivial(tree, size, params), levels
 
 
@@ -338,14 +333,14 @@ def _parted(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:
     """Return the tree without paths side by side and the shortest spurs; a stem's foot may look like a longer one."""
     tree = parted(tree, stem_gain(tree))
     tree = with_extents(tree.nodes, tree.parent, voxels)
-    return without_spurs(tree, per_width=0, at_least=params.spur * voxels.voxel)
+    return without_spurs(tree, per_width=0, at_least=_SPUR * voxels.voxel)
 
 
 def _pruned(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:
     """Return the tree without what is not an organ: paths side by side, spurs, veins."""
     tree = _parted(tree, voxels, params)
-    tree = without_spurs(tree, per_width=params.spur_per_width, at_least=0)
-    return without_veins(tree, params.vein * voxels.voxel)
+    tree = without_spurs(tree, per_width=_SPUR_PER_WIDTH, at_least=0)
+    return without_veins(tree, _VEIN * voxels.voxel)
 
 
 def _not_trivial(tree: RawTree, size: float, params: Params) -> RawTree:
@@ -362,7 +357,7 @@ def _connected(solid: VoxelSolid, size: float, params: Params) -> tuple[Voxels, 
     """Return the voxels that can be joined into one piece, and notes."""
     points, edges = solid.points, neighbour_edges(solid)
     label = components(len(points), edges)
-    kept = without_specks(points, label, params.speck * size)
+    kept = without_specks(points, label, _SPECK * size)
     label = np.where(kept, label, -1)
     links = bridges(points, label, params.bridge * size)
     joined = np.isin(label, np.concatenate([[0], label[links[:, 1]]]))

@@ -16,8 +16,8 @@ from anther.geometry import Array
 from anther.skeleton import Skeleton, nearest_node
 from anther.skeleton.raw_tree import chains, edge_lengths
 from anther.stem.confidence import doubt, rise_share, second_stem, stem_confidence
-from anther.stem.main_axis import fork_at, growth_end, path_score
-from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS, classify, longest_way, stem_breadth
+from anther.stem.main_axis import SHORTEST, fork_at, growth_end, path_score
+from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, SPUR, STEM, TRUSS, classify, longest_way, stem_breadth
 from anther.stem.params import Params
 
 __all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
@@ -123,10 +123,10 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
         node_ids = path = skeleton.path_from_root(nearest_node("the main stem's tip", params.tip, skeleton.nodes))
     nodes = skeleton.nodes[node_ids]
     arc_length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
-    _plausible(nodes, arc_length, size, params)
+    _plausible(nodes, arc_length, size)
     flowers_at = np.zeros((0, 3)) if flowers_at is None else flowers_at
-    organ = classify(skeleton, node_ids, flowers_at, params)
-    attachments = _attachments(skeleton, node_ids, organ, params)
+    organ = classify(skeleton, node_ids, flowers_at)
+    attachments = _attachments(skeleton, node_ids, organ)
     forked = [fork_at(skeleton, path, organ, int(i), params) for i in attachments]
     fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
     confidence = stem_confidence(skeleton, node_ids)
@@ -145,22 +145,22 @@ def _low(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
     return (f"main stem: it rises only {share * height:.0f} mm of the plant's {height:.0f} mm; is the root right?",)
 
 
-def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any], params: Params) -> NDArray[Any]:
+def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any]) -> NDArray[Any]:
     """Return the positions within the stem where more than a spur leaves it."""
     way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
-    long = way > params.spur * stem_breadth(skeleton, node_ids)
+    long = way > SPUR * stem_breadth(skeleton, node_ids)
     leaves = (organ[1:] != STEM) & (organ[skeleton.parent[1:]] == STEM) & ((organ[1:] != LEAF) | long[1:])
     return np.flatnonzero(np.isin(node_ids, skeleton.parent[1:][leaves]))
 
 
-def _plausible(nodes: Array, arc_length: Array, size: float, params: Params) -> None:
+def _plausible(nodes: Array, arc_length: Array, size: float) -> None:
     rise = nodes[:, 2].max() - nodes[0, 2]
     if not 0.005 <= size <= 20:
         problem = f"the plant measures {size:g} m (allowed: 0.005 to 20 m). Wrong units?"
-    elif arc_length[-1] < params.shortest * size:
+    elif arc_length[-1] < SHORTEST * size:
         problem = (
             f"the best candidate is {arc_length[-1] * 1e3:.1f} mm long on a plant of {size * 1e3:.0f} mm "
-            f"(allowed: {params.shortest:g} of the plant or more). Is the stem in view?"
+            f"(allowed: {SHORTEST:g} of the plant or more). Is the stem in view?"
         )
     elif rise < 0.2 * arc_length[-1]:
         problem = (

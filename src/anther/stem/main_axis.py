@@ -11,9 +11,20 @@ from scipy.spatial import KDTree
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import edge_lengths, path_gain
-from anther.stem.organs import BRANCH, longest_way, stem_breadth
+from anther.stem.organs import BRANCH, PLANAR_BLADE, SPUR, longest_way, stem_breadth
 from anther.stem.params import Params
 
+SHORTEST = 0.05
+"""A shorter stem is not believed (share of the plant's size)."""
+_WINDOW = 0.06  # length over which a step is judged (share of the plant's size)
+_BROADEST = 1.5
+"""A step broader than the narrowest below it by this factor, and than most below it, is none of a stem, which does not
+broaden upward; a leaf does after the neck at its base. Below the last limb it must be planar as well: leaves touch."""
+_THINNEST = 0.35  # nor is one thinner than this share of the median radius so far
+_DOUBT = 2.0  # how much a length that is not stem-like counts against one that is
+_LEAFLET = 0.2
+"""A side line shorter than this, relative to the longest limb, is a leaflet (labelled plants, see
+docs/reports/real_plants.md: from 0.2 to 0.45 ever fewer stems end in a leaf, but simulated ones shorten)."""
 _TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
 _LONGER = 1.5  # internodes shorten upward; the youngest leaf of a grass, rolled, looks like a long one
 _FORKED = 2  # so many limbs show that a stem goes on; one line beside the path can be the blade's own
@@ -76,7 +87,7 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     """Return how many nodes of the path belong to the stem (P11).
 
     A step is stem-like unless it turns from the growth axis (root to here), thins, or is a blade: planar, and broader
-    than the stem below. The stem ends where the length that is stem-like, less `doubt` times the length that is not, is
+    than the stem below. The stem ends where the length that is stem-like, less `_DOUBT` times the rest, is
     largest: a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
 
     A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: if any of it
@@ -87,17 +98,17 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0], np.cumsum(length)])
-    straight, slim, solid = _stem_like(skeleton, path, arc, params.window * size, params)
-    gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -params.doubt))
+    straight, slim, solid = _stem_like(skeleton, path, arc, _WINDOW * size, params.turn)
+    gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -_DOUBT))
     end = int(np.argmax(gain)) + 2
-    limbs, further, longest = _limbs(skeleton, path, end, params)
+    limbs, further, longest = _limbs(skeleton, path, end)
     last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
-    believed = last > 0 and arc[last] >= params.shortest * size and bare <= longest and further < _FORKED
+    believed = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < _FORKED
     stem_like = (straight & slim)[last:].all() and bare <= _LONGER * np.diff(arc[limbs]).max(initial=0)
     return last + 1 if believed and not stem_like else end
 
 
-def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> tuple[NDArray[np.int64], int, float]:
+def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np.int64], int, float]:
     """Return 0 and which of the first `end` positions of the path a limb leaves; how many leave it further on; and the
     longest limb of those first ones [m].
 
@@ -105,15 +116,15 @@ def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int, params: Params) -> 
     """
     way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
     way[path] = 0
-    side = np.isin(skeleton.parent, path[1:]) & (way > params.spur * stem_breadth(skeleton, path[:end]))
+    side = np.isin(skeleton.parent, path[1:]) & (way > SPUR * stem_breadth(skeleton, path[:end]))
     at, way = np.searchsorted(path, skeleton.parent[side]), way[side]  # a child's number is larger than its parent's
     longest = float(way[at < end].max(initial=0))
-    limbs = at[way > params.leaflet * longest]
+    limbs = at[way > _LEAFLET * longest]
     return np.union1d(0, limbs[limbs < end]), int(np.sum(limbs >= end)), longest
 
 
 def _stem_like(
-    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, params: Params
+    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, most_turn: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return for each step of the path, over the window ahead of it, (S - 1,) each: whether it keeps the growth axis
     and is not thin; whether it is not broader than the stem below; whether its surroundings are not a plane."""
@@ -126,12 +137,12 @@ def _stem_like(
     narrowest = np.minimum.accumulate(breadth)
     straight, slim, solid = np.ones((3, len(path) - 1), dtype=bool)
     for i in np.flatnonzero(arc[:-1] >= window):
-        turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > params.turn
-        thin = np.median(radius[coming[i]]) < params.thinnest * np.median(radius[: i + 1])
+        turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > most_turn
+        thin = np.median(radius[coming[i]]) < _THINNEST * np.median(radius[: i + 1])
         straight[i] = not (turned or thin)
-        slim[i] = breadth[i] <= max(params.broadest * narrowest[i], np.median(width[: i + 1]))
+        slim[i] = breadth[i] <= max(_BROADEST * narrowest[i], np.median(width[: i + 1]))
         round_ = breadth[i] <= _ROUND * np.median(radius[coming[i]])  # the wall of a thick trunk is a plane, and round
-        solid[i] = round_ or np.median(flatness[coming[i]]) < params.planar_blade
+        solid[i] = round_ or np.median(flatness[coming[i]]) < PLANAR_BLADE
     return straight, slim, solid
 
 

@@ -21,29 +21,42 @@ from scipy.spatial import KDTree
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import chains, edge_lengths
-from anther.stem.params import Params
 
 STEM, BRANCH, TRUSS, LEAF = range(4)
 ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 """A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
 
+PLANAR_BLADE, _PLANAR_DOUBT = 0.68, 0.25
+"""Where the skeleton's flatness (planarity of the surroundings) is the first, blade is as likely as axis; where it is
+less by the second there is no doubt (both read off the development plants)."""
+_FLAT_BLADE = 1.5
+"""Without that, a section flatter than the main stem's by this factor is as likely blade; how flat a round stem looks
+tells what noise and one-sided views do to sections."""
+_NARROW = 4.0  # a section as broad as the main stem tells nothing, one narrower by this factor leaves no doubt
+_STUB = 2.5  # an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width
+SPUR = 3.0  # a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width
+_TRUSS_BREADTH = 4.0  # only a node not broader than this times the stem bears flowers: pedicels broaden a truss
+_FLOWER_REACH = 0.03
+"""And only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts: pollination), a few millimetres
+of flower, and half the distance between nodes."""
+_LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it has leaf, at so much length each [m]
 
-def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array, params: Params) -> NDArray[np.uint8]:
+
+def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
     """Return (J,) the organ of every node.
 
     Args:
         skeleton: the tree; without widths no leaf can be told from a branch.
         main: nodes of the main stem.
         flowers_at: (F, 3) centres of flowers [m]; F may be 0.
-        params: what is slender, and how far a flower reaches.
     """
     breadth = _relative_breadth(skeleton, main)
-    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < params.truss_breadth, params.flower_reach)
-    axis = _axes(skeleton, main, breadth, params)
+    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, _FLOWER_REACH)
+    axis = _axes(skeleton, main, breadth)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    is_truss = _sum_below(skeleton.parent, params.leaf_per_flower * bears - length * ((organ == LEAF) & ~beside)) > 0
+    is_truss = _sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
     is_truss &= _sum_below(skeleton.parent, bears) > 0
     is_bare = (organ == BRANCH) & (_sum_below(skeleton.parent, organ == LEAF) == 0)
     is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
@@ -82,7 +95,7 @@ def _flower_bearers(
     return bears, beside
 
 
-def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, params: Params) -> NDArray[np.bool_]:
+def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.bool_]:
     """Return (J,) which nodes lie on an axis: the rooted part of the tree with the most evidence of being slender.
 
     Every edge gives its length times a number from -1 (blade) to 1 (axis), the sum of two: the logarithm of how much
@@ -92,14 +105,14 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array, params: Params
     if skeleton.width is None:
         return np.ones(len(breadth), dtype=bool)
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    narrow = -np.log(breadth) / np.log(params.narrow)
-    gain = length * np.clip(narrow + _roundness(skeleton, main, params), -1, 1)
+    narrow = -np.log(breadth) / np.log(_NARROW)
+    gain = length * np.clip(narrow + _roundness(skeleton, main), -1, 1)
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):
         gain[skeleton.parent[j]] += max(gain[j], 0)
     for j in range(1, len(gain)):
         axis[j] |= axis[skeleton.parent[j]] and gain[j] > 0
-    axis[_stubs(skeleton.parent, length, axis, params.stub * stem_breadth(skeleton, main))] = False
+    axis[_stubs(skeleton.parent, length, axis, _STUB * stem_breadth(skeleton, main))] = False
     axis[main] = True
     return axis
 
@@ -113,13 +126,13 @@ def _stubs(parent: NDArray[Any], length: Array, axis: NDArray[np.bool_], least: 
     return np.concatenate([np.zeros(0, dtype=np.int64), *(j for j in limbs if length[j][axis[j]].sum() < least)])
 
 
-def _roundness(skeleton: Skeleton, main: NDArray[Any], params: Params) -> Array:
+def _roundness(skeleton: Skeleton, main: NDArray[Any]) -> Array:
     """Return (J,) evidence against a blade: by the planarity of the surroundings, else by the section's flatness."""
     if skeleton.flatness is not None:
-        return (params.planar_blade - skeleton.flatness) / params.planar_doubt
+        return (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT
     assert skeleton.width is not None
     flatness = skeleton.width / skeleton.radius
-    return np.log(params.flat_blade * np.median(flatness[main]) / flatness)
+    return np.log(_FLAT_BLADE * np.median(flatness[main]) / flatness)
 
 
 def _limbs_named(
