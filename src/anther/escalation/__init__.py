@@ -50,14 +50,13 @@ PERIODS = 2.0
 PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
 """The probe is watched for so many periods of its slowest tone, at least so long [s]."""
 WORSE = 1.5
-"""A frame rate will do if tones look no more than so many times as much alike as at the fastest: few frames are soon
-followed."""
+"""A frame rate will do if tones look no more than so many times as much alike as at the fastest."""
 PROBED = 0.45
-"""Of the probe: the rms of its loads over that of the plan's shake; its peaks are about 1.3 times those. With 0.7 what
-pedicels may bear was passed in the probes of 14 of 31 shakes, by up to 1.9 times, as was seen then (development)."""
-FIRST = 1 / 3
-"""The first step goes this share of the way, in logarithms, from what the model allows to what the probes promise: a
-promise was up to 1.8 times too large."""
+"""Of the probe: the rms of its loads over that of the plan's shake. With 0.7 the probes of 14 of 31 development shakes
+passed what pedicels may bear, by up to 1.9 times."""
+BEGINS, FIRST = 0.6, 1 / 3
+"""Another tone begins at this share of what the model allows, and where a flower was seen this share of the way, in
+logarithms, from there to what the probes promise: of many tones the one that promises most was up to twice too bold."""
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
 LASTING = (OUT_OF_SIGHT, NO_TIME)
 """What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
@@ -276,14 +275,11 @@ class Escalation:
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
             answer = summed([along[tone] for along in self._answers], tones.parts(int(line)))
             self._learned(shake, self._known(shake, answer))
-        if len(self._hertz) == 1:
-            return self._decided(look, 0)
-        return self._turned_to(self._best(), {})
+        return self._decided(look, 0) if len(self._hertz) == 1 else self._turned_to(self._best(), {})
 
     def _best(self) -> int:
         """Return the shake that may move the flowers most."""
-        may, target = self._may, self.params.target
-        return max(may, key=lambda n: (min(may[n].flowers, target), may[n].flowers))
+        return max(self._may, key=lambda n: (min(self._may[n].flowers, self.params.target), self._may[n].flowers))
 
     def _loses(self, look: Look) -> bool:
         """Return whether a flower is no longer followed: it may swing too far for that."""
@@ -328,10 +324,10 @@ class Escalation:
 
     def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
         most, tones, planned = self._may[shake], self.plan.tones, float(self._planned[shake])
+        planned *= BEGINS
         self._sure, self._doubted = planned, False
-        first = min(planned * (most.amplitude / planned) ** FIRST, self.params.raised * planned)
-        begin = max(planned, first * self._told[shake].seen.any(), self.params.raised * done.get(shake, 0.0))
-        begin = min(begin, max(planned, self._adding(shake)))
+        first = planned * min((most.amplitude / planned) ** FIRST, self.params.raised) * self._told[shake].seen.any()
+        begin = min(max(planned, first, self.params.raised * done.get(shake, 0.0)), max(planned, self._adding(shake)))
         turned = np.degrees(np.arccos(min(abs(float(tones.directions[self._line[shake]] @ tones.directions[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
