@@ -27,6 +27,7 @@ from anther.escalation.known import (
     known,
     lateness,
     limits_of,
+    settled,
     summed,
 )
 from anther.escalation.params import Params
@@ -241,7 +242,9 @@ class Escalation:
             expected = np.stack(
                 [c * self._told[int(n)].picture for c, n in zip(commanded, active, strict=True)], axis=1
             )
-        return Look(self._tone[active], direction, commanded, gripper, swings(self._sight, frames, tones, expected))
+        seen = swings(self._sight, frames, tones, expected)
+        seen = settled(seen, float(tones[0])) if len(tones) == 1 else seen
+        return Look(self._tone[active], direction, commanded, gripper, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
         return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)

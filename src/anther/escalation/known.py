@@ -63,6 +63,12 @@ MISTAKEN = 4.0
 """Nor when a flower seems to swing exp(4 `FLOWER_SPREAD`), 13, times as far as the members say of it while the others
 do not: something else was followed."""
 
+DAMPING = 0.03
+"""Damping ratio by which a swing that still grows goes on growing: branching alone dissipates 0.028 (facts: pollination
+5); the more lightly damped a plant is, the longer it grows."""
+MOST_GROWTH = 3.0
+"""A swing settles at no more than so many times what was seen."""
+
 LATE = np.arange(-0.005, 0.0451, 0.0025)
 """By how much a camera's clock may be late on the robot's [s]; what fits best is taken."""
 
@@ -129,6 +135,17 @@ class Answer(NamedTuple):
     flowers: ComplexArray
     std: Array
     axes: Array
+
+
+def settled(swings: Swings, hertz: float) -> Swings:
+    """Return the swings of one tone [Hz] as they will be once they no longer grow; of what dies out, as they are.
+
+    After a change of the shake a mode nears its new swing as exp(-`DAMPING` omega t): where it is, and how fast it
+    changes, say where it ends.
+    """
+    ends = 1 + swings.growing / (2 * np.pi * hertz * DAMPING)
+    times = float(np.clip(ends, 1.0, MOST_GROWTH))
+    return swings._replace(phasors=times * swings.phasors, std=times * swings.std)
 
 
 def gripper_motion(samples: Sequence[ArmSample], middle: Callable[[Array], Array], tones: Array) -> ComplexArray:

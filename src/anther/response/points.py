@@ -42,6 +42,8 @@ SLOW = 4
 """Legendre polynomials beside the tones: wind, and swings that die out."""
 SPARE = 5
 """So many more frames than numbers that are fitted to them."""
+GROWS = 2.0
+"""Growth counts from so many of its standard deviations on."""
 LEAST_SHARE = 0.6
 """Of the frames in which a point must be followed."""
 LEAST_ERROR = 0.03
@@ -81,11 +83,14 @@ class Swings(NamedTuple):
             depth was not read.
         std: (P, 3) standard deviation of either part of any of them [m].
         axes: (P, 3, 3) of `Sight`.
+        growing: by which share of itself the swing of all flowers grows in a second, in the middle of the frames [1/s];
+            0 where that is not told from none, or there are several tones.
     """
 
     phasors: ComplexArray
     std: Array
     axes: Array
+    growing: float = 0.0
 
 
 def sight(
@@ -129,7 +134,7 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
     std, times = np.full((len(at.pixels), 3), np.nan), np.array([f.time for f in frames])
     if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
         return Swings(phasors, std, at.axes)
-    basis = _basis(times, tones)
+    basis, growth = _basis(times, tones), _Growth(times, tones)
     with ThreadPoolExecutor() as pool:  # OpenCV lets go of Python's lock
         gains = list(pool.map(_gain, frames))
         pictures = pool.map(_picture, frames, gains)
@@ -145,9 +150,36 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         away = _away(at, int(point), frames, path, basis, guess) if flower and across is not None else None
         if across is not None:
             phasors[point, :, :2], std[point, :2] = scale * _phasors(across, len(tones)), scale * across.std
+            if flower and len(tones) == 1:
+                growth.add(path, basis, scale)
         if away is not None:
             phasors[point, :, 2:], std[point, 2] = _phasors(away, len(tones)), away.std
-    return Swings(phasors, std, at.axes)
+    return Swings(phasors, std, at.axes, growth.rate())
+
+
+class _Growth:
+    """How flowers' swings of one tone grow, all by the same share: those that swing furthest tell it."""
+
+    def __init__(self, times: Array, tones: Array) -> None:
+        self._since = times - times.mean()
+        self._top = self._bottom = self._variance = 0.0
+
+    def add(self, path: Array, basis: Array, scale: float) -> None:
+        """Count a flower's path (T, 2) [px]."""
+        used = np.isfinite(path).all(axis=1)
+        both = np.column_stack([basis[:, :2] * self._since[:, None], basis])[used]
+        if used.sum() < both.shape[1] + 4:
+            return
+        parts, inverse_gram = _solved(both, scale * path[used])
+        noise = np.sum((scale * path[used] - both @ parts) ** 2) / (2 * (used.sum() - both.shape[1]))
+        self._top += float(np.sum(parts[:2] * parts[2:4]))
+        self._bottom += float(np.sum(parts[2:4] ** 2))
+        self._variance += float(noise * np.sum((parts[2:4] ** 2).T @ inverse_gram.diagonal()[:2]))
+
+    def rate(self) -> float:
+        """Return it [1/s]."""
+        sure = abs(self._top) > GROWS * np.sqrt(self._variance)
+        return self._top / self._bottom if sure and self._bottom > 0 else 0.0
 
 
 def likeness(rate: float, seconds: float, tones: Array) -> float:
