@@ -52,11 +52,11 @@ PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
 """The probe is watched for so many periods of its slowest tone, at least so long [s]."""
 WORSE = 1.5
 """A frame rate will do if tones look no more than so many times as much alike as at the fastest."""
-PROBED = 0.45
+PROBED = 0.55
 """Of the probe: the rms of its loads over that of the plan's shake. With 0.7 the probes of 14 of 31 development shakes
 passed what pedicels may bear, by up to 1.9 times."""
 BEGINS, FIRST = 0.6, 1 / 3
-"""Another tone begins at this share of what the model allows, and where a flower was seen this share of the way, in
+"""A tone at which no flower was seen begins at this share of what the model allows, another this share of the way, in
 logarithms, from there to what the probes promise: of many tones the one that promises most was up to twice too bold."""
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
 LASTING = (OUT_OF_SIGHT, NO_TIME)
@@ -242,8 +242,7 @@ class Escalation:
             expected = np.stack(
                 [c * self._told[int(n)].picture for c, n in zip(commanded, active, strict=True)], axis=1
             )
-        seen = swings(self._sight, frames, tones, expected)
-        seen = settled(seen, float(tones[0])) if len(tones) == 1 else seen
+        seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
         return Look(self._tone[active], direction, commanded, gripper, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
@@ -326,11 +325,11 @@ class Escalation:
         return self._only(shake, amplitude, self._watch(shake), words)
 
     def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
-        most, tones, planned = self._may[shake], self.plan.tones, float(self._planned[shake])
-        planned *= BEGINS
-        self._sure, self._doubted = planned, False
-        first = planned * min((most.amplitude / planned) ** FIRST, self.params.raised) * self._told[shake].seen.any()
-        begin = min(max(planned, first, self.params.raised * done.get(shake, 0.0)), max(planned, self._adding(shake)))
+        most, tones, seen = self._may[shake], self.plan.tones, bool(self._told[shake].seen.any())
+        least = float(self._planned[shake]) * (1 if seen else BEGINS)
+        self._sure, self._doubted = least, False
+        first = least * min((most.amplitude / least) ** (FIRST * seen), self.params.raised)
+        begin = min(max(least, first, self.params.raised * done.get(shake, 0.0)), max(least, self._adding(shake)))
         turned = np.degrees(np.arccos(min(abs(float(tones.directions[self._line[shake]] @ tones.directions[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"

@@ -138,7 +138,7 @@ class Answer(NamedTuple):
 
 
 def settled(swings: Swings, hertz: float) -> Swings:
-    """Return the swings of one tone [Hz] as they will be once they no longer grow; of what dies out, as they are.
+    """Return the swings of a tone [Hz] as they will be once they no longer grow; of what dies out, as they are.
 
     After a change of the shake a mode nears its new swing as exp(-`DAMPING` omega t): where it is, and how fast it
     changes, say where it ends.
