@@ -16,9 +16,9 @@ from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
-from anther.escalation.known import SEEN_ERROR, WATCHED, limits_of
+from anther.escalation.known import DAMPING, MOST_GROWTH, SEEN_ERROR, WATCHED, limits_of, settled
 from anther.execution import Params as ExecutionParams
-from anther.response.points import likeness
+from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
 from anther.shake import PlantLimits
 from anther.shake.observables import semi_major
@@ -129,6 +129,15 @@ def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
         held = world.pieces[-2]
         assert held.seconds - held.ramp >= world.params.hold
         assert "the target" in watched.steps[-2].decided
+
+
+def test_a_swing_counts_as_what_it_grows_to_and_as_it_is_where_it_dies_out() -> None:
+    rate = 2 * np.pi * 17.0 * DAMPING
+    seen = Swings(np.full((2, 1, 3), 1.0 - 2.0j), np.full((2, 3), 0.1), np.tile(np.eye(3), (2, 1, 1)))
+    for share, times in ((0.0, 1.0), (0.5, 1.5), (-0.5, 1.0), (9.0, MOST_GROWTH)):
+        found = settled(seen._replace(growing=share * rate), 17.0)
+        assert found.phasors == pytest.approx(times * seen.phasors)
+        assert found.std == pytest.approx(times * seen.std)
 
 
 def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(shaken: Shaken) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics
-from anther.response.points import Sight, Swings, likeness, sight, swings
+from anther.response.points import Sight, Swings, _basis, _Growth, likeness, sight, swings
 from anther.shake.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
@@ -124,6 +124,20 @@ def test_tones_above_half_the_frame_rate_are_measured_where_no_two_seem_alike() 
 def test_tones_that_frames_cannot_tell_apart_look_alike(tones: list[float], why: str) -> None:
     assert likeness(30.0, 0.7, np.array(tones)) > 3, why
     assert 1 <= likeness(61.0, 2.5, np.array(tones)) < 2
+
+
+@pytest.mark.parametrize("rate", [1.6, 0.0, -1.6])
+def test_all_flowers_together_tell_how_fast_their_swing_grows_or_dies_out(rate: float) -> None:
+    """A mode that nears its swing as 1 - exp(-1.6 t), or falls as 1 + exp(-1.6 t), or neither, 0.4 s after a change."""
+    times, tones, rng = 0.4 + np.arange(0, 0.6, 1 / 30), np.array([17.0]), np.random.default_rng(3)
+    size = 1 - np.sign(rate) * np.exp(-1.6 * times)
+    growth, basis = _Growth(times, tones), _basis(times, tones)
+    for phase in range(5):
+        path = size[:, None] * np.sin(2 * np.pi * 17 * times + phase)[:, None] * [2.0, -1.0]
+        growth.add(path + rng.normal(0, 0.05, path.shape), basis, PER_PIXEL)
+    middle = np.exp(-1.6 * times.mean())
+    true = 1.6 * np.sign(rate) * middle / (1 - np.sign(rate) * middle)
+    assert growth.rate() == pytest.approx(true, rel=0.15) if rate else growth.rate() == 0
 
 
 def test_a_large_swing_is_followed_over_many_pixels() -> None:

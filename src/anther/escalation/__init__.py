@@ -66,8 +66,7 @@ BETTER = 1.6
 too large."""
 ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what moved the flowers more."""
-LOST = 0.5
-"""A shake is ended when fewer than this share of the points followed in the probe still are."""
+LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
 
 
 class Next(NamedTuple):
