@@ -294,6 +294,12 @@ def test_module_runs_as_a_program() -> None:
     assert done.stdout.startswith("anther ")
 
 
+def test_a_command_that_plans_motions_says_nothing_at_its_end() -> None:
+    code = "import roboplan.core, roboplan.rrt, sys; from anther.cli import main; sys.exit(main())"
+    asked = [sys.executable, "-c", code, "--version"]
+    assert not subprocess.run(asked, capture_output=True, text=True, check=True).stderr
+
+
 UNNEEDED = {"coal", "matplotlib", "mujoco", "pinocchio", "rich", "sqlalchemy", "torch", "trimesh", "viser"}
 """What takes a command long to import, and neither help nor a skeleton needs."""
 
