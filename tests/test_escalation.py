@@ -314,6 +314,35 @@ def test_what_moves_no_flower_that_is_seen_is_not_raised_beyond_what_the_model_a
     assert "flowers were lost from sight" in watched.steps[-2].decided
 
 
+def test_a_shake_at_which_flowers_in_sight_do_not_seem_to_move_is_raised(shaken: Shaken) -> None:
+    """What is too small to be measured is small."""
+    foresight = made_foresight(1)
+    noisy, sharp = (
+        World(
+            foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), noise=noise, params=Params(most_seconds=30)
+        )
+        for noise in (4e-4, 1e-6)
+    )
+    steps, held = single(shaken(noisy)), shaken(sharp).steps[-1].amplitudes[0]
+    assert np.isnan(steps[0].flowers).all()
+    assert steps[1].amplitudes[0] == pytest.approx(noisy.params.raised * steps[0].amplitudes[0])
+    assert 0.5 * held < steps[-1].amplitudes[0] <= 1.05 * held
+
+
+@pytest.mark.parametrize("count", [1, FLOWERS])
+def test_flowers_out_of_sight_that_never_were_seen_to_move_take_back_nothing_the_model_allows(
+    shaken: Shaken, count: int
+) -> None:
+    foresight, few = made_foresight(1), SIGHTED.copy()
+    few[:count] = False
+    plan = made_plan((0.0005,) * 3)
+    world = World(foresight, foresight.vectors[4], plan=plan, noise=4e-4, shown=[SIGHTED, few])
+    first, *others = single(shaken(world))
+    assert first.amplitudes[0] == pytest.approx(escalation.BEGINS * plan.tones.amplitudes.max())
+    assert [step.amplitudes[0] for step in others] == pytest.approx([first.amplitudes[0]] * len(others))
+    assert "lost from sight" in others[-2].decided
+
+
 @pytest.mark.parametrize("seconds", [10.0, 11.0, 14.0])
 def test_the_time_ends_a_shake_that_could_be_raised_further(shaken: Shaken, seconds: float) -> None:
     foresight = made_foresight(1)

@@ -11,6 +11,7 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee, watch_points
@@ -284,10 +285,14 @@ class Escalation:
 
     def _loses(self, look: Look) -> bool:
         """Return whether a flower is no longer followed: it may swing too far for that."""
-        now = np.isfinite(look.swings.std[: len(self._followed), 0])
+        now = self._in_view(look)
         lost = bool(np.any(self._followed & ~now))
         self._followed |= now
         return lost
+
+    def _in_view(self, look: Look) -> NDArray[np.bool_]:
+        """Return (F,) whether each flower was followed, be it that it moved too little to be measured."""
+        return np.isfinite(look.swings.std[: len(self._followed), 0])
 
     def _rest(self, look: Look) -> Next:
         words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
@@ -304,15 +309,15 @@ class Escalation:
             if not self._doubted and self._fits(now):  # most are found again: they had not swung too far
                 return self._again(now, min(amplitude, self._may[now].amplitude), OUT_OF_SIGHT)
             return self._raised(now, amplitude, lost=True)
-        seen, self._sure = self._told[now].seen, amplitude
-        if seen.any():
+        if not self._in_view(look).any():
+            return self._raised(now, amplitude, lost=True)
+        self._sure = amplitude
+        if self._told[now].seen.any():
             self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (amplitude * self._worth(now), amplitude))
-        else:  # what moves no flower that is seen is worth nothing
-            self._may[now] = self._may[now]._replace(flowers=0.0)
         best = self._best()
         if self._may[best].flowers > BETTER * self._may[now].flowers and self._fits(best):
             return self._turned_to(best, {now: amplitude})
-        return self._raised(now, amplitude, lost=not seen.any())
+        return self._raised(now, amplitude, lost=False)
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
         sizes = np.where(np.arange(len(self._hertz)) == shake, amplitude, 0.0)
@@ -349,7 +354,7 @@ class Escalation:
         may = self._may[shake]
         higher, why = min(may.amplitude, self.params.raised * now, now + self._adding(shake)), may.binds
         if lost:  # also what was seen at this amplitude may have grown since
-            sure = self._sure if self._sure < now else now / self.params.raised
+            sure = self._sure if self._sure < now or shake not in self._tried else now / self.params.raised
             higher, why = min(sure, higher), OUT_OF_SIGHT
         elif not self._fits(shake):
             higher, why = min(now, higher), NO_TIME

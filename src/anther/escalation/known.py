@@ -19,7 +19,7 @@ from anther.response.points import Swings
 from anther.shake import Params as Limits
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import FLOWER_SPREAD
+from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR
 from anther.shake.plant_limits import FAST
 
 SEEN_ERROR = {
@@ -231,7 +231,9 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
     unknown = FLOWER_SPREAD if hertz > FAST else 0.0  # `SEEN_ERROR` of slower tones contains it
     members["joint_strain"] = foresight.pedicels(one.members, np.where(seen, swing, np.nan), unknown)
-    errors = seen_error(hertz)
+    errors = dict(seen_error(hertz))
+    if not seen.any():
+        errors["joint_strain"] = (FAST_LOAD_ERROR if hertz > FAST else LOAD_ERROR)["joint_strain"]
     loads = {kind: float(margined(members[kind], errors[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts
     return Known(omega**2 * np.where(seen, swing, believed), seen, loads, picture)
