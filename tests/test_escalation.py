@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
-from anther.escalation.known import DAMPING, MOST_GROWTH, SEEN_ERROR, WATCHED, limits_of, settled
+from anther.escalation.knowledge import DAMPING, MOST_GROWTH, SEEN_ERROR, WATCHED, Answer, known, limits_of, settled
 from anther.execution import Params as ExecutionParams
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
@@ -35,7 +36,7 @@ Shaken = Callable[[World], Escalation]
 def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     """Shake a world with a camera that sees as the world says, by members that may be trusted to 2 %."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
-    monkeypatch.setattr(escalation, "sight", lambda *_: None)
+    monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 
     def run(world: World) -> Escalation:
         monkeypatch.setattr(escalation, "swings", world.swings)
@@ -129,6 +130,19 @@ def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
         held = world.pieces[-2]
         assert held.seconds - held.ramp >= world.params.hold
         assert "the target" in watched.steps[-2].decided
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0, 3.0])
+def test_a_flower_moves_away_no_further_than_the_members_say_nor_beside_what_was_seen(share: float) -> None:
+    foresight = made_foresight(1)
+    members, own = foresight.of(0, ALONG), foresight.where["flowers"]
+    said = np.sqrt(np.mean(np.abs(members[:, own]) ** 2, axis=0))
+    shown = np.asarray(share * np.column_stack([said[:, :2], np.full(FLOWERS, np.nan)]), dtype=np.complex128)
+    axes, std = np.repeat(np.eye(3)[None], FLOWERS, axis=0), np.tile([1e-6, 1e-6, np.nan], (FLOWERS, 1))
+    told = known(foresight, float(TONES[0]), Answer(members, shown, std, axes), 0.0, 0.05)
+    assert told.seen.all()
+    assert np.abs(told.picture[:, 2]) == pytest.approx(min(share, 1.0) * said[:, 2])
+    assert told.picture[:, :2] == pytest.approx(shown[:, :2])
 
 
 def test_a_swing_counts_as_what_it_grows_to_and_as_it_is_where_it_dies_out() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 
 import numpy as np
 import pytest
@@ -13,14 +12,14 @@ from scipy.stats import norm
 
 from anther.devices import ArmSample
 from anther.escalation import foresight as foresight_module
+from anther.escalation import knowledge
 from anther.escalation.foresight import LOADS, Foresight, foresee, misfit, narrowed
-from anther.escalation.known import Known, Look, answered, gripper_motion, known, lateness, summed
+from anther.escalation.knowledge import Known, Look, answered, gripper_motion, known, lateness, summed
 from anther.plant import TOMATO, build_plant
 from anther.shake.observables import observables, semi_major
 from anther.shake.plant_limits import FAST
 from anther.swing import Swing
 
-known_module = import_module("anther.escalation.known")
 ROWS = np.arange(FLOWERS + POINTS)
 
 
@@ -149,7 +148,7 @@ def test_a_late_clock_is_found(late: float) -> None:
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let members be trusted, and loads as they are narrowed."""
     monkeypatch.setattr(foresight_module, "MISFIT", 1e-3)
-    monkeypatch.setattr(known_module, "SEEN_ERROR", dict.fromkeys(LOADS, (1.0, 1e-9)))
+    monkeypatch.setattr(knowledge, "SEEN_ERROR", dict.fromkeys(LOADS, (1.0, 1e-9)))
 
 
 @pytest.mark.usefixtures("trusted")
@@ -275,7 +274,7 @@ def test_less_risk_and_less_in_sight_are_larger_margins() -> None:
     careful, bold, unseen = margins(sighted, 0.01), margins(sighted, 0.1), margins(blind, 0.01)
     for kind in LOADS:
         assert 1 < bold[kind] < careful[kind] < unseen[kind]
-        spread = known_module.SEEN_ERROR[kind][1]
+        spread = knowledge.SEEN_ERROR[kind][1]
         least = np.exp(norm.isf(0.01) * spread)
         assert careful[kind] >= least - 1e-3, "no margin is less than what was measured"
 

@@ -12,7 +12,7 @@ from sample_plants import branched, grasps_on, stem_along, straight_stem
 from anther.elastic_rod import Clamp, Drive, Rods
 from anther.elastic_rod._response import driven_response
 from anther.errors import InputError, StageFailure
-from anther.escalation.known import limits_of
+from anther.escalation.knowledge import limits_of
 from anther.flowers import Flowers
 from anther.grasp import Grasp
 from anther.plant import TOMATO, PlantModel, build_plant

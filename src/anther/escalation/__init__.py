@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee, watch_points
-from anther.escalation.known import (
+from anther.escalation.knowledge import (
     WATCHED,
-    WORDS,
     Allowed,
     Answer,
     Known,
@@ -28,6 +27,7 @@ from anther.escalation.known import (
     known,
     lateness,
     limits_of,
+    noted,
     settled,
     summed,
 )
@@ -179,7 +179,9 @@ class Escalation:
         else:
             self._looked_at(int(active[0]), told[0])
             follows = self._decided(look, int(active[0]))
-        self._note(look, told, (steady[0].time, steady[-1].time), follows.words, perf_counter() - started)
+        limits, when = [self._limits[n] for n in active], (steady[0].time, steady[-1].time)
+        step = noted(self._foresight.tones, look, told, limits, when, follows.words, perf_counter() - started)
+        self.steps = (*self.steps, step)
         ramp = max(follows.ramp, *(self._ramp(int(n)) for n in active))
         moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0
         self._piece = self._piece.then(follows.amplitudes, ramp + moving, ramp)
@@ -271,7 +273,7 @@ class Escalation:
             return Next(alone, self.plan.duration, self._ramp(0), "Nothing is in sight: the plan alone is carried out.")
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
-        self._loses(look)
+        self._loses(self._in_view(look))
         if len(self._answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._answers)])
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
@@ -283,16 +285,14 @@ class Escalation:
         """Return the shake that may move the flowers most."""
         return max(self._may, key=lambda n: (min(self._may[n].flowers, self.params.target), self._may[n].flowers))
 
-    def _loses(self, look: Look) -> bool:
-        """Return whether a flower is no longer followed: it may swing too far for that."""
-        now = self._in_view(look)
-        lost = bool(np.any(self._followed & ~now))
-        self._followed |= now
-        return lost
-
     def _in_view(self, look: Look) -> NDArray[np.bool_]:
-        """Return (F,) whether each flower was followed, be it that it moved too little to be measured."""
         return np.isfinite(look.swings.std[: len(self._followed), 0])
+
+    def _loses(self, followed: NDArray[np.bool_]) -> bool:
+        """Return whether a flower is no longer followed: it may swing too far for that."""
+        lost = bool(np.any(self._followed & ~followed))
+        self._followed |= followed
+        return lost
 
     def _rest(self, look: Look) -> Next:
         words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
@@ -305,19 +305,25 @@ class Escalation:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
-        if self._loses(look):
-            if not self._doubted and self._fits(now):  # most are found again: they had not swung too far
-                return self._again(now, min(amplitude, self._may[now].amplitude), OUT_OF_SIGHT)
+        sure = amplitude * self._told[now].most <= self.params.most
+        followed = self._in_view(look) & (self._told[now].seen | sure)
+        lost = self._loses(followed)
+        if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
+            return self._again(now, min(amplitude, self._may[now].amplitude), OUT_OF_SIGHT)
+        if lost:
             return self._raised(now, amplitude, lost=True)
-        if not self._in_view(look).any():
-            return self._raised(now, amplitude, lost=True)
-        self._sure = amplitude
-        if self._told[now].seen.any():
-            self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (amplitude * self._worth(now), amplitude))
+        borne = min(amplitude, self._may[now].amplitude)
+        self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (borne * self._worth(now), borne))
+        shown = self._sight.shown[: len(followed)]
+        told = bool(self._told[now].seen.any() or (shown.any() and followed[shown].all()))
+        if told:  # flowers all followed that do not seem to move move little
+            self._sure = amplitude
+        else:
+            self._may[now] = self._may[now]._replace(flowers=0.0)
         best = self._best()
         if self._may[best].flowers > BETTER * self._may[now].flowers and self._fits(best):
             return self._turned_to(best, {now: amplitude})
-        return self._raised(now, amplitude, lost=False)
+        return self._raised(now, amplitude, lost=not told)
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
         sizes = np.where(np.arange(len(self._hertz)) == shake, amplitude, 0.0)
@@ -366,7 +372,7 @@ class Escalation:
         self._last = True
         best = max(self._tried, key=lambda n: self._tried[n], default=shake)
         if best != shake and self._tried[best] > (ENOUGH * now * self._worth(shake), 0.0):
-            why = f"{why}; more was seen at {self._hertz[best]:.3g} Hz"
+            why = f"{why}; more moved at {self._hertz[best]:.3g} Hz"
             shake, higher = best, self._tried[best][1]
         else:
             higher = min(now, higher)
@@ -382,24 +388,3 @@ class Escalation:
 
     def _watch(self, shake: int) -> float:
         return max(self.params.look, PERIODS / float(self._hertz[shake]))
-
-    def _note(self, look: Look, told: Sequence[Known], when: tuple[float, float], words: str, seconds: float) -> None:
-        amplitudes = np.abs(look.commanded)
-        felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(amplitudes, told, strict=True)))
-        flowers = np.where(told[0].seen, felt, np.nan)
-        limits = [self._limits[n] for n in np.flatnonzero(self._piece.amplitudes)]
-        used = [
-            {k: a * one.loads[k] / may[k] for k in may} for a, one, may in zip(amplitudes, told, limits, strict=True)
-        ]
-        shares = {WORDS[k]: float(sum(one[k] for one in used)) for k in used[0]}
-        step = Step(
-            *when,
-            tuple(self._foresight.tones[look.tones].tolist()),
-            tuple(amplitudes.tolist()),
-            tuple(look.direction.tolist()),
-            tuple(flowers.tolist()),
-            shares,
-            words,
-            seconds,
-        )
-        self.steps = (*self.steps, step)

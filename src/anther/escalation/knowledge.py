@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from anther.devices import ArmSample
 from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
 from anther.escalation.params import Params
+from anther.execution import Step
 from anther.geometry import Array
 from anther.response.points import Swings
 from anther.shake import Params as Limits
@@ -79,12 +80,14 @@ class Known(NamedTuple):
     Attributes:
         flowers: (F,) peak acceleration [1/s2]; of those that are not seen, what is believed with a margin.
         seen: (F,) whether the camera measured it.
+        most: (F,) acceleration above which the camera would have measured it [1/s2]; NaN where it was not followed.
         loads: kind (`LOADS`) -> largest load, with the margin.
         picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
     """
 
     flowers: Array
     seen: NDArray[np.bool_]
+    most: Array
     loads: Mapping[str, float]
     picture: ComplexArray
 
@@ -224,7 +227,7 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     seen = np.any(np.abs(one.flowers) >= least, axis=1)  # not where they are NaN
     parts = moved.mean(axis=0)
     deep = np.abs(one.flowers[:, 2]) >= least[:, 2]
-    away = np.where(deep, one.flowers[:, 2], _away(moved[..., 2]))
+    away = np.where(deep, one.flowers[:, 2], _away(moved, one.flowers[:, :2]))
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
     swing = semi_major(flowers)
@@ -232,11 +235,11 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     unknown = FLOWER_SPREAD if hertz > FAST else 0.0  # `SEEN_ERROR` of slower tones contains it
     members["joint_strain"] = foresight.pedicels(one.members, np.where(seen, swing, np.nan), unknown)
     errors = dict(seen_error(hertz))
-    if not seen.any():
+    if not seen.any():  # the model alone speaks of pedicels
         errors["joint_strain"] = (FAST_LOAD_ERROR if hertz > FAST else LOAD_ERROR)["joint_strain"]
     loads = {kind: float(margined(members[kind], errors[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts
-    return Known(omega**2 * np.where(seen, swing, believed), seen, loads, picture)
+    return Known(omega**2 * np.where(seen, swing, believed), seen, omega**2 * may, loads, picture)
 
 
 def _like_the_others(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> NDArray[np.bool_]:
@@ -268,11 +271,56 @@ def allowed(one: Known, limits: Mapping[str, float], reach: float, params: Param
     return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
 
 
-def _away(motion: ComplexArray) -> ComplexArray:
-    """Return (F,) motion that a camera did not see: phase of the members' mean, size of their root mean square, since
-    members (M, F) that disagree do not say that nothing moves."""
-    size = np.sqrt(np.mean(np.abs(motion) ** 2, axis=0))
-    return np.asarray(size * np.exp(1j * np.angle(motion.mean(axis=0))), dtype=np.complex128)
+def noted(
+    tones: Array,
+    look: Look,
+    told: Sequence[Known],
+    limits: Sequence[Mapping[str, float]],
+    when: tuple[float, float],
+    decided: str,
+    seconds: float,
+) -> Step:
+    """Return what a look showed and what was decided from it, for the record.
+
+    Args:
+        tones: (K,) of the foresight [Hz].
+        look: what was seen.
+        told: what is known of each of its tones.
+        limits: of each, see `limits_of`.
+        when: its begin and end [s].
+        decided: in words.
+        seconds: that measuring and deciding took [s].
+    """
+    amplitudes = np.abs(look.commanded)
+    felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(amplitudes, told, strict=True)))
+    used = [{k: a * one.loads[k] / may[k] for k in may} for a, one, may in zip(amplitudes, told, limits, strict=True)]
+    return Step(
+        *when,
+        tuple(tones[look.tones].tolist()),
+        tuple(amplitudes.tolist()),
+        tuple(look.direction.tolist()),
+        tuple(np.where(told[0].seen, felt, np.nan).tolist()),
+        {WORDS[k]: float(sum(one[k] for one in used)) for k in used[0]},
+        decided,
+        seconds,
+    )
+
+
+def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:
+    """Return (F,) motion away from the camera that it did not see.
+
+    It has the phase of the members' mean and the size of their root mean square, since members that disagree do not
+    say that nothing moves: no more than that, nor in a larger ratio to what was seen than theirs.
+
+    Args:
+        members: (M, F, 3) motion across, down and away, as they are narrowed.
+        across: (F, 2) motion that was seen across and down.
+    """
+    across_size, down_size, away_size = np.sqrt(np.mean(np.abs(members) ** 2, axis=0)).T
+    share = np.linalg.norm(across, axis=1) / np.maximum(np.hypot(across_size, down_size), 1e-12)
+    return np.asarray(
+        np.fmin(share, 1.0) * away_size * np.exp(1j * np.angle(members[..., 2].mean(axis=0))), dtype=np.complex128
+    )
 
 
 def seen_error(hertz: float) -> Mapping[str, tuple[float, float]]:
