@@ -260,6 +260,25 @@ def test_a_shake_that_loses_a_flower_goes_back_to_where_it_was_seen(shaken: Shak
     assert "flowers were lost from sight" in watched.steps[3].decided
 
 
+def test_a_flower_that_may_feel_more_than_the_most_without_being_measured_counts_as_lost(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+
+    class Blurred(World):
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            self.noise = 1e-6 if self.looks < 2 else 0.2
+            return super().swings(_, frames, tones, expected)
+
+    world = Blurred(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), limits=Limits(plant=WEAK))
+    watched = shaken(world)
+    first, raised, again, held = (piece.amplitudes.max() for piece in world.pieces[1:5])
+    assert np.isfinite(single(watched)[0].flowers).all()
+    assert np.isnan(single(watched)[1].flowers).all()
+    assert raised > first
+    assert again == pytest.approx(raised)
+    assert held == pytest.approx(first)
+    assert "flowers were lost from sight" in watched.steps[3].decided
+
+
 def test_a_flower_that_is_found_again_ends_nothing(shaken: Shaken) -> None:
     foresight = made_foresight(1)
     few = SIGHTED.copy()
@@ -445,3 +464,24 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
 def test_bad_params_are_refused(changes: dict[str, float]) -> None:
     with pytest.raises(InputError, match=list(changes)[-1]):
         Params(**changes)  # type: ignore[arg-type]
+
+
+def test_what_a_shake_turns_back_to_is_what_was_found_to_be_borne(shaken: Shaken) -> None:
+    """At the tone taken first one flower feels far more than was said, but flowers move still less at the other."""
+    believed = made_foresight(0, gains=(2.0, 1.5, 0.01), unsure=0.2)
+    truth = believed.vectors[0].copy()
+    truth[1, :, :FLOWERS] *= 0.3
+    truth[0, :, 0] *= 11
+
+    class Clearing(World):
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            self.noise = 0.03 if self.looks < 2 else 1e-6
+            return super().swings(_, frames, tones, expected)
+
+    world = Clearing(believed, truth, plan=made_plan((0.008,) * 3, reach=(0.2,) * 3), limits=Limits(plant=WEAK))
+    world.plan, world.params = replace(world.plan, press=1000.0), Params(most_seconds=11.0)
+    watched = shaken(world)
+    *_, held, last = single(watched)
+    assert "more moved at 2.5 Hz" in held.decided
+    assert max(max(step.flowers) for step in single(watched)[1:]) > 1.1 * world.params.most
+    assert np.nanmax(last.flowers) == pytest.approx(world.params.most, rel=0.03)

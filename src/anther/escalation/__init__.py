@@ -305,8 +305,8 @@ class Escalation:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
-        sure = amplitude * self._told[now].most <= self.params.most
-        followed = self._in_view(look) & (self._told[now].seen | sure)
+        wild = ~self._told[now].seen & (amplitude * self._told[now].most > self.params.most)
+        followed = self._in_view(look) & ~wild
         lost = self._loses(followed)
         if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
             return self._again(now, min(amplitude, self._may[now].amplitude), OUT_OF_SIGHT)

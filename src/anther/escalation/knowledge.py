@@ -222,7 +222,8 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     moved = np.einsum("mfx,fxa->mfa", one.members[:, own], one.axes)
     least = SIGNIFICANCE * one.std
     shown, unsure = (np.sqrt(np.nansum(np.abs(part) ** 2, axis=1)) for part in (one.flowers, least))
-    may = np.where(np.isfinite(one.std[:, 0]), np.hypot(shown, unsure), np.nan)
+    followed = np.isfinite(one.std[:, 0])
+    may = np.where(followed, np.hypot(shown, unsure), np.nan)
     believed = np.fmin(np.quantile(semi_major(one.members[:, own]), UNSEEN, axis=0), may)
     seen = np.any(np.abs(one.flowers) >= least, axis=1)  # not where they are NaN
     parts = moved.mean(axis=0)
@@ -233,9 +234,10 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     swing = semi_major(flowers)
     members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
     unknown = FLOWER_SPREAD if hertz > FAST else 0.0  # `SEEN_ERROR` of slower tones contains it
-    members["joint_strain"] = foresight.pedicels(one.members, np.where(seen, swing, np.nan), unknown)
+    shaken = np.where(seen, swing, np.nan) if seen.any() else np.where(followed, shown, np.nan)  # at least as far
+    members["joint_strain"] = foresight.pedicels(one.members, shaken, unknown)
     errors = dict(seen_error(hertz))
-    if not seen.any():  # the model alone speaks of pedicels
+    if not np.isfinite(shaken).any():  # the model alone speaks of pedicels
         errors["joint_strain"] = (FAST_LOAD_ERROR if hertz > FAST else LOAD_ERROR)["joint_strain"]
     loads = {kind: float(margined(members[kind], errors[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts
