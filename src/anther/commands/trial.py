@@ -45,7 +45,7 @@ class Args:
     """Which plant; all noise comes from it too."""
     viewpoint: float = 0.0
     """Turn the plant about its pot's axis [degrees]."""
-    arm: Literal["sawyer", "ur5e", "fr3"] | None = None
+    arm: Literal["sawyer", "ur5e", "fr3", "xarm7"] | None = None
     """Which arm, by default a Sawyer; a cell file names its own (docs/arm.md)."""
     distance: float | None = None
     """Of the pot in front of the arm [m]; by default what suits the arm: 0.72 for a Sawyer."""

@@ -100,9 +100,14 @@ def from_urdf(
         floor=floor,
         base_capsules=capsules_around(np.concatenate(ground)) if ground else (),
     )
+    return completed(arm)
+
+
+def completed(arm: ArmModel) -> ArmModel:
+    """Return an arm with the shoulder, reach and neighbours that follow from its links."""
     at, q = arm.link_poses(np.zeros(arm.count)), qmc.Sobol(arm.count, scramble=False).random_base2(12)
     shoulder = np.array([0.0, 0.0, at[1, 2, 3]])
-    far = np.linalg.norm(arm.forward(qmc.scale(q, lower, upper))[:, :3, 3] - shoulder, axis=1).max()
+    far = np.linalg.norm(arm.forward(qmc.scale(q, arm.lower, arm.upper))[:, :3, 3] - shoulder, axis=1).max()
     return replace(arm, shoulder=shoulder, reach=1.01 * float(far), neighbours=neighbours(arm, ARM_MARGIN))
 
 
