@@ -241,12 +241,14 @@ def test_flowers_that_nobody_knows_may_bend_their_pedicels_further() -> None:
     assert spreads[1] > spreads[0], "the fewer are seen, the less is known of the others"
 
 
-def test_depth_tells_nothing_of_fast_tones() -> None:
+def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
     foresight = made_foresight(3)
-    world = World(foresight, foresight.vectors[5], depth=True)
-    for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], False)):
+    at = look(World(foresight, foresight.vectors[5], depth=True))
+    far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= knowledge.DEEP
+    assert 0 < far.sum() < FLOWERS
+    for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], far)):
         quick = foresight._replace(tones=factor * TONES)
-        assert np.isfinite(answered(quick, look(world), 1, 0.0).std[:, 2]).all() == told_by_depth
+        assert np.all(np.isfinite(answered(quick, at, 1, 0.0).std[:, 2]) == told_by_depth)
 
 
 def test_all_counts_per_metre_that_was_commanded() -> None:
