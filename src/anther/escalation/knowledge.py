@@ -20,7 +20,7 @@ from anther.response.points import Swings
 from anther.shake import Params as Limits
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR
+from anther.shake.params import FLOWER_SPREAD, load_error
 from anther.shake.plant_limits import FAST
 
 SEEN_ERROR = {
@@ -247,7 +247,8 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     members["joint_strain"] = foresight.pedicels(one.members, shaken, unknown)
     errors = dict(seen_error(hertz))
     if not np.isfinite(shaken).any():  # the model alone speaks of pedicels
-        errors["joint_strain"] = (FAST_LOAD_ERROR if hertz > FAST else LOAD_ERROR)["joint_strain"]
+        median, spread = load_error("joint_strain", hertz)
+        errors["joint_strain"] = float(median), float(spread)
     loads = {kind: float(margined(members[kind], errors[kind], risk)) for kind in LOADS}
     picture = np.exp(-1j * omega * late) * parts
     return Known(omega**2 * np.where(seen, swing, believed), seen, omega**2 * may, loads, picture)
