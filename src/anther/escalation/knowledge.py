@@ -76,8 +76,8 @@ MOST_GROWTH = 3.0
 """A swing settles at no more than so many times what was seen."""
 
 DEEP = 0.001
-"""Above `FAST` flowers swing by tenths of a millimetre, and depth is read to 0.1 to 0.3 mm: it counts from here on [m].
-Some swing by 5 mm along the line of sight, which the picture does not show."""
+"""Above `FAST` flowers swing by tenths of a millimetre, and depth is read to 0.1 to 0.3 mm: it counts from here on [m],
+several times that. A judgement."""
 
 LATE = np.arange(-0.005, 0.0451, 0.0025)
 """By how much a camera's clock may be late on the robot's [s]; what fits best is taken."""
