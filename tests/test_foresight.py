@@ -241,6 +241,13 @@ def test_flowers_that_nobody_knows_may_bend_their_pedicels_further() -> None:
     assert spreads[1] > spreads[0], "the fewer are seen, the less is known of the others"
 
 
+def test_of_fast_tones_those_at_which_pedicels_ring_have_the_wider_margin() -> None:
+    for below, above in ((1.01 * FAST, 1.01 * knowledge.RINGING), (knowledge.RINGING, 40.0)):
+        ringing, fast = (knowledge.seen_error(hertz) for hertz in (below, above))
+        assert ringing["joint_strain"][1] > fast["joint_strain"][1]
+        assert {kind for kind in LOADS if ringing[kind] != fast[kind]} == {"joint_strain"}
+
+
 def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
     foresight = made_foresight(3)
     at = look(World(foresight, foresight.vectors[5], depth=True))

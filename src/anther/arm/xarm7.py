@@ -104,7 +104,7 @@ LINKS = (
 
 
 def described() -> ArmModel:
-    """Return the arm."""
+    """Return the arm; shoulder, reach and neighbours follow from its links."""
     return completed(
         ArmModel(
             name="xarm7",

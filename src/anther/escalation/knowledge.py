@@ -41,7 +41,8 @@ FAST_SEEN_ERROR = SEEN_ERROR | {"joint_strain": (0.5, 0.45), "base_strain": (1.1
 (`Foresight.pedicels`)."""
 RINGING_SEEN_ERROR = FAST_SEEN_ERROR | {"joint_strain": (0.5, 0.7)}
 """The same between `FAST` and `RINGING`, where single pedicels ring: of 57 watched shakes of the whole cell there a
-pedicel passed what `FAST_SEEN_ERROR` says in 21 % (7.5 allowed), of 40 faster ones in 7 %."""
+pedicel passed what `FAST_SEEN_ERROR` says in 21 % (7.5 allowed), of 40 faster ones in 7 %. Of many plants there are
+several shakes, by versions of this package."""
 RINGING = 20.5
 """Up to here pedicels ring [Hz]."""
 
