@@ -34,8 +34,9 @@ Shaken = Callable[[World], Escalation]
 
 @pytest.fixture
 def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
-    """Shake a world with a camera that sees as the world says, by members that may be trusted to 2 %."""
+    """Shake a world with a camera that sees as it says and an arm that reads so, by members trusted to 2 %."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
+    monkeypatch.setattr(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones))))
     monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 
     def run(world: World) -> Escalation:

@@ -14,7 +14,7 @@ from anther.devices import ArmSample
 from anther.escalation import foresight as foresight_module
 from anther.escalation import knowledge
 from anther.escalation.foresight import LOADS, Foresight, foresee, misfit, narrowed
-from anther.escalation.knowledge import Known, Look, answered, gripper_motion, known, lateness, summed
+from anther.escalation.knowledge import Known, Look, answered, gripper_motion, known, lateness, links, summed
 from anther.plant import TOMATO, build_plant
 from anther.shake.observables import observables, semi_major
 from anther.shake.plant_limits import FAST
@@ -128,7 +128,7 @@ def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndar
     commanded = 1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin)
     world.directions = np.repeat(direction[None], len(TONES), axis=0)
     seen = world.swings(None, [None], TONES[active])  # type: ignore[list-item]
-    return Look(active, direction, commanded, commanded[:, None] * (world.arm @ direction), seen)
+    return Look(active, direction, commanded, commanded[:, None] * (world.arm @ direction), np.zeros(len(active)), seen)
 
 
 def told(foresight: Foresight, at: Look, i: int, late: float, risk: float) -> Known:
@@ -351,3 +351,40 @@ def test_every_pedicel_is_told_which_flower_hangs_on_it() -> None:
         push[4 * node : 4 * node + 3] = [1e-6, 2e-6, 3e-6]
         strain = np.linalg.norm((look.operator @ push).reshape(-1, 3)[look.joint_strain], axis=1)
         assert np.all(strain[foresight.hangs != f] < 1e-9 * strain.max())
+
+
+def test_the_faster_an_arm_swings_the_less_its_readings_count_and_never_less_than_the_command() -> None:
+    readings, tones = np.ones((4, 3), dtype=complex), np.array([1.0, 8.5, FAST, 40.0])
+    swing, doubt = links(readings, tones)
+    assert swing[:2, 0] == pytest.approx([1.0, 1.10], abs=0.03), "links run ahead of their motors"
+    assert np.all(np.diff(doubt) > 0)
+    assert doubt[0] < 0.001
+    assert pytest.approx(doubt[3], rel=0.01) == knowledge.ARM_FOLLOWS
+    assert abs(swing[3, 0]) < 0.01
+
+
+def test_where_readings_are_not_trusted_what_is_seen_tells_how_the_gripper_swings() -> None:
+    """The arm reads three times what its gripper does, and along another line: the loads are those of what it does."""
+    foresight = made_foresight(3)
+    at = look(World(foresight, foresight.vectors[0]))
+    (true,) = foresight.load("stem_strain", foresight.of(1, ALONG)[:1])
+    wrong = 3 * at.gripper @ np.array([[0.5, 0.8, 0.3], [-0.8, 0.5, 0.1], [0.0, 0.3, 1.0]])
+
+    def mean(doubt: float) -> float:
+        one = at._replace(gripper=wrong, doubt=np.full(len(at.tones), doubt))
+        return float(foresight.load("stem_strain", answered(foresight, one, 1, 0.0).members).mean())
+
+    assert abs(np.log(mean(1.0) / true)) < 0.5 * abs(np.log(mean(0.0) / true))
+    assert mean(0.0) > 1.5 * true
+
+
+@pytest.mark.parametrize(("times", "counts"), [(3.0, True), (5.0, False)])
+def test_a_flower_that_jumps_from_one_look_to_the_next_is_another(times: float, counts: bool) -> None:
+    foresight = made_foresight(3)
+    at = look(World(foresight, foresight.vectors[5]))
+    once = told(foresight, at, 1, 0.0, 0.5)
+    calm = np.where(np.arange(FLOWERS) == 2, 1 / times, 1.0)[:, None] * once.picture
+    again = answered(foresight, at, 1, 0.0, once._replace(picture=calm))
+    assert np.isfinite(again.flowers[:, 0]).tolist() == [counts or f != 2 for f in range(FLOWERS)]
+    unseen = once._replace(picture=calm, seen=np.zeros(FLOWERS, bool))
+    assert np.isfinite(answered(foresight, at, 1, 0.0, unseen).flowers[:, 0]).all()

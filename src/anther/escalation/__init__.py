@@ -27,6 +27,7 @@ from anther.escalation.knowledge import (
     known,
     lateness,
     limits_of,
+    links,
     noted,
     settled,
     summed,
@@ -170,8 +171,9 @@ class Escalation:
         if not self.steps:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look) if look.followed else 0.0
-        answers = [answered(self._foresight, look, i, self._late) for i in range(len(look.tones))]
         active = np.flatnonzero(self._piece.amplitudes)
+        before = [self._told[n] if n in self._alone else None for n in active.tolist()]
+        answers = [answered(self._foresight, look, i, self._late, told) for i, told in enumerate(before)]
         told = [self._known(int(n), one) for n, one in zip(active, answers, strict=True)]
         if self._probing:
             self._answers.append(answers)
@@ -236,16 +238,16 @@ class Escalation:
         turned = np.exp(-2j * np.pi * tones * begin)
         commanded = np.asarray(piece.amplitudes[active] * turned, dtype=np.complex128)
         if self._middle is None:
-            gripper = np.asarray(commanded[:, None] * direction, dtype=np.complex128)
+            gripper, doubt = np.asarray(commanded[:, None] * direction, dtype=np.complex128), np.zeros(len(tones))
         else:
-            gripper = gripper_motion(steady, self._middle, tones)
+            gripper, doubt = links(gripper_motion(steady, self._middle, tones), tones)
         expected = None
         if all(int(n) in self._told for n in active):
             expected = np.stack(
                 [c * self._told[int(n)].picture for c, n in zip(commanded, active, strict=True)], axis=1
             )
         seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
-        return Look(self._tone[active], direction, commanded, gripper, seen)
+        return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
         return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)

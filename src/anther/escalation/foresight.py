@@ -50,8 +50,9 @@ class Foresight(NamedTuple):
     pad_width: float
 
     def of(self, tone: int, motion: Array | ComplexArray) -> ComplexArray:
-        """Return (M, S, 3) what a motion of the gripper does at a tone; (3,) world, or phasors of it."""
-        return np.asarray(np.einsum("masx,a->msx", self.vectors[:, tone], motion))
+        """Return (M, S, 3) what the gripper's motion does at a tone: (3,) world, phasors of it, or (M, 3) of each."""
+        motions = np.broadcast_to(motion, (len(self.vectors), 3))
+        return np.asarray(np.einsum("masx,ma->msx", self.vectors[:, tone], motions))
 
     def load(self, kind: str, vectors: ComplexArray) -> Array:
         """Return (M,) the largest load of a kind, of vectors (M, S, 3) of one shake."""
