@@ -13,6 +13,7 @@ from fake_robot import horizontal_grasp
 from anther.execution import Trial
 from anther.geometry import Array
 from anther.identification import feel
+from anther.shake.plant_limits import FAST
 
 F, START = 6.0, 41.3
 GRIP = np.array([0.02, 0.0, 0.1])
@@ -77,6 +78,11 @@ def test_what_is_not_known_is_not_told() -> None:
     assert np.isnan(deaf.force)
     short = replace(done, shake_times=done.shake_times[:9], measured=done.measured[:9], commanded=done.commanded[:9])
     assert np.isnan(feel(short, PLAN, forward).moved)
+    assert np.isfinite(feel(done, PLAN, forward).moved)
+    fast = SimpleNamespace(**vars(PLAN) | {"frequency": FAST + 0.1})
+    assert np.isnan(feel(done, fast, forward).moved), (
+        "an arm reads its motors, not its links, nor a motor in the gripper"
+    )
 
 
 def test_the_grip_moves_as_the_flange_and_turns_with_it() -> None:

@@ -22,6 +22,7 @@ from anther.response import Response, StemMotion
 from anther.shake import ShakePlan
 from anther.shake.observables import ComplexArray, branch_of, semi_major
 from anther.shake.pads import grip_rows, pad_nodes
+from anther.shake.plant_limits import FAST
 from anther.shake.search import Answer, Version, answer, flower_motion
 
 
@@ -139,7 +140,8 @@ SIGNIFICANCE = 3.0
 
 
 def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> Felt:
-    """Return what the arm did and felt.
+    """Return what the arm did and felt; nothing above `FAST`, where its links do not go as its motors, which it reads
+    (`escalation.knowledge.ARM_ERROR`), and where a motor in the gripper shakes.
 
     The gripper's motion follows from the measured joints. Of the force an arm tells the size alone, in which the stem's
     constant pull is mixed. But of its square, |F0 + Im(F exp(i w t))|^2, only the motion's force F has a part at twice
@@ -152,7 +154,7 @@ def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> F
     """
     moving = _steady(trial.shake_times, trial)
     times, joints = trial.shake_times[moving], trial.measured[moving]
-    if len(times) < LEAST:
+    if len(times) < LEAST or shake.frequency > FAST:
         return NOTHING_FELT
     try:
         swing = fit_swing(times, shake.grasp.carried(forward)(joints), shake.frequency)
