@@ -22,18 +22,16 @@ _LOCK = 0x616E7468
 
 def version(connection: Connection) -> str | None:
     """Return the version of a database; None for an empty one."""
-    there = inspect(connection)
-    if there.has_table("alembic_version"):
-        return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-    # what was counted in a table of its own before Alembic, up to 1, is Alembic's first
-    return "0001" if there.has_table("schema_version") else None
+    if not inspect(connection).has_table("alembic_version"):
+        return None
+    return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
 
 
-def migrate(connection: Connection, to: str = HEAD) -> None:
-    """Bring the database to a version. Run it in a transaction that writes.
+def migrate(connection: Connection) -> None:
+    """Bring the database to the newest version. Run it in a transaction that writes.
 
     Raises:
-        InputError: the database was made by a newer Anther.
+        InputError: the database has a version that is not known.
     """
     from alembic import command  # noqa: PLC0415
     from alembic.config import Config  # noqa: PLC0415
@@ -49,10 +47,7 @@ def migrate(connection: Connection, to: str = HEAD) -> None:
         raise bad_input(
             "trial history",
             given=f"schema version {found[:40]}",
-            allowed=f"up to {HEAD}",
-            do="It was written by a newer Anther: update this one.",
+            allowed=", ".join(sorted(known)),
+            do="It was written by another Anther: update this one, or name another history.",
         )
-    if inspect(connection).has_table("schema_version"):
-        command.stamp(config, "0001")
-        connection.execute(text("DROP TABLE schema_version"))
-    command.upgrade(config, to)
+    command.upgrade(config, HEAD)

@@ -1,11 +1,11 @@
-"""Plants, visits, grasps, shakes, responses and outcomes, and a view that joins them for people who write SQL."""
+"""Plants, their visits and what was counted, sweeps, and a view for people who write SQL. None before was released."""
 
 from typing import Any
 
 import sqlalchemy as sa
 from alembic import op
 
-revision, down_revision = "0001", None
+revision, down_revision = "0003", None
 
 TIME = sa.DateTime(timezone=True)
 VIEW = (
@@ -22,14 +22,19 @@ def upgrade() -> None:
         _number(),
         sa.Column("species", sa.Text, nullable=False),
         sa.Column("label", sa.Text, nullable=False),
+        sa.Column("taught", TIME),
+        sa.Column("learned", sa.JSON),
         sa.UniqueConstraint("species", "label"),
     )
     op.create_table(
         "visits",
         _number(),
-        _of("plants", index=True),
-        sa.Column("time", TIME, nullable=False, index=True),
+        _of("plants"),
+        sa.Column("robot", sa.Text, nullable=False, server_default=""),
+        sa.Column("time", TIME, nullable=False),
         sa.Column("success", sa.Boolean, nullable=False),
+        sa.Column("taught", sa.Boolean, nullable=False, server_default=sa.false()),
+        sa.Column("acceleration_ms2", sa.Double),
         sa.Column("failure", sa.Text),
         sa.Column("run", sa.Text),
         sa.Column("material_before", sa.JSON),
@@ -66,7 +71,7 @@ def upgrade() -> None:
     op.create_table(
         "outcomes",
         _number(),
-        _of("plants", index=True),
+        _of("plants"),
         sa.Column("visit_id", sa.Integer, sa.ForeignKey("visits.id")),
         sa.Column("date", sa.Date, nullable=False),
         sa.Column("flowers", sa.Integer, nullable=False),
@@ -75,6 +80,39 @@ def upgrade() -> None:
         sa.Column("recorded", TIME, nullable=False),
         sa.CheckConstraint("0 <= fruit AND fruit <= flowers"),
     )
+    op.create_table(
+        "notes",
+        _number(),
+        _of("visits"),
+        sa.Column("recorded", TIME, nullable=False),
+        sa.Column("text", sa.Text, nullable=False),
+    )
+    op.create_table(
+        "sweeps",
+        _number(),
+        sa.Column("uid", sa.Text, nullable=False, unique=True),
+        *(sa.Column(name, sa.Text, nullable=False) for name in ("folder", "function")),
+        sa.Column("began", TIME, nullable=False),
+    )
+    op.create_table(
+        "sweep_jobs",
+        _number(),
+        _of("sweeps"),
+        sa.Column("key", sa.Text, nullable=False),
+        sa.Column("row", sa.JSON, nullable=False),
+        sa.Column("state", sa.Text, nullable=False),
+        sa.Column("tries", sa.Integer, nullable=False),
+        sa.Column("reason", sa.Text),
+        sa.Column("result", sa.JSON),
+        sa.Column("seconds", sa.Double),
+        sa.Column("ended", TIME),
+        sa.UniqueConstraint("sweep_id", "key"),
+    )
+    op.create_index("ix_visits_plant", "visits", ["plant_id", "time", "robot"], unique=True)
+    op.create_index("ix_visits_time", "visits", ["time", "robot", "success", "failure", "acceleration_ms2"])
+    op.create_index("ix_plants_taught", "plants", ["species", "taught"])
+    op.create_index("ix_outcomes_plant", "outcomes", ["plant_id", "recorded"])
+    op.create_index("ix_notes_visit", "notes", ["visit_id", "recorded"])
     op.execute(VIEW)
 
 
