@@ -265,6 +265,17 @@ def test_a_piece_beyond_the_limits_is_not_begun(sizes: tuple[float, float], mess
     assert np.abs(y).max() < 0.0031
 
 
+def test_a_camera_is_not_blamed_for_a_shake_that_did_not_begin() -> None:
+    class Empty(FakeCamera):
+        def stop(self) -> list[Frame]:
+            return []
+
+    robot = replace(fake_robot(), side_camera=Empty())
+    trial = execute(PLANNER, Plan(), robot, LIMITS, watched=Scripted(pieces=[(0.0, 0.02)]))
+    assert "camera" not in trial.stop_reason
+    assert "camera returned no frame" in execute(PLANNER, Plan(), robot, LIMITS, watched=Scripted()).stop_reason
+
+
 def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
     arm, gripper = FakeArm(), FakeGripper()
     watched = Scripted(pieces=[(0.0008, 0.0006)] * 20)

@@ -349,12 +349,14 @@ def _filmed(work: _Work) -> Iterator[None]:
         camera.start(_rate(work))
     except DeviceError as error:
         work.fail(error)
+    shaken = False
     try:
         yield
+        shaken = True
     finally:
         try:
             work.frames = tuple(camera.stop())
-            if not work.frames:
+            if shaken and not work.frames:
                 raise DeviceError("the side camera returned no frame of the shake.")
         except DeviceError as error:
             work.fail(error)
