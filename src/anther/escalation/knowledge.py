@@ -86,7 +86,7 @@ several times that. A judgement."""
 
 ARM_MODE, ARM_ERROR = 28.0, 0.6
 """Links swing beyond their motors, which is what an arm reads, by 1 / (1 - (f / `ARM_MODE`)^2) [Hz], with an error of
-`ARM_ERROR` (f / `FAST`)^3 times what was commanded. Measured by us on 24 simulated Sawyers (seeds 7700-7723, wide
+`ARM_ERROR` (f / `FAST`)^3 times what was commanded. Measured on 24 simulated Sawyers (experiments/arm_readings.py, wide
 truth, two lines each) that hold nothing: by 1.10 at 8.5, 1.19 at 11.3, 1.5 at 16.9 Hz; median and 75 % quantile of the
 error 3 and 12 % at 6.4, 8 and 33 % at 11.3, 20 and 104 % at 16.9 Hz."""
 ARM_FOLLOWS, ARM_ASIDE = 0.9, 0.3

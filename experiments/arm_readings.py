@@ -1,0 +1,108 @@
+"""How far an arm's gripper goes beside what its joints read: links hang on springs, and an arm reads its motors.
+
+    python tools/record.py experiments/arm_readings.py
+
+Simulated Sawyers whose truth is drawn wide (`anther.sim.truth.WIDE`) hold nothing and move their grip along a line, at
+all of `TONES` at once, with 1 m/s2 each. On these were set `ARM_MODE`, `ARM_ERROR`, `ARM_FOLLOWS` and `ARM_ASIDE` of
+`anther.escalation.knowledge`.
+
+Keys of --json, each for a tone <hz>: error_<hz>, error_75_<hz> and error_90_<hz>, quantiles of what is wrong in the
+readings over what was commanded; beyond_<hz>, what the gripper does over what is read, median; follows_<hz> and
+aside_<hz>, what it does, and aside of the line, over what was commanded, medians; arms.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from grasping_trial import truth_of
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from anther.arm.sawyer import READY, SAWYER
+from anther.commands.simulated_cell import grow
+from anther.escalation.knowledge import ARM_ERROR, ARM_MODE
+from anther.files import write_json
+from anther.geometry import Array
+from anther.shake.observables import ComplexArray
+from anther.shake.plant_limits import FAST
+from anther.sim import cell as world
+
+TONES = np.array([2.7, 4.3, 6.4, 8.5, 11.3, 14.1, 16.9, 18.5, 20.5])
+SIZES = 1 / (2 * np.pi * TONES) ** 2  # m
+FIRST, LINES = 7700, 2
+RAMP, SECONDS = 0.5, 2.5
+FAR = 5.0  # m: the plant that a cell must have
+
+
+def swings(seed: int, line: int) -> tuple[Array, ComplexArray, ComplexArray]:
+    """Return the line (3,), and (Q, 3) phasors of the grip as it is read and as it is, over what was commanded."""
+    cell = world.Cell(grow("pepper", FIRST, 0, FAR), READY, truth=truth_of("wide", seed), arm=SAWYER)
+    angle = np.random.default_rng(seed + 100 * line).uniform(0, np.pi)
+    along = np.array([np.cos(angle), np.sin(angle), 0.0])
+    times = cell.timestep * np.arange(round(SECONDS / cell.timestep))
+    move = np.clip(times / RAMP, 0, 1) * (SIZES @ np.sin(2 * np.pi * TONES[:, None] * times))
+    way = np.linalg.pinv(SAWYER.jacobian(READY)) @ np.r_[along, 0, 0, 0]
+    begin = cell.time
+    cell.run(
+        READY + move[:, None] * way,
+        np.gradient(move, cell.timestep)[:, None] * way,
+        np.full(len(times), cell.grip_command),
+        np.zeros((len(times), SAWYER.count)),
+    )
+    log = cell.log()
+    steady = log.times > begin + 2 * RAMP
+    when = log.times[steady] - begin
+    basis = np.column_stack([f(2 * np.pi * when[:, None] * TONES) for f in (np.sin, np.cos)])
+    basis = np.column_stack([basis, np.ones_like(when), when - when.mean()])
+
+    def phasors(flanges: Array) -> ComplexArray:
+        grip = flanges @ np.r_[SAWYER.tool.T_flange_grasp[:3, 3], 1]
+        parts = np.linalg.lstsq(basis, grip[:, :3], rcond=None)[0]
+        return (parts[: len(TONES)] + 1j * parts[len(TONES) : 2 * len(TONES)]) / SIZES[:, None]
+
+    true = np.array([cell.flange_pose(qpos) for qpos in log.qpos[steady]])
+    return along, phasors(SAWYER.forward(log.joints[steady])), phasors(true)
+
+
+def main() -> None:
+    """Measure, print a table, write --json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--arms", type=int, default=24)
+    args = parser.parse_args()
+    console = Console()
+    cases = [(FIRST + k, line) for k in range(args.arms) for line in range(LINES)]
+    along, read, true = map(
+        np.array, zip(*(swings(*case) for case in track(cases, "arms", console=console)), strict=True)
+    )
+    error, size = np.linalg.norm(true - read, axis=2), np.linalg.norm(true, axis=2)
+    straight = np.einsum("nqx,nx->nq", true, along)
+    aside = np.linalg.norm(true - straight[..., None] * along[:, None], axis=2)
+    told: dict[str, float] = {"arms": float(args.arms)}
+    table = Table(
+        "Hz", "error of readings: median", "75 %", "90 %", "taken", "does / reads", "taken", "does / told", "aside"
+    )
+    for k, hertz in enumerate(TONES):
+        own = {
+            "error": float(np.median(error[:, k])),
+            "error_75": float(np.quantile(error[:, k], 0.75)),
+            "error_90": float(np.quantile(error[:, k], 0.9)),
+            "beyond": float(np.median(size[:, k] / np.linalg.norm(read[:, k], axis=1))),
+            "follows": float(np.median(size[:, k])),
+            "aside": float(np.median(aside[:, k])),
+        }
+        told |= {f"{name}_{hertz:g}": value for name, value in own.items()}
+        taken = [ARM_ERROR * (hertz / FAST) ** 3, 1 / (1 - (hertz / ARM_MODE) ** 2)]
+        cells = [*list(own.values())[:3], taken[0], own["beyond"], taken[1], own["follows"], own["aside"]]
+        table.add_row(f"{hertz:g}", *(f"{cell:.2f}" for cell in cells))
+    console.print(table)
+    if args.json:
+        write_json(args.json, told)
+
+
+if __name__ == "__main__":
+    main()
