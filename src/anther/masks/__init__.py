@@ -24,7 +24,7 @@ from anther.geometry import Box
 from anther.masks.cells import kinds
 from anther.masks.images import COLOURFUL, labels_of_image
 from anther.masks.light import GREEN, GREEN_NO_DEPTH, Light, green_rule
-from anther.masks.survey import each_view, survey
+from anther.masks.survey import VOXEL, each_view, survey
 from anther.masks.voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
@@ -43,29 +43,20 @@ class Params:
     """How plant and flowers are told from the rest.
 
     Attributes:
-        voxel: edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts:
-            perception) so that views agree.
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
         white_petals: whether petals may be white, as of most peppers, beside yellow. Of tomatoes they are not, and
             leaves that shine are then not taken for them.
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
-        rim_height: a pot's rim stands at most this much above its soil [m].
-        attach_distance: a part that is not green belongs to the plant if it comes this close to green ones [m].
     """
 
-    voxel: float = 0.005
     green: float = 0.10
     white_petals: bool = True
     ground_radius: float = 0.035
-    rim_height: float = 0.05
-    attach_distance: float = 0.012
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        check_range("mask voxel", self.voxel, 0.001, 0.05, "m")
         check_range("excess green threshold", self.green, 0, 1)
-        check_range("ground_radius", self.ground_radius, self.voxel, 1, "m")
-        check_range("attach_distance", self.attach_distance, 0, 0.2, "m")
+        check_range("ground_radius", self.ground_radius, VOXEL, 1, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +104,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
     """
     params = params or Params()
     seen = survey(capture, workspace, params)
-    cells = kinds(seen, capture, params)
+    cells = kinds(seen, capture)
     labels = np.zeros(capture.depth.shape, dtype=np.uint8)
 
     def label_view(view: int) -> None:
@@ -147,7 +138,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
     for view in range(capture.views):
         depth = np.where(labels[view] > 0, capture.depth[view], np.float32(0))
         vote(None, depth, camera=seen.cameras[view], rule=None, counts=masked)
-    foot = seen.foot((masked[0] >= 2) & ~seen.rim, params)
+    foot = seen.foot((masked[0] >= 2) & ~seen.rim)
     rim = RIM if capture.rgb is not None else GROUND
     cells = np.where(seen.below & ~foot, GROUND, np.where(seen.rim & ~foot, rim, EMPTY)).astype(np.uint8)
     kept = np.empty_like(labels)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,9 +23,6 @@ from anther.masks.voting import (
     Grid,
 )
 
-if TYPE_CHECKING:
-    from anther.masks import Params
-
 GREEN_SHARE, PETAL_SHARE = 0.25, 0.35
 """Least share of votes that makes a cell green, or petal."""
 
@@ -43,6 +38,9 @@ FLOWER_EXTENT = 0.12
 SEEN_AS_PETAL = 3
 """A petal cell is seen as petal from at least so many views."""
 
+ATTACH_DISTANCE = 0.012
+"""A part that is not green belongs to the plant if it comes this close to green ones [m]."""
+
 BROWN_EXTENT = 0.08
 """Greatest second extent of a part that is not green [m]: stems and fruits are slender, walls are not."""
 
@@ -50,21 +48,21 @@ LEAST_PART = 20
 """Flowers are looked for beside green parts of at least this many cells."""
 
 
-def kinds(seen: Survey, capture: Capture, params: Params) -> NDArray[np.uint8]:
+def kinds(seen: Survey, capture: Capture) -> NDArray[np.uint8]:
     """Return what each cell is, (X, Y, Z) uint8: see `voting.EMPTY` and what follows."""
     if len(seen.votes) < LAYERS:
-        return _by_geometry(seen, params)
-    return _by_colour(seen, params, *_enough_petals(capture, seen.grid, params))
+        return _by_geometry(seen)
+    return _by_colour(seen, *_enough_petals(capture, seen.grid))
 
 
-def _by_geometry(seen: Survey, params: Params) -> NDArray[np.uint8]:
+def _by_geometry(seen: Survey) -> NDArray[np.uint8]:
     """Whatever is seen above the ground is a part of the plant."""
     occupied = seen.votes[0] >= 2
-    foot = occupied & seen.foot(occupied & ~seen.rim, params)
+    foot = occupied & seen.foot(occupied & ~seen.rim)
     return np.where((seen.below | seen.rim) & ~foot, GROUND, np.where(occupied, BROWN_CELL, EMPTY)).astype(np.uint8)
 
 
-def _enough_petals(capture: Capture, grid: Grid, params: Params) -> tuple[float, int]:
+def _enough_petals(capture: Capture, grid: Grid) -> tuple[float, int]:
     """Return how many petal pixels, and from how many views, a petal cell needs."""
     centre = grid.lower + np.multiply(grid.shape, grid.voxel) / 2
     distance = float(np.median(np.linalg.norm(capture.T_world_cam[:, :3, 3] - centre, axis=1)))
@@ -72,7 +70,7 @@ def _enough_petals(capture: Capture, grid: Grid, params: Params) -> tuple[float,
     return PETAL_COVER * pixels, min(SEEN_AS_PETAL, capture.views)
 
 
-def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: int) -> NDArray[np.uint8]:
+def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np.uint8]:
     """Most cells are empty: all but what needs their neighbours is decided in a list of the occupied ones."""
     at = np.flatnonzero(seen.total >= 2)
     votes, total = seen.votes.reshape(LAYERS, -1)[:, at], seen.total.ravel()[at]
@@ -84,22 +82,22 @@ def _by_colour(seen: Survey, params: Params, least_votes: float, least_views: in
         return grid
 
     likely = votes[GREEN - 1] >= np.maximum(2, GREEN_SHARE * total)
-    foot = seen.foot(grid_of(likely), params).ravel()[at]
+    foot = seen.foot(grid_of(likely)).ravel()[at]
     green = likely & (~below | foot)
     free = ~below & ~rim
     if foot.any():  # else a straight brown line may be the stem itself
-        free &= ~stake_cells(grid_of(free & (votes[GREEN - 1] <= 0.1 * total)), params.voxel).ravel()[at]
+        free &= ~stake_cells(grid_of(free & (votes[GREEN - 1] <= 0.1 * total)), seen.grid.voxel).ravel()[at]
     petal_votes = votes[YELLOW - 1].astype(np.int32) + votes[WHITE - 1]
     seen_often = (petal_votes >= least_votes) & (votes[PETAL_VIEWS] >= least_views)
     petals = free & seen_often & (petal_votes >= PETAL_SHARE * total)
     leaves = _large_parts(grid_of(green & ~petals), LEAST_PART)
     flowers = _parts_near(
         grid_of(petals), leaves, distance=FLOWER_DISTANCE, extent=FLOWER_EXTENT, axis=0,
-        voxel=params.voxel,
+        voxel=seen.grid.voxel,
     )  # fmt: skip
     brown = _parts_near(
-        grid_of(free & ~green & ~flowers.ravel()[at]), grid_of(green), distance=params.attach_distance,
-        extent=BROWN_EXTENT, axis=1, voxel=params.voxel,
+        grid_of(free & ~green & ~flowers.ravel()[at]), grid_of(green), distance=ATTACH_DISTANCE,
+        extent=BROWN_EXTENT, axis=1, voxel=seen.grid.voxel,
     )  # fmt: skip
     cells = np.where(seen.below | seen.rim, np.uint8(GROUND), np.uint8(EMPTY))
     cells.ravel()[at[green]] = GREEN_CELL

@@ -27,6 +27,11 @@ _THREADS = 2  # each votes in a grid of its own
 _MOST_BYTES = 2.5e9  # of the votes, the sums and masks of all cells together
 _COARSE = 3  # step of the pixels that the colours are learned from
 
+VOXEL = 0.005
+"""Edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts: perception) so that
+views agree."""
+RIM_HEIGHT = 0.05
+"""A pot's rim stands at most this much above its soil [m]."""
 GROUND_MARGIN = 0.008  # what lies less than this above the ground is ground [m]
 BARE_GROUND_RADIUS = 0.06
 """`Params.ground_radius` for the soil without colour, when leaves could be mistaken for it [m]."""
@@ -56,15 +61,15 @@ class Survey:
     rim: NDArray[np.bool_]
     source: str
 
-    def foot(self, plant: NDArray[np.bool_], params: Params) -> NDArray[np.bool_]:
+    def foot(self, plant: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the ground cells (X, Y, Z) that hold the foot of a stem of `plant` (X, Y, Z)."""
-        return foot_cells(plant, self.below, params.voxel, GROUND_MARGIN)
+        return foot_cells(plant, self.below, self.grid.voxel, GROUND_MARGIN)
 
 
 def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
     """Let all views vote, and find the ground in the votes."""
     layers = 1 if capture.rgb is None else LAYERS
-    grid = Grid.over(workspace or viewed_box(capture), params.voxel, _MOST_BYTES / (2 * _THREADS * layers + 16))
+    grid = Grid.over(workspace or viewed_box(capture), VOXEL, _MOST_BYTES / (2 * _THREADS * layers + 16))
     rule, light = None, None
     if capture.rgb is not None:
         light = Light.on(capture.rgb, params.green)
@@ -133,10 +138,10 @@ def _ground(
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return ground_cells(
         solid,
-        params.voxel,
+        VOXEL,
         radius=params.ground_radius,
         sure_radius=sure_radius,
         margin=GROUND_MARGIN,
-        rim_height=params.rim_height,
+        rim_height=RIM_HEIGHT,
         rings=rings,
     )
