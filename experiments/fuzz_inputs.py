@@ -41,7 +41,7 @@ COMMAND_LINES = (
     "plan run --frequencies 2 --params.draws 0 --params.heights 0 --params.directions 1 --json",
     "export run --out o.mtg", "view run --html o.html", "respond run --heights 2 --frequencies 2 --json",
     "traits clouds --out o --params.voxel 0.004",
-    "reconstruct capture --out seen --params.cloud.gap 0.02", "import-capture views.mcap imported",
+    "reconstruct capture --out seen --params.cloud.voxel 0.004", "import-capture views.mcap imported",
     "convert-kinect turntable converted",
     "calibrate --images board --poses board/poses.csv --board charuco:7x5:30mm:22mm --intrinsics board/camera.json",
     f"identify {STEM}", "identify --density 1000 --profile stem/profile.csv --deflection stem/deflection.csv --json",

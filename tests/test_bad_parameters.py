@@ -45,11 +45,10 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (flowers.Params, "gap", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
         (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
-        (grasp.Params, "leaf_size", 0.0), (_registration.Params, "neighbours", 0),
-        (_registration.Params, "match_distances", ()),
+        (grasp.Params, "leaf_size", 0.0),
         (shake.Params, "seed", -1), (shake.Params, "most_amplitude", 0.0),
         (shake.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
-        (response.Params, "near", 10_000), (masks.Params, "attach_distance", 10.0),
+        (response.Params, "near", 10_000), (masks.Params, "ground_radius", 10.0),
     ],
 )  # fmt: skip
 def test_what_would_never_end_or_mean_nothing(kind: Any, name: str, value: Any) -> None:

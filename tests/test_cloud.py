@@ -214,7 +214,7 @@ def test_gaps_are_bridged_and_specks_are_dropped() -> None:
     top = stem + np.array([0, 0, 0.43])  # a gap of 3 cm
     speck = rng.normal(0, 0.001, (5, 3)) + np.array([0.1, 0, 0.2])
     far = stem[:500] + np.array([0.3, 0, 0])  # another plant
-    keep = attached_points(np.concatenate([stem, top, speck, far]), gap=0.012, far_gap=0.05, far_share=0.002)
+    keep = attached_points(np.concatenate([stem, top, speck, far]))
     assert keep[:8000].all()
     assert not keep[8000:].any()
 
@@ -291,7 +291,7 @@ def test_obstacles_need_two_views_and_company() -> None:
     assert len(occupied_cells(np.zeros((0, 3)), np.zeros(0, int), np.ones((3, 3)), 0.01)) == 0
 
 
-@pytest.mark.parametrize("change", [{"voxel": 0}, {"gap": 1}, {"far_gap": 0.001}])
+@pytest.mark.parametrize("change", [{"voxel": 0}, {"voxel": 0.013}])
 def test_impossible_parameters_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(InputError):
         Params(**change)  # type: ignore[arg-type]

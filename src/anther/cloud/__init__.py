@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_parameters, check_range, check_transform
 from anther.cloud import _registration
-from anther.cloud._clusters import attached_points
+from anther.cloud._clusters import GAP, attached_points
 from anther.cloud._disagreement import (
     cloud_doubts,
     coverage_doubts,
@@ -66,25 +66,14 @@ class Params:
     Attributes:
         voxel: spacing of the cloud [m].
         registration: see `registration.Params`; None keeps the arm's own poses.
-        seen_through: a view contradicts a point where it sees at least this far behind it [m].
-        gap: parts closer than this to the rest belong to it [m].
-        far_gap: large parts belong to the plant up to this distance [m] (a real plant's cloud has gaps of 5 cm).
-        far_share: least share of the plant's points that such a large part has.
     """
 
     voxel: float = 0.0015
     registration: _registration.Params | None = field(default_factory=_registration.Params)
-    seen_through: float = 0.02
-    gap: float = 0.012
-    far_gap: float = 0.05
-    far_share: float = 0.002
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        check_range("cloud voxel", self.voxel, 0.0002, 0.02, "m")
-        check_range("gap", self.gap, self.voxel, 0.2, "m")
-        check_range("far gap", self.far_gap, self.gap, 0.5, "m")
-        check_range("seen_through", self.seen_through, 1e-3, 1, "m")
+        check_range("cloud voxel", self.voxel, 0.0002, GAP, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,11 +205,11 @@ def fuse(
     _require(len(fused.points), params, "points within the workspace")
     used = np.ones(capture.views, dtype=bool) if found is None else found.used
     seen = [capture.depth[v] for v in np.flatnonzero(used)]
-    doubts, through = disagreement(capture, [p.points for p in pixels], poses, used, params.seen_through)
-    fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used], params.seen_through))
+    doubts, through = disagreement(capture, [p.points for p in pixels], poses, used)
+    fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used]))
     report()
     refuse_ground(fused.points, box)
-    kept = attached_points(fused.points, params.gap, params.far_gap, params.far_share)
+    kept = attached_points(fused.points)
     notes += cloud_doubts(fused.points, kept, box) + coverage_doubts(fused.points[kept].mean(axis=0), poses[used])
     fused = fused.only(kept)
     _require(len(fused.points), params, "points that hang together")

@@ -11,6 +11,13 @@ from scipy.spatial import KDTree
 
 from anther.geometry import Array
 
+GAP = 0.012
+"""Parts closer than this to the rest belong to it [m]."""
+FAR_GAP = 0.05
+"""Large parts belong to the plant up to this distance [m] (a real plant's cloud has gaps of 5 cm)."""
+FAR_SHARE = 0.002
+"""Least share of all points that such a large part has."""
+
 
 def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return each point's voxel number (N,), in order of first appearance, and the number of points of every voxel.
@@ -79,28 +86,22 @@ def clusters(points: Array, gap: float) -> NDArray[np.int64]:
     return np.unique(part, return_inverse=True)[1][cell]
 
 
-def attached_points(points: Array, gap: float, far_gap: float, far_share: float) -> NDArray[np.bool_]:
-    """Return which points (N,) belong to the plant: the largest cluster, and large ones that come near it.
+def attached_points(points: Array) -> NDArray[np.bool_]:
+    """Return which points (N, 3) [m] belong to the plant: the largest cluster, and large ones that come near it.
 
     The strict largest cluster would lose most of a real plant, whose cloud has gaps (facts: skeleton_peers, trap 3).
-
-    Args:
-        points: (N, 3) [m].
-        gap: points closer than this are connected [m].
-        far_gap: clusters with at least `far_share` of all points belong to the plant up to this distance [m].
-        far_share: 0..1.
     """
-    part = clusters(points, gap)
+    part = clusters(points, GAP)
     size = np.bincount(part)
     keep = np.zeros(len(size), dtype=bool)
     keep[np.argmax(size)] = True
-    large = size >= far_share * len(points)
+    large = size >= FAR_SHARE * len(points)
     while True:
         rest = np.flatnonzero((large & ~keep)[part])
         if len(rest) == 0:
             break
-        distance, _ = KDTree(points[keep[part]]).query(points[rest], distance_upper_bound=far_gap)
-        joins = np.unique(part[rest[distance < far_gap]])
+        distance, _ = KDTree(points[keep[part]]).query(points[rest], distance_upper_bound=FAR_GAP)
+        joins = np.unique(part[rest[distance < FAR_GAP]])
         if len(joins) == 0:
             break
         keep[joins] = True

@@ -154,19 +154,18 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def seen_through(
-    points_cam: Sequence[Array], poses: Array, depth: NDArray[Any], intrinsics: Intrinsics, behind: float
+    points_cam: Sequence[Array], poses: Array, depth: NDArray[Any], intrinsics: Intrinsics
 ) -> tuple[float, int]:
     """Return the share of judgements by which other views see through a view's points, and how many there are.
 
-    A view judges a point of another if it sees something there: at the point's depth, or at least `behind` it in all
-    pixels around (`fusion.agreeing_points`).
+    A view judges a point of another if it sees something there: at the point's depth, or at least `SEEN_THROUGH` [m]
+    behind it in all pixels around (`fusion.agreeing_points`).
 
     Args:
         points_cam: per view (N_v, 3) points in its camera frame [m].
         poses: (V, 4, 4) T_world_cam.
         depth: (V, H, W) [m].
         intrinsics: of all views.
-        behind: least distance behind the point [m].
     """
     supports = contradictions = 0
     for view, points in enumerate(points_cam):
@@ -174,14 +173,14 @@ def seen_through(
         world = transform_points(poses[view], few)
         for other in range(len(poses)):
             if other != view and len(few):
-                judged = balances(world, depth[other], intrinsics, poses[other], behind)
+                judged = balances(world, depth[other], intrinsics, poses[other])
                 supports, contradictions = supports + int((judged > 0).sum()), contradictions + int((judged < 0).sum())
     count = supports + contradictions
     return (contradictions / count if count else 0.0), count
 
 
 def disagreement(
-    capture: Capture, points_cam: Sequence[Array], poses: Array, used: NDArray[np.bool_], behind: float
+    capture: Capture, points_cam: Sequence[Array], poses: Array, used: NDArray[np.bool_]
 ) -> tuple[tuple[str, ...], float]:
     """Return what to tell the user of views that disagree, and the share of `seen_through`; nothing and 0 else.
 
@@ -190,16 +189,15 @@ def disagreement(
         points_cam: per view (N_v, 3) the plant's points in its camera frame [m].
         poses: (V, 4, 4) after registration.
         used: (V,) which views take part.
-        behind: see `seen_through`.
     """
     views = np.flatnonzero(used).tolist()
     if len(views) < 2:
         return (), 0.0
     points = [points_cam[v] for v in views]
-    share, count = seen_through(points, poses[views], capture.depth[views], capture.intrinsics, behind)
+    share, count = seen_through(points, poses[views], capture.depth[views], capture.intrinsics)
     if count >= ENOUGH and share <= MOST_SEEN_THROUGH:
         return (), 0.0
-    cause = likely_cause(capture, behind, points_cam if count >= ENOUGH else None)
+    cause = likely_cause(capture, points_cam if count >= ENOUGH else None)
     if count < ENOUGH:
         return ((f"the views hardly see the same of the plant: none confirms another. {cause}",) if cause else ()), 0.0
     return (
@@ -209,7 +207,7 @@ def disagreement(
     ), share
 
 
-def likely_cause(capture: Capture, behind: float = 0.02, points_cam: Sequence[Array] | None = None) -> str:
+def likely_cause(capture: Capture, points_cam: Sequence[Array] | None = None) -> str:
     """Return what is probably wrong with a capture, as a sentence for the user, or nothing where nothing stands out.
 
     The views are compared as given, with other focal lengths, with the camera's axes of the other convention (OpenCV: y
@@ -217,7 +215,6 @@ def likely_cause(capture: Capture, behind: float = 0.02, points_cam: Sequence[Ar
 
     Args:
         capture: the views, with the poses as given.
-        behind: see `seen_through`.
         points_cam: per view (N_v, 3) what is compared, in its camera frame [m]; None: all that the views see.
     """
     if capture.rgb is not None and _is_grey(capture.rgb):
@@ -226,8 +223,8 @@ def likely_cause(capture: Capture, behind: float = 0.02, points_cam: Sequence[Ar
             "every frame, and shape alone is used."
         )
     points = _all_points(capture) if points_cam is None else points_cam
-    given = _agreement(capture, points, behind)
-    tried = [(_agreement(changed, scaled, behind), words) for changed, scaled, words in _changes(capture, points)]
+    given = _agreement(capture, points)
+    tried = [(_agreement(changed, scaled), words) for changed, scaled, words in _changes(capture, points)]
     best, words = max(tried, key=lambda found: found[0])
     return words if best > max(2 * given, given + LEAST_GAIN) else ""
 
@@ -268,8 +265,8 @@ def _all_points(capture: Capture) -> list[Array]:
     return [capture.intrinsics.back_project(view, coarse & (view > 0)) for view in capture.depth]
 
 
-def _agreement(capture: Capture, points: Sequence[Array], behind: float) -> float:
+def _agreement(capture: Capture, points: Sequence[Array]) -> float:
     """Return how many judgements support, less those that contradict, as a share of all that there could be."""
-    share, count = seen_through(points, capture.T_world_cam, capture.depth, capture.intrinsics, behind)
+    share, count = seen_through(points, capture.T_world_cam, capture.depth, capture.intrinsics)
     could = (capture.views - 1) * sum(len(p[:: max(1, len(p) // JUDGED)]) for p in points)
     return count * (1 - 2 * share) / max(1, could)

@@ -21,6 +21,8 @@ from anther.geometry import Array, Box, Intrinsics, inverse, transform_points
 from anther.masks import FLOWER, PLANT
 
 THREADS = 2
+SEEN_THROUGH = 0.02
+"""A view contradicts a point where it sees at least this far behind it [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,11 +109,11 @@ def _add_points(group, points, normals, labels, colors, T, sums):
 
 
 def agreeing_points(
-    points: Array, depth: Sequence[NDArray[Any]], intrinsics: Intrinsics, poses: Array, seen_through: float
+    points: Array, depth: Sequence[NDArray[Any]], intrinsics: Intrinsics, poses: Array
 ) -> NDArray[np.bool_]:
     """Return which points (N,) the views do not contradict.
 
-    A view contradicts a point if everything it sees there and one pixel around is at least `seen_through` [m] behind
+    A view contradicts a point if everything it sees there and one pixel around is at least `SEEN_THROUGH` [m] behind
     it; it supports a point if something there lies within half of that. A point stays if no more views contradict
     than support it.
     """
@@ -121,7 +123,7 @@ def agreeing_points(
 
     def judge(part: slice) -> None:
         for view, T in zip(depth, cameras, strict=True):
-            _add_agreement(points[part], view, k, T, seen_through, balance[part])
+            _add_agreement(points[part], view, k, T, SEEN_THROUGH, balance[part])
 
     with ThreadPoolExecutor(THREADS) as pool:
         list(
@@ -132,14 +134,12 @@ def agreeing_points(
     return balance >= 0
 
 
-def balances(
-    points: Array, depth: NDArray[Any], intrinsics: Intrinsics, T_world_cam: Array, seen_through: float
-) -> NDArray[np.int64]:
+def balances(points: Array, depth: NDArray[Any], intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.int64]:
     """Return what one view says of points (N, 3): 1 supports, -1 contradicts, 0 nothing; see `agreeing_points`."""
     k = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
     balance = np.zeros(len(points), dtype=np.int64)
     _add_agreement(
-        np.ascontiguousarray(points), depth, k, np.ascontiguousarray(inverse(T_world_cam)), seen_through, balance
+        np.ascontiguousarray(points), depth, k, np.ascontiguousarray(inverse(T_world_cam)), SEEN_THROUGH, balance
     )
     return balance
 

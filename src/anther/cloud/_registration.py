@@ -55,32 +55,30 @@ POINTS_PER_CONSTRAINT = 8.0
 SEARCH = 0.04
 """How far around its given place a view that the others contradict is looked for [m]."""
 
+VOXEL = 0.004
+"""Views are thinned to this spacing for matching [m]."""
+NEIGHBOURS = 12
+"""Candidates looked up for each point among all views' points."""
+MATCH_DISTANCES = 0.012, 0.009, 0.007, 0.006, 0.005
+"""Greatest distance of a match [m], one per round; the map is rebuilt in each."""
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """How far the views may move and how their points are matched.
+    """How far the views may move.
 
     Attributes:
         rotation_sigma, translation_sigma: standard deviation of one view's pose error, per axis [rad], [m]
             (facts: perception, 0.2 deg and 1.5 mm).
-        voxel: views are thinned to this spacing for matching [m].
-        neighbours: candidates looked up for each point among all views' points.
-        match_distances: greatest distance of a match [m], one per round; the map is rebuilt in each.
     """
 
     rotation_sigma: float = float(np.deg2rad(0.2))
     translation_sigma: float = 0.0015
-    voxel: float = 0.004
-    neighbours: int = 12
-    match_distances: tuple[float, ...] = (0.012, 0.009, 0.007, 0.006, 0.005)
 
     def __post_init__(self) -> None:
         check_parameters(self)
         check_range("registration rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
         check_range("registration translation sigma", self.translation_sigma, 1e-6, 1, "m")
-        check_range("registration voxel", self.voxel, 1e-4, 0.1, "m")
-        check_range("neighbours", self.neighbours, 1, 100)
-        check_range("number of match_distances", len(self.match_distances), 1, 100)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +116,7 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
     """
     params = params or Params()
     given = np.array(T_world_cam)
-    sample = Sample.of(points_cam, params.voxel, POINTS_PER_VIEW)
+    sample = Sample.of(points_cam, VOXEL, POINTS_PER_VIEW)
     if len(np.unique(sample.view)) < 2:
         return _declined(given, "fewer than two views show the plant")
     draw = np.random.default_rng(0).random(len(sample.view))
@@ -127,7 +125,7 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
     if found is None:
         return _declined(given, "the views share no surface")
     checked = _without_contradictions(sample, given, found, source, params)
-    return _judged(sample, given, checked, held_out, params)
+    return _judged(sample, given, checked, held_out)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +153,7 @@ def _without_contradictions(
     anew = mend.wrong | far
     if anew.any():
         start, kept = np.where(anew[:, None, None], placed.poses, given), used[sample.view]
-        last = params.match_distances[-2:]
+        last = MATCH_DISTANCES[-2:]
         found = _jointly(sample.only(kept), placed, start, source[kept], last, params, reach_fixed=True) or placed
         found.poses[~used] = given[~used]
     if mend.wrong.any():
@@ -191,8 +189,8 @@ def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np
 
 def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
     """Return the estimate, or None where views share no surface."""
-    half = (len(params.match_distances) + 1) // 2
-    first, last = params.match_distances[:half], params.match_distances[half:]
+    half = (len(MATCH_DISTANCES) + 1) // 2
+    first, last = MATCH_DISTANCES[:half], MATCH_DISTANCES[half:]
     at = _jointly(sample, Estimate(given), given, source, first, params, reach_fixed=False)
     if at is None:
         return None
@@ -219,7 +217,7 @@ def _jointly(
     )
     weight = 1 / (POINT_SIGMA**2 * POINTS_PER_CONSTRAINT)
     for distance in distances:
-        pairs = _match(sample, at, source, distance, params)
+        pairs = _match(sample, at, source, distance)
         if len(pairs) == 0:
             return None
         problem = Problem(sample, pairs, given, information, max(POINT_SIGMA, distance / 3), weight)
@@ -228,8 +226,8 @@ def _jointly(
     return at
 
 
-def _match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float, params: Params) -> NDArray[np.int64]:
-    return match(sample, at, use, neighbours=params.neighbours, distance=distance, angle=NORMAL_ANGLE)
+def _match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
+    return match(sample, at, use, neighbours=NEIGHBOURS, distance=distance, angle=NORMAL_ANGLE)
 
 
 def _declined(given: Array, why: str) -> Registration:
@@ -238,12 +236,10 @@ def _declined(given: Array, why: str) -> Registration:
     return Registration(given, False, np.nan, np.nan, 0.0, np.full(views, np.nan), used, (f"registration: {why}",))
 
 
-def _judged(
-    sample: Sample, given: Array, checked: _Checked, held_out: NDArray[np.bool_], params: Params
-) -> Registration:
+def _judged(sample: Sample, given: Array, checked: _Checked, held_out: NDArray[np.bool_]) -> Registration:
     """Return the registration, or the arm's poses where held-out points disagree no less than under them."""
     found, judges = checked.found, held_out & checked.used[sample.view]
-    before, after = (_disagreement(sample, Estimate(T, found.reach), judges, params) for T in (given, found.poses))
+    before, after = (_disagreement(sample, Estimate(T, found.reach), judges) for T in (given, found.poses))
     if after < (1 - LEAST_GAIN) * before:
         return Registration(
             found.poses, True, before, after, found.reach, checked.agreement, checked.used, checked.notes
@@ -256,9 +252,9 @@ def _judged(
     return Registration(given, False, before, after, found.reach, agrees, checked.used, (note, *checked.notes))
 
 
-def _disagreement(sample: Sample, at: Estimate, held_out: NDArray[np.bool_], params: Params) -> float:
+def _disagreement(sample: Sample, at: Estimate, held_out: NDArray[np.bool_]) -> float:
     """Return the median distance [m] of held-out points to the surfaces of other views."""
-    pairs = _match(sample, at, held_out, params.match_distances[0], params)
+    pairs = _match(sample, at, held_out, MATCH_DISTANCES[0])
     return float(np.median(plane_distances(sample, at, pairs))) if len(pairs) else np.inf
 
 
