@@ -12,10 +12,10 @@ from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, pl
 from anther.cli import main
 from anther.cloud import Cloud, _registration
 from anther.errors import InputError
-from anther.skeleton import geodesics, skeletonize
+from anther.skeleton import skeletonize
 
 STAGES: list[Any] = [
-    cloud.Params(), _registration.Params(), masks.Params(), skeleton.Params(), geodesics.Params(), stem.Params(),
+    cloud.Params(), _registration.Params(), masks.Params(), skeleton.Params(), stem.Params(),
     flowers.Params(), grasp.Params(), plant.Params(), execution.Params(), response.Params(),
 ]  # fmt: skip
 
@@ -40,9 +40,8 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
 @pytest.mark.parametrize(
     ("kind", "name", "value"),
     [
-        (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "resolution", 1e6),
-        (skeleton.Params, "close", 10_000), (skeleton.Params, "recentre", 1_000_000), (geodesics.Params, "flat", -1.0),
-        (flowers.Params, "gap", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
+        (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "bridge", 10.0),
+        (flowers.Params, "reach", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
         (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
         (grasp.Params, "leaf_size", 0.0),

@@ -7,7 +7,7 @@ import pytest
 from made_plants import blade, segment_distance, simple_plant, tube
 
 from anther.cloud import Cloud
-from anther.skeleton import Params, geodesics, skeletonize
+from anther.skeleton import Params, skeletonize
 from anther.skeleton.cross_sections import cross_sections
 from anther.skeleton.geodesics import LevelSets, covering_paths, geodesic_tree, level_sets, shortest_paths
 from anther.skeleton.midribs import middled
@@ -63,7 +63,7 @@ def test_a_blade_has_one_line_and_each_long_lobe_another(slit: int, shortest: fl
     index = np.concatenate([grid(3, 3, 60), leaf[(leaf[:, 0] != 1) | (leaf[:, 2] <= 120 - slit)]])
     voxels, index = voxels_of(index, index[:, 2] >= 60)
     source = int(np.flatnonzero((index == [1, 1, 0]).all(axis=1))[0])
-    tree = geodesic_tree(voxels, source, level_sets(voxels, source), geodesics.Params(), shortest)
+    tree = geodesic_tree(voxels, source, level_sets(voxels, source), shortest)
     ends = tree.nodes[np.bincount(tree.parent[1:], minlength=len(tree.nodes)) == 0]
     assert len(ends) == lines
     assert ends[:, 2].min() >= 119

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -16,7 +16,6 @@ from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.masks import FLOWER
-from anther.skeleton import geodesics
 from anther.skeleton.bridging import bridges, without_specks
 from anther.skeleton.centreline import beginning, centred, extended, resample
 from anther.skeleton.geodesics import LevelSets, geodesic_tree, level_sets
@@ -36,6 +35,14 @@ _ENOUGH_POINTS = 80_000  # cross-sections of more are not better (measured on te
 _FINEST = 700  # a cloud of many points is thinned to one per cube of plant size / _FINEST
 _MOST_VOXELS = 1500  # along the plant: with more, filled hollows take gigabytes
 _REACH, _FLAT = 6.0, 0.5  # surroundings looked at [voxels], and the planarity that counts as a blade
+RESOLUTION = 350.0
+"""Voxels along the plant's size, where nobody gives the voxels' edge."""
+CLOSE = 2
+"""Gaps of up to so many voxels are closed."""
+HOLLOW = 0.06
+"""Stems hollow in the scan are filled up to this diameter, relative to the plant's size."""
+RECENTRE = 2
+"""Rounds of sub-voxel centring; 0 would keep the coarse tree's steps."""
 _SURE = 0.75  # a root that is less likely is said
 _SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
 _SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
@@ -58,14 +65,9 @@ class Params:
         root: where the stem leaves the soil [m], by who knows better; None: it is found.
         method: "geodesic" (shortest paths that prefer stems, default: measured better) or "thinning" (the paper's
             P7-P9).
-        voxel: voxel edge [m]; None: plant size / resolution, but not below 1.3 point spacings.
-        resolution: voxels along the plant's size when `voxel` is None.
-        close: gaps of up to so many voxels are closed.
-        hollow: stems hollow in the scan are filled up to this diameter (relative).
+        voxel: voxel edge [m]; None: plant size / `RESOLUTION`, but not below 1.3 point spacings.
         bridge: gaps up to this are bridged (relative; 5 cm on a 0.6 m robot plant is 0.08).
-        geodesic: what these paths prefer.
         spacing: distance between nodes [m]; None: plant size / 110 (6 mm on a 0.65 m plant).
-        recentre: rounds of sub-voxel centring; 0 keeps the coarse tree's steps.
         fattening: how much thicker the sensor makes organs [m of radius], taken off the radii; None: half a pixel
             of the cloud's footprint, 0 for a cloud without one.
     """
@@ -73,24 +75,15 @@ class Params:
     root: tuple[float, float, float] | None = None
     method: Literal["geodesic", "thinning"] = "geodesic"
     voxel: float | None = None
-    resolution: float = 350.0
-    close: int = 2
-    hollow: float = 0.06
     bridge: float = 0.15
-    geodesic: geodesics.Params = field(default_factory=geodesics.Params)
     spacing: float | None = None
-    recentre: int = 2
     fattening: float | None = None
 
     def __post_init__(self) -> None:
         check_parameters(self, places=("root",))
         check_range("voxel", 0.001 if self.voxel is None else self.voxel, 1e-5, 1, "m")
-        check_range("resolution", self.resolution, 10, _MOST_VOXELS)
-        check_range("close", self.close, 0, 20)
-        check_range("hollow", self.hollow, 0, 0.5)
         check_range("bridge", self.bridge, 0, 2)
         check_range("spacing", 0.005 if self.spacing is None else self.spacing, 1e-4, 1, "m")
-        check_range("recentre", self.recentre, 0, 20)
         check_range("fattening", self.fattening or 0, 0, 0.1, "m")
 
 
@@ -221,15 +214,15 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
         points = np.asarray(voxelgrid_sampling(points, size / _FINEST).points())[:, :3]
     if params.voxel is not None:
         check_range("voxel", params.voxel, size / _MOST_VOXELS, size / 10, "m")  # finer, hollows fill with millions
-    voxel = params.voxel or max(size / params.resolution, 1.3 * point_spacing(points))
-    solid = solidify(points, voxel, close=params.close, fill=params.hollow * size)
+    voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
+    solid = solidify(points, voxel, close=CLOSE, fill=HOLLOW * size)
     voxels, notes = _connected(solid, size, params)
     coarse, base = _coarse_tree(voxels, size, params)
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
     surface = points[:: -(-len(points) // _ENOUGH_POINTS)]
-    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening, smallest=_SMALLEST_RADIUS)
+    curves = centred(curves, surface, rounds=RECENTRE, fattening=fattening, smallest=_SMALLEST_RADIUS)
     hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
     if hidden > 0:
         curves = extended(curves, hidden, spacing)
@@ -292,7 +285,7 @@ class _Rooted(NamedTuple):
 def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, _Rooted]:
     """Return the tree before centring, rooted where the stem leaves the soil."""
     if params.method == "thinning":
-        tree = _pruned(_not_trivial(thinned_tree(voxels), size, params), voxels, params)
+        tree = _pruned(_not_trivial(thinned_tree(voxels), size, params), voxels)
         if params.root is not None:
             root = nearest_node("root", params.root, tree.nodes)
             return tree.taking(*rerooted(tree.parent, root)), _Rooted()
@@ -303,20 +296,20 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     paths, levels = _paths(voxels, source, size, params)
     rooted = _Rooted()
     if params.root is None:
-        tree = _parted(paths, voxels, params)
+        tree = _parted(paths, voxels)
         found = find_root(tree)
         base, rooted = tree.nodes[found.node], _rooted(tree, found)
         if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
             source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
             paths, levels = _paths(voxels, source, size, params)
-    pruned = _pruned(paths, voxels, params)
+    pruned = _pruned(paths, voxels)
     return middled(pruned, stem_gain(pruned), voxels, levels), rooted
 
 
 def _paths(voxels: Voxels, source: int, size: float, params: Params) -> tuple[RawTree, LevelSets]:
     """Return the tree of shortest paths to a voxel, and its level sets."""
     levels = level_sets(voxels, source)
-    tree = geodesic_tree(voxels, source, levels, params.geodesic, _SPUR * voxels.voxel)
+    tree = geodesic_tree(voxels, source, levels, _SPUR * voxels.voxel)
     return _not_trivial(tree, size, params), levels
 
 
@@ -329,16 +322,16 @@ def _rooted(tree: RawTree, found: Base) -> _Rooted:
     return _Rooted(found.probability, (f"{words} (--root names it)",))
 
 
-def _parted(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:
+def _parted(tree: RawTree, voxels: Voxels) -> RawTree:
     """Return the tree without paths side by side and the shortest spurs; a stem's foot may look like a longer one."""
     tree = parted(tree, stem_gain(tree))
     tree = with_extents(tree.nodes, tree.parent, voxels)
     return without_spurs(tree, per_width=0, at_least=_SPUR * voxels.voxel)
 
 
-def _pruned(tree: RawTree, voxels: Voxels, params: Params) -> RawTree:
+def _pruned(tree: RawTree, voxels: Voxels) -> RawTree:
     """Return the tree without what is not an organ: paths side by side, spurs, veins."""
-    tree = _parted(tree, voxels, params)
+    tree = _parted(tree, voxels)
     tree = without_spurs(tree, per_width=_SPUR_PER_WIDTH, at_least=0)
     return without_veins(tree, _VEIN * voxels.voxel)
 

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
-from anther.checks import check_parameters
 from anther.geometry import Array
 from anther.skeleton.raw_tree import RawTree, with_extents
 from anther.skeleton.voxel_solid import Voxels, components
@@ -27,22 +26,9 @@ _AT_THE_EDGE = 0.4
 _DEEP = 4.0
 """Depth of a level set [voxels]. On eight simulated captures 3 and 5 give junctions with an F1 of 0.813 and 0.814, 4 of
 0.822; with 6 and 10 short petioles merge with what is beside them."""
-
-
-@dataclass(frozen=True, slots=True)
-class Params:
-    """What a path prefers; measured on simulated captures and labelled seedlings.
-
-    Attributes:
-        flat: how many times its length a way across a blade costs more.
-        edge: how many times its length a way along a surface costs more than through the middle.
-    """
-
-    flat: float = 3.0
-    edge: float = 3.0
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
+FLAT, EDGE = 3.0, 3.0
+"""How many times its length a way across a blade costs more, and one along a surface than one through the middle;
+measured on simulated captures and labelled seedlings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,12 +52,12 @@ def level_sets(voxels: Voxels, source: int) -> LevelSets:
     return LevelSets(way, components(len(way), beside))
 
 
-def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, params: Params, shortest: float) -> RawTree:
+def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, shortest: float) -> RawTree:
     """Return the tree of shortest paths to the voxel `source`, whose level sets are given.
 
     No path but the first has less than `shortest` [m] of its own.
     """
-    cost = 1 + params.flat * voxels.flatness + params.edge * np.minimum(voxels.off_middle / _AT_THE_EDGE, 1) ** 2
+    cost = 1 + FLAT * voxels.flatness + EDGE * np.minimum(voxels.off_middle / _AT_THE_EDGE, 1) ** 2
     distance, before = shortest_paths(voxels.points, voxels.edges, cost, source)
     chosen = covering_paths(distance, before, levels, shortest)
     rank = np.full(len(voxels.points), -1)
