@@ -14,7 +14,6 @@ class Params:
     Attributes:
         tip: where the main stem ends [m], by who knows better; None: it is found.
         alpha: exponent of the mean radius in the path score S.
-        v_bias: weight of verticality in S.
         turn: a step that turns from the growth axis by more than this is not stem-like [degrees].
         fork_share: a branch forks the stem when it is at least this share as thick as the stem beyond it and rises at
             least this share as high (docs/reports/skeletons.md: branches 0.65, 0.85 or more; petioles that thick rise
@@ -24,7 +23,6 @@ class Params:
 
     tip: tuple[float, float, float] | None = None
     alpha: float = 2.0
-    v_bias: float = 1.0
     turn: float = 45.0
     fork_share: float = 0.6
     fork_angle: float = 50.0
