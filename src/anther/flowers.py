@@ -23,10 +23,16 @@ from anther.stem.organs import longest_way
 
 SUPPOSED = 0.015  # m, of a flower nobody saw from the end that carries it: a pedicel (9 to 22 mm; facts: pollination)
 _KIND, _SCHEMA = "flowers", 1
+GAP = 0.005
+"""Points nearer than this belong to one cluster [m]."""
 APART = 0.012
 """Clusters whose centres are nearer than this are one flower in pieces [m]."""
 GRID = 0.0015
 """Points are thinned to one per cube of this edge first [m]."""
+FEWEST = 8
+"""A flower has at least so many points, counted on this grid."""
+SMALLEST = 0.003
+"""A flower is at least so large [m], or it is a speck."""
 FULLNESS = 0.45
 """A flower's points cover at least this share of the disc as wide as it is: specks on a leaf lie scattered."""
 FARTHEST = 0.08
@@ -41,24 +47,18 @@ class Params:
     """What a flower looks like in the cloud.
 
     Attributes:
-        gap: points nearer than this belong to one cluster [m].
         largest: a cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across.
         reach: radius of the kernel that splits such a cluster [m].
-        fewest: a flower has at least so many points, counted on a grid of `GRID`.
-        smallest: a flower is at least so large [m], or it is a speck.
         pedicel: a truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination).
     """
 
-    gap: float = 0.005
     largest: float = 0.033
     reach: float = 0.008
-    fewest: int = 8
-    smallest: float = 0.003
     pedicel: float = 0.025
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        for name in ("gap", "reach", "largest"):
+        for name in ("reach", "largest"):
             check_range(name, getattr(self, name), 1e-4, 1, "m")
 
 
@@ -135,17 +135,17 @@ def flower_centres(cloud: Cloud, params: Params | None = None) -> Array:
         return np.zeros((0, 3))
     _, first = np.unique(np.rint(points / GRID).astype(np.int64), axis=0, return_index=True)
     points = points[first]
-    pieces = [part for cluster in _clusters(points, params.gap) for part in _split(cluster, params)]
+    pieces = [part for cluster in _clusters(points, GAP) for part in _split(cluster, params)]
     middles = np.array([piece.mean(axis=0) for piece in pieces])
     joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, APART)]
-    real = [flower.mean(axis=0) for flower in joined if _is_flower(flower, params)]
+    real = [flower.mean(axis=0) for flower in joined if _is_flower(flower)]
     return np.array(real).reshape(-1, 3)
 
 
-def _is_flower(points: Array, params: Params) -> bool:
+def _is_flower(points: Array) -> bool:
     extent = _extent(points)
     covered = len(points) * GRID**2 / (np.pi / 4 * max(extent, GRID) ** 2)
-    return len(points) >= params.fewest and extent >= params.smallest and covered >= FULLNESS
+    return len(points) >= FEWEST and extent >= SMALLEST and covered >= FULLNESS
 
 
 def _clusters(points: Array, gap: float) -> list[Array]:
