@@ -15,6 +15,9 @@ from anther.grasp.candidates import directions_across, flange_pose
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
+BESIDE = 0.03
+"""How far along a branch its direction is taken [m]; branches within twice this of the edge count."""
+
 
 def paper_grasp(stem: Stem, skeleton: Skeleton, params: Params | None = None, reach: Reach | None = None) -> Grasp:
     """Return the paper's grasp: the midpoint of the core stem's longest edge (P12), approached along n* (P13).
@@ -25,7 +28,7 @@ def paper_grasp(stem: Stem, skeleton: Skeleton, params: Params | None = None, re
 
     Args:
         stem, skeleton: the plant.
-        params: the gripper's geometry, and how near a branch must be to count.
+        params: the gripper's geometry.
         reach: the arm; None takes the first of the four poses.
 
     Raises:
@@ -37,8 +40,8 @@ def paper_grasp(stem: Stem, skeleton: Skeleton, params: Params | None = None, re
     nodes = skeleton.nodes[stem.node_ids]
     low, point, high = (_at(arc, stem.arc_length, nodes) for arc in (start, middle, end))
     tangent = (high - low) / np.linalg.norm(high - low)
-    branch_arc, branches = branch_directions(stem, skeleton, params.window)
-    n = paper_approach(tangent, branches[_beside(branch_arc, start, end, margin=2 * params.window)])
+    branch_arc, branches = branch_directions(stem, skeleton, BESIDE)
+    n = paper_approach(tangent, branches[_beside(branch_arc, start, end, margin=2 * BESIDE)])
     back = transform(np.eye(3), [0, 0, -STAND_OFF])
     for approach, up in ((n, tangent), (n, -tangent), (-n, tangent), (-n, -tangent)):
         pose = flange_pose(point, up, approach, params.gripper.depth)

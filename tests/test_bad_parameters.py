@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther import checks, cloud, execution, flowers, grasp, masks, pipeline, plant, response, shake, skeleton, stem
+from anther import cloud, execution, flowers, grasp, masks, pipeline, plant, response, shake, skeleton, stem
 from anther.cli import main
 from anther.cloud import Cloud, _registration
 from anther.errors import InputError
@@ -43,8 +43,7 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "bridge", 10.0),
         (flowers.Params, "reach", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
         (execution.Params, "calm", 1e9),
-        (execution.Params, "settle", 1e9), (grasp.Params, "openings", ()), (grasp.Params, "straight", 0.0),
-        (grasp.Params, "leaf_size", 0.0),
+        (execution.Params, "settle", 1e9), (grasp.Params, "spacing", 0.0), (grasp.Params, "wanted", 0),
         (shake.Params, "seed", -1), (shake.Params, "most_amplitude", 0.0),
         (shake.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
         (response.Params, "near", 10_000), (masks.Params, "ground_radius", 10.0),
@@ -75,5 +74,5 @@ def test_the_command_line_refuses_them(capsys, value: str) -> None:
 
 
 def test_numbers_in_tuples_are_checked_too() -> None:
-    with pytest.raises(InputError, match="openings"):
-        checks.check_parameters(replace(grasp.Params(), openings=(0.02, float("nan"))))
+    with pytest.raises(InputError, match="tip"):
+        stem.Params(tip=(0.02, float("nan"), 0.0))

@@ -11,9 +11,21 @@ from hypothesis import strategies as st
 from paper_grasp import branch_directions, paper_approach, paper_grasp
 from scipy.spatial.transform import Rotation
 
+from anther import grasp
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
-from anther.grasp import STAND_OFF, STROKE_MARGIN, Grasp, Gripper, Params, _rank, load_grasps, plan_grasps, save_grasps
+from anther.grasp import (
+    STAND_OFF,
+    STROKE_MARGIN,
+    TOWARD_TIPS,
+    Grasp,
+    Gripper,
+    Params,
+    _rank,
+    load_grasps,
+    plan_grasps,
+    save_grasps,
+)
 from anther.grasp.candidates import candidates_along, directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
 from anther.grasp.clearance import FAR, KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
@@ -67,7 +79,7 @@ def test_frame_conventions():
         np.testing.assert_allclose(g.tangent, tilt[:, 2], atol=1e-9)
         assert abs(y @ g.tangent) < 1e-9
         assert abs(x @ g.tangent) == pytest.approx(1)
-        np.testing.assert_allclose(p + (Gripper().depth + Params().toward_tips) * z, g.point, atol=1e-12)
+        np.testing.assert_allclose(p + (Gripper().depth + TOWARD_TIPS) * z, g.point, atol=1e-12)
         np.testing.assert_allclose(g.pregrasp(0.1)[:3, 3], p - 0.1 * z, atol=1e-12)
 
 
@@ -184,9 +196,10 @@ def test_asks_the_arm_lazily_and_keeps_its_joints():
     assert len(np.unique(asked, axis=0)) == len(asked), "what is out of reach wide open is so half open"
 
 
-def test_out_of_reach_says_so():
+def test_out_of_reach_says_so(monkeypatch):
+    monkeypatch.setattr(grasp, "ASKED", 7)
     with pytest.raises(StageFailure, match="reaches none of the 28 best") as failure:
-        plan_grasps(*make_plant(), Params(asked=7), reach=lambda *_: None)
+        plan_grasps(*make_plant(), reach=lambda *_: None)
     assert failure.value.kind == "unreachable"
 
 
@@ -203,14 +216,15 @@ def test_a_place_that_is_probably_not_the_main_stem_is_never_taken():
     assert plan_grasps(forked, skeleton, cloud, reach=above), "where no confidence is known nothing is refused"
 
 
-def test_asks_on_while_it_has_nothing_and_then_is_content():
+def test_asks_on_while_it_has_nothing_and_then_is_content(monkeypatch):
+    monkeypatch.setattr(grasp, "ASKED", 7)
     asked = []
 
     def reach(_, grasp):
         asked.append(grasp)
         return np.ones(7) if len(asked) == 20 else None
 
-    assert len(plan_grasps(*make_plant(), Params(asked=7), reach=reach)) == 1
+    assert len(plan_grasps(*make_plant(), reach=reach)) == 1
     assert len(asked) == 20
 
 
@@ -266,7 +280,7 @@ def test_branch_directions_point_outward():
 def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance):
     gripper = Gripper(body=())
     ball = Surroundings(np.array([point]), np.zeros(1), np.array([OBSTACLE]), np.zeros(1))
-    met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
+    met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing())
     assert met.distance.shape == (1, KINDS)
     assert met.distance[0, OBSTACLE] == pytest.approx(distance, abs=1e-5)
     assert met.touched[0, OBSTACLE] == (distance < 0.002)
@@ -286,7 +300,7 @@ def test_clearance_is_that_of_all_balls_and_boxes_one_by_one(seed):
     local = (centers - pose[:3, 3]) @ pose[:3, :3]
     d = np.maximum(boxes[:, None, :3] - local, local - boxes[:, None, 3:])
     gap = np.where((d > 0).any(axis=2), np.linalg.norm(np.maximum(d, 0), axis=2), d.max(axis=2)) - radius
-    met = clearance(pose[None], balls, boxes, gripper.closing(), touch=0.002)
+    met = clearance(pose[None], balls, boxes, gripper.closing())
     assert met.distance[0, OBSTACLE] == pytest.approx(min(gap.min(), FAR), abs=1e-9)
     assert met.touched[0, OBSTACLE] == (gap.min(axis=0) < 0.002).sum()
 
@@ -295,8 +309,8 @@ def test_the_whole_way_in_counts():
     """A ball that the gripper's body passes on the way is met although the gripper at the grasp is clear of it."""
     gripper, pose = Gripper(), np.eye(4)[None]
     ball = Surroundings(np.array([[0.0, 0.05, -0.09]]), np.zeros(1), np.array([OBSTACLE]), np.zeros(1))
-    at_end = clearance(pose, ball, gripper.boxes(0.0), gripper.closing(), touch=0.002)
-    on_way = clearance(pose, ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
+    at_end = clearance(pose, ball, gripper.boxes(0.0), gripper.closing())
+    on_way = clearance(pose, ball, gripper.boxes(0.1), gripper.closing())
     assert at_end.distance[0, OBSTACLE] > 0.02
     assert on_way.distance[0, OBSTACLE] < 0
 
@@ -308,7 +322,7 @@ def test_what_is_pushed_aside_pushes_back(depth, stiffness):
     ball = Surroundings(
         np.array([[0, gripper.stroke / 2 + depth, 0.1]]), np.zeros(1), np.array([PETIOLE]), np.array([stiffness])
     )
-    met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing(), touch=0.002)
+    met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing())
     assert met.push[0] == pytest.approx(max(0.002 + depth, 0) * stiffness)
 
 
@@ -392,14 +406,14 @@ def test_balls_stand_close_however_far_apart_the_nodes_are():
     ids = np.arange(0, len(stem.node_ids), 10)
     few = Skeleton(skeleton.nodes[ids], np.arange(-1, len(ids) - 1), skeleton.radius[ids])
     coarse = Stem(np.arange(len(ids)), stem.arc_length[ids], np.zeros(0, dtype=np.int64), stem.organ[ids])
-    around = surroundings_of(coarse, few, cloud, leaf_size=0.006)
+    around = surroundings_of(coarse, few, cloud)
     along = np.sort(around.centers[around.kind == STEM_BALL][:, 2])
     assert np.diff(along).max() <= 0.003 + 1e-9
     assert along[-1] - along[0] > 0.49
 
 
 def test_a_short_petiole_is_stiffer_than_a_long_one():
-    around = surroundings_of(*make_plant(), leaf_size=0.006)
+    around = surroundings_of(*make_plant())
     from_stem = np.linalg.norm(around.centers[:, :2] - [0.72, 0], axis=1)
     of = lambda low, high: around.stiffness[(around.kind == PETIOLE) & (from_stem > low) & (from_stem < high)]  # noqa: E731
     assert np.all(around.stiffness[around.kind != PETIOLE] == 0)

@@ -30,6 +30,10 @@ PETIOLE_RADIUS = 0.002
 """Of every petiole near the stem [m]: depth cameras make thin ones too thick. Our estimate, for peppers."""
 LEAST_LEVER = 0.015
 """Nearer to the stem than this [m] a petiole is taken to be no stiffer: it swells and turns with its node."""
+LEAF_SIZE = 0.006
+"""Leaves are counted as pieces of this size [m]."""
+TOUCH = 0.002
+"""A piece nearer than this to the way in counts as touched [m]."""
 FAR = 0.03  # m, distances beyond are not told apart
 CELL = 0.03  # m, edge of the cubes in which balls are looked up; only speed depends on it
 
@@ -122,16 +126,15 @@ class Clearance:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
-def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud, *, leaf_size: float) -> Surroundings:
+def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surroundings:
     """Return stem, petioles, leaves, flowers and obstacles as balls.
 
     The stem is taken from the skeleton, not from its surface points, which a depth camera makes too thick; points on
     it are left out. A branch is stiff for its first `STIFF_LENGTH`, a leaf for `STALK_LENGTH`; everywhere the surface
-    points count as leaf.
+    points count as leaf, merged in cubes of `LEAF_SIZE`.
 
     Args:
         stem, skeleton, cloud: the plant, pot and bench.
-        leaf_size: edge of the cubes in which surface points are merged [m].
     """
     outward = _distance_from_stem(stem, skeleton)
     stem_balls = _balls_along(skeleton, stem.node_ids[1:], 0.003, outward)
@@ -141,11 +144,11 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud, *, leaf_size: 
     free = lambda points, margin: points[_outside(points, line, stem_balls[:, 3], margin)]  # noqa: E731
     is_flower = np.asarray(cloud.labels) == FLOWER
     parts = [
-        (LEAF, free(thin_out(cloud.points[~is_flower], leaf_size), STEM_FUZZ)),
-        (FLOWER_POINT, thin_out(cloud.points[is_flower], leaf_size)),
+        (LEAF, free(thin_out(cloud.points[~is_flower], LEAF_SIZE), STEM_FUZZ)),
+        (FLOWER_POINT, thin_out(cloud.points[is_flower], LEAF_SIZE)),
         (BRANCH, branch_balls[:, :3]),
         (STEM, stem_balls[:, :3]),
-        (OBSTACLE, thin_out(cloud.obstacles, leaf_size)),
+        (OBSTACLE, thin_out(cloud.obstacles, LEAF_SIZE)),
     ]
     radius = {BRANCH: np.minimum(branch_balls[:, 3], 0.005), STEM: stem_balls[:, 3]}
     stiffness = {BRANCH: 0.75 * np.pi * PETIOLE_RADIUS**4 / np.maximum(branch_balls[:, 4], LEAST_LEVER) ** 3}  # 3 I/s^3
@@ -199,7 +202,7 @@ def thin_out(points: Array, size: float) -> Array:
     return np.stack([np.bincount(inverse, weights=points[:, i]) for i in range(3)], axis=1) / count[:, None]
 
 
-def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: Array, *, touch: float) -> Clearance:
+def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: Array) -> Clearance:
     """Return what a gripper made of boxes meets at each pose.
 
     Args:
@@ -207,7 +210,6 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
         surroundings: the balls.
         boxes: (G, 6) lower and upper corners in the flange frame [m]; swept boxes make it the whole way in.
         closing: (6,) lower and upper corner of the space between the open pads.
-        touch: a ball counts as touched when it is nearer than this [m].
     """
     distance = np.full((len(poses), KINDS), FAR)
     touched, enclosed = (np.zeros((len(poses), KINDS), dtype=np.int64) for _ in range(2))
@@ -216,7 +218,7 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
         order, start, cells = _cells(surroundings)
         s = surroundings
         balls = (s.centers[order], s.radius[order], s.kind[order], s.stiffness[order])
-        _meet(poses, *balls, start, cells, boxes, closing, touch, distance, touched, enclosed, spread, push)
+        _meet(poses, *balls, start, cells, boxes, closing, TOUCH, distance, touched, enclosed, spread, push)
     return Clearance(distance, touched, enclosed, spread, push)
 
 
