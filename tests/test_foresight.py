@@ -14,7 +14,8 @@ from anther.devices import ArmSample
 from anther.escalation import foresight as foresight_module
 from anther.escalation import knowledge
 from anther.escalation.foresight import LOADS, Foresight, foresee, misfit, narrowed
-from anther.escalation.knowledge import Known, Look, answered, gripper_motion, known, lateness, links, summed
+from anther.escalation.gripper import ARM_FOLLOWS, gripper_motion, links
+from anther.escalation.knowledge import Known, Look, answered, known, lateness, summed
 from anther.plant import TOMATO, build_plant
 from anther.shake.observables import observables, semi_major
 from anther.shake.plant_limits import FAST
@@ -125,10 +126,11 @@ def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndar
     sizes = np.isin(np.arange(len(TONES)), tones) * 1e-3
     world.pieces = [Swing.first(TONES, sizes, 2.0, 0.5)]
     active = np.array(tones)
-    commanded = 1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin)
+    commanded = np.asarray(1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin), dtype=np.complex128)
+    gripper = np.asarray(commanded[:, None] * (world.arm @ direction), dtype=np.complex128)
     world.directions = np.repeat(direction[None], len(TONES), axis=0)
     seen = world.swings(None, [None], TONES[active])  # type: ignore[list-item]
-    return Look(active, direction, commanded, commanded[:, None] * (world.arm @ direction), np.zeros(len(active)), seen)
+    return Look(active, direction, commanded, gripper, np.zeros(len(active)), seen)
 
 
 def told(foresight: Foresight, at: Look, i: int, late: float, risk: float) -> Known:
@@ -359,7 +361,7 @@ def test_the_faster_an_arm_swings_the_less_its_readings_count_and_never_less_tha
     assert swing[:2, 0] == pytest.approx([1.0, 1.10], abs=0.03), "links run ahead of their motors"
     assert np.all(np.diff(doubt) > 0)
     assert doubt[0] < 0.001
-    assert pytest.approx(doubt[3], rel=0.01) == knowledge.ARM_FOLLOWS
+    assert pytest.approx(doubt[3], rel=0.01) == ARM_FOLLOWS
     assert abs(swing[3, 0]) < 0.01
 
 

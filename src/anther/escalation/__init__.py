@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee, watch_points
+from anther.escalation.gripper import gripper_motion, links
 from anther.escalation.knowledge import (
     WATCHED,
     Allowed,
@@ -23,11 +24,9 @@ from anther.escalation.knowledge import (
     Look,
     allowed,
     answered,
-    gripper_motion,
     known,
     lateness,
     limits_of,
-    links,
     noted,
     settled,
     summed,

@@ -5,14 +5,14 @@ F flowers, K tones, M members, P points, S vectors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.devices import ArmSample
 from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
+from anther.escalation.gripper import drawn_errors
 from anther.escalation.params import Params
 from anther.execution import Step
 from anther.geometry import Array
@@ -83,15 +83,6 @@ MOST_GROWTH = 3.0
 DEEP = 0.001
 """Above `FAST` flowers swing by tenths of a millimetre, and depth is read to 0.1 to 0.3 mm: it counts from here on [m],
 several times that. A judgement."""
-
-ARM_MODE, ARM_ERROR = 28.0, 0.6
-"""Links swing beyond their motors, which is what an arm reads, by 1 / (1 - (f / `ARM_MODE`)^2) [Hz], with an error of
-`ARM_ERROR` (f / `FAST`)^3 times what was commanded. Measured on 24 simulated Sawyers (experiments/arm_readings.py, wide
-truth, two lines each) that hold nothing: by 1.10 at 8.5, 1.19 at 11.3, 1.5 at 16.9 Hz; median and 75 % quantile of the
-error 3 and 12 % at 6.4, 8 and 33 % at 11.3, 20 and 104 % at 16.9 Hz."""
-ARM_FOLLOWS, ARM_ASIDE = 0.9, 0.3
-"""Whatever it reads an arm does about so much of what is commanded, at any phase (the same arms: 0.54 to 1.55 at 18.5
-Hz), and so much of that along any other line."""
 
 LATE = np.arange(-0.005, 0.0451, 0.0025)
 """By how much a camera's clock may be late on the robot's [s]; what fits best is taken."""
@@ -174,37 +165,6 @@ def settled(swings: Swings, hertz: float) -> Swings:
     ends = 1 + swings.growing / (2 * np.pi * hertz * DAMPING)
     times = float(np.clip(ends, 1.0, MOST_GROWTH))
     return swings._replace(phasors=times * swings.phasors, std=times * swings.std)
-
-
-def gripper_motion(samples: Sequence[ArmSample], middle: Callable[[Array], Array], tones: Array) -> ComplexArray:
-    """Return (K, 3) phasors of the gripper's motion by the arm's readings, world, on the robot's clock [m].
-
-    Args:
-        samples: of the arm while the tones were steady.
-        middle: joints (R, J) -> (R, 3) place of the grip, world [m].
-        tones: (K,) [Hz].
-    """
-    times = np.array([s.time for s in samples])
-    places = middle(np.array([s.measured for s in samples]))
-    phase = 2 * np.pi * times[:, None] * tones
-    basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(times), times - times.mean()])
-    parts = np.linalg.solve(basis.T @ basis + 1e-12 * np.eye(basis.shape[1]), basis.T @ places)
-    return np.asarray(parts[: len(tones)] + 1j * parts[len(tones) : 2 * len(tones)], dtype=np.complex128)
-
-
-def links(readings: ComplexArray, tones: Array) -> tuple[ComplexArray, Array]:
-    """Return how the gripper swings, (K, 3) phasors [m], and `Look.doubt`, when an arm reads so.
-
-    An arm reads its motors. Above the modes of its links that says less of its gripper than what it was told.
-
-    Args:
-        readings: (K, 3) phasors of the gripper, if links went as their motors do [m].
-        tones: (K,) [Hz].
-    """
-    error = ARM_ERROR * (tones / FAST) ** 3
-    weight = ARM_FOLLOWS**2 / (ARM_FOLLOWS**2 + error**2)
-    beyond = 1 / (1 - np.minimum(tones / ARM_MODE, 0.7) ** 2)
-    return readings * (weight * beyond)[:, None], error * np.sqrt(weight)
 
 
 def lateness(foresight: Foresight, look: Look) -> float:
@@ -388,14 +348,9 @@ def limits_of(limits: Limits, press: float, hertz: float) -> dict[str, float]:
 
 
 def _members(foresight: Foresight, look: Look, i: int) -> ComplexArray:
-    """Return (M, S, 3) what the members say per metre commanded; each has its own error of the gripper's motion.
-
-    The error is linear in the motion and the same in every look at a tone, so that lines still add up.
-    """
-    tone, drawn = int(look.tones[i]), np.random.default_rng([0, int(look.tones[i])])
-    turned = drawn.normal(size=(2, len(foresight.vectors), 10)) / np.sqrt(2)
-    along, aside = np.split(turned[0] + 1j * turned[1], [1], axis=1)
-    error = along * look.direction + ARM_ASIDE * aside.reshape(-1, 3, 3) @ look.direction
+    """Return (M, S, 3) what the members say per metre commanded; each has its own error of the gripper's motion."""
+    tone = int(look.tones[i])
+    error = drawn_errors(len(foresight.vectors), look.direction, tone)
     return foresight.of(tone, look.gripper[i] / look.commanded[i] + look.doubt[i] * error)
 
 

@@ -17,6 +17,17 @@ VIEW = (
 
 def upgrade() -> None:
     """Make the tables."""
+    _visits()
+    _beside()
+    op.create_index("ix_visits_plant", "visits", ["plant_id", "time", "robot"], unique=True)
+    op.create_index("ix_visits_time", "visits", ["time", "robot", "success", "failure", "acceleration_ms2"])
+    op.create_index("ix_plants_taught", "plants", ["species", "taught"])
+    op.create_index("ix_outcomes_plant", "outcomes", ["plant_id", "recorded"])
+    op.create_index("ix_notes_visit", "notes", ["visit_id", "recorded"])
+    op.execute(VIEW)
+
+
+def _visits() -> None:
     op.create_table(
         "plants",
         _number(),
@@ -68,6 +79,9 @@ def upgrade() -> None:
         *(sa.Column(name, sa.Double) for name in motions),
         sa.UniqueConstraint("visit_id", "flower"),
     )
+
+
+def _beside() -> None:
     op.create_table(
         "outcomes",
         _number(),
@@ -108,12 +122,6 @@ def upgrade() -> None:
         sa.Column("ended", TIME),
         sa.UniqueConstraint("sweep_id", "key"),
     )
-    op.create_index("ix_visits_plant", "visits", ["plant_id", "time", "robot"], unique=True)
-    op.create_index("ix_visits_time", "visits", ["time", "robot", "success", "failure", "acceleration_ms2"])
-    op.create_index("ix_plants_taught", "plants", ["species", "taught"])
-    op.create_index("ix_outcomes_plant", "outcomes", ["plant_id", "recorded"])
-    op.create_index("ix_notes_visit", "notes", ["visit_id", "recorded"])
-    op.execute(VIEW)
 
 
 def _number() -> sa.Column[int]:
