@@ -15,8 +15,8 @@ from anther.cloud import Cloud
 from anther.elastic_rod import natural_frequencies, simulate
 from anther.errors import InputError, StageFailure
 from anther.flowers import Flowers
-from anther.plant import PEDICEL_PIECES, PEPPER, TOMATO, Material, Params, PlantModel, build_plant
-from anther.plant._shape import bar_radius, edge_radii, leaf_mass
+from anther.plant import FLOWER_RADIUS, PEDICEL_PIECES, PEPPER, TOMATO, Material, Params, PlantModel, build_plant
+from anther.plant._shape import BRANCH_SHARE, bar_radius, edge_radii, leaf_mass
 from anther.skeleton import Skeleton
 
 NO_FLOWERS = Flowers(np.zeros((0, 3)), np.zeros(0, dtype=int))
@@ -32,22 +32,20 @@ def test_a_blade_does_not_become_a_thick_beam() -> None:
     skeleton, stem, _ = branched(1)
     thick = np.array(skeleton.radius)
     thick[25:] = [1.5e-3, 1.5e-3, 1.5e-3, 12e-3, 15e-3, 15e-3]
-    edges = edge_radii(Skeleton(skeleton.nodes, skeleton.parent, thick), stem, branch_share=0.7, least=5e-4)
+    edges = edge_radii(Skeleton(skeleton.nodes, skeleton.parent, thick), stem)
     assert np.all(edges[25:] <= 1.5e-3 + 1e-12)
     swollen = np.where(np.arange(len(thick)) < 25, thick, 15e-3)
-    edges = edge_radii(Skeleton(skeleton.nodes, skeleton.parent, swollen), stem, branch_share=0.7, least=5e-4)
-    assert np.all(edges[25:] <= 0.7 * thick[10] + 1e-9)
+    edges = edge_radii(Skeleton(skeleton.nodes, skeleton.parent, swollen), stem)
+    assert np.all(edges[25:] <= BRANCH_SHARE * thick[10] + 1e-9)
 
 
 def test_branch_base_uses_the_branch_radius_and_one_bad_stem_radius_does_no_harm() -> None:
     skeleton, stem, _ = branched(2)
-    clean = edge_radii(skeleton, stem, branch_share=0.7, least=5e-4)
+    clean = edge_radii(skeleton, stem)
     assert clean[25] == pytest.approx(1.2e-3)
     bad = np.array(skeleton.radius)
     bad[12] = 0.03
-    assert edge_radii(Skeleton(skeleton.nodes, skeleton.parent, bad), stem, branch_share=0.7, least=5e-4) == (
-        pytest.approx(clean, rel=0.05)
-    )
+    assert edge_radii(Skeleton(skeleton.nodes, skeleton.parent, bad), stem) == (pytest.approx(clean, rel=0.05))
 
 
 def sheet(rng: np.random.Generator, side: float, spacing: float, noise: float) -> np.ndarray:
@@ -97,15 +95,15 @@ def test_least_stiffness_is_greenhills() -> None:
     assert plant.least_youngs == pytest.approx(greenhill, rel=0.05)
 
 
-def test_flower_resonates_on_its_pedicel_where_tomato_flowers_do() -> None:
+def test_flower_resonates_on_its_pedicel_where_tomato_flowers_do(monkeypatch: pytest.MonkeyPatch) -> None:
     skeleton, stem, flowers = branched(1, radius=(0.02, 0.02))
-    rigid = Params(peduncle_radius=0.02)
-    plant = build_plant(skeleton, stem, flowers, None, Material(youngs=1e12, damping_ratio=0.05), params=rigid)
+    monkeypatch.setattr("anther.plant._shape.PEDUNCLE_RADIUS", 0.02)  # rigid
+    plant = build_plant(skeleton, stem, flowers, None, Material(youngs=1e12, damping_ratio=0.05))
     lowest = natural_frequencies(plant.rods, plant.clamp, 3)[0]
     p = Params()
     EI, length = p.pedicel_youngs * np.pi * p.pedicel_radius**4 / 4, p.pedicel_length
     stiffness = EI / length**3 * np.array([[12, -6 * length], [-6 * length, 4 * length**2]])
-    inertia = np.diag([p.flower_mass, 0.4 * p.flower_mass * p.flower_radius**2])
+    inertia = np.diag([p.flower_mass, 0.4 * p.flower_mass * FLOWER_RADIUS**2])
     square = np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real.min()
     turning = EI / plant.material.bend_over_twist / length / inertia[1, 1]
     assert lowest[0] == pytest.approx(np.sqrt(turning) / (2 * np.pi), rel=0.01)
@@ -228,14 +226,15 @@ def test_the_papers_plants_stand(data: Path, name: str, flower: int) -> None:
     assert plant.material.youngs >= 1.49 * plant.least_youngs
 
 
-def test_the_rib_in_a_blade_falls_to_the_tip() -> None:
+def test_the_rib_in_a_blade_falls_to_the_tip(monkeypatch: pytest.MonkeyPatch) -> None:
     skeleton, stem, _ = branched(1)
     flat = np.where(np.arange(len(skeleton.nodes)) >= 27, 1.0, 0.2)
     seen = Skeleton(skeleton.nodes, skeleton.parent, np.where(flat > 0.5, 8e-3, skeleton.radius), flatness=flat)
-    edges = edge_radii(seen, stem, branch_share=0.7, least=1e-4)
+    monkeypatch.setattr("anther.plant._shape.LEAST_RADIUS", 1e-4)
+    edges = edge_radii(seen, stem)
     assert np.all(np.diff(edges[26:]) < 0)
     assert edges[-1] < 0.5e-3
-    bare = edge_radii(skeleton, stem, branch_share=0.7, least=1e-4)
+    bare = edge_radii(skeleton, stem)
     assert edges[:26] == pytest.approx(bare[:26])
 
 

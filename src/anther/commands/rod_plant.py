@@ -17,8 +17,7 @@ from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile
 from anther.geometry import Array
 from anther.identification import read_material
-from anther.plant import Material, PlantModel
-from anther.plant import Params as PlantParams
+from anther.plant import MARGIN, Material, PlantModel
 from anther.runs import FILES
 from anther.shake import Crop
 from anther.skeleton import Skeleton
@@ -227,7 +226,7 @@ def hanging(plant: RodPlant, name: object) -> RodPlant:
 
 def _stiffened(plant: RodPlant, least: float) -> RodPlant:
     """Return the plant with a margin over the factor on Young's modulus at which it just stands."""
-    before, factor = float(np.asarray(plant.rods.youngs)[1]), PlantParams().margin * least
+    before, factor = float(np.asarray(plant.rods.youngs)[1]), MARGIN * least
     note = (
         f"Young's modulus was not given; raised from {before / 1e6:.3g} to {factor * before / 1e6:.3g} MPa: below "
         f"{least * before / 1e6:.3g} MPa the plant would buckle under its own weight. That much is often a sign of "

@@ -26,7 +26,7 @@ from anther.skeleton import Skeleton
 from anther.stem import Stem
 
 __all__ = [
-    "LEARNED", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
+    "LEARNED", "MARGIN", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
 ]  # fmt: skip
 
 SCHEMA = 3
@@ -36,6 +36,12 @@ LEAF_VOXEL = 0.006
 BLADE_STIFFNESS = 10.0
 """Bending stiffness of a blade with its rib over that of the rib alone [-]. An estimate: a strip 60 mm wide, 0.25 mm
 thick, of 75 MPa, folded by 2 to 5 mm, has 10 to 70 times that of a rib of 0.8 mm."""
+FLOWER_RADIUS = 5e-3
+"""Of a flower's mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm)."""
+PEDICEL_SPREAD = 0.2
+"""Standard deviation of ln of the pedicels' stiffness [-]: ln 2 / sqrt 12 for the range of `Params.pedicel_youngs`."""
+MARGIN = 1.5
+"""Least ratio of Young's modulus to the value at which the plant buckles [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,46 +49,27 @@ class Params:
     """What the scan does not show.
 
     Attributes:
-        branch_share: largest radius of a branch at its base over the stem's radius there [-]. Petiole bases measure
-            4-6 mm on stems of 8-12 mm (facts: pollination 2 [R]).
-        least_radius: of any stem or branch edge [m].
         areal_density: of a leaf blade [kg/m2]. A prior of ours; no source found.
         flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
-        flower_radius: of its mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm).
         pedicel_length, pedicel_radius: [m] (facts: 9-22 mm long, about 1 mm thick).
         pedicel_youngs: [Pa] (facts: 50-100 MPa gives the 23-33 Hz at which tomato flowers answer stem shaking best).
-        pedicel_spread: standard deviation of ln of the pedicel's stiffness, ln 2 / sqrt 12 for that range [-].
-        peduncle_radius: of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R]).
-        margin: least ratio of Young's modulus to the value at which the plant buckles [-].
-        stiffen: raise Young's modulus to that margin, with a note, since the plant evidently stands; False refuses.
+        stiffen: raise Young's modulus to `MARGIN`, with a note, since the plant evidently stands; False refuses.
     """
 
-    branch_share: float = 0.7
-    least_radius: float = 0.5e-3
     areal_density: float = 0.25
     flower_mass: float = 1e-4
-    flower_radius: float = 5e-3
     pedicel_length: float = 0.015
     pedicel_radius: float = 0.5e-3
     pedicel_youngs: float = 70e6
-    pedicel_spread: float = 0.2
-    peduncle_radius: float = 1.25e-3
-    margin: float = 1.5
     stiffen: bool = True
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        check_range("branch_share", self.branch_share, 0.01, 1)
-        check_range("least_radius", self.least_radius, 1e-5, 0.1, "m")
         check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
         check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
-        check_range("flower_radius", self.flower_radius, 0, 0.05, "m")
         check_range("pedicel_length", self.pedicel_length, 1e-3, 0.2, "m")
         check_range("pedicel_radius", self.pedicel_radius, 1e-5, 0.02, "m")
         check_range("pedicel_youngs", self.pedicel_youngs, 1e5, 1e11, "Pa")
-        check_range("pedicel_spread", self.pedicel_spread, 0, 3)
-        check_range("peduncle_radius", self.peduncle_radius, 1e-5, 0.02, "m")
-        check_range("margin", self.margin, 1, 100)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -243,7 +230,7 @@ def build_plant(
         branch_bases=_branch_bases(skeleton, stem),
         is_pedicel=is_pedicel,
         material=chosen,
-        pedicel_spread=params.pedicel_spread,
+        pedicel_spread=PEDICEL_SPREAD,
         least_youngs=least,
         notes=(_mass_note(rods, leaves, cloud), *note),
     )
@@ -273,15 +260,9 @@ def _rods(
     skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, material: Material, *, params: Params
 ) -> tuple[Rods, NDArray[np.bool_], NDArray[Any], float]:
     """Return the rods in the scanned shape, which edges are pedicel, the flowers' nodes, and the leaf mass [kg]."""
-    scanned = edge_radii(skeleton, stem, branch_share=params.branch_share, least=params.least_radius)
-    radius = material.radius_scale * scanned
+    radius = material.radius_scale * edge_radii(skeleton, stem)
     stalks = hang_flowers(
-        skeleton,
-        flowers,
-        length=params.pedicel_length,
-        radius=params.pedicel_radius,
-        peduncle_radius=params.peduncle_radius,
-        pieces=PEDICEL_PIECES,
+        skeleton, flowers, length=params.pedicel_length, radius=params.pedicel_radius, pieces=PEDICEL_PIECES
     )
     new = len(stalks.nodes)
     mass = np.zeros(len(radius) + new)
@@ -295,7 +276,7 @@ def _rods(
         )
     leaves, inertia = float(mass.sum()), 0 * mass
     mass[stalks.tips] += params.flower_mass
-    inertia[stalks.tips] = 0.4 * params.flower_mass * params.flower_radius**2
+    inertia[stalks.tips] = 0.4 * params.flower_mass * FLOWER_RADIUS**2
     is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
     rods = Rods(
         nodes=np.concatenate([skeleton.nodes, stalks.nodes]),
@@ -320,11 +301,11 @@ def _youngs_that_holds(material: Material, least: float, params: Params) -> tupl
     Raises:
         StageFailure: it would not stand and may not be stiffened.
     """
-    if material.youngs >= params.margin * least:
+    if material.youngs >= MARGIN * least:
         return material, ()
     if not params.stiffen:
         raise _buckles(material.youngs, least)
-    held = params.margin * least
+    held = MARGIN * least
     note = (
         f"Young's modulus raised from {material.youngs / 1e6:.3g} to {held / 1e6:.3g} MPa: below {least / 1e6:.3g} MPa "
         "the plant would buckle under its own weight, and it stands."

@@ -24,6 +24,13 @@ from anther.stem import Stem
 BLADE = 0.65
 """Flatness of a skeleton node beyond which a branch runs in a leaf blade [-]; midribs have 0.85 in the median, petioles
 0.4 (measured on development plants of the simulation)."""
+BRANCH_SHARE = 0.7
+"""Largest radius of a branch at its base over that of what it stands on [-]. Petiole bases measure 4-6 mm on stems of
+8-12 mm (facts: pollination 2 [R])."""
+LEAST_RADIUS = 0.5e-3
+"""Of any stem or branch edge [m]."""
+PEDUNCLE_RADIUS = 1.25e-3
+"""Of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R])."""
 
 
 class Pedicels(NamedTuple):
@@ -44,23 +51,21 @@ class Pedicels(NamedTuple):
     tips: NDArray[Any]
 
 
-def edge_radii(skeleton: Skeleton, stem: Stem, *, branch_share: float, least: float) -> Array:
+def edge_radii(skeleton: Skeleton, stem: Stem) -> Array:
     """Return the radius (J,) of edge j, which joins the parent of j to j [m]; entry 0 repeats entry 1.
 
     The stem's taper is a straight line, robust against single bad radii (Theil-Sen). On a branch the radius never
-    grows towards the tip and starts at most at `branch_share` of what it stands on; its first edge uses the branch's
+    grows towards the tip and starts at most at `BRANCH_SHARE` of what it stands on; its first edge uses the branch's
     radius, not the stem's. In a leaf blade the scan shows the blade, not the rib in it: there the radius falls in a
-    straight line to nothing at the tip, never below `least`. A tapered edge gets the radius of the uniform bar with
-    the same bending compliance.
+    straight line to nothing at the tip, never below `LEAST_RADIUS`. A tapered edge gets the radius of the uniform bar
+    with the same bending compliance.
 
     Args:
         skeleton: gives the measured radii, and by its flatness where it runs in a blade.
         stem: which nodes are main stem.
-        branch_share: largest radius of a branch at its base, as a share of what it stands on [-].
-        least: smallest radius [m].
     """
-    node = np.maximum(_smooth(skeleton, stem), least)
-    node[stem.node_ids] = _stem_taper(stem, skeleton.radius, least)
+    node = np.maximum(_smooth(skeleton, stem), LEAST_RADIUS)
+    node[stem.node_ids] = _stem_taper(stem, skeleton.radius)
     edge, beyond = node.copy(), _way_to_tip(skeleton)
     rib, heir, on_stem = _ribs(skeleton, stem, beyond), _heirs(skeleton, beyond), _on_main_stem(stem, len(node))
     for j in range(1, len(node)):
@@ -69,8 +74,8 @@ def edge_radii(skeleton: Skeleton, stem: Stem, *, branch_share: float, least: fl
             edge[j] = bar_radius(node[p], node[j])
             continue
         begins = on_stem[p] or heir[p] != j
-        largest = (branch_share if begins else 1.0) * node[p] * rib[j]
-        node[j] = max(min(node[j], largest), least)
+        largest = (BRANCH_SHARE if begins else 1.0) * node[p] * rib[j]
+        node[j] = max(min(node[j], largest), LEAST_RADIUS)
         edge[j] = node[j] if begins else bar_radius(node[p], node[j])
     edge[0] = edge[1]
     return edge
@@ -111,9 +116,7 @@ def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: fl
     return mass
 
 
-def hang_flowers(
-    skeleton: Skeleton, flowers: Flowers, *, length: float, radius: float, peduncle_radius: float, pieces: int
-) -> Pedicels:
+def hang_flowers(skeleton: Skeleton, flowers: Flowers, *, length: float, radius: float, pieces: int) -> Pedicels:
     """Return a pedicel of `length` [m] for every flower, ending at the flower's seen position.
 
     A flower seen nearer to its branch than that is moved out along its direction (a pedicel is as long as it is); one
@@ -123,7 +126,6 @@ def hang_flowers(
         skeleton: the branches.
         flowers: positions and the skeleton node that carries each.
         length, radius: of a pedicel [m].
-        peduncle_radius: of the stalk that bridges a longer gap [m].
         pieces: edges of a pedicel.
     """
     count = len(skeleton.nodes)
@@ -139,7 +141,7 @@ def hang_flowers(
     is_pedicel = from_tip < pieces
     nodes = np.concatenate(stalks) if stalks else np.zeros((0, 3))
     tips = count + np.cumsum(sizes) - 1
-    return Pedicels(nodes, np.array(parent, int), np.where(is_pedicel, radius, peduncle_radius), is_pedicel, tips)
+    return Pedicels(nodes, np.array(parent, int), np.where(is_pedicel, radius, PEDUNCLE_RADIUS), is_pedicel, tips)
 
 
 def _stalk(skeleton: Skeleton, position: Array, base: int, length: float, pieces: int) -> Array:
@@ -213,12 +215,12 @@ def _smooth(skeleton: Skeleton, stem: Stem) -> Array:
     return np.array([np.median(radii) for radii in near])
 
 
-def _stem_taper(stem: Stem, radius: Array, least: float) -> Array:
+def _stem_taper(stem: Stem, radius: Array) -> Array:
     """Return the stem's radius (S,) as a line that does not grow upward and ends at a quarter of the base or more."""
     r, s = radius[stem.node_ids], stem.arc_length
     fit: Any = theilslopes(r, s)
     line = fit.intercept + fit.slope * s if fit.slope < 0 else np.full_like(s, np.median(r))
-    return np.maximum(line, max(0.25 * line.max(), least))
+    return np.maximum(line, max(0.25 * line.max(), LEAST_RADIUS))
 
 
 def _leaf_points(skeleton: Skeleton, stem: Stem, cloud: Cloud) -> Array:
