@@ -44,7 +44,7 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (flowers.Params, "reach", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
         (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "spacing", 0.0), (grasp.Params, "wanted", 0),
-        (shake.Params, "seed", -1), (shake.Params, "most_amplitude", 0.0),
+        (shake.Params, "most_amplitude", 0.0),
         (shake.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
         (response.Params, "near", 10_000), (masks.Params, "ground_radius", 10.0),
     ],

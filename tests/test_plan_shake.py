@@ -27,7 +27,9 @@ from anther.shake import (
     plan_shake,
     sawyer_limit,
 )
+from anther.shake.choice import ARM_SHARE
 from anther.shake.observables import observables, semi_major
+from anther.shake.params import MOST_DURATION
 from anther.shake.verification import steadily_shaken
 
 QUICK = Params(frequencies=12, directions=4, heights=4, draws=3)
@@ -112,9 +114,9 @@ def test_the_plan_keeps_every_limit_and_uses_one_up(plan: ShakePlan, plant: Plan
     assert max(shares) <= 1 + 1e-9
     assert max(shares[:-1]) > 0.97  # the nonlinear check leaves 2 % where it makes a shake smaller
     arm = sawyer_limit(plan.grasp, plan.direction, np.array([plan.frequency]))[0]
-    assert plan.amplitude <= QUICK.arm_share * arm * (1 + 1e-9)
+    assert plan.amplitude <= ARM_SHARE * arm * (1 + 1e-9)
     assert np.linalg.norm(plan.direction) == pytest.approx(1.0)
-    assert plan.duration <= QUICK.most_duration
+    assert plan.duration <= MOST_DURATION
     low, high = plan.predicted_amplitude_interval.T
     assert np.all((low <= plan.predicted_amplitude) & (plan.predicted_amplitude <= high))
     assert len(plan.predicted_amplitude) == len(plant.flower_nodes)
@@ -197,7 +199,7 @@ def test_tones_may_be_tried_along_every_line_across_the_stem(
     assert abs(tones.directions[0] @ tones.directions[tones.probed[1]]) == pytest.approx(alike[0, 1:].min())
     for line, reach in zip(tones.directions, tones.reach.T, strict=True):
         allowed = ArmShaker().amplitude(plan.grasp, line, tones.frequencies)
-        assert np.all(reach <= QUICK.arm_share * allowed * (1 + 1e-9))
+        assert np.all(reach <= ARM_SHARE * allowed * (1 + 1e-9))
     along = plan.direction
     narrow = ArmShaker(lambda grasp, line, f: sawyer_limit(grasp, line, f) if abs(line @ along) > 0.5 else 0.0 * f)
     kept = plan_shake(plant, grasps, narrow, QUICK)
@@ -277,7 +279,7 @@ def test_default_arm_limit_is_below_every_axis_share(angle: float, rise: float) 
 
 
 @given(
-    st.sampled_from(["lowest", "directions", "draws", "risk", "arm_share", "duration"]),
+    st.sampled_from(["lowest", "directions", "draws", "risk", "duration"]),
     st.sampled_from([-1.0, float("nan")]),
 )
 def test_impossible_parameters_are_refused(name: str, value: float) -> None:

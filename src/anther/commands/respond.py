@@ -24,6 +24,7 @@ from anther.files import replacing, write_json
 from anther.geometry import Array
 from anther.pictures.response_map import GripResponse, draw_response_map
 from anther.shake import Params as ShakeParams
+from anther.shake.choice import FLOWER_ACCELERATION, MOST_SPEED
 from anther.shake.observables import semi_major
 
 DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -202,11 +203,11 @@ def summary(plant: RodPlant, response: GripResponse, flowers: NDArray[Any]) -> d
 def limits_passed(response: GripResponse) -> list[str]:
     """Return which of the limits that `anther plan` keeps the best cell passes; what the plant bears is not asked."""
     q, g = response.best
-    limits, hertz, amplitude = ShakeParams(), response.frequencies[q], response.amplitude[q]
+    hertz, amplitude = response.frequencies[q], response.amplitude[q]
     values = (
-        ("a flower's acceleration", float(response.acceleration[q, g].max()), limits.flower_acceleration, "m/s²"),
-        ("speed of the grip", float(2 * np.pi * hertz * amplitude), limits.most_speed, "m/s"),
-        ("amplitude of the grip", float(amplitude), limits.most_amplitude, "m"),
+        ("a flower's acceleration", float(response.acceleration[q, g].max()), FLOWER_ACCELERATION, "m/s²"),
+        ("speed of the grip", float(2 * np.pi * hertz * amplitude), MOST_SPEED, "m/s"),
+        ("amplitude of the grip", float(amplitude), ShakeParams().most_amplitude, "m"),
     )
     passed = ((name, value, most, unit) for name, value, most, unit in values if value > most * (1 + 1e-9))
     return [f"{name} {value:.3g} {unit}, more than {most:g}" for name, value, most, unit in passed]

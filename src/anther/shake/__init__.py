@@ -34,7 +34,7 @@ from anther.shake.choice import (
 )
 from anther.shake.limits import sawyer_limit
 from anther.shake.pads import PADS, Pads
-from anther.shake.params import FLOWER_SPREAD, Params, Preset, with_preset
+from anther.shake.params import FLOWER_SPREAD, MOST_DURATION, Params, Preset, with_preset
 from anther.shake.plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
 from anther.shake.plant_limits import PRESETS, PlantLimits
 from anther.shake.search import Gains, gains, scenarios
@@ -90,7 +90,7 @@ def plan_shake(
     if not grasps:
         raise StageFailure("no_grasp_found", "no grasp to choose from: the shake needs at least one.")
     grips, frequencies = grips_of(plant, grasps, params, pressing, actuator.axis), _frequencies(actuator, params)
-    versions = scenarios(plant, params.draws, params.seed, pads=params.pads)
+    versions = scenarios(plant, params.draws, pads=params.pads)
     response = gains(versions, grips.nodes, grips.directions, frequencies)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     found = search(response, grips, grasps, frequencies, actuator=actuator, least=least, params=params)
@@ -216,7 +216,7 @@ def _check(
     span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
     spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)
     spread = np.exp([-1, 1] * np.hypot(np.log(np.maximum(spread, 1e-6)), 1.645 * FLOWER_SPREAD))
-    return _Checked(shake, done.amplitude, done.acceleration, spread, _limits(found, at, shake, done, params), notes)
+    return _Checked(shake, done.amplitude, done.acceleration, spread, _limits(found, at, shake, done), notes)
 
 
 def _verified(
@@ -234,7 +234,7 @@ def _verified(
     return shake, done, notes
 
 
-def _limits(found: Search, at: Place, shake: Drive, done: Shaken, params: Params) -> list[LimitRow]:
+def _limits(found: Search, at: Place, shake: Drive, done: Shaken) -> list[LimitRow]:
     """Return the table of limits: of the plant, what its loads pass with the probability `Params.risk`.
 
     Where the nonlinear solver says more than linear theory of the plant as believed, it is more by that.
@@ -246,7 +246,7 @@ def _limits(found: Search, at: Place, shake: Drive, done: Shaken, params: Params
         more = max(done.peaks.get(name, 0.0) / believed, 1.0) if believed > 0 else 1.0
         rows.append((name, value * scale * more, limit, value * scale * more / limit))
     duration = float(found.duration[at[0]])
-    return [*rows, ("duration [s]", duration, params.most_duration, duration / params.most_duration)]
+    return [*rows, ("duration [s]", duration, MOST_DURATION, duration / MOST_DURATION)]
 
 
 def _runner_up(found: Search, at: Place, grasps: int) -> RunnerUp | None:

@@ -19,7 +19,7 @@ from anther.pressing import PRESSING, Pressing
 from anther.shake.actuators import Actuator
 from anther.shake.breeze import FLOWERS
 from anther.shake.pads import grip_rows, pad_nodes
-from anther.shake.params import LOAD_ERROR, Params, load_error
+from anther.shake.params import LOAD_ERROR, MOST_DURATION, Params, load_error
 from anther.shake.plan import EarlierShake, Tones
 from anther.shake.search import Gains
 from anther.shake.verification import PEAKS
@@ -30,6 +30,12 @@ Place = tuple[int, int, int]
 
 PRESS = "force of the pads, against slip [N]"
 """The limit that says how hard they must press."""
+ARM_SHARE = 0.8
+"""Share of the actuator's limit that is used [-]."""
+MOST_SPEED = 0.3
+"""Of the grip [m/s]."""
+FLOWER_ACCELERATION = 200.0
+"""Of the flowers on average; more than this is not useful [m/s2]."""
 
 
 class Grips(NamedTuple):
@@ -134,11 +140,11 @@ def search(
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
     acceleration = response.flower * omega[..., None] ** 2
     per_metre = {
-        f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], params.arm_share),
+        f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], ARM_SHARE),
         "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
-        "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, params.most_speed),
+        "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, MOST_SPEED),
         PRESS: Bound(response.grip_force / params.held(1.0), grips.press, load_error("grip_force", hertz)),
-        FLOWERS: Bound(acceleration.mean(axis=(0, -1))[None], params.flower_acceleration),
+        FLOWERS: Bound(acceleration.mean(axis=(0, -1))[None], FLOWER_ACCELERATION),
     }
     for (name, limit), kind in zip(plant_limits(params, hertz).items(), LOAD_ERROR, strict=False):
         per_metre[name] = Bound(getattr(response, kind), limit, load_error(kind, hertz))
@@ -150,7 +156,7 @@ def search(
     kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
     amplitude = np.min([limit / np.maximum(value, 1e-12) for value, limit in kept], axis=0)
     score = np.where(amplitude < least, -1.0, _worth(response.flower, acceleration, amplitude, params))
-    duration = np.clip(5 / frequencies, params.duration, params.most_duration)
+    duration = np.clip(5 / frequencies, params.duration, MOST_DURATION)
     believed = {name: bound.values[0] for name, bound in per_metre.items()}
     return Search(frequencies, duration, amplitude, score, bounds, believed)
 

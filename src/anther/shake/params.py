@@ -34,6 +34,9 @@ grip on 20 plants, tomatoes and peppers 3 and 40-48, 1.3-15 Hz."""
 FAST_LOAD_ERROR = LOAD_ERROR | {"joint_strain": (0.4, 0.8), "base_strain": (0.9, 0.95)}
 """The same above `FAST`: 24 plants (seeds 500-511), two grips, 17 to 38 Hz (docs/reports/loads.md)."""
 
+MOST_DURATION = 5.0
+"""Of a visit [s]."""
+
 
 def load_error(kind: str, frequencies: ArrayLike) -> tuple[Array, Array]:
     """Return median and spread of a kind of load, each of the shape of the frequencies [Hz]."""
@@ -60,11 +63,8 @@ class Params:
         draws: scenarios drawn from the material's spread, beside the best guess.
         risk: share of shakes in which a load of the plant may pass its limit [-], one in forty: the one margin against
             what the model gets wrong. A load is taken as lognormal; scenarios and `LOAD_ERROR` say where and how wide.
-        seed: of the draws.
-        arm_share: share of the actuator's limit that is used [-].
         least_amplitude: of the grip [m]; None: what the actuator can be trusted with.
         most_amplitude: of the grip [m].
-        most_speed: of the grip [m/s].
         plant: what the plant may be loaded with, see `PRESETS`.
         keeps_limits: whether `plant` is kept and slip prevented; if not, only the machine bounds a shake, and the table
             of limits tells how far they are passed.
@@ -72,9 +72,7 @@ class Params:
             30-35 gentle pads that met a petiole beside the stem held that instead: one at 2 N, none from 4 N on.
         pads: what is believed of how far they give.
         pad_friction: of a soft pad on a stem [-]; no source found, an estimate on the safe side.
-        flower_acceleration: more than this is not useful [m/s2].
-        duration: of the shake [s]; longer at low frequency, to have five cycles.
-        most_duration: of a visit [s].
+        duration: of the shake [s]; longer at low frequency, to have five cycles, up to `MOST_DURATION`.
     """
 
     objective: Literal["acceleration", "amplitude"] = "acceleration"
@@ -85,19 +83,14 @@ class Params:
     heights: int = 8
     draws: int = 6
     risk: float = 0.025
-    seed: int = 0
-    arm_share: float = 0.8
     least_amplitude: float | None = None
     most_amplitude: float = 0.03
-    most_speed: float = 0.3
     plant: PlantLimits = DEFAULT
     keeps_limits: bool = True
     least_press: float = 8.0
     pad_friction: float = 0.5
     pads: Pads = PADS
-    flower_acceleration: float = 200.0
     duration: float = 3.0
-    most_duration: float = 5.0
 
     def __post_init__(self) -> None:
         if self.objective not in ("acceleration", "amplitude"):
@@ -114,15 +107,12 @@ class Params:
         check_range("number of heights", self.heights, 0, 500)
         check_range("number of draws", self.draws, 0, 1000)
         check_range("risk", self.risk, 1e-6, 0.5)
-        check_range("arm_share", self.arm_share, 0.01, 1)
-        check_range("seed", self.seed, 0, 2**63)
         check_range("most_amplitude", self.most_amplitude, 1e-7, 1.0, "m")
         if self.least_amplitude is not None:
             check_range("least_amplitude", self.least_amplitude, 1e-7, self.most_amplitude, "m")
-        for name in ("most_speed", "least_press", "pad_friction", "flower_acceleration"):
+        for name in ("least_press", "pad_friction"):
             check_range(name, getattr(self, name), 1e-9, 1e6)
-        check_range("most_duration", self.most_duration, 0.1, 60, "s")
-        check_range("duration", self.duration, 0.1, self.most_duration, "s")
+        check_range("duration", self.duration, 0.1, MOST_DURATION, "s")
 
     def held(self, press: float) -> float:
         """Return the pull that two pads hold against slip when each presses with `press` [N]."""
