@@ -45,8 +45,7 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "spacing", 0.0), (grasp.Params, "wanted", 0),
         (shake.Params, "most_amplitude", 0.0),
-        (shake.Params, "most_amplitude", float("inf")), (response.Params, "again", 10_000),
-        (response.Params, "near", 10_000), (masks.Params, "ground_radius", 10.0),
+        (shake.Params, "most_amplitude", float("inf")), (masks.Params, "ground_radius", 10.0),
     ],
 )  # fmt: skip
 def test_what_would_never_end_or_mean_nothing(kind: Any, name: str, value: Any) -> None:

@@ -22,9 +22,13 @@ from anther.response.params import (
     DEPTH_GATE,
     DEPTH_REACH,
     LEAST_SPREAD,
+    LIKENESS,
+    OUTLIER,
+    REACH,
     RELATIVE_RESIDUAL,
     RESIDUAL_PIXELS,
     SEEN_SHARE,
+    SPREAD,
     Params,
 )
 from anther.response.petals import smoothed
@@ -117,8 +121,8 @@ def measure_stem(
         strip = _strip(intrinsics, place, way, float(radius), params)
         if strip is None:
             continue
-        moved = _followed(frames, images, strip, params)
-        swing = None if moved is None else _swing(times, moved * strip.metres, hint, strip.metres, params)
+        moved = _followed(frames, images, strip)
+        swing = None if moved is None else _swing(times, moved * strip.metres, hint, strip.metres)
         if swing is not None:
             size = float(np.linalg.norm(strip.axis))
             rows.append((point, T_world_cam[:3, :3] @ strip.axis / size, swing[0] / size, swing[1] / size))
@@ -172,13 +176,13 @@ def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float, para
     return _Strip(pixel, across, half, metres, float(place[2]), radius / metres, axis)
 
 
-def _followed(frames: Sequence[Frame], images: Sequence[NDArray[Any]], strip: _Strip, params: Params) -> Array | None:
+def _followed(frames: Sequence[Frame], images: Sequence[NDArray[Any]], strip: _Strip) -> Array | None:
     """Return how far across the stem stands in each frame (T,) [px], NaN where lost; None where it is not seen."""
     gap = np.abs(strip.cut(frames[0].depth, 0.0, cv2.INTER_NEAREST) - strip.depth)
     start = _stem_in((gap < DEPTH_REACH).mean(axis=0) > 0.5, strip)
     if start is None:
         return None
-    half, reach = int(np.ceil(strip.radius)) + MARGIN, int(np.ceil(params.reach / strip.metres))
+    half, reach = int(np.ceil(strip.radius)) + MARGIN, int(np.ceil(REACH / strip.metres))
     found, place, step = np.full(len(frames), np.nan), start, 0.0
     first = _middle(strip.cut(images[0], start), half)
     inner = _middle(first, max(half - 2 * MARGIN, 1)).reshape(-1, first.shape[2])
@@ -190,7 +194,7 @@ def _followed(frames: Sequence[Frame], images: Sequence[NDArray[Any]], strip: _S
         asked = float(np.rint(place + step))
         miss = cv2.matchTemplate(_alike(wide.cut(image, asked), colour, far), model, cv2.TM_SQDIFF)[0]
         k = int(np.argmin(miss))
-        if miss[k] >= params.likeness * np.median(miss) or not 0 < k < len(miss) - 1:
+        if miss[k] >= LIKENESS * np.median(miss) or not 0 < k < len(miss) - 1:
             step = 0.0
             continue
         bend = float(miss[k - 1] - 2 * miss[k] + miss[k + 1])
@@ -224,14 +228,14 @@ def _middle(strip: NDArray[Any], half: int) -> NDArray[Any]:
     return np.ascontiguousarray(strip[:, middle - half : middle + half + 1])
 
 
-def _swing(times: Array, moved: Array, hint: float, pixel: float, params: Params) -> tuple[complex, float] | None:
+def _swing(times: Array, moved: Array, hint: float, pixel: float) -> tuple[complex, float] | None:
     """Return the phasor of a motion (T,) [m] and its deviation; None where it is not a swing that can be told."""
     if np.isfinite(moved).sum() < max(SEEN_SHARE * len(times), 8):
         return None
     path = np.column_stack([moved, 0 * moved, 0 * moved])
     try:
         off = np.abs(path - fit_swing(times, path, hint).at(times))[:, 0]
-        path[off > params.outlier * max(1.4826 * float(np.nanmedian(off)), 1e-5)] = np.nan
+        path[off > OUTLIER * max(1.4826 * float(np.nanmedian(off)), 1e-5)] = np.nan
         swing = fit_swing(times, path, hint)
     except InputError:
         return None
@@ -240,4 +244,4 @@ def _swing(times: Array, moved: Array, hint: float, pixel: float, params: Params
         return None
     cosine, sine = swing.coefficients[:2, 0]
     phasor = complex(sine, cosine) * np.exp(-2j * np.pi * hint * swing.span[0])
-    return complex(phasor), float(np.linalg.norm([swing.amplitude_std, LEAST_SPREAD, params.spread * abs(phasor)]))
+    return complex(phasor), float(np.linalg.norm([swing.amplitude_std, LEAST_SPREAD, SPREAD * abs(phasor)]))

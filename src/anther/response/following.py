@@ -15,7 +15,7 @@ from anther.errors import InputError
 from anther.geometry import Array, Intrinsics
 from anther.oscillation import fit_swing, swing_basis
 from anther.response.depth import depth_along
-from anther.response.params import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, Params
+from anther.response.params import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, LIKENESS, OUTLIER, REACH, Params
 from anther.response.petals import (
     Image,
     Patch,
@@ -36,8 +36,17 @@ FLOWER_RADIUS = 0.007
 CROWD = 2.0
 """Flowers closer than this many flower radii are looked for where they should be, not where the petals' middle is."""
 
+OVERLAP = 1.5
+"""Flowers closer than this many flower radii in the image may be mixed up."""
+
+WIDE = 2.0
+"""A flower is first followed with what is around it, out to so many times its radius."""
+
+AGAIN, NEAR_SWING = 2, 3
+"""So often a flower is looked for anew along the swing that was found, within so many pixels of it."""
+
 OWN_LIKENESS = 0.4
-"""`Params.likeness` for the flower without its surroundings: what differs more is partly hidden."""
+"""`LIKENESS` for the flower without its surroundings: what differs more is partly hidden."""
 
 OWN_DEPTH = 0.02
 """Readings further than this from a flower's depth at rest are not counted when its depth is measured [m]."""
@@ -87,10 +96,10 @@ def follow_flowers(
     begin = _begin(frames, intrinsics, rest, params)
     inside = np.all((begin.pixels >= 0) & (begin.pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = np.array([patch.cover >= LEAST_COVER for patch in begin.own])
-    mixed = _overlapping(begin.pixels, params.overlap * begin.radius, np.flatnonzero(inside & shown))
+    mixed = _overlapping(begin.pixels, OVERLAP * begin.radius, np.flatnonzero(inside & shown))
     found = []
     for k in np.flatnonzero(inside & shown):
-        path = _path(frames, begin, int(k), hint, params)
+        path = _path(frames, begin, int(k), hint)
         deep, depth = _depth(frames, begin.own[k], path, hint, float(rest[k, 2]))
         lifted = _lifted(intrinsics, path + begin.pixels[k] - begin.own[k].centre, depth)
         found.append(Followed(int(k), lifted, rest[k, 2] / intrinsics.fx, deep, any(k in group for group in mixed)))
@@ -139,7 +148,7 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
             for pixel, r, z in zip(pixels, radius, rest[:, 2], strict=True)
         ]
 
-    return _Begin(first, pixels, radius, patches(1.0), patches(params.wide), images)
+    return _Begin(first, pixels, radius, patches(1.0), patches(WIDE), images)
 
 
 def placed(frame: Frame, intrinsics: Intrinsics, rest: Array, params: Params) -> tuple[Array, list[Patch]]:
@@ -153,23 +162,23 @@ def _settled(petals: Image, pixel: Array, radius: float) -> Array:
     return pixel if centre is None else centre
 
 
-def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float, params: Params) -> Array:
+def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float) -> Array:
     """Return where flower k's own patch is in all frames (T, 2) [px].
 
     The flower with its surroundings is followed from frame to frame, on and back, as that is not mistaken for a
     neighbour; then the flower alone is looked for near the swing that fits best.
     """
-    reach = int(np.ceil(params.reach / FLOWER_RADIUS * begin.radius[k]))
+    reach = int(np.ceil(REACH / FLOWER_RADIUS * begin.radius[k]))
     ways = begin.images[begin.frame :], begin.images[begin.frame :: -1]
-    onward, back = (follow(way, begin.wide[k], reach=reach, worst=params.likeness) for way in ways)
+    onward, back = (follow(way, begin.wide[k], reach=reach, worst=LIKENESS) for way in ways)
     path, times = np.concatenate([back[:0:-1], onward]), np.array([frame.time for frame in frames])
-    for _ in range(params.again):
+    for _ in range(AGAIN):
         flat = np.column_stack([path, np.where(np.isfinite(path[:, 0]), 0.0, np.nan)])
         try:
-            swing = fit_swing(times, without_outliers(times, flat, hint, params.outlier), hint)
+            swing = fit_swing(times, without_outliers(times, flat, hint), hint)
         except InputError:
             return path
-        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], params.near, OWN_LIKENESS)
+        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], NEAR_SWING, OWN_LIKENESS)
     return path
 
 
@@ -197,8 +206,8 @@ def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
     return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
 
 
-def without_outliers(times: Array, track: Array, frequency: float, most: float) -> Array:
-    """Return the track (T, 3) with NaN where it lies more than `most` robust deviations off its swing on any axis."""
+def without_outliers(times: Array, track: Array, frequency: float) -> Array:
+    """Return the track (T, 3) with NaN where it lies more than `OUTLIER` robust deviations off its swing on an axis."""
     miss = np.abs(track - fit_swing(times, track, frequency).at(times))
     spread = 1.4826 * np.nanmedian(miss, axis=0)
-    return np.where((miss <= most * np.maximum(spread, 1e-5)).all(axis=1, keepdims=True), track, np.nan)
+    return np.where((miss <= OUTLIER * np.maximum(spread, 1e-5)).all(axis=1, keepdims=True), track, np.nan)

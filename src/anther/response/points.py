@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.response.depth import depth_along
-from anther.response.following import OWN_DEPTH, OWN_LIKENESS, placed
-from anther.response.params import DEPTH_GATE, LEAST_COVER, Params
+from anther.response.following import NEAR_SWING, OWN_DEPTH, OWN_LIKENESS, placed
+from anther.response.params import DEPTH_GATE, LEAST_COVER, OUTLIER, Params
 from anther.response.petals import Image, Patch, seek, smoothed
 from anther.shake.observables import ComplexArray
 
@@ -35,7 +35,7 @@ BRIGHT = 100.0
 SCALES = (1.0, 1.6, 0.6)
 """Times what is expected, along which a flower is looked for."""
 SEEK = 8
-"""A flower is looked for so far from there [px], then within `Params.near` of the swing that fits."""
+"""A flower is looked for so far from there [px], then within `NEAR_SWING` of the swing that fits."""
 SURE = 0.85
 """Share of the frames in which it is found, over one and the fit's deviation [px]: if more, no other way is tried."""
 SLOW = 4
@@ -246,7 +246,7 @@ def _flower_path(
         fitted = _fitted(basis, found, LEAST_ERROR)
         if fitted is None:
             continue
-        found = seek(images, own, basis @ fitted.coefficients - shift, DEFAULTS.near, OWN_LIKENESS) + shift
+        found = seek(images, own, basis @ fitted.coefficients - shift, NEAR_SWING, OWN_LIKENESS) + shift
         sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted.std)
         if sure > worth:
             best, worth = found, sure
@@ -329,7 +329,7 @@ def _fitted(basis: Array, path: Array, least_error: float) -> _Fit | None:
         return None
     miss = np.abs(path - basis @ _solved(basis[used], path[used])[0])
     usual = 1.4826 * np.median(miss[used], axis=0)
-    used &= (np.nan_to_num(miss, nan=np.inf) <= DEFAULTS.outlier * np.maximum(usual, least_error)).all(axis=1)
+    used &= (np.nan_to_num(miss, nan=np.inf) <= OUTLIER * np.maximum(usual, least_error)).all(axis=1)
     if used.sum() < least:
         return None
     coefficients, inverse_gram = _solved(basis[used], path[used])
