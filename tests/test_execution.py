@@ -17,7 +17,7 @@ from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, More, Watch
 from anther.errors import InputError, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
-from anther.execution._closing import ENOUGH
+from anther.execution._closing import ENOUGH, STEP
 from anther.geometry import Array
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import alias, choose_rate
@@ -108,11 +108,11 @@ class SoftStem(FakeGripper):
 @pytest.mark.parametrize("width", [0.0036, 0.0078, 0.011])
 @pytest.mark.parametrize("press", [3.0, 8.0, 10.0])
 def test_the_pads_close_in_steps_and_press_no_more_than_the_plan_asks_for(width: float, press: float) -> None:
-    gripper, params = SoftStem(width), Params()
+    gripper = SoftStem(width)
     trial = execute(PLANNER, Plan(press=press), fake_robot(FakeArm(), gripper), LIMITS)
     assert trial.finished
     assert trial.gripper[0, 0] == pytest.approx(width)
-    assert ENOUGH * press <= trial.gripper[0, 1] < press + 6e3 * params.step
+    assert ENOUGH * press <= trial.gripper[0, 1] < press + 6e3 * STEP
 
 
 def test_a_gripper_that_cannot_press_as_the_shake_needs_does_not_shake() -> None:

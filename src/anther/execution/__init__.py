@@ -262,7 +262,7 @@ def _forward(work: _Work) -> None:
         work.in_plant = True
         work.follow(outward.backwards())
     with work.phase("close"):
-        work.grips.append(close(work.robot.gripper, grasp, work.plan.press, params))
+        work.grips.append(close(work.robot.gripper, grasp, work.plan.press))
         work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
     with work.phase("shake"):
         first = _first(work, work.watched)

@@ -10,6 +10,8 @@ from anther.grasp import Grasp
 LOOSE = 0.0005
 """Closing begins at the measured stem diameter and this [m]: where a gripper's force cannot be set (facts: sawyer 3),
 its position is the gentleness."""
+STEP = 0.0005
+"""Closing goes on in such steps [m] until it presses as the plan asks."""
 THINNEST = 0.002
 """The pads do not close farther [m]."""
 THICKEST = 0.012
@@ -17,8 +19,12 @@ THICKEST = 0.012
 ENOUGH = 0.95
 """Share of the force asked for with which the pads press enough: a gripper at its holding force reads a little less."""
 
+BESIDE = 0.002
+"""The pads meet a petiole beside the stem where it is expected to reach so far beyond it (`Grasp.squeezed`) [m], or
+nobody knows."""
 
-def close(gripper: Gripper, grasp: Grasp, press: float, params: Params) -> GripperState:
+
+def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     """Close to the measured diameter and on in steps until the pads press with a force [N]; verify the grip.
 
     Depth sensors see thin stems too thick (facts: perception). One that was measured too thin is pressed hard at once:
@@ -29,9 +35,9 @@ def close(gripper: Gripper, grasp: Grasp, press: float, params: Params) -> Gripp
             cannot press so hard.
     """
     expected = max(grasp.stem_diameter + LOOSE, THINNEST)
-    state = _press(gripper, expected, press, params)
-    if expected + params.step < state.opening < expected + THICKEST:
-        state = _press(gripper, state.opening + params.step, press, params)
+    state = _press(gripper, expected, press)
+    if expected + STEP < state.opening < expected + THICKEST:
+        state = _press(gripper, state.opening + STEP, press)
     if state.is_gripping and state.opening <= grasp.stem_diameter + THICKEST:
         if state.force >= ENOUGH * press:
             return state
@@ -44,14 +50,14 @@ def close(gripper: Gripper, grasp: Grasp, press: float, params: Params) -> Gripp
 
 def wait_after(grasp: Grasp, params: Params) -> float:
     """Return how long what the gripper touched swings after closing [s]: a petiole between the pads for longer."""
-    free = grasp.squeezed is not None and grasp.squeezed < params.beside
+    free = grasp.squeezed is not None and grasp.squeezed < BESIDE
     return params.settle if free else params.calm
 
 
-def _press(gripper: Gripper, width: float, press: float, params: Params) -> GripperState:
+def _press(gripper: Gripper, width: float, press: float) -> GripperState:
     """Close to a width [m], and on in steps until the pads press."""
     state = gripper.move(width)
-    while (not state.is_gripping or state.force < ENOUGH * press) and width - params.step > THINNEST - 1e-9:
-        width -= params.step
+    while (not state.is_gripping or state.force < ENOUGH * press) and width - STEP > THINNEST - 1e-9:
+        width -= STEP
         state = gripper.move(width)
     return state
