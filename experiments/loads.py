@@ -75,7 +75,7 @@ def one(species: Species, seed: int) -> list[dict[str, Any]]:
     model = scanned(seen, PRIOR[species])
     pose, intrinsics = layout(USUAL_DISTANCE).T_world_side_camera, cut_out(d455(848, 480), 480, 480)
     image = Scene.of_plant(plant).render(intrinsics, pose)
-    points = watch_points(model, 60)
+    points = watch_points(model)
     at = sight(Frame(0.0, image.rgb, image.depth), intrinsics, pose, seen.flowers.positions, model.rods.nodes[points])
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0, np.pi)

@@ -323,7 +323,7 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
     wanted = params.escalate or params.actuator == "gripper"
     if camera is None or pose is None or not wanted or not len(seen.flowers.positions):
         return None
-    points = watch_points(rods, params.escalation.points)
+    points = watch_points(rods)
     tones, pads = shake.tones, params.shake.pads
     pressing = float(cell.limits.pressing.most(shake.grasp.stem_diameter))
     return Escalation(

@@ -47,10 +47,11 @@ __all__ = ["Escalation", "Foresight", "Params", "foresee", "watch_points"]
 DEFAULTS = Params()
 RAMP = 0.5
 """In which the amplitude changes [s], or half a period of the slowest tone if that is longer."""
-PERIODS = 2.0
-"""A step is watched for so many of its periods at least."""
-PROBE_PERIODS, SHORTEST_PROBE = 8.0, 0.5
-"""The probe is watched for so many periods of its slowest tone, at least so long [s]."""
+PERIODS, LOOK = 2.0, 0.6
+"""A step is watched for so many of its periods, and so long [s], at least."""
+PROBE_PERIODS, SHORTEST_PROBE, LONGEST_PROBE = 8.0, 0.5, 1.4
+"""All frequencies are watched at once for so many periods of the slowest, along each of two lines; at least and at most
+so long [s]."""
 WORSE = 1.5
 """A frame rate will do if tones look no more than so many times as much alike as at the fastest."""
 PROBED = 0.55
@@ -217,7 +218,7 @@ class Escalation:
     @property
     def _probe(self) -> float:
         slowest = float(self._hertz.min())
-        return min(self.params.probe, max(PROBE_PERIODS / slowest, SHORTEST_PROBE))
+        return min(LONGEST_PROBE, max(PROBE_PERIODS / slowest, SHORTEST_PROBE))
 
     @property
     def _probing(self) -> bool:
@@ -388,4 +389,4 @@ class Escalation:
         return max(RAMP, 0.5 / float(self._hertz[shake]))
 
     def _watch(self, shake: int) -> float:
-        return max(self.params.look, PERIODS / float(self._hertz[shake]))
+        return max(LOOK, PERIODS / float(self._hertz[shake]))

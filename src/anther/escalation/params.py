@@ -16,29 +16,20 @@ class Params:
             20, between 5 and 80 (facts: pollination 6).
         most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same), so by
             1 % at 46 to 110.
-        probe: how long all frequencies are watched at once along each of two lines, at most [s].
-        look: how long a step is watched at least [s], or two periods.
         raised: a step is at most so many times the one before, and adds at most half the target to any flower seen.
         hold: how long the last step goes on [s]; a flower approaches what it can free within 0.6 s.
         most_seconds: of the whole shake [s]; ten are enough for two probes, a step, a hold and coming to rest.
-        points: of the plant that are watched beside the flowers.
     """
 
     target: float = 30.0
     most: float = 45.0
-    probe: float = 1.4
-    look: float = 0.6
     raised: float = 2.0
     hold: float = 1.2
     most_seconds: float = 12.0
-    points: int = 60
 
     def __post_init__(self) -> None:
         check_range("target", self.target, 0.1, 1000, "m/s2")
         check_range("most", self.most, self.target, 10_000, "m/s2")
-        check_range("probe", self.probe, 0.5, 10, "s")
-        check_range("look", self.look, 0.2, 10, "s")
         check_range("raised", self.raised, 1.05, 4)
         check_range("hold", self.hold, 0.5, 10, "s")
         check_range("most_seconds", self.most_seconds, 10, 60, "s")
-        check_range("points", self.points, 0, 1000)
