@@ -161,7 +161,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="two plants")
     parser.add_argument("--plants", type=int, default=40, help="half tomatoes, half peppers")
     parser.add_argument("--ways", nargs="*", choices=WAYS, default=WAYS)
-    parser.add_argument("--others", type=int, help="so many of the plants only by all ways but the first of --ways")
+    parser.add_argument(
+        "--first", nargs="*", default=[], metavar="WAY=N", help="only the first N of the plants this way"
+    )
     parser.add_argument("--truth", choices=("wide", "nominal", *WIDE), default="wide", help="or one group alone")
     parser.add_argument("--development", action="store_true", help="the plants on which constants may be set")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
@@ -172,11 +174,12 @@ def main() -> None:
     args = parser.parse_args()
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     plants = [(SPECIES[k % 2], first + k // 2) for k in range(2 if args.quick else args.plants)]
+    fewer = {way: int(count) for way, count in (text.split("=") for text in args.first)}
     cases = [
         Case(species, seed, way, args.truth)
         for k, (species, seed) in enumerate(plants)
         for way in args.ways
-        if args.others is None or k < args.others or way == args.ways[0]
+        if k < fewer.get(way, len(plants))
     ]
     rows = rows_of(cases, args.out, args.jobs)
     text = shaking_table.report(rows)
