@@ -115,7 +115,7 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, default=Path("runs/shaking"), help="folder of a sweep of shaking.py")
     args = parser.parse_args()
     results = [job.result for job in sweep.read(args.rows) if job.result is not None]
-    rows = [r for r in results if r["way"] in REACH and r.get("true_flower_acceleration_peak_ms2")]
+    rows = [r for r in results if r["way"] in REACH and r.get("true_flower_acceleration_median_ms2")]
     if not rows:
         raise SystemExit(
             f"--rows: got {args.rows} without watched trials; run experiments/shaking.py --ways escalated."
