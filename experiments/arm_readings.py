@@ -14,6 +14,7 @@ aside_<hz>, what it does, and aside of the line, over what was commanded, median
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,8 @@ from rich.table import Table
 
 from anther.arm.sawyer import READY, SAWYER
 from anther.commands.simulated_cell import grow
-from anther.escalation.gripper import ARM_ERROR, ARM_MODE
+from anther.devices import ArmSample
+from anther.escalation.gripper import ARM_ERROR, ARM_MODE, gripper_motion
 from anther.files import write_json
 from anther.geometry import Array
 from anther.shake.observables import ComplexArray
@@ -55,17 +57,13 @@ def swings(seed: int, line: int) -> tuple[Array, ComplexArray, ComplexArray]:
     )
     log = cell.log()
     steady = log.times > begin + 2 * RAMP
-    when = log.times[steady] - begin
-    basis = np.column_stack([f(2 * np.pi * when[:, None] * TONES) for f in (np.sin, np.cos)])
-    basis = np.column_stack([basis, np.ones_like(when), when - when.mean()])
 
-    def phasors(flanges: Array) -> ComplexArray:
-        grip = flanges @ np.r_[SAWYER.tool.T_flange_grasp[:3, 3], 1]
-        parts = np.linalg.lstsq(basis, grip[:, :3], rcond=None)[0]
-        return (parts[: len(TONES)] + 1j * parts[len(TONES) : 2 * len(TONES)]) / SIZES[:, None]
+    def phasors(places: Array, flanges: Callable[[Array], Array]) -> ComplexArray:
+        samples = [ArmSample(t, q, q) for t, q in zip(log.times[steady] - begin, places[steady], strict=True)]
+        held = np.r_[SAWYER.tool.T_flange_grasp[:3, 3], 1]
+        return gripper_motion(samples, lambda q: (flanges(q) @ held)[:, :3], TONES) / SIZES[:, None]
 
-    true = np.array([cell.flange_pose(qpos) for qpos in log.qpos[steady]])
-    return along, phasors(SAWYER.forward(log.joints[steady])), phasors(true)
+    return along, phasors(log.joints, SAWYER.forward), phasors(log.qpos, cell.flange_pose)
 
 
 def main() -> None:

@@ -17,6 +17,7 @@ plants whose ceiling that is; plants.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,7 +94,7 @@ def ceiling(row: dict[str, Any]) -> Ceiling:
     )
 
 
-def metrics(way: str, rows: list[dict[str, Any]], found: list[Ceiling]) -> dict[str, float]:
+def metrics(way: str, rows: Sequence[dict[str, Any]], found: Sequence[Ceiling]) -> dict[str, float]:
     """Return what the module's docstring names, of one way."""
     got = np.array([np.median(row["true_flower_acceleration_peak_ms2"]) for row in rows])
     could, crop = np.array([one.acceleration for one in found]), np.array([row["species"] for row in rows])
@@ -120,17 +121,18 @@ def main() -> None:
         raise SystemExit(
             f"--rows: got {args.rows} without watched trials; run experiments/shaking.py --ways escalated."
         )
-    found = [ceiling(row) for row in track(rows, "plants", console=Console())]
+    console = Console()
+    found = [ceiling(row) for row in track(rows, "plants", console=console)]
     table = Table("way", "plant", "got [m/s²]", "could [m/s²]", "at [Hz]", "by [mm]", "ended by")
     for row, one in zip(rows, found, strict=True):
         felt = np.median(row["true_flower_acceleration_peak_ms2"])
         sizes = (felt, one.acceleration, one.frequency, 1e3 * one.amplitude)
         table.add_row(row["way"], f"{row['species']} {row['seed']}", *(f"{size:.1f}" for size in sizes), one.binds)
-    console, told = Console(), {}
     console.print(table)
+    told: dict[str, float] = {}
     for way in sorted({row["way"] for row in rows}):
-        own = [i for i, row in enumerate(rows) if row["way"] == way]
-        told |= metrics(way, [rows[i] for i in own], [found[i] for i in own])
+        own = [pair for pair in zip(rows, found, strict=True) if pair[0]["way"] == way]
+        told |= metrics(way, *zip(*own, strict=True))
     console.print({name: round(value, 3) for name, value in told.items()})
     if args.json:
         write_json(args.json, told)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,9 +122,8 @@ def paper_model(seen: Seen, species: str, radius: float, *, as_scripted: bool = 
         radius: of every edge [m].
         as_scripted: radius and damping as in the authors' final scripts.
     """
-    steps = skeleton.Params(method="thinning", voxel=PAPER_VOXEL, spacing=PAPER_VOXEL)
-    with patch.object(skeleton, "RECENTRE", 0):
-        tree = skeleton.skeletonize(seen.cloud, steps)
+    steps = skeleton.Params(method="thinning", voxel=PAPER_VOXEL, spacing=PAPER_VOXEL, recentre=0)
+    tree = skeleton.skeletonize(seen.cloud, steps)
     rods = Rods(
         tree.nodes,
         tree.parent,

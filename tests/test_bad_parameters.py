@@ -41,6 +41,7 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
     ("kind", "name", "value"),
     [
         (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "bridge", 10.0),
+        (skeleton.Params, "recentre", 1_000_000),
         (flowers.Params, "reach", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
         (execution.Params, "calm", 1e9),
         (execution.Params, "settle", 1e9), (grasp.Params, "spacing", 0.0), (grasp.Params, "wanted", 0),

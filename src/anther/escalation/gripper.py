@@ -48,7 +48,7 @@ def links(readings: ComplexArray, tones: Array) -> tuple[ComplexArray, Array]:
     """
     error = ARM_ERROR * (tones / FAST) ** 3
     weight = ARM_FOLLOWS**2 / (ARM_FOLLOWS**2 + error**2)
-    beyond = 1 / (1 - np.minimum(tones / ARM_MODE, 0.7) ** 2)
+    beyond = 1 / (1 - np.minimum(tones / ARM_MODE, 0.7) ** 2)  # nearer to the mode readings count for little
     return readings * (weight * beyond)[:, None], error * np.sqrt(weight)
 
 

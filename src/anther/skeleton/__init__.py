@@ -41,8 +41,6 @@ CLOSE = 2
 """Gaps of up to so many voxels are closed."""
 HOLLOW = 0.06
 """Stems hollow in the scan are filled up to this diameter, relative to the plant's size."""
-RECENTRE = 2
-"""Rounds of sub-voxel centring; 0 would keep the coarse tree's steps."""
 _SURE = 0.75  # a root that is less likely is said
 _SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
 _SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
@@ -68,6 +66,7 @@ class Params:
         voxel: voxel edge [m]; None: plant size / `RESOLUTION`, but not below 1.3 point spacings.
         bridge: gaps up to this are bridged (relative; 5 cm on a 0.6 m robot plant is 0.08).
         spacing: distance between nodes [m]; None: plant size / 110 (6 mm on a 0.65 m plant).
+        recentre: rounds of sub-voxel centring; 0 keeps the coarse tree's steps, as the paper's skeleton does.
         fattening: how much thicker the sensor makes organs [m of radius], taken off the radii; None: half a pixel
             of the cloud's footprint, 0 for a cloud without one.
     """
@@ -77,6 +76,7 @@ class Params:
     voxel: float | None = None
     bridge: float = 0.15
     spacing: float | None = None
+    recentre: int = 2
     fattening: float | None = None
 
     def __post_init__(self) -> None:
@@ -84,6 +84,7 @@ class Params:
         check_range("voxel", 0.001 if self.voxel is None else self.voxel, 1e-5, 1, "m")
         check_range("bridge", self.bridge, 0, 2)
         check_range("spacing", 0.005 if self.spacing is None else self.spacing, 1e-4, 1, "m")
+        check_range("recentre", self.recentre, 0, 20)
         check_range("fattening", self.fattening or 0, 0, 0.1, "m")
 
 
@@ -222,7 +223,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
     surface = points[:: -(-len(points) // _ENOUGH_POINTS)]
-    curves = centred(curves, surface, rounds=RECENTRE, fattening=fattening, smallest=_SMALLEST_RADIUS)
+    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening, smallest=_SMALLEST_RADIUS)
     hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
     if hidden > 0:
         curves = extended(curves, hidden, spacing)
