@@ -17,7 +17,7 @@ from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
-from anther.escalation.knowledge import DAMPING, MOST_GROWTH, SEEN_ERROR, WATCHED, Answer, known, limits_of, settled
+from anther.escalation.knowledge import DAMPING, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
 from anther.execution import Params as ExecutionParams
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
@@ -49,9 +49,8 @@ def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
 def most(world: World, tone: int) -> tuple[float, float]:
     """Return how far a tone may be raised, by the truth: amplitude [m] and the flowers' median there [m/s2]."""
     flowers, loads = world.flowers(tone), world.loads(tone)
-    margin = {
-        k: median * np.exp(norm.isf(WATCHED * world.limits.risk) * spread) for k, (median, spread) in SEEN_ERROR.items()
-    }
+    sigmas = norm.isf(risk(world.limits.risk, float(TONES[tone])))
+    margin = {k: median * np.exp(sigmas * spread) for k, (median, spread) in SEEN_ERROR.items()}
     caps = [
         limit / (margin[k] * loads[k])
         for k, limit in limits_of(world.limits, world.plan.press, float(TONES[tone])).items()

@@ -250,6 +250,13 @@ def test_of_fast_tones_those_at_which_pedicels_ring_have_the_wider_margin() -> N
         assert {kind for kind in LOADS if ringing[kind] != fast[kind]} == {"joint_strain"}
 
 
+def test_more_is_risked_of_what_was_watched_and_most_of_the_fastest_but_never_more_than_half() -> None:
+    for planned in (0.001, 0.02, 0.09, 0.4):
+        slow, ringing, fastest = (knowledge.risk(planned, hertz) for hertz in (3.0, knowledge.RINGING, 30.0))
+        assert planned < slow == ringing <= fastest <= 0.5
+    assert knowledge.risk(0.02, 30.0) > knowledge.risk(0.02, 3.0)
+
+
 def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
     foresight = made_foresight(3)
     at = look(World(foresight, foresight.vectors[5], depth=True))

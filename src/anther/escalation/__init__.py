@@ -17,7 +17,6 @@ from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee, watch_points
 from anther.escalation.gripper import gripper_motion, links
 from anther.escalation.knowledge import (
-    WATCHED,
     Allowed,
     Answer,
     Known,
@@ -28,6 +27,7 @@ from anther.escalation.knowledge import (
     lateness,
     limits_of,
     noted,
+    risk,
     settled,
     summed,
 )
@@ -120,10 +120,11 @@ class Escalation:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
         self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
-        self._risk, tones = min(WATCHED * limits.risk, 0.5), plan.tones
+        tones = plan.tones
         self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
         self._hertz = tones.frequencies[self._tone]
         self._limits = [limits_of(limits, plan.press, hertz) for hertz in self._hertz.tolist()]
+        self._risk = [risk(limits.risk, hertz) for hertz in self._hertz.tolist()]
         self._reach, self._planned = tones.reach.ravel(), tones.amplitudes.ravel()
         self._answers: list[list[Answer]] = []
         self._may: dict[int, Allowed] = {}
@@ -250,7 +251,7 @@ class Escalation:
         return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
-        return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
+        return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk[shake])
 
     def _learned(self, shake: int, one: Known) -> None:
         self._may[shake] = allowed(one, self._limits[shake], float(self._reach[shake]), self.params)
