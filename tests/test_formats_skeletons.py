@@ -218,9 +218,9 @@ def test_a_folded_or_coincident_polyline_still_gives_finite_tubes() -> None:
 GRAPHML = '<graphml><key id="x" for="node" attr.name="x" attr.type="double"/>{}</graphml>'
 BAD = {
     "cut.graphml": ("<graphml><graph>", "not XML"),
-    "no graph.graphml": ("<graphml/>", "without <graph>"),
+    "no graph.graphml": ("<graphml/>", "no graph"),
     "bare.graphml": (GRAPHML.format('<graph><node id="a"><data key="x">1</data></node></graph>'), "without x, y, z"),
-    "lost.graphml": (GRAPHML.format('<graph><edge source="a" target="b"/></graph>'), "unknown node"),
+    "lost.graphml": (GRAPHML.format('<graph><edge source="a" target="b"/></graph>'), "node 'a' without x, y, z"),
     "empty.mtg": ("", "ENTITY-CODE"),
     "no place.mtg": ("ENTITY-CODE\tlength\n/P1\t3\n", "XX, YY, ZZ"),
     "odd.mtg": (MTG_BY_HAND.replace("\t+N6", "\t*N6"), "One entity"),

@@ -6,6 +6,7 @@ MTG and glTF have modules of their own (docs/formats.md).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -102,10 +103,6 @@ def _organ_names(path: Path) -> list[str]:
     return told[0] if told else []
 
 
-_NAMESPACE = "http://graphml.graphdrawing.org/xmlns"
-_NUMBERS = ("x", "y", "z", "radius")
-
-
 def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
     """Write a skeleton as GraphML: nodes n0 (the root), n1, ... with x, y, z, radius [m] and organ.
 
@@ -114,22 +111,15 @@ def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | 
         skeleton: the tree.
         labels: an organ name a node, or None.
     """
-    graphml = ET.Element("graphml", xmlns=_NAMESPACE)
-    for name in _NUMBERS if labels is None else (*_NUMBERS, "organ"):
-        kind = "string" if name == "organ" else "double"
-        ET.SubElement(graphml, "key", {"id": name, "for": "node", "attr.name": name, "attr.type": kind})
-    graph = ET.SubElement(graphml, "graph", id="skeleton", edgedefault="directed")
-    for j, values in enumerate(np.column_stack([skeleton.nodes, skeleton.radius])):
-        node = ET.SubElement(graph, "node", id=f"n{j}")
-        for name, value in zip(_NUMBERS, values, strict=True):
-            ET.SubElement(node, "data", key=name).text = repr(float(value))
-        if labels is not None:
-            ET.SubElement(node, "data", key="organ").text = labels[j]
-    for a, b in skeleton.edges:
-        ET.SubElement(graph, "edge", source=f"n{a}", target=f"n{b}")
-    ET.indent(graphml)
+    import networkx as nx  # noqa: PLC0415  # a fifth of a second
+
+    graph = nx.DiGraph()
+    for j, values in enumerate(np.column_stack([skeleton.nodes, skeleton.radius]).tolist()):
+        told = {} if labels is None else {"organ": labels[j]}
+        graph.add_node(f"n{j}", **dict(zip(("x", "y", "z", "radius"), values, strict=True)), **told)
+    graph.add_edges_from((f"n{a}", f"n{b}") for a, b in skeleton.edges)
     with replacing(path) as temporary:
-        ET.ElementTree(graphml).write(temporary, encoding="utf-8", xml_declaration=True)
+        nx.write_graphml(graph, temporary)
 
 
 def read_graphml(path: Path | str) -> SkeletonFile:
@@ -138,48 +128,38 @@ def read_graphml(path: Path | str) -> SkeletonFile:
     The root of a directed graph is its node without incoming edge; an undirected one is rooted at its lowest node.
 
     Raises:
-        InputError: not XML, no graph, a node without coordinates, an edge to an unknown node, or not one tree.
+        InputError: not XML, no graph, a node without coordinates (or that only an edge names), or not one tree.
     """
+    import networkx as nx  # noqa: PLC0415  # a fifth of a second
+
     try:
-        tree = ET.parse(path).getroot()
-    except ET.ParseError as error:
-        raise bad_input(str(path), given=f"not XML ({error})", allowed="GraphML", do="Is it truncated?") from error
-    space = {"g": tree.tag[1:].partition("}")[0]} if tree.tag.startswith("{") else {"g": ""}
-    names = {str(key.get("id")): str(key.get("attr.name", key.get("id"))) for key in tree.iterfind("g:key", space)}
-    graph = tree.find("g:graph", space)
-    if graph is None:
-        raise bad_input(str(path), given=f"<{tree.tag}> without <graph>", allowed="GraphML", do="Export it again.")
-    given = {
-        str(node.get("id")): {
-            names.get(str(data.get("key")), ""): data.text or "" for data in node.iterfind("g:data", space)
-        }
-        for node in graph.iterfind("g:node", space)
-    }
-    ends = [(str(edge.get("source")), str(edge.get("target"))) for edge in graph.iterfind("g:edge", space)]
-    return _tree(path, given, ends, directed=graph.get("edgedefault") != "undirected")
-
-
-def _tree(
-    path: Path | str, given: dict[str, dict[str, str]], ends: list[tuple[str, str]], *, directed: bool
-) -> SkeletonFile:
-    index = {name: j for j, name in enumerate(given)}
-    lost = [name for pair in ends for name in pair if name not in index]
-    bare = [name for name, values in given.items() if not {"x", "y", "z"} <= set(values)]
-    if lost or bare:
-        fault = f"an edge to unknown node '{lost[0]}'" if lost else f"node '{bare[0]}' without x, y, z"
-        raise bad_input(str(path), given=fault, allowed="nodes with x, y, z, edges between them", do="Export it again.")
-    nodes = np.array([[float(values[axis]) for axis in "xyz"] for values in given.values()]).reshape(-1, 3)
-    edges = np.array([[index[a], index[b]] for a, b in ends], dtype=np.int64).reshape(-1, 2)
-    has = {name: bool(given) and all(name in values for values in given.values()) for name in ("radius", "organ")}
+        with warnings.catch_warnings(action="ignore"):  # a key without a type
+            graph = nx.read_graphml(path, force_multigraph=True)
+    except (ET.ParseError, nx.NetworkXError) as error:
+        fault = f"not XML ({error})" if isinstance(error, ET.ParseError) else f"no graph ({error})"
+        raise bad_input(str(path), given=fault, allowed="GraphML", do="Is it truncated?") from error
+    values = dict(graph.nodes(data=True))
+    bare = [name for name, told in values.items() if not {"x", "y", "z"} <= set(told)]
+    if bare:
+        raise bad_input(
+            str(path),
+            given=f"node '{bare[0]}' without x, y, z",
+            allowed="nodes with x, y, z, edges between them",
+            do="Export it again.",
+        )
+    index = {name: j for j, name in enumerate(values)}
+    nodes = np.array([[float(told[axis]) for axis in "xyz"] for told in values.values()]).reshape(-1, 3)
+    edges = np.array([[index[a], index[b]] for a, b in graph.edges()], dtype=np.int64).reshape(-1, 2)
+    has = {name: bool(values) and all(name in told for told in values.values()) for name in ("radius", "organ")}
     tops = np.setdiff1d(np.arange(len(nodes)), edges[:, 1])
-    digits = [name.lstrip("n") for name in given]
+    digits = [name.lstrip("n") for name in values]
     return rooted(
         nodes,
         edges,
-        radius=np.array([float(values["radius"]) for values in given.values()]) if has["radius"] else None,
+        radius=np.array([float(told["radius"]) for told in values.values()]) if has["radius"] else None,
         numbers=np.array([int(d) for d in digits]) if all(d.isdecimal() for d in digits) else None,
-        root=int(tops[0]) if directed and len(tops) == 1 else None,
-        labels=[values["organ"] for values in given.values()] if has["organ"] else None,
+        root=int(tops[0]) if graph.is_directed() and len(tops) == 1 else None,
+        labels=[str(told["organ"]) for told in values.values()] if has["organ"] else None,
     )
 
 
