@@ -34,7 +34,6 @@ from anther.shake.plant_limits import FAST
 from anther.sim import cell as world
 
 TONES = np.array([2.7, 4.3, 6.4, 8.5, 11.3, 14.1, 16.9, 18.5, 20.5])
-SIZES = 1 / (2 * np.pi * TONES) ** 2  # m
 FIRST, LINES = 7700, 2
 RAMP, SECONDS = 0.5, 2.5
 FAR = 5.0  # m: the plant that a cell must have
@@ -42,15 +41,28 @@ FAR = 5.0  # m: the plant that a cell must have
 
 def swings(seed: int, line: int) -> tuple[Array, ComplexArray, ComplexArray]:
     """Return the line (3,), and (Q, 3) phasors of the grip as it is read and as it is, over what was commanded."""
-    cell = world.Cell(grow("pepper", FIRST, 0, FAR), READY, truth=truth_of("wide", seed), arm=SAWYER)
     angle = np.random.default_rng(seed + 100 * line).uniform(0, np.pi)
     along = np.array([np.cos(angle), np.sin(angle), 0.0])
+    return along, *read_and_true(seed, READY, along, TONES)
+
+
+def read_and_true(seed: int, joints: Array, along: Array, tones: Array) -> tuple[ComplexArray, ComplexArray]:
+    """Return (Q, 3) phasors of an empty grip as it is read and as it is, over what was commanded.
+
+    Args:
+        seed: of the truth.
+        joints: (J,) about which the arm moves [rad].
+        along: (3,) unit, of the line.
+        tones: (Q,) [Hz], all at once, with 1 m/s2 each.
+    """
+    cell = world.Cell(grow("pepper", FIRST, 0, FAR), joints, truth=truth_of("wide", seed), arm=SAWYER)
+    sizes = 1 / (2 * np.pi * tones) ** 2
     times = cell.timestep * np.arange(round(SECONDS / cell.timestep))
-    move = np.clip(times / RAMP, 0, 1) * (SIZES @ np.sin(2 * np.pi * TONES[:, None] * times))
-    way = np.linalg.pinv(SAWYER.jacobian(READY)) @ np.r_[along, 0, 0, 0]
+    move = np.clip(times / RAMP, 0, 1) * (sizes @ np.sin(2 * np.pi * tones[:, None] * times))
+    way = np.linalg.pinv(SAWYER.jacobian(joints)) @ np.r_[along, 0, 0, 0]
     begin = cell.time
     cell.run(
-        READY + move[:, None] * way,
+        joints + move[:, None] * way,
         np.gradient(move, cell.timestep)[:, None] * way,
         np.full(len(times), cell.grip_command),
         np.zeros((len(times), SAWYER.count)),
@@ -61,9 +73,9 @@ def swings(seed: int, line: int) -> tuple[Array, ComplexArray, ComplexArray]:
     def phasors(places: Array, flanges: Callable[[Array], Array]) -> ComplexArray:
         samples = [ArmSample(t, q, q) for t, q in zip(log.times[steady] - begin, places[steady], strict=True)]
         held = np.r_[SAWYER.tool.T_flange_grasp[:3, 3], 1]
-        return gripper_motion(samples, lambda q: (flanges(q) @ held)[:, :3], TONES) / SIZES[:, None]
+        return gripper_motion(samples, lambda q: (flanges(q) @ held)[:, :3], tones) / sizes[:, None]
 
-    return along, phasors(log.joints, SAWYER.forward), phasors(log.qpos, cell.flange_pose)
+    return phasors(log.joints, SAWYER.forward), phasors(log.qpos, cell.flange_pose)
 
 
 def main() -> None:
