@@ -85,6 +85,17 @@ def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken
     assert last.median == pytest.approx(allowed[expected][1], rel=0.1)
 
 
+@pytest.mark.parametrize(("more", "taken"), [(1.3, 2), (3.0, 1)])
+def test_a_slow_tone_is_taken_only_where_it_promises_much_more(shaken: Shaken, more: float, taken: int) -> None:
+    """Of what slow tones promise after the probes about half is kept."""
+    assert TONES[1] < escalation.SLOW < TONES[2]
+    foresight = made_foresight(2, gains=[0.1, more, 1.0] / (TONES / TONES[0]) ** 2)
+    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    world.params = Params(most_seconds=10)
+    assert most(world, 1)[1] > most(world, 2)[1]
+    assert shaken(world).steps[2].frequencies == pytest.approx([TONES[taken]])
+
+
 def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) -> None:
     believed = made_foresight(2, gains=(2.0, 0.6, 0.1), unsure=0.8)
     truth = believed.vectors[0].copy()

@@ -64,13 +64,10 @@ OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
 LASTING = (OUT_OF_SIGHT, NO_TIME)
 """What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
 BETTER = 1.6
-"""Another tone or line is turned to when it promises so many times the flowers' motion: of many promises the largest is
-too large."""
+"""Another tone or line is turned to for so many times the motion: of many promises the largest is too large."""
 SLOW, SLOW_KEPT = 5.0, 0.6
-"""Below so many hertz a promise counts so much until the shake was watched alone: slow swings are seen together with
-faster, larger accelerations. Of what was promised there the flowers felt 0.54 on five development plants and 0.5 on 13
-plants of the whole cell, at 5 to 9 Hz 0.9 and 0.8 (medians); on all 34 development plants the rule gives as much
-motion and 0.7 times the harm (MuJoCo's linear equations)."""
+"""Below so many hertz a promise counts so much until that shake was watched alone: of such promises five plants of
+linear equations felt 0.54 and 13 of the whole cell 0.5; of those at 5 to 9 Hz 0.9 and 0.8 (docs/reports/shaking.md)."""
 ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what moved the flowers more."""
 LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
@@ -295,8 +292,8 @@ class Escalation:
 
     def _promised(self, shake: int) -> float:
         """Return what the flowers may feel, as far as such promises are kept [m/s2]."""
-        doubtful = float(self._hertz[shake]) < SLOW and shake not in self._alone
-        return (SLOW_KEPT if doubtful else 1.0) * self._may[shake].flowers
+        kept = SLOW_KEPT if self._hertz[shake] < SLOW and shake not in self._alone else 1.0
+        return kept * self._may[shake].flowers
 
     def _in_view(self, look: Look) -> NDArray[np.bool_]:
         return np.isfinite(look.swings.std[: len(self._followed), 0])

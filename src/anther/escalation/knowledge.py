@@ -48,9 +48,9 @@ RINGING = 20.5
 WATCHED, WATCHED_FASTEST = 5.0, 8.0
 """So many times the plan's risk is allowed once the camera has seen the shake, up to `RINGING` and above: a load that
 passes what is said of it seldom passes what the plant bears. A judgement, from MuJoCo's linear equations of development
-plants (9720-9739; 34 by arm, 23 by motor): with 3, 5, 8 and 12 the median flower felt 6.6, 7.5, 7.9 and 8.4 m/s2 by the
-arm (geometric mean) and, but for the worst plant, 1.0, 1.7, 4.7 and 6.8 % were harmed; by the motor with 3, 5 and 8 it
-was 9.4, 10.6 and 12.7 m/s2, and 0.1, 0.2 and 0.6 %."""
+plants (experiments/watched_risk.py; 34 by arm, 23 by motor): with 3, 5, 8 and 12 the median flower felt 6.6, 7.5, 7.9
+and 8.4 m/s2 by the arm (geometric mean) and, but for the worst plant, 1.0, 1.7, 4.7 and 6.8 % were harmed; by the motor
+with 3, 5 and 8 it was 9.4, 10.6 and 12.7 m/s2, and 0.1, 0.2 and 0.6 %."""
 
 WORDS = {
     "stem_strain": "the bending of the stem",
