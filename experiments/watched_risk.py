@@ -88,7 +88,7 @@ class Kept(Escalation):
         raise Begins(self, frame)
 
 
-class Truly(NamedTuple):
+class TrueMotion(NamedTuple):
     """What a plant held by its grip does per metre of the grip along x and y; K tones.
 
     Attributes:
@@ -126,7 +126,7 @@ def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     return failed("the plan alone was done")
 
 
-def truth(cell: SimulatedCell, kept: Kept) -> Truly:
+def truth(cell: SimulatedCell, kept: Kept) -> TrueMotion:
     """Return what the plant truly does at the plan's tones, held where the plan holds it."""
     plan, seed = kept.plan, cell.plant.seed
     tones, truth = plan.tones.frequencies, truth_of("wide", seed)
@@ -150,10 +150,10 @@ def truth(cell: SimulatedCell, kept: Kept) -> Truly:
     else:
         told = np.repeat(lines[:, None].astype(np.complex128), len(tones), axis=1)
         grip = np.stack([told, truth.motor_gain * told])
-    return Truly(flowers, points, bent, kinds, leaves, grip)
+    return TrueMotion(flowers, points, bent, kinds, leaves, grip)
 
 
-def shake(kept: Kept, at: Sight, true: Truly, risk: float, noise: int) -> dict[str, Any]:
+def shake(kept: Kept, at: Sight, true: TrueMotion, risk: float, noise: int) -> dict[str, Any]:
     """Carry out the escalation by the equations; return what flowers felt, the harm, and loads over what was said."""
     plan, rng = kept.plan, np.random.default_rng(noise)
     count, flowers = len(at.pixels), len(kept.places[0])
@@ -197,13 +197,13 @@ def shake(kept: Kept, at: Sight, true: Truly, risk: float, noise: int) -> dict[s
     return judged(kept, true, escalated.steps) | {"risk": risk}
 
 
-def gripped(plan: ShakePlan, true: Truly, tone: int, line: Array) -> ComplexArray:
+def gripped(plan: ShakePlan, true: TrueMotion, tone: int, line: Array) -> ComplexArray:
     """Return (2, 3) what the grip is read and true to do along a line, over what was commanded."""
     lines = plan.tones.directions[list(plan.tones.probed)]
     return np.tensordot(np.linalg.lstsq(lines.T, line, rcond=None)[0], true.grip[:, :, tone], axes=(0, 1))
 
 
-def judged(kept: Kept, true: Truly, steps: Sequence[Step]) -> dict[str, Any]:
+def judged(kept: Kept, true: TrueMotion, steps: Sequence[Step]) -> dict[str, Any]:
     """Return what steps did: the median flower's acceleration in the last, the harm of the worst, loads over said."""
     tones, worst, looks = kept.plan.tones.frequencies, dict.fromkeys(TOLERANCE, 0.0), list[dict[str, Any]]()
     felt = 0.0
