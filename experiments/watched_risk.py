@@ -11,7 +11,7 @@ left out: in the whole cell pedicels are bent 1.15 to 1.4 times as far. Slip is 
 
 Keys of --json, after <way>_: plants; of each risk <r> (times the plan's) felt_<r>, the geometric mean over plants of
 the median flower's peak acceleration [m/s2]; harm_<r>, the mean probability of harm, and harm_rest_<r>, without the
-worst plant; and over looks at one tone <band> (2 to 14, 14 to 20.5, above), of loads <kind>: passed_<kind>_<band>, the
+worst plant; and over looks at one tone <band> (`BANDS`), of loads <kind> (`SAID`): passed_<kind>_<band>, the
 share in which the true load is more than was said at the risk in use.
 """
 
@@ -50,6 +50,7 @@ from anther.response.points import Sight, Swings, sight
 from anther.shake import PlantLimits, ShakePlan
 from anther.shake.observables import ComplexArray, semi_major
 from anther.shake.plant_limits import FAST
+from anther.sim.judge import Harm
 from anther.sim.plant import Organ
 from anther.sim.truth import TOLERANCE
 from anther.swing import Swing
@@ -67,6 +68,8 @@ DRAG_AT = 2e-3  # m
 TOGETHER = 0.7
 """Several tones bend a piece about so much of the sum of what each does: they seldom peak at once."""
 SLOW = 5.0  # Hz: the judge counts leaves' loads below
+SAID = {"stem": "stem_strain", "pedicel": "joint_strain", "base": "base_strain"}
+"""Kinds of `TOLERANCE` -> of `foresight.LOADS`; limits are those of `PlantLimits`, <kind>_strain."""
 BANDS = {"slow": (0.0, FAST), "ringing": (FAST, knowledge.RINGING), "fast": (knowledge.RINGING, np.inf)}
 
 
@@ -199,8 +202,8 @@ def shake(kept: Kept, at: Sight, true: TrueMotion, risk: float, noise: int) -> d
 
 def gripped(plan: ShakePlan, true: TrueMotion, tone: int, line: Array) -> ComplexArray:
     """Return (2, 3) what the grip is read and true to do along a line, over what was commanded."""
-    lines = plan.tones.directions[list(plan.tones.probed)]
-    return np.tensordot(np.linalg.lstsq(lines.T, line, rcond=None)[0], true.grip[:, :, tone], axes=(0, 1))
+    parts = plan.tones.parts(int((plan.tones.directions @ line).argmax()))
+    return np.tensordot(parts, true.grip[:, :, tone], axes=(0, 1))
 
 
 def judged(kept: Kept, true: TrueMotion, steps: Sequence[Step]) -> dict[str, Any]:
@@ -213,7 +216,7 @@ def judged(kept: Kept, true: TrueMotion, steps: Sequence[Step]) -> dict[str, Any
             tone = int(np.abs(tones - hertz).argmin())
             grip = amplitude * gripped(kept.plan, true, tone, np.array(step.direction))[1][:2]
             bent, omega2 = semi_major(true.bent[tone] @ grip), (2 * np.pi * hertz) ** 2
-            for kind in ("stem", "pedicel", "base"):
+            for kind in SAID:
                 loads[kind] += float(bent[true.organ == kind].max(initial=0.0))
             leaf = omega2 * semi_major(true.leaves[tone] @ grip).max(initial=0.0)
             loads["leaf"] += float(leaf) if hertz < SLOW else 0.0
@@ -221,17 +224,10 @@ def judged(kept: Kept, true: TrueMotion, steps: Sequence[Step]) -> dict[str, Any
         alone = len(step.frequencies) == 1
         worst = {kind: max(load, loads[kind] if alone else TOGETHER * loads[kind]) for kind, load in worst.items()}
         if alone:
-            said = {
-                kind: step.loads[knowledge.WORDS[name]] * getattr(kept.bears, limit)
-                for kind, name, limit in (
-                    ("stem", "stem_strain", "stem_strain"),
-                    ("pedicel", "joint_strain", "pedicel_strain"),
-                    ("base", "base_strain", "base_strain"),
-                )
-            }
+            said = {kind: step.loads[knowledge.WORDS[name]] for kind, name in SAID.items()}
+            said = {kind: share * getattr(kept.bears, f"{kind}_strain") for kind, share in said.items()}
             looks.append({"hertz": step.frequencies[0]} | {kind: loads[kind] / said[kind] for kind in said})
-    safe = np.prod([1 - TOLERANCE[kind].share_below(load) for kind, load in worst.items() if load > 0])
-    return {"felt": felt, "harm": 1 - float(safe), "looks": looks}
+    return {"felt": felt, "harm": Harm(worst, {}).probability, "looks": looks}
 
 
 def _complex(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexArray:
@@ -255,7 +251,7 @@ def metrics(way: str, rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     ]
     for band, (low, high) in BANDS.items():
         looks = [look for look, _ in used if low < look["hertz"] <= high]
-        for kind in ("stem", "pedicel", "base") if looks else ():
+        for kind in SAID if looks else ():
             out[f"passed_{kind}_{band}"] = float(np.mean([look[kind] > 1 for look in looks]))
     return {f"{way}_{name}": value for name, value in out.items()}
 
