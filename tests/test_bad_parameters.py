@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther import cloud, execution, flowers, grasp, masks, pipeline, plant, response, shake, skeleton, stem
+from anther import cloud, execution, flowers, grasp, masks, pipeline, plant, shake, skeleton, stem
 from anther.cli import main
 from anther.cloud import Cloud, _registration
 from anther.errors import InputError
@@ -16,7 +16,7 @@ from anther.skeleton import skeletonize
 
 STAGES: list[Any] = [
     cloud.Params(), _registration.Params(), masks.Params(), skeleton.Params(), stem.Params(),
-    flowers.Params(), grasp.Params(), plant.Params(), execution.Params(), response.Params(),
+    flowers.Params(), grasp.Params(), plant.Params(), execution.Params(),
 ]  # fmt: skip
 
 
@@ -40,10 +40,9 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
 @pytest.mark.parametrize(
     ("kind", "name", "value"),
     [
-        (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0), (skeleton.Params, "bridge", 10.0),
+        (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0),
         (skeleton.Params, "recentre", 1_000_000),
-        (flowers.Params, "reach", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
-        (execution.Params, "calm", 1e9),
+        (flowers.Params, "pedicel", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
         (execution.Params, "settle", 1e9), (grasp.Params, "spacing", 0.0), (grasp.Params, "wanted", 0),
         (shake.Params, "most_amplitude", 0.0),
         (shake.Params, "most_amplitude", float("inf")), (masks.Params, "ground_radius", 10.0),

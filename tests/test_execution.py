@@ -17,7 +17,7 @@ from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, More, Watch
 from anther.errors import InputError, StageFailure
 from anther.execution import PHASES, Params, Trial, execute
-from anther.execution._closing import ENOUGH, STEP
+from anther.execution._closing import CALM, ENOUGH, STEP
 from anther.geometry import Array
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import alias, choose_rate
@@ -49,7 +49,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert np.all(trial.phase_times[:, 1] >= trial.phase_times[:, 0])
     assert np.all(np.diff(trial.phase_times[:, 0]) >= 0)
     assert seen == [(i, len(PHASES), name) for i, name in enumerate(PHASES)]
-    assert gripper.commands == pytest.approx([Params().opening, 0.0085, 0.008, 0.0075, Params().opening])
+    assert gripper.commands == pytest.approx([GRASP.opening, 0.0085, 0.008, 0.0075, GRASP.opening])
     away = sawyer.forward(arm.joints())[:3, 3]
     assert away == pytest.approx(GRASP.pregrasp(STAND_OFF)[:3, 3], abs=1e-4)
     assert len(trial.frames) == len(trial.frame_times) > 8
@@ -57,7 +57,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
 
 @pytest.mark.parametrize(
     ("squeezed", "wait"),
-    [(0.0, Params().settle), (0.0019, Params().settle), (0.004, Params().calm), (None, Params().calm)],
+    [(0.0, Params().settle), (0.0019, Params().settle), (0.004, CALM), (None, CALM)],
 )
 def test_pads_that_press_a_petiole_wait_until_it_is_calm(squeezed: float | None, wait: float) -> None:
     trial = execute(PLANNER, Plan(replace(GRASP, squeezed=squeezed)), fake_robot(), LIMITS)
@@ -81,7 +81,7 @@ def test_a_refused_shake_is_known_before_anything_moves() -> None:
     assert trial.failure == "collision"
     assert trial.phases == ("open",)
     assert arm.done == 0
-    assert gripper.commands == [Params().opening], "it is let go of whatever was held"
+    assert gripper.commands == [GRASP.opening], "it is let go of whatever was held"
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_wrong_grip_is_let_go(width: float, kind: str) -> None:
     assert trial.failure == kind
     assert "Try the next grasp" in trial.stop_reason
     assert "shake" not in trial.phases
-    assert gripper.commands[-1] == Params().opening
+    assert gripper.commands[-1] == GRASP.opening
     assert trial.phases[-1] == "retreat"
 
 
@@ -136,7 +136,7 @@ def test_a_fault_in_any_motion_ends_held_open_and_recorded(when: int, error: Bas
     assert not trial.finished
     assert str(error) in trial.stop_reason
     assert arm.held >= 1
-    assert gripper.commands[-1] == Params().opening
+    assert gripper.commands[-1] == GRASP.opening
     near_plant = when >= 1
     assert (trial.phases[-1] == "retreat") == near_plant
 
@@ -162,7 +162,7 @@ def test_a_shake_cut_short_keeps_what_was_seen_of_it(share: float) -> None:
     assert trial.failure == "interrupted"
     assert trial.phases == PHASES
     assert len(trial.frames) > 8
-    assert gripper.opening == Params().opening
+    assert gripper.opening == GRASP.opening
     whole = execute(PLANNER, Plan(), fake_robot(), LIMITS)
     assert len(trial.shake_times) == pytest.approx(share * len(whole.shake_times), abs=2)
     assert trial.commanded == pytest.approx(whole.commanded[: len(trial.commanded)], abs=1e-9)
@@ -179,7 +179,7 @@ def test_a_second_ctrl_c_leaves_the_arm_holding_and_the_record_whole() -> None:
     assert trial.failure == "interrupted"
     assert trial.stop_reason.count("KeyboardInterrupt") == 2
     assert arm.held >= 2
-    assert gripper.opening == Params().opening
+    assert gripper.opening == GRASP.opening
 
 
 def test_a_gripper_that_does_not_open_is_not_torn_away() -> None:

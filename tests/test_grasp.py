@@ -15,6 +15,7 @@ from anther import grasp
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import (
+    APART,
     STAND_OFF,
     STROKE_MARGIN,
     TOWARD_TIPS,
@@ -96,7 +97,7 @@ def test_ranked_and_one_per_place():
     assert scores == sorted(scores, reverse=True)
     arcs = np.sort([g.arc_length for g in grasps])
     assert len(arcs) > 20
-    assert np.diff(arcs).min() > Params().apart - 1e-6, "the next grasp is another place"
+    assert np.diff(arcs).min() > APART - 1e-6, "the next grasp is another place"
 
 
 def test_best_grasp_is_away_from_branches_and_leaf():

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
-from anther import cloud, escalation, execution, flowers, grasp, masks, plant, response, shake, skeleton, stem
+from anther import cloud, escalation, execution, flowers, grasp, masks, plant, shake, skeleton, stem
 from anther.capture import Capture
 from anther.cloud import Cloud, likely_cause
 from anther.devices import Robot, SafetyLimits
@@ -49,7 +49,6 @@ class Params:
     shake: shake.Params = field(default_factory=shake.Params)
     execution: execution.Params = field(default_factory=execution.Params)
     escalation: escalation.Params = field(default_factory=escalation.Params)
-    response: response.Params = field(default_factory=response.Params)
     actuator: Literal["arm", "gripper"] = "arm"
     """What shakes the closed pads: the arm, or a motor in the gripper, which is always watched."""
     escalate: bool = True
@@ -142,7 +141,7 @@ def perceive(
             "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
         )
     tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
-    centres = flowers.flower_centres(fused, params.flowers)
+    centres = flowers.flower_centres(fused)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
     found = run.stage(
         "flowers",
@@ -249,7 +248,6 @@ def _watched(cell: Cell, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *
             seen.flowers,
             shake.frequency,
             stem=beside,
-            params=params.response,
         ),
     )
 
@@ -271,7 +269,7 @@ def _shaken(
     `arrive` waits for the arm that has gone before the best.
     """
     while True:
-        offered = [g for g in grasps if g.score >= grasps[0].score - params.grasp.slack]
+        offered = [g for g in grasps if g.score >= grasps[0].score - grasp.SLACK]
         try:
             shake = _planned(planner, rods, offered, run, cell.limits, params=params, earlier=earlier)
         except StageFailure as failure:

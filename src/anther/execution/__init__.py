@@ -189,10 +189,6 @@ class _Work:
     stop_reason: str = "finished"
     failure: FailureKind | None = None
 
-    @property
-    def opening(self) -> float:
-        return min(self.plan.grasp.opening, self.params.opening)
-
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
         if self.progress:
@@ -254,7 +250,7 @@ def _forward(work: _Work) -> None:
         if work.robot.motor is None:
             pieces = whole_shake(p.amplitude, p.frequency, p.duration)
             shake = work.planner.swing(grasp.joints, p.direction, pieces, p.amplitude)
-        work.robot.gripper.move(work.opening)
+        work.robot.gripper.move(work.plan.grasp.opening)
     with work.phase("reach"):
         if np.abs(arm.joints() - outward.positions[-1]).max() > THERE:
             work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
@@ -371,7 +367,7 @@ def _rate(work: _Work) -> float:
 
 def _back(work: _Work) -> None:
     with work.phase("release"):
-        work.grips.append(work.robot.gripper.move(work.opening))
+        work.grips.append(work.robot.gripper.move(work.plan.grasp.opening))
     with work.phase("retreat"):
         back = work.plan.grasp.pregrasp(STAND_OFF)
         work.follow(work.planner.line(work.robot.arm.joints(), back, work.params.approach_speed))
@@ -392,6 +388,6 @@ def _retire(work: _Work) -> None:
     if work.robot.motor is not None:
         done(work.robot.motor.stop)
     held = done(work.robot.arm.hold)
-    opened = done(lambda: work.robot.gripper.move(work.opening))
+    opened = done(lambda: work.robot.gripper.move(work.plan.grasp.opening))
     if held and opened and work.in_plant:
         done(lambda: _back(work))

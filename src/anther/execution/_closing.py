@@ -22,6 +22,8 @@ ENOUGH = 0.95
 BESIDE = 0.002
 """The pads meet a petiole beside the stem where it is expected to reach so far beyond it (`Grasp.squeezed`) [m], or
 nobody knows."""
+CALM = 2.0
+"""A petiole that the pads meet swings for so long [s]."""
 
 
 def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
@@ -51,7 +53,7 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
 def wait_after(grasp: Grasp, params: Params) -> float:
     """Return how long what the gripper touched swings after closing [s]: a petiole between the pads for longer."""
     free = grasp.squeezed is not None and grasp.squeezed < BESIDE
-    return params.settle if free else params.calm
+    return params.settle if free else max(params.settle, CALM)
 
 
 def _press(gripper: Gripper, width: float, press: float) -> GripperState:

@@ -49,7 +49,7 @@ def early_reach(
         return
 
     def go() -> ArmRecord:
-        safe.gripper.move(min(grasp.opening, params.opening))
+        safe.gripper.move(grasp.opening)
         return safe.arm.follow(motion, watch)
 
     with ThreadPoolExecutor(1) as thread:

@@ -262,6 +262,12 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     return _Ranking(candidates, met, costs, order, fell, confidence, _squeezed(candidates, met))
 
 
+STEM_CLEARANCE = 0.003
+"""Least distance of the open fingers from the stem's surface [m]."""
+APART = 0.012
+"""Along the stem, so that the next grasp differs when one fails [m]; at most a twentieth of the stem."""
+SLACK = 0.6
+"""A grasp whose score is lower than the best's by more is a last resort: it is tried when the better ones failed."""
 DOUBTED = "probably not the main stem"
 
 
@@ -272,7 +278,7 @@ def _refusals(c: Candidates, met: Clearance, confidence: Array | None, params: P
         DOUBTED: doubtful,
         "thicker than the stroke": 2 * c.radius > params.gripper.stroke - STROKE_MARGIN,
         "would hit pot or bench": met.distance[:, OBSTACLE] < params.obstacle_clearance,
-        "would hit the stem": met.distance[:, STEM] < params.stem_clearance,
+        "would hit the stem": met.distance[:, STEM] < STEM_CLEARANCE,
     }
 
 
@@ -307,9 +313,9 @@ def _squeezed(c: Candidates, met: Clearance) -> Array:
 
 
 def _first_reached(ranking: _Ranking, params: Params, reach: Reach | None) -> list[Grasp]:
-    """Return the best candidates, `Params.apart` from each other, that the arm confirms, until enough are found."""
+    """Return the best candidates, `APART` from each other, that the arm confirms, until enough are found."""
     found, asked, refused = list[Grasp](), 0, set[bytes]()
-    apart = min(params.apart, float(ranking.candidates.arc_length.max(initial=0)) / 20) - 1e-9
+    apart = min(APART, float(ranking.candidates.arc_length.max(initial=0)) / 20) - 1e-9
     for i in ranking.order:
         if reach is not None and (len(found) == params.wanted or asked >= ASKED * (1 if found else PATIENCE)):
             break

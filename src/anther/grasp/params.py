@@ -25,11 +25,7 @@ class Params:
         directions: approach directions tried at each; with an arm, only those that lead away from its base.
         base_margin: stem left out at its root [m]; at most a quarter of the stem.
         obstacle_clearance: least distance of gripper from pot, soil and bench [m].
-        stem_clearance: least distance of the open fingers from the stem's surface [m].
         wanted: how many grasps the arm must confirm.
-        apart: along the stem, so that the next differs when one fails [m]; at most a twentieth of the stem.
-        slack: a grasp whose score is lower than the best's by more than this is a last resort: it is tried when the
-            better ones have failed.
     """
 
     gripper: Gripper = field(default_factory=Gripper)
@@ -38,10 +34,7 @@ class Params:
     directions: int = 24
     base_margin: float = 0.065
     obstacle_clearance: float = 0.015
-    stem_clearance: float = 0.003
     wanted: int = 3
-    apart: float = 0.012
-    slack: float = 0.6
 
     def __post_init__(self) -> None:
         check_parameters(self)

@@ -20,12 +20,11 @@ from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import find_frequency, fit_swing
 from anther.response.beside import StemMotion, StemNear, measure_stem, stem_near
 from anther.response.following import Followed, Remarks, follow_flowers, without_outliers
-from anther.response.params import LEAST_SPREAD, RELATIVE_RESIDUAL, RESIDUAL_PIXELS, SEEN_SHARE, SPREAD, Params
+from anther.response.thresholds import LEAST_SPREAD, RELATIVE_RESIDUAL, RESIDUAL_PIXELS, SEEN_SHARE, SPREAD
 
-__all__ = ["Params", "Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
+__all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
 SCHEMA = 4
-DEFAULTS = Params()
 BLURRED = 0.5
 """A shutter open for a larger share of the period shows less than 0.64 of the swing: too little to make up for."""
 
@@ -106,7 +105,6 @@ def measure_response(
     *,
     exposure: float = 0.0,
     stem: StemNear | None = None,
-    params: Params = DEFAULTS,
 ) -> Response:
     """Follow every flower through the frames and fit its swing.
 
@@ -125,7 +123,6 @@ def measure_response(
         exposure: of each frame, if it is known [s]. What swings while the shutter is open shows sinc(f exposure) of its
             amplitude (0.84 at 27 Hz and 12 ms), which is made up for.
         stem: where to look for the main stem beside the pads; None: nowhere.
-        params: of finding and following.
 
     Raises:
         InputError: fewer than 8 frames, frames of another size, or an exposure of more than `BLURRED` of a period.
@@ -137,7 +134,7 @@ def measure_response(
     T = check_transform("T_world_cam", T_world_cam)
     times = np.array([f.time for f in frames])
     rest = transform_points(inverse(T), flowers.positions)
-    found, mixed, remarks = follow_flowers(frames, intrinsics, rest, frequency_hint, params)
+    found, mixed, remarks = follow_flowers(frames, intrinsics, rest, frequency_hint)
     tracks, motions = np.full((len(frames), len(rest), 3), np.nan), [_UNSEEN] * len(rest)
     for one in found:
         who = np.array([one.flower])
@@ -155,7 +152,7 @@ def measure_response(
     values = {name: np.array([getattr(motion, name) for motion in motions], dtype=float) for name in _NUMBERS}
     direction = np.array([motion.direction for motion in motions]).reshape(-1, 3)
     visible, notes = np.isfinite(values["amplitude"]), (*_overlaps(mixed), *_merged(remarks))
-    beside = StemMotion.of([]) if stem is None else measure_stem(frames, intrinsics, T, stem, frequency_hint, params)
+    beside = StemMotion.of([]) if stem is None else measure_stem(frames, intrinsics, T, stem, frequency_hint)
     return Response(times, tracks, **values, direction=direction, visible=visible, notes=notes, stem=beside)
 
 

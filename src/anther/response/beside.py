@@ -18,7 +18,8 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import fit_swing
-from anther.response.params import (
+from anther.response.petals import smoothed
+from anther.response.thresholds import (
     DEPTH_GATE,
     DEPTH_REACH,
     LEAST_SPREAD,
@@ -28,10 +29,9 @@ from anther.response.params import (
     RELATIVE_RESIDUAL,
     RESIDUAL_PIXELS,
     SEEN_SHARE,
+    SHIFT,
     SPREAD,
-    Params,
 )
-from anther.response.petals import smoothed
 
 NEAREST, FARTHEST = 0.015, 0.06
 """Between these distances from the grasp along the stem [m]: beyond the pads, and where the grip still rules."""
@@ -99,7 +99,7 @@ def stem_near(nodes: Array, arc_length: Array, radii: Array, grasp: float) -> St
 
 
 def measure_stem(
-    frames: Sequence[Frame], intrinsics: Intrinsics, T_world_cam: Array, near: StemNear, hint: float, params: Params
+    frames: Sequence[Frame], intrinsics: Intrinsics, T_world_cam: Array, near: StemNear, hint: float
 ) -> StemMotion:
     """Follow the stem's points through the frames; those that are hidden, lost, or do not swing are left out.
 
@@ -109,7 +109,6 @@ def measure_stem(
         T_world_cam: (4, 4) its pose.
         near: where to look.
         hint: the shake's frequency [Hz].
-        params: of following.
     """
     cam = inverse(T_world_cam)
     places, ways = transform_points(cam, near.points), near.tangents @ cam[:3, :3].T
@@ -118,7 +117,7 @@ def measure_stem(
     for point, place, way, radius in zip(near.points, places, ways, near.radii, strict=True):
         if place[2] <= DEPTH_GATE:
             continue
-        strip = _strip(intrinsics, place, way, float(radius), params)
+        strip = _strip(intrinsics, place, way, float(radius))
         if strip is None:
             continue
         moved = _followed(frames, images, strip)
@@ -161,7 +160,7 @@ class _Strip(NamedTuple):
         )
 
 
-def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float, params: Params) -> _Strip | None:
+def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float) -> _Strip | None:
     """Return where a point of the stem is in the picture; None if outside, or seen from its end."""
     pixel, ahead = intrinsics.project(np.array([place, place + 1e-3 * way]))
     along, metres = ahead - pixel, float(place[2] / intrinsics.fx)
@@ -172,7 +171,7 @@ def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float, para
     across = across * (1 if across[0] >= 0 else -1)
     offset = (pixel - [intrinsics.cx, intrinsics.cy]) / intrinsics.fx
     axis = np.array([*across, -float(across @ offset)])
-    half = (int(np.ceil((params.shift + radius) / metres)), max(int(HALF_LENGTH / metres), 2))
+    half = (int(np.ceil((SHIFT + radius) / metres)), max(int(HALF_LENGTH / metres), 2))
     return _Strip(pixel, across, half, metres, float(place[2]), radius / metres, axis)
 
 

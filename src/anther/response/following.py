@@ -15,7 +15,6 @@ from anther.errors import InputError
 from anther.geometry import Array, Intrinsics
 from anther.oscillation import fit_swing, swing_basis
 from anther.response.depth import depth_along
-from anther.response.params import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, LIKENESS, OUTLIER, REACH, Params
 from anther.response.petals import (
     Image,
     Patch,
@@ -29,6 +28,7 @@ from anther.response.petals import (
     seek,
     smoothed,
 )
+from anther.response.thresholds import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, LIKENESS, OUTLIER, REACH, SHIFT
 
 FLOWER_RADIUS = 0.007
 """Of a flower [m]."""
@@ -79,7 +79,7 @@ Remarks = list[tuple[str, NDArray[Any]]]
 
 
 def follow_flowers(
-    frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, hint: float, params: Params
+    frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, hint: float
 ) -> tuple[list[Followed], list[NDArray[Any]], Remarks]:
     """Follow the flowers that are at `rest` (F, 3), camera frame, when still; also return those that overlap.
 
@@ -88,12 +88,11 @@ def follow_flowers(
         intrinsics: of the camera.
         rest: (F, 3) [m].
         hint: the shake's frequency [Hz].
-        params: see `Params`.
     """
     everyone = np.arange(len(rest))
     if not len(rest) or rest[:, 2].min() <= DEPTH_GATE:
         return [], [], [("not in front of the side camera", everyone)]
-    begin = _begin(frames, intrinsics, rest, params)
+    begin = _begin(frames, intrinsics, rest)
     inside = np.all((begin.pixels >= 0) & (begin.pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = np.array([patch.cover >= LEAST_COVER for patch in begin.own])
     mixed = _overlapping(begin.pixels, OVERLAP * begin.radius, np.flatnonzero(inside & shown))
@@ -127,13 +126,13 @@ class _Begin(NamedTuple):
     images: list[Image]
 
 
-def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params: Params) -> _Begin:
+def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array) -> _Begin:
     """Begin where the flowers stand most like at rest: there neighbours are told apart most surely."""
     pixels, per_metre = intrinsics.project(rest), intrinsics.fx / rest[:, 2]
     gate = rest[:, 2].min() - DEPTH_GATE, rest[:, 2].max() + DEPTH_GATE
     petals = [petal_weight(frame, *gate) for frame in frames]
     alike = [flower_weight(frame, w, *gate) for frame, w in zip(frames, petals, strict=True)]
-    fits = [common_shift(w, pixels, int(params.shift * float(per_metre.mean()))) for w in alike]
+    fits = [common_shift(w, pixels, int(SHIFT * float(per_metre.mean()))) for w in alike]
     first = int(np.argmax([fit for fit, _ in fits]))
     radius = FLOWER_RADIUS * per_metre
     pixels = pixels + fits[first][1]
@@ -151,9 +150,9 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array, params:
     return _Begin(first, pixels, radius, patches(1.0), patches(WIDE), images)
 
 
-def placed(frame: Frame, intrinsics: Intrinsics, rest: Array, params: Params) -> tuple[Array, list[Patch]]:
+def placed(frame: Frame, intrinsics: Intrinsics, rest: Array) -> tuple[Array, list[Patch]]:
     """Return where flowers at `rest` (F, 3), camera frame, are in a frame (F, 2) [px], and each alone."""
-    begin = _begin([frame], intrinsics, rest, params)
+    begin = _begin([frame], intrinsics, rest)
     return begin.pixels, begin.own
 
 

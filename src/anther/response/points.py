@@ -17,11 +17,10 @@ from anther.devices import Frame
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.response.depth import depth_along
 from anther.response.following import NEAR_SWING, OWN_DEPTH, OWN_LIKENESS, placed
-from anther.response.params import DEPTH_GATE, LEAST_COVER, OUTLIER, Params
 from anther.response.petals import Image, Patch, seek, smoothed
+from anther.response.thresholds import DEPTH_GATE, LEAST_COVER, OUTLIER
 from anther.shake.observables import ComplexArray
 
-DEFAULTS = Params()
 WINDOW = 15
 """Side of the square that is compared [px]: two flowers wide at 0.55 m from a D455."""
 LEVELS = 2
@@ -93,9 +92,7 @@ class Swings(NamedTuple):
     growing: float = 0.0
 
 
-def sight(
-    frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array, params: Params = DEFAULTS
-) -> Sight:
+def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array) -> Sight:
     """Return where flowers (F, 3) and points (N, 3), world [m], are in a frame of the plant at rest, in this order.
 
     Flowers are looked for by their petals, all shifted alike first, as `measure_response` does.
@@ -107,7 +104,7 @@ def sight(
     shown = inside & (rest[:, 2] > NEAR) & _own_depth(frame.depth, pixels, rest[:, 2], inside)
     count, alone, gain = len(flowers), list[Patch](), _gain(frame)
     if count and rest[:count, 2].min() > DEPTH_GATE:
-        pixels[:count], alone = placed(frame, intrinsics, rest[:count], params)
+        pixels[:count], alone = placed(frame, intrinsics, rest[:count])
         alone = [patch._replace(image=patch.image * gain) for patch in alone]
         shown[:count] = inside[:count] & np.array([patch.cover >= LEAST_COVER for patch in alone])
     axes = np.repeat(T_world_cam[None, :3, :3], len(rest), axis=0)

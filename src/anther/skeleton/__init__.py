@@ -42,6 +42,7 @@ CLOSE = 2
 HOLLOW = 0.06
 """Stems hollow in the scan are filled up to this diameter, relative to the plant's size."""
 _SURE = 0.75  # a root that is less likely is said
+_BRIDGE = 0.15  # gaps up to this share of the plant's size are bridged
 _SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
 _SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
 """Side branches shorter than the first times the half width of the organ they leave, or than the second [voxels], are
@@ -64,7 +65,6 @@ class Params:
         method: "geodesic" (shortest paths that prefer stems, default: measured better) or "thinning" (the paper's
             P7-P9).
         voxel: voxel edge [m]; None: plant size / `RESOLUTION`, but not below 1.3 point spacings.
-        bridge: gaps up to this are bridged (relative; 5 cm on a 0.6 m robot plant is 0.08).
         spacing: distance between nodes [m]; None: plant size / 110 (6 mm on a 0.65 m plant).
         recentre: rounds of sub-voxel centring; 0 keeps the coarse tree's steps, as the paper's skeleton does.
         fattening: how much thicker the sensor makes organs [m of radius], taken off the radii; None: half a pixel
@@ -74,7 +74,6 @@ class Params:
     root: tuple[float, float, float] | None = None
     method: Literal["geodesic", "thinning"] = "geodesic"
     voxel: float | None = None
-    bridge: float = 0.15
     spacing: float | None = None
     recentre: int = 2
     fattening: float | None = None
@@ -82,7 +81,6 @@ class Params:
     def __post_init__(self) -> None:
         check_parameters(self, places=("root",))
         check_range("voxel", 0.001 if self.voxel is None else self.voxel, 1e-5, 1, "m")
-        check_range("bridge", self.bridge, 0, 2)
         check_range("spacing", 0.005 if self.spacing is None else self.spacing, 1e-4, 1, "m")
         check_range("recentre", self.recentre, 0, 20)
         check_range("fattening", self.fattening or 0, 0, 0.1, "m")
@@ -342,7 +340,7 @@ def _not_trivial(tree: RawTree, size: float, params: Params) -> RawTree:
         raise StageFailure(
             "no_plant_found",
             f"skeleton: got specks in a space of {size:g} m; allowed: a plant in pieces not more than "
-            f"{params.bridge * size:g} m apart. Use a denser cloud.",
+            f"{_BRIDGE * size:g} m apart. Use a denser cloud.",
         )
     return tree
 
@@ -353,7 +351,7 @@ def _connected(solid: VoxelSolid, size: float, params: Params) -> tuple[Voxels, 
     label = components(len(points), edges)
     kept = without_specks(points, label, _SPECK * size)
     label = np.where(kept, label, -1)
-    links = bridges(points, label, params.bridge * size)
+    links = bridges(points, label, _BRIDGE * size)
     joined = np.isin(label, np.concatenate([[0], label[links[:, 1]]]))
     rank = np.cumsum(joined) - 1
     edges = rank[np.concatenate([edges[joined[edges].all(axis=1)], links])]

@@ -118,7 +118,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
     if params.tip is None:
         path = chains(skeleton.parent, path_score(skeleton, params))[0]
-        node_ids = path[: growth_end(skeleton, path, size, params)]
+        node_ids = path[: growth_end(skeleton, path, size)]
     else:
         node_ids = path = skeleton.path_from_root(nearest_node("the main stem's tip", params.tip, skeleton.nodes))
     nodes = skeleton.nodes[node_ids]
@@ -127,7 +127,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     flowers_at = np.zeros((0, 3)) if flowers_at is None else flowers_at
     organ = classify(skeleton, node_ids, flowers_at)
     attachments = _attachments(skeleton, node_ids, organ)
-    forked = [fork_at(skeleton, path, organ, int(i), params) for i in attachments]
+    forked = [fork_at(skeleton, path, organ, int(i)) for i in attachments]
     fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
     confidence = stem_confidence(skeleton, node_ids)
     notes = (*_low(skeleton, node_ids), *second_stem(skeleton, node_ids), *doubt(confidence))

@@ -30,10 +30,16 @@ docs/reports/real_plants.md: from 0.2 to 0.45 ever fewer stems end in a leaf, bu
 _TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
 _LONGER = 1.5  # internodes shorten upward; the youngest leaf of a grass, rolled, looks like a long one
 _FORKED = 2  # so many limbs show that a stem goes on; one line beside the path can be the blade's own
+_TURN = 45.0  # degrees: a step that turns from the growth axis by more is not stem-like
+_FORK_SHARE = 0.6
+"""A branch forks the stem when it is this share as thick as the stem beyond it and rises this share as high
+(docs/reports/skeletons.md: branches 0.65, 0.85 or more; petioles that thick rise 0.48 or less),"""
+_FORK_LEAN = 50.0
+"""and leans from the vertical by less than so many degrees."""
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
-def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int, params: Params) -> int | None:
+def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int) -> int | None:
     """Return where a branch that leaves the stem at position `at` of the path forks it, None where none does.
 
     A branch forks the stem when it is as much a stem as what goes on: it rises as high, leaves included, and its axis,
@@ -50,10 +56,10 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
         limb = _highest_path(skeleton, int(child))
         axis = limb[organ[limb] == BRANCH]
         lean = _angle(skeleton.nodes[axis[-1]] - base, np.array([0.0, 0.0, 1.0]))
-        higher = skeleton.nodes[limb[-1], 2] - base[2] >= params.fork_share * rise
+        higher = skeleton.nodes[limb[-1], 2] - base[2] >= _FORK_SHARE * rise
         thick = np.median(skeleton.radius[beyond[: len(axis)]])
-        thicker = np.median(skeleton.radius[axis]) >= params.fork_share * thick
-        if higher and thicker and lean < params.fork_angle:
+        thicker = np.median(skeleton.radius[axis]) >= _FORK_SHARE * thick
+        if higher and thicker and lean < _FORK_LEAN:
             parted.append(at + _side_by_side(skeleton, path[at:], axis))
     return min(parted, default=None)
 
@@ -85,7 +91,7 @@ def path_score(skeleton: Skeleton, params: Params) -> Array:
     return gain * np.minimum(_ROUND * skeleton.radius / skeleton.width, 1)
 
 
-def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Params) -> int:
+def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
     """Return how many nodes of the path belong to the stem (P11).
 
     A step is stem-like unless it turns from the growth axis (root to here), thins, or is a blade: planar, and broader
@@ -100,7 +106,7 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, params: Para
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0], np.cumsum(length)])
-    straight, slim, solid = _stem_like(skeleton, path, arc, _WINDOW * size, params.turn)
+    straight, slim, solid = _stem_like(skeleton, path, arc, _WINDOW * size)
     gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -_DOUBT))
     end = int(np.argmax(gain)) + 2
     limbs, further, longest = _limbs(skeleton, path, end)
@@ -126,7 +132,7 @@ def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np
 
 
 def _stem_like(
-    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float, most_turn: float
+    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return for each step of the path, over the window ahead of it, (S - 1,) each: whether it keeps the growth axis
     and is not thin; whether it is not broader than the stem below; whether its surroundings are not a plane."""
@@ -139,7 +145,7 @@ def _stem_like(
     narrowest = np.minimum.accumulate(breadth)
     straight, slim, solid = np.ones((3, len(path) - 1), dtype=bool)
     for i in np.flatnonzero(arc[:-1] >= window):
-        turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > most_turn
+        turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > _TURN
         thin = np.median(radius[coming[i]]) < _THINNEST * np.median(radius[: i + 1])
         straight[i] = not (turned or thin)
         slim[i] = breadth[i] <= max(_BROADEST * narrowest[i], np.median(width[: i + 1]))

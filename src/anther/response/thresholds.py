@@ -1,10 +1,7 @@
-"""Parameters of finding and following flowers."""
+"""What finding and following flowers goes by."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-
-from anther.checks import check_range
+SHIFT = 0.025
+"""Farthest that the held plant may stand from where it was seen at rest [m]."""
 
 DEPTH_GATE = 0.08
 """A flower is looked for this far before and behind where it was found at rest [m]; our choice."""
@@ -39,17 +36,3 @@ of what is beside it. Measured on twenty films of development plants."""
 
 LEAST_SPREAD = 0.00015
 """Standard deviation of an amplitude that nothing falls below, see `SPREAD` [m]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Params:
-    """How flowers are found and followed.
-
-    Attributes:
-        shift: farthest that the held plant may stand from where it was seen at rest [m].
-    """
-
-    shift: float = 0.025
-
-    def __post_init__(self) -> None:
-        check_range("shift", self.shift, 1e-4, 1.0, "m")
