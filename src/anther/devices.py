@@ -297,11 +297,11 @@ class SafetyLimits:
         stale_after: joints that read the same for so long although the command moves on are not believed [s].
         shake_speed, shake_acceleration: largest amplitude x 2 pi frequency [m/s], and x (2 pi frequency)^2 [m/s^2], of
             a shake. At 12 m/s^2 a Sawyer is at its own limits (facts: sawyer 6: 11.6 mm at 5 Hz, 2.9 mm at 10 Hz).
-        shake_duration: of all shaking of a visit [s]. Trellises are shaken for 60 s (facts: pollination 6); twelve are
+        shake_duration: of all shaking of a visit [s]. Trellises are shaken for 60 s (facts: pollination 1a); twelve are
             enough to look and to raise a shake in steps.
         motor_stroke: farthest that a motor may move the pads to either side [m] (`shake.VibratingGripper`).
         motor_acceleration: with which it may move them [m/s^2]: moves a flower with 50 m/s^2 at gain 1 (facts:
-            pollination 1b); flowers were lost when shaken at 30 Hz, at a load that is not told (1d). A guess.
+            pollination 1b). A guess.
         grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).
         pressing: what a stem bears of the pads, see `Pressing`.
         grip_tolerance: pads that stop further than this from where they were sent, with nothing between them, are

@@ -77,7 +77,7 @@ JUMP = 4.0
 
 DAMPING = 0.03
 """Damping ratio by which a swing that still grows goes on growing: branching alone dissipates 0.028 (facts: pollination
-5); the more lightly damped a plant is, the longer it grows."""
+2); the more lightly damped a plant is, the longer it grows."""
 MOST_GROWTH = 3.0
 """A swing settles at no more than so many times what was seen."""
 
