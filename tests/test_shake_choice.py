@@ -29,7 +29,8 @@ from anther.shake import (
     plan_shake,
     with_preset,
 )
-from anther.shake.choice import ARM_SHARE, PRESS, _worth, plant_limits
+from anther.shake.actuators import RAMPS
+from anther.shake.choice import PRESS, _worth, plant_limits
 from anther.shake.limits import sawyer_limit
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, load_error
@@ -94,7 +95,7 @@ def test_a_vibrating_gripper_is_asked_the_same_questions(plant: PlantModel, gras
     gripper = VibratingGripper()
     f = np.array([5.0, 10.0, 20.0, 40.0, 60.0])
     assert gripper.amplitude(grasps[0], np.array([1.0, 0, 0]), f) == pytest.approx(
-        [0, 1.5e-3, 1.5e-3, 50 / (80 * np.pi) ** 2, 0]
+        RAMPS * np.array([0, 1.5e-3, 1.5e-3, 50 / (80 * np.pi) ** 2, 0])
     )
     plan = plan_shake(plant, grasps, gripper, QUICK)
     assert 10 <= plan.frequency <= 40
@@ -197,7 +198,7 @@ def test_the_papers_shake_is_twelve_millimetres_whatever_the_limits(plant: Plant
         assert shares[name] > 1, "what is passed is told"
     weak = ArmShaker(lambda g, d, f: np.full(len(f), 5e-3))
     held_back = plan_shake(plant, grasps, weak, with_preset("paper", QUICK))
-    assert held_back.amplitude == pytest.approx(ARM_SHARE * 5e-3), "the machine's own limits stay"
+    assert held_back.amplitude == pytest.approx(5e-3), "the machine's own limits stay"
 
 
 def test_few_plants_that_are_not_what_is_believed_pass_a_limit(plant: PlantModel, grasps: list[Grasp]) -> None:
@@ -212,9 +213,10 @@ def test_few_plants_that_are_not_what_is_believed_pass_a_limit(plant: PlantModel
 def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: PlantModel, grasps: list[Grasp]) -> None:
     plan = plan_shake(plant, grasps, params=QUICK)
     drawn = scenarios(plant, 60, seed=3, branch_spread=0.5)
-    strains = np.array([strain_of_pedicels(one, plan) for one in drawn])
+    true_over_modelled = load_error("joint_strain", plan.frequency)[0]
+    strains = true_over_modelled * np.array([strain_of_pedicels(one, plan) for one in drawn])
     assert len(drawn) > 50
-    assert np.mean(strains > QUICK.plant.pedicel_strain) <= 0.02
+    assert np.mean(strains > QUICK.plant.pedicel_strain) <= QUICK.risk
 
 
 def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:

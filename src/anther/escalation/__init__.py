@@ -220,8 +220,7 @@ class Escalation:
 
     @property
     def _probe(self) -> float:
-        slowest = float(self._hertz.min())
-        return min(LONGEST_PROBE, max(PROBE_PERIODS / slowest, SHORTEST_PROBE))
+        return min(LONGEST_PROBE, max(PROBE_PERIODS / float(self._hertz.min()), SHORTEST_PROBE))
 
     @property
     def _probing(self) -> bool:
@@ -231,15 +230,14 @@ class Escalation:
     def _probe_along(self, line: int) -> Next:
         tones = self.plan.tones
         size = PROBED * np.minimum(tones.amplitudes[:, line], tones.reach[:, line]) / np.sqrt(len(tones.frequencies))
-        size *= min(1.0, float(tones.reach[:, line].max()) / size.sum())
+        size /= max(1.0, size.sum() / tones.reach[:, line].max(), np.sum(size / tones.reach[:, line]))  # peaks add up
         amplitudes = np.where(self._line == line, size[self._tone], 0.0)
         return Next(amplitudes, self._probe, self._ramp(int(self._hertz.argmin())), "Probed across that line as well.")
 
     def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
         direction, tones = self.plan.tones.directions[self._line[active[0]]], piece.frequencies[active]
-        turned = np.exp(-2j * np.pi * tones * begin)
-        commanded = np.asarray(piece.amplitudes[active] * turned, dtype=np.complex128)
+        commanded = np.asarray(piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin), dtype=np.complex128)
         if self._middle is None:
             gripper, doubt = np.asarray(commanded[:, None] * direction, dtype=np.complex128), np.zeros(len(tones))
         else:
@@ -274,8 +272,8 @@ class Escalation:
         tones = self.plan.tones
         if not self._in_sight:
             self._last = True
-            alone = np.where(np.arange(len(self._hertz)) == 0, self.plan.amplitude, 0.0)
-            return Next(alone, self.plan.duration, self._ramp(0), "Nothing is in sight: the plan alone is carried out.")
+            words = "Nothing is in sight: the plan alone is carried out."
+            return self._only(0, self.plan.amplitude, self.plan.duration, words)
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
         self._loses(self._in_view(look))
@@ -336,13 +334,11 @@ class Escalation:
         return self._raised(now, amplitude, lost=not told)
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
-        sizes = np.where(np.arange(len(self._hertz)) == shake, amplitude, 0.0)
-        return Next(sizes, seconds, self._ramp(shake), words)
+        return Next(amplitude * (np.arange(len(self._hertz)) == shake), seconds, self._ramp(shake), words)
 
     def _again(self, shake: int, amplitude: float, why: str) -> Next:
         self._doubted = True
-        words = f"Watched again at {1e3 * amplitude:.2g} mm: {why}."
-        return self._only(shake, amplitude, self._watch(shake), words)
+        return self._only(shake, amplitude, self._watch(shake), f"Watched again at {1e3 * amplitude:.2g} mm: {why}.")
 
     def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
         most, tones, seen = self._may[shake], self.plan.tones, bool(self._told[shake].seen.any())

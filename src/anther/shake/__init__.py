@@ -119,7 +119,7 @@ def plan_shake(
         runner_up=other,
         reason=_reason(done, other, float(grips.arc_length[g]), score, params),
         response_map=_map(grips, response, found, len(grasps), least),
-        tones=tones_at(found, grips, response, at, least, earlier),
+        tones=tones_at(found, grips, response, at, least, actuator.tones, earlier),
         pads=params.pads,
         notes=plant.notes + done.notes + _remembered(earlier),
     )

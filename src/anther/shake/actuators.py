@@ -12,6 +12,9 @@ from anther.elastic_rod import Array
 from anther.grasp import Grasp
 from anther.shake.limits import ArmLimit, sawyer_limit
 
+RAMPS = 0.97
+"""Share of a motor's limits that a steady shake may take: a ramp over half a second adds 1 % at 10 Hz."""
+
 
 class Actuator(Protocol):
     """A machine that moves the grip to and fro.
@@ -20,6 +23,7 @@ class Actuator(Protocol):
         name: for the table of limits.
         lowest, highest: its band [Hz].
         least_amplitude: it cannot be trusted with less [m].
+        tones: so many frequencies are worth trying at once; of more, what it can do of each is too little to be seen.
     """
 
     @property
@@ -30,9 +34,12 @@ class Actuator(Protocol):
     def highest(self) -> float: ...
     @property
     def least_amplitude(self) -> float: ...
+    @property
+    def tones(self) -> int: ...
 
     def amplitude(self, grasp: Grasp, direction: Array, frequencies: Array) -> Array:
-        """Return the largest amplitudes (Q,) [m] at a grasp along a unit direction (3,) at (Q,) frequencies [Hz]."""
+        """Return the largest amplitudes (Q,) [m] at a grasp along a unit direction (3,) at (Q,) frequencies [Hz]; they
+        leave room for ramps."""
         ...
 
     def axis(self, grasp: Grasp) -> Array | None:
@@ -49,12 +56,14 @@ class ArmShaker:
             falls as 1/f^2 above 1-2 Hz (facts: sawyer 6).
         lowest, highest: [Hz]; below 1 Hz no flower feels a shake, above 35 Hz the arm moves less than its pads yield.
         least_amplitude: the arm places itself to 0.1 mm (facts: sawyer 2), and soft pads swallow as much [m].
+        tones: on twelve plants of the whole cell three gave 1.08 times what six did.
     """
 
     limit: ArmLimit = sawyer_limit
     lowest: float = 1.0
     highest: float = 35.0
     least_amplitude: float = 0.3e-3
+    tones: int = 3
 
     @property
     def name(self) -> str:
@@ -82,6 +91,7 @@ class VibratingGripper:
         lowest, highest: [Hz]; faster tones are more than a camera of 90 frames a second can follow.
         least_amplitude: [m]; a shaker moved tomato stems by 0.1 mm (Shimizu), and the motor's stroke is set, not
             steered.
+        tones: on five plants of the whole cell six gave 1.16 times what three did.
     """
 
     stroke: float = 1.5e-3
@@ -89,6 +99,7 @@ class VibratingGripper:
     lowest: float = 10.0
     highest: float = 40.0
     least_amplitude: float = 0.02e-3
+    tones: int = 6
 
     def __post_init__(self) -> None:
         check_range("stroke", self.stroke, 1e-6, 0.1, "m")
@@ -105,7 +116,7 @@ class VibratingGripper:
         """Return the largest amplitudes (Q,) [m], whatever the grasp and the direction; 0 outside its band."""
         f = np.asarray(frequencies, dtype=float)
         inside = (f >= self.lowest * (1 - 1e-9)) & (f <= self.highest * (1 + 1e-9))
-        return np.where(inside, np.minimum(self.stroke, self.acceleration / (2 * np.pi * f) ** 2), 0.0)
+        return np.where(inside, RAMPS * np.minimum(self.stroke, self.acceleration / (2 * np.pi * f) ** 2), 0.0)
 
     def axis(self, grasp: Grasp) -> Array:
         """Return the flange's y: the pads close along it, so that they push the stem and need no friction."""

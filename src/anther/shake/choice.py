@@ -30,8 +30,6 @@ Place = tuple[int, int, int]
 
 PRESS = "force of the pads, against slip [N]"
 """The limit that says how hard they must press."""
-ARM_SHARE = 0.8
-"""Share of the actuator's limit that is used [-]."""
 MOST_SPEED = 0.3
 """Of the grip [m/s]."""
 FLOWER_ACCELERATION = 200.0
@@ -140,7 +138,7 @@ def search(
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
     acceleration = response.flower * omega[..., None] ** 2
     per_metre = {
-        f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], ARM_SHARE),
+        f"{actuator.name} amplitude [share of its limit]": Bound(1 / np.maximum(most, 1e-12)[None], 1.0),
         "grip amplitude [m]": Bound(np.ones_like(most)[None], params.most_amplitude),
         "grip speed [m/s]": Bound(np.ones_like(most)[None] * omega, MOST_SPEED),
         PRESS: Bound(response.grip_force / params.held(1.0), grips.press, load_error("grip_force", hertz)),
@@ -205,14 +203,14 @@ QUICK = 2.0
 """Slower frequencies are not tried beside the plan's own [Hz]: watching one takes two seconds and more."""
 ROOM = 1e-5
 """A line along which the actuator can move less than this [m] is none."""
-TONES, APART = 6, 1.15
-"""So many frequencies are worth trying, each this factor from the others: responses lose their likeness within 40 %."""
+APART = 1.15
+"""Frequencies worth trying are this factor from each other: responses lose their likeness within 40 %."""
 
 
 def tones_at(
-    found: Search, grips: Grips, response: Gains, at: Place, least: float, earlier: EarlierShake | None
+    found: Search, grips: Grips, response: Gains, at: Place, least: float, most: int, earlier: EarlierShake | None
 ) -> Tones:
-    """Return the frequencies at which a sine moves the flowers most by the model, along any line across a shake's grip.
+    """Return up to `most` frequencies at which a sine moves flowers most by the model, along any line across a grip.
 
     Of an earlier visit it is that visit's alone, as large as it was there. Where the actuator has no room along one of
     the lines, the shake's own is the only one.
@@ -231,7 +229,7 @@ def tones_at(
     chosen = [q]
     for k in np.argsort(-worth, kind="stable"):
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
-        if far and found.frequencies[k] >= QUICK and worth[k] > 0 and len(chosen) < TONES:
+        if far and found.frequencies[k] >= QUICK and worth[k] > 0 and len(chosen) < most:
             chosen.append(int(k))
     return Tones(found.frequencies[chosen], directions, size[chosen], reach[chosen])
 
