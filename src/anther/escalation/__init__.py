@@ -175,7 +175,7 @@ class Escalation:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look) if look.followed else 0.0
         active = np.flatnonzero(self._piece.amplitudes)
-        before = [self._told[n] if n in self._alone else None for n in active.tolist()]
+        before = [self._told.get(n) for n in active.tolist()]
         answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
         told = [self._known(int(n), one) for n, one in zip(active, answers, strict=True)]
         if self._probing:
