@@ -395,5 +395,7 @@ def test_a_flower_that_jumps_from_one_look_to_the_next_is_another(times: float, 
     calm = np.where(np.arange(FLOWERS) == 2, 1 / times, 1.0) * once.most
     again = answered(foresight, at, 1, 0.0, once._replace(most=calm))
     assert np.isfinite(again.flowers[:, 0]).tolist() == [counts or f != 2 for f in range(FLOWERS)]
-    unseen = once._replace(picture=calm, seen=np.zeros(FLOWERS, bool))
-    assert np.isfinite(answered(foresight, at, 1, 0.0, unseen).flowers[:, 0]).all()
+    lost = once._replace(most=np.full(FLOWERS, np.nan))
+    assert np.isfinite(answered(foresight, at, 1, 0.0, lost).flowers[:, 0]).all(), (
+        "of what was not followed nothing is known"
+    )
