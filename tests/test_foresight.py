@@ -236,7 +236,7 @@ def test_flowers_that_nobody_knows_may_bend_their_pedicels_further() -> None:
     swing = semi_major(members[5, foresight.where["flowers"]])
     seen_all, seen_one = swing.copy(), np.where(np.arange(FLOWERS) == 2, swing, np.nan)
     known_alone = foresight.pedicels(members, seen_all)
-    with_others, with_others_by_one = (foresight.pedicels(members, seen, 0.65) for seen in (seen_all, seen_one))
+    with_others, with_others_by_one = (foresight.pedicels(members, seen, unknown=0.65) for seen in (seen_all, seen_one))
     assert np.all(with_others >= known_alone)
     assert np.mean(np.log(with_others / known_alone)) > 0.2
     spreads = [np.log(strain).std() for strain in (with_others, with_others_by_one)]

@@ -63,7 +63,7 @@ class Foresight(NamedTuple):
             return friction_force(*sizes.T, radius=self.radius, width=self.pad_width)
         return sizes.max(axis=1, initial=0.0)
 
-    def pedicels(self, vectors: ComplexArray, shown: Array, unknown: float = 0.0) -> Array:
+    def pedicels(self, vectors: ComplexArray, shown: Array, most: Array | None = None, unknown: float = 0.0) -> Array:
         """Return (M,) the largest strain of pedicels of vectors (M, S, 3), where flowers swing as they were seen to.
 
         A pedicel is bent by its own flower's inertia, so its strain follows what that flower does, whatever moves it.
@@ -72,6 +72,7 @@ class Foresight(NamedTuple):
         Args:
             vectors: of one shake.
             shown: (F,) swing of each flower, as the members have it; NaN where it was not seen.
+            most: (F,) a flower in sight that is too still to be seen swings at most so far; else NaN.
             unknown: if not 0, as many flowers hang unknown beside the known ones (ten views find 45 to 51 % of them, 74
                 simulated plants), and how much more than the members say they and those that are not seen swing
                 spreads by this about the others [ln].
@@ -79,15 +80,24 @@ class Foresight(NamedTuple):
         strain, swing = (semi_major(vectors[:, self.where[kind]]) for kind in ("joint_strain", "flowers"))
         if np.isfinite(shown).any():
             more = shown / np.maximum(swing, 1e-12)
-            hidden = np.exp(np.nanmean(np.log(np.maximum(more, 1e-12)), axis=1, keepdims=True))
+            hidden = _usual(more)
+            if most is not None:
+                still = np.minimum(most / np.maximum(swing, 1e-12), hidden)
+                more = np.where(np.isnan(more), still, more)
+                hidden = _usual(more)
             if unknown:
-                spread = unknown * np.sqrt(1 + 1 / np.isfinite(shown).sum())
+                spread = unknown * np.sqrt(1 + 1 / np.isfinite(more[0]).sum())
                 drawn = hidden * np.exp(spread * np.random.default_rng(0).normal(size=more.shape))
                 more = np.fmax(more, drawn)
             else:
                 more = np.where(np.isfinite(more), more, np.maximum(hidden, 1.0))
             strain = strain * more[:, self.hangs]
         return strain.max(axis=1, initial=0.0)
+
+
+def _usual(more: Array) -> Array:
+    """Return (M, 1) the geometric mean of (M, F) over the flowers that are not NaN."""
+    return np.asarray(np.exp(np.nanmean(np.log(np.maximum(more, 1e-12)), axis=1, keepdims=True)))
 
 
 def foresee(

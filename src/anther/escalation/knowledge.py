@@ -242,8 +242,8 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     swing = semi_major(flowers)
     members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
     unknown = FLOWER_SPREAD if hertz > FAST else 0.0  # `SEEN_ERROR` of slower tones contains it
-    shaken = np.where(seen, swing, may)  # what is too still to be measured swings at most as far as would be
-    members["joint_strain"] = foresight.pedicels(one.members, shaken, unknown)
+    shaken = np.where(seen, swing, np.nan) if seen.any() else np.where(followed, shown, np.nan)  # at least as far
+    members["joint_strain"] = foresight.pedicels(one.members, shaken, may, unknown)
     errors = dict(seen_error(hertz))
     if not np.isfinite(shaken).any():  # the model alone speaks of pedicels
         median, spread = load_error("joint_strain", hertz)
