@@ -21,7 +21,7 @@ from anther.arm import sawyer
 from anther.commands.trial_summary import _verdict
 from anther.devices import ArmSample, DeviceError
 from anther.errors import FailureKind, StageFailure
-from anther.execution import PHASES, Params, Trial, execute
+from anther.execution import PHASES, Trial, execute
 from anther.files import read_json
 from anther.grasp import STAND_OFF
 from anther.runs import Run
@@ -62,7 +62,7 @@ def test_every_fault_ends_safely_on_record_and_the_next_trial_works(
     assert trial.finished == (failure is None)
     assert trial.stop_reason
     jammed = fault.kind == "gripper jam" and fault.lasting
-    assert (gripper.opening == Params().opening) is not jammed
+    assert (gripper.opening == GRASP.opening) is not jammed
     away = np.linalg.norm(sawyer.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3])
     went_in = "approach" in trial.phases
     obeys = not fault.lasting and fault.kind != "stale joints"
@@ -120,7 +120,7 @@ def test_kill_9_in_the_shake_is_on_record_and_the_run_goes_on(tmp_path: Path) ->
     with Run(tmp_path, restart_from="where-it-stopped", quiet=True) as run:
         run.stage("execution", Trial.load, lambda _: execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS))
     assert Trial.load(tmp_path / "09_trial.npz").finished
-    assert gripper.commands[1] == Params().opening  # it lets go before it moves
+    assert gripper.commands[1] == GRASP.opening  # it lets go before it moves
 
 
 # The simulated arm: real servos, real contact.

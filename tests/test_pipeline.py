@@ -55,7 +55,7 @@ class Meets(FakeGripper):
         self.widths = list(widths)
 
     def move(self, opening: float) -> GripperState:
-        wide = pipeline.execution.Params().opening
+        wide = GRASPS[0].opening
         if opening < wide and self.commands[-1] == wide:
             self.width = self.widths.pop(0)
         return super().move(opening)
@@ -83,7 +83,7 @@ def test_the_next_grasp_is_tried_until_one_holds(
     assert done.trial.failure == failure
     assert [plan.grasp.point[2] for plan in plans] == list(HEIGHTS[:tried])
     assert done.trial.phases[-1] == "retreat"
-    assert robot.gripper.state().opening == pipeline.execution.Params().opening
+    assert robot.gripper.state().opening == GRASPS[0].opening
 
 
 def test_where_no_shake_is_allowed_the_lesser_grasps_are_offered(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from test_execution import GRASP, PLANNER, Blind, Plan
 from anther.arm import sawyer
 from anther.devices import LEAD, ArmSample, DeviceError, Frame, Robot
 from anther.errors import InputError
-from anther.execution import PHASES, Line, Params, Step, Trial, execute
+from anther.execution import PHASES, Line, Step, Trial, execute
 from anther.grasp import STAND_OFF
 from anther.swing import Swing
 
@@ -68,7 +68,7 @@ def check_end(trial: Trial, arm: FakeArm, gripper: FakeGripper) -> None:
     assert not trial.finished
     assert trial.phases == PHASES
     assert arm.held >= 1
-    assert gripper.opening == Params().opening
+    assert gripper.opening == GRASP.opening
     away = sawyer.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3]
     assert np.linalg.norm(away) == pytest.approx(STAND_OFF, abs=4e-3)
 
@@ -203,7 +203,7 @@ def test_a_fault_of_the_arm_in_any_piece_ends_safely(kind: str, failure: str, pi
     trial = execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
     assert trial.failure == failure
     assert arm.held >= 1
-    assert gripper.opening == Params().opening
+    assert gripper.opening == GRASP.opening
     if not lasting and kind != "stale joints":
         check_end(trial, arm, gripper)
     assert trial.steps == watched.steps
@@ -225,7 +225,7 @@ def test_frames_lost_in_any_piece_stop_nothing(piece: int) -> None:
     assert "lost on the cable" in trial.stop_reason
     assert trial.phases == PHASES
     assert len(trial.steps) == 3
-    assert gripper.opening == Params().opening
+    assert gripper.opening == GRASP.opening
 
 
 @pytest.mark.parametrize("count", range(4), ids=("before", *NAMES))
