@@ -72,7 +72,7 @@ def test_what_was_said_comes_back(tmp_path: Path) -> None:
         assert message.log_time * 1e-9 - zero == pytest.approx(reading.time, abs=1e-5)
         assert message.data == joints(reading.measured, message.log_time / 1e9).encode()
     said = [json.loads(message.data) for _, message in found["/gripper"]]
-    assert any(s.get("asked_m") == pytest.approx(0.0416) for s in said)
+    assert any(s.get("asked_m") == pytest.approx(GRASP.opening) for s in said)
     assert any(s["held"] and s["force_n"] == 8.0 for s in said)
     assert json.loads(found["/steps"][0][1].data)["share_of_limit"] == 0.4
     assert all(spoken(found, phase) for phase in trial.phases)
