@@ -39,9 +39,6 @@ FARTHEST = 0.08
 """A flower farther than this from the node that carries it is not believed [m]."""
 ON_LEAF = 4.0
 """A node on a leaf counts as so many times farther away: flowers hang on trusses and stems."""
-LARGEST, REACH = 0.033, 0.008
-"""A cluster longer than the former is several flowers, split by a kernel of the latter radius [m]; flowers measure 5 to
-30 mm across."""
 _ROUNDS, _STARTS = 10, 400  # of mean shift, and so many points at most that are shifted
 
 
@@ -50,14 +47,19 @@ class Params:
     """What a flower looks like in the cloud.
 
     Attributes:
+        largest: a cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across.
+        reach: radius of the kernel that splits such a cluster [m].
         pedicel: a truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination).
     """
 
+    largest: float = 0.033
+    reach: float = 0.008
     pedicel: float = 0.025
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        check_range("pedicel", self.pedicel, 1e-4, 1, "m")
+        for name in ("reach", "largest"):
+            check_range(name, getattr(self, name), 1e-4, 1, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +113,7 @@ def find_flowers(
         centres: what `flower_centres` gave for this cloud, if that was asked before.
     """
     params = params or Params()
-    centres = flower_centres(cloud) if centres is None else centres
+    centres = flower_centres(cloud, params) if centres is None else centres
     distance, carrier = _carriers(centres, skeleton, stem, params)
     near = distance <= FARTHEST
     notes = []
@@ -122,17 +124,18 @@ def find_flowers(
     return Flowers(centres[near], carrier[near], tuple(notes))
 
 
-def flower_centres(cloud: Cloud) -> Array:
+def flower_centres(cloud: Cloud, params: Params | None = None) -> Array:
     """Return flower centres (F, 3) [m], wherever they hang: `find_stem` tells trusses by them.
 
     Clusters of points labelled flower and of a flower's size: large ones are split, pieces joined, specks dropped.
     """
+    params = params or Params()
     points = cloud.points[cloud.labels == FLOWER]
     if not len(points):
         return np.zeros((0, 3))
     _, first = np.unique(np.rint(points / GRID).astype(np.int64), axis=0, return_index=True)
     points = points[first]
-    pieces = [part for cluster in _clusters(points, GAP) for part in _split(cluster)]
+    pieces = [part for cluster in _clusters(points, GAP) for part in _split(cluster, params)]
     middles = np.array([piece.mean(axis=0) for piece in pieces])
     joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, APART)]
     real = [flower.mean(axis=0) for flower in joined if _is_flower(flower)]
@@ -156,21 +159,21 @@ def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
     return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
 
 
-def _split(cluster: Array) -> list[Array]:
+def _split(cluster: Array, params: Params) -> list[Array]:
     """Return a cluster too large for a flower as several, by mean shift with a flat kernel."""
-    if _extent(cluster) <= LARGEST:
+    if _extent(cluster) <= params.largest:
         return [cluster]
     tree = KDTree(cluster)
     peaks = cluster[:: -(-len(cluster) // _STARTS)].copy()
     moving = np.arange(len(peaks))
     for _ in range(_ROUNDS):
-        shifted = _means_within(REACH, tree, peaks[moving])
+        shifted = _means_within(params.reach, tree, peaks[moving])
         moved = np.any(shifted != peaks[moving], axis=1)
         peaks[moving] = shifted
         moving = moving[moved]
         if not len(moving):
             break
-    weight = tree.query_ball_point(peaks, REACH, return_length=True)
+    weight = tree.query_ball_point(peaks, params.reach, return_length=True)
     modes = _heaviest(peaks[np.argsort(weight)[::-1]], APART)
     _, owner = KDTree(modes).query(cluster)
     return [cluster[owner == k] for k in range(len(modes)) if np.any(owner == k)]

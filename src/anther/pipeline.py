@@ -141,7 +141,7 @@ def perceive(
             "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
         )
     tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
-    centres = flowers.flower_centres(fused)
+    centres = flowers.flower_centres(fused, params.flowers)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
     found = run.stage(
         "flowers",
