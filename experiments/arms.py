@@ -1,104 +1,100 @@
-"""Trials with each arm: how often the main stem was held, the plant unharmed and the flowers moved.
+r"""The protocol of `grasping.py` with each arm: ten plants from four sides, 30 views, from noisy images to the shake.
 
-    python experiments/arms.py --json docs/results/arms.json
+    python tools/record.py experiments/arms.py --jobs 2 --page docs/reports/arms.md
 
-Each trial is one `anther trial --preset fast` in its own process; they go through a sweep in --out: what is done is not
-run again. In the --json file success_ARM is the share held and unharmed, moved_ARM the share whose flowers moved too.
+Every trial ends in one JSON and one small picture in --out and is not run again. Keys of --json, each with _ARM behind:
+trials, success (how many held the main stem and harmed nothing) with success_low and success_high (Wilson's 95 %
+interval of its share), what `grasping_table.effects` tells, and the medians of MEDIANS.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
-from grasping_table import as_counted
+from grasping import SPECIES, VIEWPOINTS
+from grasping_page import effect_cells, failures, insert, rows_of
+from grasping_table import Row, effects, interval
+from grasping_trial import Case, asked, crashed, one_trial
 from rich.console import Console
-from rich.table import Table
-from swept import failed, swept
+from rich.markdown import Markdown
+from skeletons import TEN
+from swept import swept
 
 from anther.arm.arms import Name
-from anther.files import read_json, write_json
+from anther.files import write_json
 
-SHAKE, FELT = "shake_amplitude_m", "true_flower_acceleration_median_ms2"
-KEPT = ((SHAKE, "shake_median_mm", 1e3), (FELT, "flower_acceleration_median_ms2", 1.0))
-"""Of a trial's summary: key, what its median is called, scale."""
-
-
-def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Run one trial as a command in a process of its own; return its trial.json with the stage times, for a sweep."""
-    run = folder / "run"
-    words = ["trial", "--arm", row["arm"], "--plant", row["species"], "--seed", str(row["seed"]), "--preset", "fast"]
-    words += ["--out", str(run), "--history", str(folder / "history.sqlite"), "--material", "facts"]
-    done = subprocess.run([sys.executable, "-m", "anther.cli", *words], capture_output=True, text=True, check=False)
-    (folder / "log").write_text(done.stdout + done.stderr)
-    if not (run / "trial.json").exists():
-        said = done.stderr.strip().splitlines()[-1:]
-        return {"success": False, "failure": "crashed", "message": said}
-    return as_counted(read_json(run / "trial.json"))
+CALLED = {"fr3": "panda"}
+"""What the keys of --json call an arm: Franka's is Panda there, though the one that is simulated is Research 3."""
+MEDIANS = {
+    "shake_amplitude_m": ("shake [mm]", 1e3, "{:.2f}"),
+    "shake_frequency_hz": ("at [Hz]", 1.0, "{:.1f}"),
+    "capture_s": ("views [s]", 1.0, "{:.0f}"),
+    "reach_s": ("to the grasp [s]", 1.0, "{:.0f}"),
+}
+"""Of a trial: the head of its column, the column's scale, how it is written."""
+EFFECTS = ("harm_probability_mean", "moved_share", "flower_acceleration_median_ms2")
 
 
-def counted(trials: list[dict[str, Any]], name: str) -> dict[str, float]:
-    """Return what the --json file keeps of one arm's trials."""
-    found: dict[str, float] = {f"trials_{name}": len(trials)}
-    for key, share in (("success", "success"), ("all_three", "moved")):
-        found[f"{share}_{name}"] = float(np.mean([bool(trial.get(key)) for trial in trials]))
-    for key, median, scale in KEPT:
-        values = [scale * trial[key] for trial in trials if trial.get(key) is not None]
-        found |= {f"{median}_{name}": float(np.median(values))} if values else {}
-    return found
+def table_of(arm: str, rows: Sequence[Row]) -> dict[str, float]:
+    """Return the flat table of one arm's trials."""
+    ours = [row["ours"] for row in rows]
+    won = sum(bool(one["success"]) for one in ours)
+    found = dict(zip(("success_low", "success_high"), interval(won, len(ours)), strict=True))
+    found |= {"trials": len(ours), "success": won, **effects(ours)}
+    for key in MEDIANS:
+        values = [one[key] for one in ({**row, **row["ours"]} for row in rows) if one.get(key) is not None]
+        found |= {key: float(np.median(values))} if values else {}
+    return {f"{key}_{CALLED.get(arm, arm)}": value for key, value in found.items()}
 
 
-def show(rows: list[dict[str, Any]]) -> None:
-    """Print one line a trial."""
-    table = Table("arm", "plant", "seed", "result", "harm", "shake [mm]", "flowers felt [m/s2]", "views and job [s]")
-    for row in rows:
-        result = ("success" if row.get("all_three") else "hardly moved") if row["success"] else str(row["failure"])
-        told = ("harm_probability", SHAKE, FELT)
-        harm, shake, felt = (float("nan") if row.get(key) is None else row[key] for key in told)
-        times = [row.get(f"simulated_{part}_seconds") or float("nan") for part in ("capture", "execution")]
-        words = [
-            row["arm"],
-            row["species"],
-            str(row["seed"]),
-            result,
-            f"{harm:.1%}",
-            f"{1e3 * shake:.2f}",
-            f"{felt:.1f}",
-        ]
-        table.add_row(*words, " + ".join(f"{seconds:.0f}" for seconds in times))
-    Console().print(table)
+def report(arms: Sequence[str], rows: Sequence[Row], table: dict[str, float]) -> str:
+    """Return a line an arm, and every failure."""
+    lines = []
+    for arm in arms:
+        end = f"_{CALLED.get(arm, arm)}"
+        own = {key.removesuffix(end): value for key, value in table.items() if key.endswith(end)}
+        held = [f"{won}/{trials}" for won, trials in (wins(rows, arm, species) for species in ("", *SPECIES))]
+        between = f"{own['success_low']:.0%} to {own['success_high']:.0%}"
+        medians = [how.format(scale * own[key]) if key in own else "" for key, (_, scale, how) in MEDIANS.items()]
+        lines.append((f"`{arm}`", held[0], between, *held[1:], *effect_cells(own, EFFECTS), *medians))
+    heads = ["arm", "held and unharmed", "95 % interval", *SPECIES, "harm", "moved", "flowers [m/s²]"]
+    heads += [head for head, *_ in MEDIANS.values()]
+    lost = [f"**{arm}**\n\n{said}" for arm in arms if (said := failures([row for row in rows if row["arm"] == arm]))]
+    return "\n\n".join([rows_of(heads, lines), *lost])
+
+
+def wins(rows: Sequence[Row], arm: str, species: str) -> tuple[int, int]:
+    """Return how many trials of an arm succeeded, and how many there were; of every species with ""."""
+    some = [row for row in rows if row["arm"] == arm and row["species"].startswith(species)]
+    return sum(bool(row["ours"]["success"]) for row in some), len(some)
 
 
 def main() -> None:
-    """Run the trials, show a table, write --json."""
+    """Run what is not there yet, print the table, write --json and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one seed of each species instead of five")
-    parser.add_argument("--seed", type=int, default=0, help="the first plant")
+    parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides")
     parser.add_argument("--arms", nargs="+", choices=get_args(Name), default=list(get_args(Name)))
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("runs/arms"))
+    parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/arms"), help="where finished trials are kept")
+    parser.add_argument("--page", type=Path, help="write the table into this docs page")
     args = parser.parse_args()
-    seeds = range(args.seed, args.seed + (1 if args.quick else 5))
-    rows = [
-        {"arm": arm, "species": species, "seed": seed}
-        for arm in args.arms
-        for species in ("tomato", "pepper")
-        for seed in seeds
-    ]
-    done = swept(one_trial, rows, args.out, args.jobs, failed)
-    show(done)
-    metrics: dict[str, float] = {}
+    plants, sides = ([TEN[0], TEN[2]], VIEWPOINTS[:2]) if args.quick else (TEN, VIEWPOINTS)
+    cases = [Case(*plant, side, arm=arm) for arm in args.arms for plant in plants for side in sides]
+    rows = swept(one_trial, asked(cases, rule=False), args.out, args.jobs, crashed)
+    table: dict[str, float] = {}
     for arm in args.arms:
-        metrics |= counted([row for row in done if row["arm"] == arm], arm)
-    print(json.dumps(metrics, indent=2))
+        table |= table_of(arm, [row for row in rows if row["arm"] == arm])
+    text = report(args.arms, rows, table)
+    Console().print(Markdown(text))
     if args.json:
-        write_json(args.json, metrics)
+        write_json(args.json, table)
+    if args.page:
+        insert(args.page, text)
 
 
 if __name__ == "__main__":

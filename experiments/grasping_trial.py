@@ -15,6 +15,7 @@ from grasping_table import as_counted
 from paper_grasp import paper_grasp
 from swept import failed
 
+from anther.arm.arms import in_simulated_cell
 from anther.arm.planner import Planner
 from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
@@ -44,7 +45,7 @@ PICTURE = "picture.png"
 
 @dataclass(frozen=True)
 class Case:
-    """One plant, seen from one side, by one of the presets of `anther trial`.
+    """One plant, seen from one side by an arm (`anther.arm.arms.Name`), by one of the presets of `anther trial`.
 
     `truth` is "nominal", "wide", or the group of `sim.truth.WIDE` that alone is not nominal.
     """
@@ -54,6 +55,7 @@ class Case:
     viewpoint: int
     preset: str = "full"
     truth: str = "nominal"
+    arm: str = "sawyer"
 
     @property
     def name(self) -> str:
@@ -62,9 +64,8 @@ class Case:
 
     def build(self) -> SimulatedCell:
         """Return the case's cell."""
-        return build(
-            self.species, self.seed, self.viewpoint, PRESETS[self.preset], truth=truth_of(self.truth, self.seed)
-        )
+        truth, arm = truth_of(self.truth, self.seed), in_simulated_cell(self.arm)
+        return build(self.species, self.seed, self.viewpoint, PRESETS[self.preset], truth=truth, arm=arm)
 
 
 def truth_of(name: str, seed: int) -> Truth:

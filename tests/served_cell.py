@@ -27,7 +27,6 @@ import numpy as np
 from fake_robotiq import FakeRobotiq
 from fake_sawyer import FakeSawyer
 from made_realsense import UNIT
-from scipy.interpolate import CubicHermiteSpline
 from served_world import World
 
 from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
@@ -43,7 +42,7 @@ TEMPLATE = Path(__file__).parent / "cells" / "sawyer_ros1.toml"
 RENDERED = 0.15  # of the wall's time: in which 30 frames a second can be rendered
 BATCH = 2  # steps of the world at once, of 1 ms
 TOLD = 10  # steps between two readings that the arm tells
-INTERPOLATED = 0.015  # s in which the arm's controller goes from where it is to where it was told to be
+FOLLOWS = 100.0  # rad/s: how fast the arm's controller follows what it is told; a guess
 FORCE = 20.0  # N: the least a Robotiq 2F-85 can be set to
 STROKE = 0.085  # m, of a 2F-85; the fingers of this cell open `SAWYER.tool.stroke`
 
@@ -68,13 +67,12 @@ class Plant:
 class ServedSawyer(FakeSawyer):
     """The fake Sawyer's topics, with MuJoCo's arm behind them. It has no thread: `references` and `tell` are called.
 
-    Between two commands its controller goes from where it is to where the last one will be.
+    Its controller follows what it was told as a spring and a damper would, within the arm's accelerations.
     """
 
     def __init__(self, master: str, world: cell.Cell, shared: World) -> None:
         self._world, self._shared = world, shared
         super().__init__(master, joints=world.joints, clock=lambda: world.time)
-        self._from, self._taken = (world.joints, np.zeros(7), world.time), self._target
 
     def _run(self) -> None:
         pass
@@ -83,15 +81,13 @@ class ServedSawyer(FakeSawyer):
         """Return joints, rates and accelerations (steps, 7) of the next steps of the world."""
         dt, now = self._world.timestep, self._world.time
         rows = []
-        for step in range(steps):
-            target = self._target
-            if target is not self._taken:
-                self._taken, self._from = target, (self.q.copy(), self.v.copy(), now + step * dt)
-            self._move(now + (step + 1) * dt, dt)
-            rows.append((self.q.copy(), self.v.copy()))
-        q, v = zip(*rows, strict=True)
-        push = np.zeros(7) if self._taken is None else self._taken[-1]
-        return np.array(q), np.array(v), np.tile(push, (steps, 1))
+        for step in range(1, steps + 1):
+            push = np.clip(self._wanted(now + step * dt, dt), -ACCELERATION, ACCELERATION)
+            self.v = self.v + push * dt
+            self.q = self.q + self.v * dt
+            rows.append((self.q, self.v, push))
+        q, v, a = (np.array(part) for part in zip(*rows, strict=True))
+        return q, v, a
 
     def _command(self, message: Any) -> None:
         order = [message.names.index(name) for name in SAWYER.joints]
@@ -100,23 +96,21 @@ class ServedSawyer(FakeSawyer):
         told = self._shared.clock() - (time.time() - stamp) * self._shared.rate  # threads may have kept it waiting
         self._target = (told, message.mode, message.position[order], *streamed)
 
-    def _move(self, now: float, dt: float) -> None:
-        before = self.q.copy()
-        if self._taken is None or not self.enabled:
-            self.v = np.zeros(7)
-            return
-        told, mode, q, rate, push = self._taken  # another thread may put a new one into its place
-        if mode == 1 or now - told <= self.timeout:
-            q0, v0, begin = self._from
-            seconds = INTERPOLATED if mode == 4 else max(INTERPOLATED, 2 * float((np.abs(q - q0) / VELOCITY).max()))
-            ahead = max(begin + seconds, now) - told
-            there, rate = q + rate * ahead + push * ahead**2 / 2, rate + push * ahead
-            joined = now < begin + seconds
-            self.q = CubicHermiteSpline([begin, begin + seconds], [q0, there], [v0, rate])(now) if joined else there
-        else:
-            less = np.clip(self.v, -ACCELERATION * dt, ACCELERATION * dt)
-            self.q = self.q + (self.v - less) * dt
-        self.v = (self.q - before) / dt
+    def _wanted(self, now: float, dt: float) -> np.ndarray:
+        target = self._target  # another thread may put a new one into its place
+        if target is None or not self.enabled:
+            return -self.v / dt
+        told, mode, q, rate, push = target
+        if mode == 1:
+            way = q - self.q
+            least = np.minimum(FOLLOWS * np.abs(way), np.sqrt(ACCELERATION * np.abs(way)))
+            rate = np.sign(way) * np.minimum(least, self.ratio * VELOCITY)
+            return FOLLOWS * (rate - self.v)
+        ahead = now - told
+        if ahead > self.timeout:
+            return -self.v / dt
+        there, rate = q + rate * ahead + push * ahead**2 / 2, rate + push * ahead
+        return push + 2 * FOLLOWS * (rate - self.v) + FOLLOWS**2 * (there - self.q)
 
     def tell(self) -> None:
         """Publish what its encoders read, and the force at its flange."""
