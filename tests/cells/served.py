@@ -23,8 +23,8 @@ from anther.drivers.ros1 import Node
 from anther.drivers.sawyer_ros1 import Sawyer
 from anther.geometry import Intrinsics
 
-IDLE = 0.5
-"""Between two frames that nobody records [s]: rendering costs more than a camera does."""
+IDLE = 1.0
+"""Between two frames that nobody waits for [s]: rendering costs more than a camera does."""
 free_running.STALLED = realsense.STALLED = 30.0  # s of the wall: the cell is slower
 
 
@@ -42,7 +42,7 @@ def gripper(port: str, *, world: str, counts: tuple[int, int]) -> Robotiq2F:
 class ServedCamera(free_running.FreeRunningCamera):
     """A RealSense of the SDK's own making that shows what a served cell renders.
 
-    Between recordings it gives fewer frames, to spare the machine.
+    While nobody wants them it gives fewer frames, to spare the machine.
     """
 
     def __init__(self, port: int, *, world: str, rate: float = 30.0) -> None:
@@ -69,13 +69,16 @@ class ServedCamera(free_running.FreeRunningCamera):
     def _feed(self) -> None:
         number, last = 0, -1.0
         while not self._over.is_set():
-            period = 1 / self._rate if self._records or number < 5 else IDLE
-            self._world.sleep(min(max(last + period - self._world.clock(), 0.0), 1 / self._rate))
-            if self._world.clock() < last + period:
+            wanted = self._records or self._waiting > 0 or number < 5
+            period = 1 / self._rate if wanted else IDLE
+            due = last + period
+            self._world.sleep(min(max(due - self._world.clock(), 0.0), 1 / self._rate))
+            now = self._world.clock()
+            if now < due:
                 continue
+            last, number = due if now < due + period else now, number + 1
             self._line.send("next")
             time, depth, rgb = self._line.recv()
-            last, number = self._world.clock(), number + 1
             self._eye.deliver(number, time, depth, rgb, rate=0.9 / period)
 
 

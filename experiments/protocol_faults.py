@@ -1,0 +1,431 @@
+"""Faults through the machines' own protocols: does each end safely, on record, and can the trial go on?
+
+    python tools/record.py experiments/protocol_faults.py --jobs 2
+
+A Sawyer behind a ROS 1 master, a Robotiq over Modbus TCP and two cameras of the RealSense SDK stand for the machines
+(`protocol_machines.py`). Anther runs in a process of its own, as on a workstation: from a cell file it connects, takes
+a few views, and executes the stored plan of `faults.py` (OUT/base, made when missing), where the shake comes in pieces.
+On the way a fault strikes, each kind in every phase, at a moment drawn by its number. Then everything is put right, a
+robot that was stopped is enabled, and another process goes on with the run.
+
+Faults go through a sweep in OUT/protocol, each in processes of its own: what is done is not done again. It is real
+protocol on one machine's loopback, by the wall's clock: where the machine itself is too slow for the arm (`HELD_UP`), a
+case is begun again, TRIES times at most, and counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from fault_machines import Pieces
+from faults import planned, prepare
+from protocol_machines import Machines
+from rich.console import Console
+from rich.table import Table
+from swept import swept
+
+from anther.arm import sawyer
+from anther.arm.views import Params as ViewParams
+from anther.arm.views import plan_views
+from anther.capture import Capture
+from anther.cells import CellFile, read_cell
+from anther.commands.hardware_cell import connected, look_around, motion_params
+from anther.devices import Robot
+from anther.errors import AntherError, InputError
+from anther.execution import EARLY, Params, Trial, execute
+from anther.execution.early_reach import early_reach
+from anther.files import read_json, write_json
+from anther.grasp import STAND_OFF
+from anther.runs import Run
+from anther.safety import guard
+from anther.shake import ShakePlan
+
+HERE = Path(__file__).parent
+PHASES = {"views": 6.0, EARLY: 2.5, "approach": 1.5, "close": 1.5, "shake": 3.5, "retreat": 1.0}
+"""Where faults strike, and how long each lasts about [s]."""
+EXPECTED: dict[str, str] = {
+    "the robot's node dies": r"nobody listens|ms old",
+    "the master dies": "",
+    "readings 200 ms late": "ms old",
+    "5 % of messages lost": "",
+    "the robot's clock jumps": "ms old",
+    "joints not a number": "nan",
+    "joints renamed": r"missing|ms old",
+    "a joint missing": "right_j6 missing",
+    "joints in another order": "",
+    "joints silent": "ms old",
+    "gripper silent": "gripper: no answer",
+    "gripper jams": r"gripper: its motion does not end|nothing was|holds nothing|stand",
+    "gripper reports a fault": "gripper: its inner processor failed",
+    "side camera unplugged": "unplugged|camera",
+    "wrist camera unplugged": "unplugged|camera",
+    "stop button": "stop button|it is stopped",
+    "cuff held": "cuff is held",
+    "robot feels a collision": "felt a collision",
+    "robot reports an error": "reports an error",
+    "robot switched off": "not enabled",
+    "pushed": "contact force",
+    "Ctrl-C": "",
+    "kill -9": "",
+    "the arm's process killed": "own process is gone",
+    "a second process": "",
+}
+"""What the record must say of each; "" where it may finish, or is told otherwise."""
+GOES_ON = ("the master dies", "5 % of messages lost", "joints in another order", "a second process")
+OF_ANTHER = ("Ctrl-C", "kill -9", "the arm's process killed", "a second process")
+BRAKES = (
+    *("the robot's node dies", "readings 200 ms late", "the robot's clock jumps", "joints not a number"),
+    *("joints renamed", "a joint missing", "joints silent", "stop button", "robot feels a collision"),
+    *("robot reports an error", "kill -9", "the arm's process killed"),
+)
+"""After these the arm stops at once, and the time until it stands is measured."""
+HELD_UP = "Let nothing else run|Look at what else runs here"
+TRIES = 4
+STILL, RESTS = 0.01, 0.1
+"""An arm that is slower than this [rad/s] for so long [s] stands: in a shake it turns about in no time."""
+LONGEST = 120.0  # s of a process
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault: what befalls whom, in which phase, and how far into it (0 to 1)."""
+
+    number: int
+    kind: str
+    phase: str
+    share: float
+
+
+def draw(number: int, seed: int) -> Case:
+    """Return case `number` of a seed: every kind in every phase in turn, at a random moment."""
+    kinds, phases = list(EXPECTED), list(PHASES)
+    share = float(np.random.default_rng([seed, number]).uniform())
+    return Case(number, kinds[number % len(kinds)], phases[number // len(kinds) % len(phases)], share)
+
+
+def anther(folder: Path, base: Path, *, views: bool, again: bool) -> None:
+    """Be Anther: connect, look around where asked for, execute the stored plan; say each phase as it begins."""
+    file, (planner, plan, _) = read_cell(folder / "cell.toml"), planned(base)
+    limits = file.safety_limits()
+    with connected(file) as bare:
+        if again:
+            ready(bare)
+        robot = guard(bare, limits)
+        with Run(folder / "run", restart_from="shake plan" if again and not views else None, quiet=True) as run:
+            if views:
+                say("views")
+                run.stage("capture", Capture.load, lambda advance: seen(file, robot, advance))
+            say(EARLY)
+            with early_reach(planner, plan.grasp, robot, limits, Params()) as arrive:
+                shake = run.stage("shake plan", ShakePlan.load, lambda _: plan)
+                run.stage(
+                    "execution",
+                    Trial.load,
+                    lambda _: execute(
+                        planner,
+                        shake,
+                        robot,
+                        limits,
+                        progress=lambda done, count, name: say(name),
+                        arrive=arrive,
+                        watched=Pieces(shake),
+                    ),
+                )
+
+
+def seen(file: CellFile, robot: Robot, advance: Any) -> Capture:
+    """Return a few views of nothing, driven to and taken as in a trial."""
+    boxes, start = tuple(place.box for place in file.keep_out), robot.arm.joints()
+    few = ViewParams(count=4)
+    motion = motion_params(file.limits.speed_ratio)
+    planned_views = plan_views(
+        file.region, boxes, few, start=start, T_flange_cam=file.T_flange_cam, motion=motion, arm=file.model
+    )
+    return look_around(robot, planned_views, file.T_flange_cam, advance, file.model)
+
+
+def ready(robot: Robot) -> None:
+    """Enable a robot that was stopped: what `anther cell enable` does."""
+    arm = cast(Any, robot.arm)
+    if arm.call("cannot"):
+        arm.call("enable")
+
+
+def say(phase: str) -> None:
+    """Tell who strikes."""
+    print(phase, flush=True)
+
+
+class Process:
+    """Anther's process of a case. Attributes: `said`, (time, phase) as they began; `errors`, what it wrote."""
+
+    def __init__(self, folder: Path, base: Path, *options: str) -> None:
+        words = [sys.executable, __file__, "--anther", str(folder), "--base", str(base), *options]
+        paths = os.pathsep.join(filter(None, [str(HERE), str(HERE.parent / "tests"), os.environ.get("PYTHONPATH")]))
+        environment = os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}
+        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        self.process = subprocess.Popen(words, env=environment, start_new_session=True, **pipes)
+        self.said, self.errors = list[tuple[float, str]](), ""
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._hear, self._read)]
+        for thread in self._threads:
+            thread.start()
+
+    def waits_for(self, phase: str) -> bool:
+        """Wait until a phase begins; return whether it did before the process ended."""
+        until = time.monotonic() + LONGEST
+        while all(name != phase for _, name in self.said):
+            if self.process.poll() is not None or time.monotonic() > until:
+                return False
+            time.sleep(0.005)
+        return True
+
+    def arms_process(self) -> int:
+        """Return the number of the process that has the arm: the first that was spawned."""
+        kids = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        spawned = [kid for kid in map(int, kids) if b"spawn_main" in Path(f"/proc/{kid}/cmdline").read_bytes()]
+        return min(spawned)
+
+    def end(self) -> int:
+        """Wait for the end; return the exit status. What takes too long is killed."""
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(LONGEST)
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        for thread in self._threads:
+            thread.join(5)
+        return self.process.wait()
+
+    def _hear(self) -> None:
+        for line in cast(Any, self.process.stdout):
+            self.said.append((time.monotonic(), line.strip()))
+
+    def _read(self) -> None:
+        self.errors = cast(Any, self.process.stderr).read()
+
+
+def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
+    """Let a fault strike, put everything right, go on; return what came of it."""
+    plan = planned(base)[1]
+    machines = Machines(folder, sawyer.READY)
+    try:
+        run, options = folder / "run", ["--views"] if case.phase == "views" else []
+        anthers = Process(folder, base, *options)
+        began = anthers.waits_for(case.phase)
+        if began:
+            time.sleep(case.share * PHASES[case.phase])
+        at, other = time.monotonic(), ""
+        moving = speed_at(machines, at)
+        match case.kind:
+            case "Ctrl-C":
+                os.kill(anthers.process.pid, signal.SIGINT)
+            case "kill -9":
+                os.kill(anthers.process.pid, signal.SIGKILL)
+            case "the arm's process killed":
+                os.kill(anthers.arms_process(), signal.SIGKILL)
+            case "a second process":
+                second = Process(folder, base)
+                other = "" if second.end() and "commanded by another process" in second.errors else "was let in"
+            case kind:
+                machines.strike(kind)
+        code = anthers.end()
+        time.sleep(0.6)
+        row: dict[str, Any] = {"moving": moving, "code": code}
+        row["stop_s"] = stop_time(machines, at) if case.kind in BRAKES and moving > STILL else None
+        row["unsafe"] = unsafe(machines, plan, case)
+        row["record"] = bad_record(run, case, anthers, began) or other
+        machines.repair()
+        time.sleep(0.3)
+        again = Process(folder, base, "--again", *(options if not (run / "01_capture").exists() else []))
+        again.end()
+        row["continued"] = "" if finished(run) else said_in(run) or again.errors[-300:]
+        told = f"{row['record']} {row['continued']} {said_in(run)}"
+        return row | {"held_up": re.search(HELD_UP, told) is not None, "said": said_in(run)}
+    finally:
+        machines.close()
+
+
+def speed_at(machines: Machines, when: float) -> float:
+    """Return the greatest speed of any joint just before a moment [rad/s]."""
+    times, joints = machines.log()
+    last = joints[times > when - 0.05]
+    return float(np.abs(np.diff(last, axis=0)).max() / 0.01) if len(last) > 1 else 0.0
+
+
+def stop_time(machines: Machines, at: float) -> float:
+    """Return how long after the fault the arm moved on before it stood for `RESTS` [s]; infinite if it never stood."""
+    times, joints = machines.log()
+    speed = np.abs(np.diff(joints, axis=0)).max(axis=1) / np.diff(times)
+    moved = np.concatenate([[at], times[1:][(times[1:] > at) & (speed > STILL)]])
+    stood = np.flatnonzero(np.diff(moved, append=times[-1]) > RESTS)
+    return float(moved[stood[0]] - at) if len(stood) else float("inf")
+
+
+def unsafe(machines: Machines, plan: ShakePlan, case: Case) -> str:
+    """Return what is not safe about how the machines were left, by the robot's own log; "" if nothing is.
+
+    Whole log: joints within range and speed. End: the arm stands; the pads are open, or, where nothing could open them,
+    closed with the arm where it took the stem.
+    """
+    times, joints = machines.log()
+    speed = np.abs(np.diff(joints, axis=0)) / np.maximum(np.diff(times), 0.005)[:, None]
+    flange = sawyer.forward(joints[:: max(len(joints) // 2000, 1)])[:, :3, 3]
+    away = np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1)
+    is_open, gripper_obeys = machines.opening > 0.03, not case.kind.startswith("gripper")
+    anther_lives = case.kind not in ("kill -9",)
+    late = joints[times > times[-1] - 0.3]
+    found = {
+        "joint range": bool(np.any((joints < sawyer.LOWER) | (joints > sawyer.UPPER))),
+        "joint speed": bool(np.any(speed > 1.05 * sawyer.VELOCITY)),
+        "arm moves": bool(np.abs(np.diff(late, axis=0)).max() > 1e-3),
+        "torn": not is_open and float(away.min()) < 0.1 and float(away[-1]) > 0.03,
+        "not open": not is_open and gripper_obeys and anther_lives,
+        "not back": is_open and case.kind in GOES_ON and float(away[-1]) < STAND_OFF - 0.01,
+    }
+    return ", ".join(name for name, bad in found.items() if bad)
+
+
+def bad_record(run: Path, case: Case, anthers: Process, began: bool) -> str:
+    """Return what is wrong with the record of a fault, read back from disk; "" if it names what happened."""
+    if not began:
+        return f"{case.phase} never began: {anthers.errors[-300:]}"
+    try:
+        noted = read_json(run / "progress.json")
+        trial = Trial.load(run / "09_trial.npz") if noted["stage"] == "execution" and not noted["failure"] else None
+    except (AntherError, KeyError, OSError) as error:
+        return str(error)
+    said, failure = (noted["message"], noted["failure"]) if trial is None else (trial.stop_reason, trial.failure)
+    if trial is not None and trial.finished:
+        good = no_effect(case)
+    elif case.kind in ("Ctrl-C", "kill -9"):
+        good = failure == "interrupted"
+    elif case.kind in GOES_ON:
+        good = False
+    else:
+        good = re.search(EXPECTED[case.kind], said + anthers.errors[-500:]) is not None
+    return "" if good else f"{failure}: {said}"
+
+
+def no_effect(case: Case) -> bool:
+    """Whether a trial may finish though it was struck: nobody needs any more what failed, or it may fail unnoticed."""
+    late = case.phase == "retreat"
+    wrist = case.kind == "wrist camera unplugged"
+    gripper = case.kind.startswith("gripper") and (late or case.phase in ("close", "shake"))
+    return case.kind in GOES_ON or late or wrist or gripper
+
+
+def finished(run: Path) -> bool:
+    """Whether the run's trial finished."""
+    with suppress(InputError, OSError):
+        return Trial.load(run / "09_trial.npz").finished
+    return False
+
+
+def said_in(run: Path) -> str:
+    """Return why the run's trial ended."""
+    with suppress(InputError, OSError):
+        return Trial.load(run / "09_trial.npz").stop_reason
+    return ""
+
+
+def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Run one case, again where the machine was too slow, and return what came of it, for a sweep."""
+    words = ["--alone", str(row["number"]), "--seed", str(row["seed"]), "--base", row["base"]]
+    found: dict[str, Any] = {}
+    for number in range(TRIES):
+        own = folder / str(number)
+        run = [sys.executable, __file__, *words, "--out", str(own)]
+        done = subprocess.run(run, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"exit {done.returncode}: {done.stderr[-400:]}")
+        found = {**read_json(own / "outcome.json"), "begun_again": number}
+        if not found["held_up"]:
+            break
+    return found
+
+
+def crashed(why: str) -> dict[str, Any]:
+    """Return what stands for a case whose program crashed: none of the three is good."""
+    return {"unsafe": f"crashed: {why}", "record": "crashed", "continued": "crashed", "stop_s": None, "begun_again": 0}
+
+
+def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Print a table and return the metrics."""
+    table = Table("fault", "struck", "safe ends", "records lost", "gone on", "stands after [ms], median, largest")
+    metrics: dict[str, float] = {}
+    for kind in ["", *EXPECTED]:
+        some = [row for row, case in zip(rows, cases, strict=True) if kind in ("", case.kind)]
+        if not some:
+            continue
+        stops = [1e3 * row["stop_s"] for row in some if row["stop_s"] is not None]
+        counts: dict[str, float] = {
+            "faults": len(some),
+            "safe_ends": sum(not row["unsafe"] for row in some),
+            "records_lost": sum(bool(row["record"]) for row in some),
+            "continued": sum(not row["continued"] for row in some),
+        }
+        told = f"{np.median(stops):.0f}, {max(stops):.0f}" if stops else ""
+        table.add_row(kind or "all", *map(str, counts.values()), told)
+        counts |= {"stop_median_ms": float(np.median(stops)), "stop_ms": max(stops)} if stops else {}
+        prefix = re.sub(r"[^a-z0-9]+", "_", kind.lower()).strip("_")
+        metrics |= {f"{prefix}_{key}".strip("_"): value for key, value in counts.items()}
+    Console().print(table)
+    for row, case in zip(rows, cases, strict=True):
+        if row["unsafe"] or row["record"] or row["continued"]:
+            print(f"{case}: {json.dumps({name: row[name] for name in ('unsafe', 'record', 'continued')})}")
+    metrics["begun_again"] = sum(row["begun_again"] for row in rows)
+    return metrics
+
+
+def main() -> None:
+    """Draw the faults, let them strike, and write a flat table of metrics."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="one fault of every kind instead of 1000")
+    parser.add_argument("--faults", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
+    parser.add_argument("--out", type=Path, default=Path("runs/faults"))
+    parser.add_argument("--base", type=Path, help="the stored run; by default OUT/base, made when missing")
+    parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--anther", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--views", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--again", action="store_true", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    base = args.base or args.out / "base"
+    if args.anther is not None:
+        try:
+            anther(args.anther, base, views=args.views, again=args.again)
+        except (AntherError, KeyboardInterrupt) as error:
+            raise SystemExit(f"{type(error).__name__}: {error}") from None
+        return
+    if args.alone is not None:
+        case = draw(args.alone, args.seed)
+        write_json(args.out / "outcome.json", {**asdict(case), **struck(case, base, args.out)})
+        return
+    prepare(base)
+    numbers = args.only or range(len(EXPECTED) if args.quick else args.faults)
+    asked = [{"number": number, "seed": args.seed, "base": str(base.resolve())} for number in numbers]
+    rows = swept(one, asked, args.out / "protocol", args.jobs, crashed)
+    metrics = summary([draw(number, args.seed) for number in numbers], rows)
+    print(json.dumps(metrics, indent=2))
+    if args.json:
+        write_json(args.json, metrics)
+
+
+if __name__ == "__main__":
+    main()

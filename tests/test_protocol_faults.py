@@ -1,0 +1,86 @@
+"""What `experiments/protocol_faults.py` calls safe: its judge sees what is wrong, and its faults cover every phase."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_foresight import made_plan
+from protocol_faults import EXPECTED, GOES_ON, PHASES, Case, draw, no_effect, stop_time, unsafe
+
+from anther.arm import sawyer
+from anther.geometry import Array
+
+STEM = sawyer.NEUTRAL
+RATE = 100.0
+
+
+def plan() -> Any:
+    made = made_plan()
+    return replace(made, grasp=replace(made.grasp, T_world_flange=sawyer.forward(STEM)))
+
+
+def machines(joints: Array, opening: float = 0.04) -> Any:
+    times = np.arange(len(joints)) / RATE
+    return SimpleNamespace(log=lambda: (times, joints), opening=opening)
+
+
+def to_the_stem(back: float = 0.0, last: float = 1.0) -> Array:
+    """From elsewhere to the stem in 2 s, to `back` [rad] from it in 1 s, and `last` [s] of rest."""
+    ways = [np.linspace(0.3, 0.0, 200), np.linspace(0.0, back, 100), np.full(round(last * RATE), back)]
+    return STEM + np.concatenate(ways)[:, None] * np.ones(7)
+
+
+CASE = Case(0, "joints silent", "shake", 0.5)
+
+
+def test_an_arm_that_stands_before_the_plant_with_open_pads_is_safe() -> None:
+    assert unsafe(machines(to_the_stem(back=0.2)), plan(), CASE) == ""
+
+
+@pytest.mark.parametrize(
+    ("joints", "opening", "case", "why"),
+    [
+        (to_the_stem(last=0.0)[:150], 0.04, CASE, "arm moves"),
+        (to_the_stem(), 0.008, CASE, "not open"),
+        (to_the_stem(back=0.2), 0.008, CASE, "torn, not open"),
+        (to_the_stem(), 0.04, replace(CASE, kind="the master dies"), "not back"),
+        (np.vstack([to_the_stem()[:200], to_the_stem()[:200]]), 0.04, CASE, "joint speed"),
+        (to_the_stem() + np.eye(7)[0] * 4.0, 0.04, CASE, "joint range"),
+    ],
+)
+def test_what_is_not_safe_is_seen(joints: Array, opening: float, case: Case, why: str) -> None:
+    assert why in unsafe(machines(joints, opening), plan(), case)
+
+
+def test_pads_that_nothing_could_open_are_safe_while_the_arm_is_where_it_took_the_stem() -> None:
+    held = machines(to_the_stem(), 0.008)
+    for kind in ("kill -9", "gripper silent"):
+        assert unsafe(held, plan(), replace(CASE, kind=kind)) == ""
+        assert unsafe(machines(to_the_stem(back=0.2), 0.008), plan(), replace(CASE, kind=kind)) == "torn"
+
+
+def test_the_time_to_rest_is_that_of_the_motion_that_was_struck() -> None:
+    joints = to_the_stem(back=0.2)
+    later = np.vstack([joints, joints[:250]])
+    assert stop_time(machines(later), at=1.5) == pytest.approx(3.0 - 1.5, abs=0.03)
+    assert stop_time(machines(joints[:250]), at=1.5) == float("inf")
+
+
+def test_every_kind_strikes_in_every_phase() -> None:
+    cases = [draw(number, 0) for number in range(len(EXPECTED) * len(PHASES))]
+    assert {(case.kind, case.phase) for case in cases} == {(kind, phase) for kind in EXPECTED for phase in PHASES}
+    assert draw(7, 0) == draw(7, 0) != draw(7, 1)
+
+
+def test_a_trial_may_finish_only_where_what_failed_is_needed_no_more() -> None:
+    for kind in EXPECTED:
+        for phase in PHASES:
+            allowed = no_effect(Case(0, kind, phase, 0.5))
+            if kind in GOES_ON or phase == "retreat":
+                assert allowed
+            elif kind in ("stop button", "kill -9", "joints silent", "side camera unplugged"):
+                assert not allowed
