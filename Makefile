@@ -42,6 +42,8 @@ docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/views.py --figure docs/pictures/views.png
 	$(BIN)/python tools/record.py experiments/confidence.py --figure docs/pictures/confidence.png
 	$(BIN)/python tools/record.py experiments/faults.py
+	$(BIN)/python tools/record.py experiments/protocol_faults.py --jobs 2
+	$(BIN)/python tools/record.py experiments/through_ros.py
 	$(BIN)/python tools/record.py experiments/fuzz.py --count 100000
 	$(BIN)/python tools/record.py experiments/capture_path.py
 	$(BIN)/python tools/record.py experiments/hard_cases.py --jobs 2
@@ -51,6 +53,8 @@ docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py benchmarks/log.py
 	$(BIN)/python tools/record.py experiments/real_plants.py
 	$(BIN)/python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures --page docs/reports/grasping.md
+	$(BIN)/python tools/record.py experiments/arms.py --jobs 2 --page docs/reports/arms.md
+	$(BIN)/python tools/record.py experiments/shaking.py --plants 40 --jobs 2 --page docs/reports/shaking.md
 	$(BIN)/python tools/record.py experiments/limits.py
 	$(BIN)/python tools/record.py experiments/second_judge.py
 	$(BIN)/python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/reports/wide_truth.md

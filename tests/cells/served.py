@@ -47,7 +47,7 @@ class ServedCamera(free_running.FreeRunningCamera):
 
     def __init__(self, port: int, *, world: str, rate: float = 30.0) -> None:
         self._world, self._rate, self._over = World(world), rate, threading.Event()
-        self._records = False
+        self._records, self._waiting = False, 0
         self._line: Any = Client(("127.0.0.1", port))
         self._eye = _software(self._line.recv())
         source = realsense.RealSense(clock=self._world.clock, devices=lambda: [self._eye.device])
@@ -76,10 +76,10 @@ class ServedCamera(free_running.FreeRunningCamera):
             now = self._world.clock()
             if now < due:
                 continue
-            last, number = due if now < due + period else now, number + 1
+            gap, last, number = now - last, due if now < due + period else now, number + 1
             self._line.send("next")
             time, depth, rgb = self._line.recv()
-            self._eye.deliver(number, time, depth, rgb, rate=0.9 / period)
+            self._eye.deliver(number, time, depth, rgb, rate=0.9 / max(gap, period))
 
 
 def _software(camera: Intrinsics) -> SoftwareCamera:
