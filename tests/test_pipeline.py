@@ -117,3 +117,12 @@ def _pollinated(
 
 
 _SEEN = ("masks", "cloud", "skeleton", "stem", "flowers")
+
+
+def test_a_shake_cut_short_before_the_camera_saw_enough_loses_nothing() -> None:
+    """What was filmed of it is too little to measure; the trial goes on to its record without a response."""
+    robot = SimpleNamespace(side_camera=SimpleNamespace(intrinsics=None), T_world_side_camera=np.eye(4))
+    trial = SimpleNamespace(frames=(SimpleNamespace(time=1.0),) * 7, steady=(0.0, 2.0), steps=())
+    seen = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))))
+    words: Any = (SimpleNamespace(robot=robot), trial, GRASPS[0], seen, None)
+    assert pipeline._watched(*words, params=pipeline.Params()) is None

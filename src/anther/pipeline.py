@@ -23,6 +23,7 @@ from anther.identification import Observed, feel, refine
 from anther.masks import Masks, by_words
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response, stem_near
+from anther.response.thresholds import FEWEST_FRAMES
 from anther.runs import Advance, Run
 from anther.shake import EarlierShake, Pads, ShakePlan
 from anther.skeleton import Skeleton
@@ -228,12 +229,14 @@ def pollinate(
 
 
 def _watched(cell: Cell, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *, params: Params) -> Response | None:
-    """Measure the motion of flowers and stem in the side camera's frames; None when there are none."""
+    """Measure the motion of flowers and stem in the side camera's frames; None when there are too few."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
         return None
     begin, end = trial.steady
     frames = [f for f in trial.frames if not trial.steps or begin <= f.time <= end] or trial.frames
+    if len(frames) < FEWEST_FRAMES:  # a shake that was cut short
+        return None
     ids = seen.stem.node_ids
     beside = stem_near(
         seen.skeleton.nodes[ids], seen.stem.arc_length, seen.skeleton.radius[ids], shake.grasp.arc_length

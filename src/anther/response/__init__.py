@@ -20,7 +20,14 @@ from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import find_frequency, fit_swing
 from anther.response.beside import StemMotion, StemNear, measure_stem, stem_near
 from anther.response.following import Followed, Remarks, follow_flowers, without_outliers
-from anther.response.thresholds import LEAST_SPREAD, RELATIVE_RESIDUAL, RESIDUAL_PIXELS, SEEN_SHARE, SPREAD
+from anther.response.thresholds import (
+    FEWEST_FRAMES,
+    LEAST_SPREAD,
+    RELATIVE_RESIDUAL,
+    RESIDUAL_PIXELS,
+    SEEN_SHARE,
+    SPREAD,
+)
 
 __all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
@@ -157,8 +164,9 @@ def measure_response(
 
 
 def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
-    if len(frames) < 8:
-        raise bad_input("frames", given=len(frames), allowed="8 or more", do="Record longer or faster.")
+    if len(frames) < FEWEST_FRAMES:
+        allowed = f"{FEWEST_FRAMES} or more"
+        raise bad_input("frames", given=len(frames), allowed=allowed, do="Record longer or faster.")
     size = (intrinsics.height, intrinsics.width)
     wrong = [f for f in frames if f.depth.shape != size or f.rgb.shape != (*size, 3)]
     if wrong:

@@ -1,5 +1,8 @@
 """What finding and following flowers goes by."""
 
+FEWEST_FRAMES = 8
+"""Fewer tell no swing."""
+
 SHIFT = 0.025
 """Farthest that the held plant may stand from where it was seen at rest [m]."""
 
