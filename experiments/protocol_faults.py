@@ -36,7 +36,7 @@ from faults import planned, prepare
 from protocol_machines import Machines
 from rich.console import Console
 from rich.table import Table
-from swept import swept, whole_machine
+from swept import swept
 
 from anther.arm import sawyer
 from anther.arm.views import Params as ViewParams
@@ -176,7 +176,7 @@ class Process:
     def __init__(self, folder: Path, base: Path, *options: str) -> None:
         words = [sys.executable, __file__, "--anther", str(folder), "--base", str(base), *options]
         paths = os.pathsep.join(filter(None, [str(HERE), str(HERE.parent / "tests"), os.environ.get("PYTHONPATH")]))
-        environment = whole_machine() | {"PYTHONPATH": paths}
+        environment = os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}
         pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         self.process = subprocess.Popen(words, env=environment, start_new_session=True, **pipes)
         self.said, self.errors = list[tuple[float, str]](), ""

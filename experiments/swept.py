@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,12 +32,6 @@ def swept(
         print(f"crashed: {job.row}: {job.reason}")
     told = [crashed(str(job.reason)) if job.result is None else job.result for job in done]
     return [{**job.row, **row, FOLDER: str(out / "tasks" / job.key)} for job, row in zip(done, told, strict=True)]
-
-
-def whole_machine() -> dict[str, str]:
-    """Let a worker, and what it starts, use all cores again; return its environment without a limit of threads."""
-    os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    return {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
 
 
 def failed(reason: str) -> Row:
