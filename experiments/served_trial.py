@@ -66,21 +66,16 @@ def _anther(row: dict[str, Any], cell: str, folder: Path) -> int:
     words = ["trial", "--cell", cell, "--plant", row["species"], "--label", f"served {row['seed']}"]
     words += ["--preset", row["preset"], "--out", str(folder / "run"), "--history", str(folder / "history.sqlite")]
     paths = os.pathsep.join(filter(None, [str(TESTS / "cells"), os.environ.get("PYTHONPATH")]))
-    environment = free() | {"PYTHONPATH": paths}
+    environment = os.environ | {"PYTHONPATH": paths}
     with (folder / "said.txt").open("w") as said:
         run = [sys.executable, "-m", "anther.cli", *words]
         return subprocess.run(run, env=environment, stdout=said, stderr=said, timeout=LONGEST, check=False).returncode
 
 
-def free() -> dict[str, str]:
-    """Return the environment without a sweep's limits of threads: cell and Anther have the machine to themselves."""
-    return {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-
-
 @contextmanager
 def _serving(words: list[str]) -> Iterator[subprocess.Popen[str]]:
     run = [sys.executable, str(TESTS / "served_cell.py"), *words]
-    with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=free()) as process:
+    with subprocess.Popen(run, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             yield process
         finally:

@@ -4,7 +4,7 @@
 
 **Trials**: `anther trial --cell` grasps and shakes plants of MuJoCo's cell, which is served as machines: a Sawyer
 behind a ROS 1 master, a Robotiq over Modbus TCP, cameras of the RealSense SDK (`tests/served_cell.py`). The cell's time
-goes slower than the wall's. Each trial is kept in --out and is not run again.
+goes slower than the wall's, and a trial has one core. Each is kept in --out and is not run again.
 
 **A fake Sawyer**: the driver runs in a process of its own and follows a joint swing at 1.9 Hz, as a shake does, in
 trajectory mode at 100 commands a second. The fake notes when each command arrives. Then, with as many busy processes
@@ -119,13 +119,13 @@ def measure(kills: int, seconds: float) -> dict[str, Any]:
     }
 
 
-def trials(count: int, truth: str, out: Path) -> dict[str, Any]:
+def trials(count: int, truth: str, jobs: int, out: Path) -> dict[str, Any]:
     """Return the flat table of `count` trials through the served cell."""
     asked = [
         {"species": ("tomato", "pepper")[i % 2], "seed": FIRST + i // 2, "truth": truth, "preset": "full"}
         for i in range(count)
     ]
-    rows = swept(served, asked, out, 1, lambda reason: {"held": False, "unharmed": False, "message": reason})
+    rows = swept(served, asked, out, jobs, lambda reason: {"held": False, "unharmed": False, "message": reason})
     for row in rows:
         print(f"{row['species']} {row['seed']}: {'held' if row['held'] else row.get('message') or row.get('reason')}")
     done = [row for row in rows if row.get("robot_s")]
@@ -144,6 +144,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="2 trials, 3 kills and 5 s instead of 20, 20 and 60 s")
     parser.add_argument("--trials", type=int, default=20)
     parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
+    parser.add_argument("--jobs", type=int, default=1, help="trials at a time, a core each")
     parser.add_argument("--out", type=Path, default=Path("runs/through_ros"))
     parser.add_argument("--drive", help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, default=60.0, help=argparse.SUPPRESS)
@@ -151,7 +152,7 @@ def main() -> None:
     if args.drive:
         drive(args.drive, args.seconds)
         return
-    metrics = trials(2 if args.quick else args.trials, args.truth, args.out)
+    metrics = trials(2 if args.quick else args.trials, args.truth, args.jobs, args.out)
     metrics |= measure(3, 5.0) if args.quick else measure(20, args.seconds)
     print(json.dumps(metrics, indent=2))
     if args.json:

@@ -39,7 +39,7 @@ from anther.sim.robot import robot_of
 from anther.sim.truth import NOMINAL, Truth, draw
 
 TEMPLATE = Path(__file__).parent / "cells" / "sawyer_ros1.toml"
-RENDERED = 0.2  # of the wall's time: in which 30 frames a second can be rendered
+RENDERED = 0.1  # of the wall's time: in which 30 frames a second can be rendered
 BATCH = 2  # steps of the world at once, of 1 ms
 TOLD = 10  # steps between two readings that the arm tells
 FOLLOWS = 100.0  # rad/s: how fast the arm's controller follows what it is told; a guess
@@ -199,7 +199,7 @@ class Served:
     Attributes: `file`, the cell file; `place`, MuJoCo's world.
     """
 
-    def __init__(self, plant: Plant, folder: Path, master: str, rate: float = 0.7) -> None:
+    def __init__(self, plant: Plant, folder: Path, master: str, rate: float = 0.5) -> None:
         """Begin to serve; rate: how fast the cell's time goes at most, by the wall's."""
         folder.mkdir(parents=True, exist_ok=True)
         self.place, self._rate = plant.world(), rate
