@@ -39,7 +39,7 @@ from anther.sim.robot import robot_of
 from anther.sim.truth import NOMINAL, Truth, draw
 
 TEMPLATE = Path(__file__).parent / "cells" / "sawyer_ros1.toml"
-RENDERED = 0.1  # of the wall's time: in which 30 frames a second can be rendered
+RENDERED = 0.05  # of the wall's time: in which one core renders 30 frames a second and decides in 0.3 s
 BATCH = 2  # steps of the world at once, of 1 ms
 TOLD = 10  # steps between two readings that the arm tells
 FOLLOWS = 100.0  # rad/s: how fast the arm's controller follows what it is told; a guess
