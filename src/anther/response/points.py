@@ -138,23 +138,16 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         seeing = at.shown[: len(at.flowers)].any()
         images = list(pool.map(_smoothed, frames, gains)) if seeing else []
         paths = np.swapaxes(_paths(at, list(pictures)), 0, 1)
-
-        def fitted(point: int, path: Array) -> tuple[Array, _Fit | None, _Fit | None]:
-            flower = point < len(at.flowers)
-            guess = None if expected is None or not flower else expected[point]
-            if flower:
-                path = _flower_path(at, point, images, path, basis, guess)
-            across = _fitted(basis, path, LEAST_ERROR)
-            away = _away(at, point, frames, path, basis, guess) if flower and across is not None else None
-            return path, across, away
-
-        points = np.flatnonzero(at.shown).tolist()
-        found = list(pool.map(fitted, points, paths))
-    for point, (path, across, away) in zip(points, found, strict=True):
-        scale = at.per_pixel[point]
+    for point, around in zip(np.flatnonzero(at.shown), paths, strict=True):
+        flower, scale, path = point < len(at.flowers), at.per_pixel[point], around
+        guess = None if expected is None or not flower else expected[point]
+        if flower:
+            path = _flower_path(at, int(point), images, around, basis, guess)
+        across = _fitted(basis, path, LEAST_ERROR)
+        away = _away(at, int(point), frames, path, basis, guess) if flower and across is not None else None
         if across is not None:
             phasors[point, :, :2], std[point, :2] = scale * _phasors(across, len(tones)), scale * across.std
-            if point < len(at.flowers) and len(tones) == 1:
+            if flower and len(tones) == 1:
                 growth.add(path, basis, scale)
         if away is not None:
             phasors[point, :, 2:], std[point, 2] = _phasors(away, len(tones)), away.std
