@@ -42,7 +42,7 @@ EFFECTS = ("harm_probability_mean", "moved_share", "flower_acceleration_median_m
 def table_of(arm: str, rows: Sequence[Row]) -> dict[str, float]:
     """Return the flat table of one arm's trials."""
     ours = [row["ours"] for row in rows]
-    won = sum(bool(one["success"]) for one in ours)
+    won, _ = wins(rows, arm, "")
     found = dict(zip(("success_low", "success_high"), interval(won, len(ours)), strict=True))
     found |= {"trials": len(ours), "success": won, **effects(ours)}
     for key in MEDIANS:

@@ -301,7 +301,12 @@ def subset(capture: Capture, views: list[int]) -> Capture:
 def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Run one case in a process of its own, which Ctrl-C may strike, and return what came of it, for a sweep."""
     words = ["--alone", str(row["number"]), "--seed", str(row["seed"]), "--base", row["base"], "--out", str(folder)]
-    done = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, check=False)
+    return outcome_of([__file__, *words], folder)
+
+
+def outcome_of(words: list[str], folder: Path) -> dict[str, Any]:
+    """Run a script with its words in a process of its own; return the outcome.json that it wrote into the folder."""
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"exit {done.returncode}: {done.stderr[-400:]}")
     return cast(dict[str, Any], read_json(folder / "outcome.json"))
@@ -343,17 +348,23 @@ def summary(outcomes: list[Outcome]) -> dict[str, float]:
     return metrics
 
 
-def main() -> None:
-    """Draw the faults, let them strike, and write a flat table of metrics."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def options(description: str | None, quick: str) -> argparse.ArgumentParser:
+    """Return what can be asked of faults that are drawn by number; quick: what --quick does."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="20 faults instead of 200")
+    parser.add_argument("--quick", action="store_true", help=quick)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
     parser.add_argument("--out", type=Path, default=Path("runs/faults"))
     parser.add_argument("--base", type=Path, help="the stored run; by default OUT/base, made when missing")
     parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
+    return parser
+
+
+def main() -> None:
+    """Draw the faults, let them strike, and write a flat table of metrics."""
+    parser = options(__doc__, "20 faults instead of 200")
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--kill-at", help=argparse.SUPPRESS)
     args = parser.parse_args()

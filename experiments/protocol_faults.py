@@ -32,7 +32,7 @@ from typing import Any, cast
 
 import numpy as np
 from fault_machines import Pieces
-from faults import planned, prepare
+from faults import options, outcome_of, planned, prepare
 from protocol_machines import Machines
 from rich.console import Console
 from rich.table import Table
@@ -347,11 +347,7 @@ def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for number in range(TRIES):
         own = folder / str(number)
-        run = [sys.executable, __file__, *words, "--out", str(own)]
-        done = subprocess.run(run, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise RuntimeError(f"exit {done.returncode}: {done.stderr[-400:]}")
-        found = {**read_json(own / "outcome.json"), "begun_again": number}
+        found = outcome_of([__file__, *words, "--out", str(own)], own) | {"begun_again": number}
         if not found["held_up"]:
             break
     return found
@@ -392,16 +388,8 @@ def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, 
 
 def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one fault of every kind instead of 1000")
+    parser = options(__doc__, "one fault of every kind instead of 1000")
     parser.add_argument("--faults", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
-    parser.add_argument("--out", type=Path, default=Path("runs/faults"))
-    parser.add_argument("--base", type=Path, help="the stored run; by default OUT/base, made when missing")
-    parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--anther", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--views", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--again", action="store_true", help=argparse.SUPPRESS)
