@@ -84,22 +84,20 @@ class Pieces:
 
     def begin(self, frame: Frame) -> Swing:
         """Return the probe."""
-        self._piece = Swing.first(self._tones, self._sizes[0], 1.0 + self._ramp, self._ramp)
-        return self._piece
+        return Swing.first(self._tones, self._sizes[0], 1.0 + self._ramp, self._ramp)
 
-    def since(self) -> float:
+    def since(self, piece: Swing) -> float:
         """Return when the piece under way is steady [s]."""
-        return self._piece.begin + self._piece.ramp
+        return piece.begin + piece.ramp
 
-    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return the next piece."""
-        when = samples[0].time + self.since(), samples[-1].time
-        tones, sizes = tuple(self._tones.tolist()), tuple(self._piece.amplitudes.tolist())
+        when = samples[0].time + self.since(piece), samples[-1].time
+        tones, sizes = tuple(self._tones.tolist()), tuple(piece.amplitudes.tolist())
         line = tuple(self.lines[0].direction.tolist())
         self.steps = (*self.steps, Step(*when, tones, sizes, line, (), {}, "Goes on.", 0.0))
         new = self._sizes[len(self.steps)]
-        self._piece = self._piece.then(new, self._ramp + (1.0 if new.any() else 0.0), self._ramp)
-        return self._piece
+        return piece.then(new, self._ramp + (1.0 if new.any() else 0.0), self._ramp)
 
 
 def _state(cell: Cell) -> Array:

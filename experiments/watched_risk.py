@@ -196,7 +196,7 @@ def shake(kept: Kept, at: Sight, true: TrueMotion, risk: float, noise: int) -> d
         piece.append(escalated.begin(None))  # pyright: ignore[reportArgumentType]
         while piece[-1].amplitudes.any():
             times = np.arange(0, piece[-1].begin + piece[-1].seconds - LEAD, 0.02)
-            piece.append(escalated.go_on([], [ArmSample(t, None, None) for t in times]))  # pyright: ignore[reportArgumentType]
+            piece.append(escalated.go_on(piece[-1], [], [ArmSample(t, None, None) for t in times]))  # pyright: ignore[reportArgumentType]
     return judged(kept, true, escalated.steps) | {"risk": risk}
 
 

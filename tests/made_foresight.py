@@ -168,8 +168,8 @@ class World:
                 q = np.concatenate([self.place(piece, t), np.zeros(4)])
                 samples.append(ArmSample(self.begin + piece.begin + t, q, q, 0.0))
             told = [s for s in samples if s.time <= self.begin + piece.begin + piece.seconds - LEAD]
-            assert samples[0].time + watched.since() <= told[-1].time, "there is something to look at"
-            self.pieces.append(watched.go_on([frame], told))
+            assert samples[0].time + watched.since(piece) <= told[-1].time, "there is something to look at"
+            self.pieces.append(watched.go_on(piece, [frame], told))
             assert len(self.pieces) < 40, "it ends"
         return watched
 

@@ -22,6 +22,7 @@ def test_its_pieces_are_a_watched_shake_that_comes_to_rest() -> None:
     sample: Any = SimpleNamespace(time=0.0)
     sizes = [piece.amplitudes]
     while sizes[-1].any():
-        sizes.append(watched.go_on([], [sample]).amplitudes)
+        piece = watched.go_on(piece, [], [sample])
+        sizes.append(piece.amplitudes)
     assert len(watched.steps) == len(sizes) - 1 == 3
     assert all(np.abs(size).max() <= watched.lines[0].reach for size in sizes)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_robot import LIMITS, FakeArm, FakeGripper, fake_robot, horizontal_grasp
+from made_foresight import made_plan
 from small_planner import SmallPlanner, solve
 
 from anther import pipeline
@@ -117,6 +118,22 @@ def _pollinated(
 
 
 _SEEN = ("masks", "cloud", "skeleton", "stem", "flowers")
+
+
+@pytest.mark.parametrize(("allowed", "lasts"), [(30.0, 20.0), (15.0, 15.0), (9.9, None)])
+def test_a_watched_shake_ends_within_what_the_cell_allows(
+    monkeypatch: pytest.MonkeyPatch, allowed: float, lasts: float | None
+) -> None:
+    """Else the guard would end it in the middle; where there is no time to look, the plan alone is done."""
+    monkeypatch.setattr(pipeline, "foresee", lambda *_, **__: None)
+    monkeypatch.setattr(pipeline, "watch_points", lambda _: [0])
+    monkeypatch.setattr(pipeline, "Escalation", lambda *_, params, **__: params)
+    robot = SimpleNamespace(side_camera=SimpleNamespace(intrinsics=None), T_world_side_camera=np.eye(4))
+    cell: Any = SimpleNamespace(robot=robot, limits=replace(LIMITS, shake_duration=allowed))
+    seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))))
+    rods: Any = SimpleNamespace(rods=SimpleNamespace(nodes=np.zeros((1, 3))))
+    made: Any = pipeline._watching(cell, rods, made_plan(), seen, pipeline.Params())
+    assert (None if made is None else made.most_seconds) == lasts
 
 
 def test_a_shake_cut_short_before_the_camera_saw_enough_loses_nothing() -> None:

@@ -59,8 +59,9 @@ def trial_of(*steps: Step, shaken: bool = True) -> Trial:
 USUAL = Params()
 
 
-def told(trial: Trial, params: Params = USUAL, camera: object = "one") -> dict[str, Any]:
-    cell: Any = SimpleNamespace(robot_side=SimpleNamespace(robot=SimpleNamespace(side_camera=camera)))
+def told(trial: Trial, params: Params = USUAL, camera: object = "one", lasts: float = 20.0) -> dict[str, Any]:
+    robot, limits = SimpleNamespace(side_camera=camera), SimpleNamespace(shake_duration=lasts)
+    cell: Any = SimpleNamespace(robot_side=SimpleNamespace(robot=robot, limits=limits))
     done: Any = SimpleNamespace(trial=trial)
     return _watched(cell, done, params)
 
@@ -109,6 +110,10 @@ def test_the_plan_alone_is_said_with_its_reason(
     said = told(trial_of(*steps), params, camera)
     assert why in said["plan_alone_because"]
     assert "the plan alone was carried out" in watched_words(said)
+
+
+def test_a_cell_that_may_not_shake_for_long_enough_to_look_is_named() -> None:
+    assert "shake_duration" in told(trial_of(), lasts=9.9)["plan_alone_because"]
 
 
 def test_a_trial_that_never_shook_says_nothing_of_steps() -> None:

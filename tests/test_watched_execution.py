@@ -46,20 +46,20 @@ class Scripted:
         self.pieces = [Swing.first(TONES, self.sizes[0], 1.5, 0.4)]
         return self.pieces[0]
 
-    def since(self) -> float:
-        return self.pieces[-1].begin + 0.5
+    def since(self, piece: Swing) -> float:
+        return piece.begin + 0.5
 
-    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         count = len(self.pieces)
         self.fault(count)
         self.looks.append((list(frames), list(samples)))
-        when = samples[0].time + self.since(), samples[-1].time
+        when = samples[0].time + self.since(piece), samples[-1].time
         flowers = (1.5, float("nan"))
         self.steps += (
             Step(*when, tuple(TONES), (0.1, 0.2), (0.0, 1.0, 0.0), flowers, {"slip": 0.5}, f"piece {count}", 0.01),
         )
         last = count == len(self.sizes) - 1
-        self.pieces.append(self.pieces[-1].then(self.sizes[count], 0.4 if last else 1.2, 0.4))
+        self.pieces.append(piece.then(self.sizes[count], 0.4 if last else 1.2, 0.4))
         return self.pieces[-1]
 
 
@@ -278,7 +278,7 @@ def test_a_camera_is_not_blamed_for_a_shake_that_did_not_begin() -> None:
 
 def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
     arm, gripper = FakeArm(), FakeGripper()
-    watched = Scripted(pieces=[(0.0008, 0.0006)] * 20)
+    watched = Scripted(pieces=[(0.0008, 0.0006)] * 40)
     trial = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS, watched=watched)
     check_end(trial, arm, gripper)
     assert "shake duration" in trial.stop_reason
@@ -287,9 +287,9 @@ def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
 
 def test_one_who_never_stops_the_pads_is_not_left_so() -> None:
     class Endless(Scripted):
-        def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-            piece = super().go_on(frames, samples)
-            return replace(piece, amplitudes=np.zeros(2), ramp=piece.seconds) if len(self.pieces) > 2 else piece
+        def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+            new = super().go_on(piece, frames, samples)
+            return replace(new, amplitudes=np.zeros(2), ramp=new.seconds) if len(self.pieces) > 2 else new
 
     arm, gripper = FakeArm(), FakeGripper()
     robot: Robot = fake_robot(arm, gripper)

@@ -297,8 +297,8 @@ class SafetyLimits:
         stale_after: joints that read the same for so long although the command moves on are not believed [s].
         shake_speed, shake_acceleration: largest amplitude x 2 pi frequency [m/s], and x (2 pi frequency)^2 [m/s^2], of
             a shake. At 12 m/s^2 a Sawyer is at its own limits (facts: sawyer 6: 11.6 mm at 5 Hz, 2.9 mm at 10 Hz).
-        shake_duration: of all shaking of a visit [s]. Trellises are shaken for 60 s (facts: pollination 1a); twelve are
-            enough to look and to raise a shake in steps.
+        shake_duration: of all shaking of a visit [s]. Trellises are shaken for 60 s (facts: pollination 1a); half of
+            that leaves a watched shake of twenty seconds time to go on where decisions are late.
         motor_stroke: farthest that a motor may move the pads to either side [m] (`shake.VibratingGripper`).
         motor_acceleration: with which it may move them [m/s^2]: moves a flower with 50 m/s^2 at gain 1 (facts:
             pollination 1b). A guess.
@@ -324,7 +324,7 @@ class SafetyLimits:
     stale_after: float = 0.1
     shake_speed: float = 0.5
     shake_acceleration: float = 12.0
-    shake_duration: float = 12.0
+    shake_duration: float = 30.0
     motor_stroke: float = 1.5e-3
     motor_acceleration: float = 50.0
     grip_force: float = 20.0

@@ -13,7 +13,7 @@ from anther.capture import Capture
 from anther.cloud import Cloud, likely_cause
 from anther.devices import Robot, SafetyLimits
 from anther.errors import FailureKind, InputError, StageFailure
-from anther.escalation import Escalation, foresee, watch_points
+from anther.escalation import SHORTEST, Escalation, foresee, watch_points
 from anther.execution import Trial
 from anther.execution.early_reach import Arrive, early_reach
 from anther.flowers import Flowers
@@ -322,7 +322,8 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
     """Return what raises the shake by what the side camera sees; None where it cannot."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     wanted = params.escalate or params.actuator == "gripper"
-    if camera is None or pose is None or not wanted or not len(seen.flowers.positions):
+    seconds = min(params.escalation.most_seconds, cell.limits.shake_duration)
+    if camera is None or pose is None or not wanted or not len(seen.flowers.positions) or seconds < SHORTEST:
         return None
     points = watch_points(rods)
     tones, pads = shake.tones, params.shake.pads
@@ -335,7 +336,7 @@ def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params
         camera=(camera.intrinsics, pose),
         middle=shake.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
         limits=params.shake,
-        params=params.escalation,
+        params=replace(params.escalation, most_seconds=seconds),
     )
 
 

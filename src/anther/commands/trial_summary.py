@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.devices import GripperState
+from anther.escalation import SHORTEST
 from anther.execution import Step
 from anther.geometry import Array
 from anther.results import watched_words
@@ -143,6 +144,8 @@ def _alone(cell: SimulatedCell | HardwareCell, steps: Sequence[Step], params: Pa
         return "it was not to be watched, as asked"
     if cell.robot_side.robot.side_camera is None:
         return "there is no side camera"
+    if cell.robot_side.limits.shake_duration < SHORTEST:
+        return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
     return "no flower was found that could be watched"
 
 

@@ -31,7 +31,7 @@ from anther.escalation.knowledge import (
     settled,
     summed,
 )
-from anther.escalation.params import Params
+from anther.escalation.params import SHORTEST, Params
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.response.points import likeness, sight, swings
@@ -41,7 +41,7 @@ from anther.shake.observables import semi_major
 from anther.shake.params import FLOWER_SPREAD
 from anther.swing import Swing
 
-__all__ = ["Escalation", "Foresight", "Params", "foresee", "watch_points"]
+__all__ = ["SHORTEST", "Escalation", "Foresight", "Params", "foresee", "watch_points"]
 
 
 DEFAULTS = Params()
@@ -158,18 +158,17 @@ class Escalation:
         intrinsics, T_world_cam = self._camera
         self._sight = sight(frame, intrinsics, T_world_cam, *self._places)
         probe = self._probe_along(0)
-        self._piece = Swing.first(self._hertz, probe.amplitudes, probe.ramp + probe.seconds + LEAD, probe.ramp)
-        return self._piece
+        return Swing.first(self._hertz, probe.amplitudes, probe.ramp + probe.seconds + LEAD, probe.ramp)
 
-    def since(self) -> float:
+    def since(self, piece: Swing) -> float:
         """Return from when on the piece under way is steady [s], counted from the shake's begin."""
-        piece = self._piece
         steady = self._probe if self._probing else self._watch(int(piece.amplitudes.argmax()))
         return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
 
-    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return what follows what was seen; the last piece ends at rest."""
-        started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.since()]
+        started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.since(piece)]
+        self._piece = piece
         look = self._looked(frames, steady, samples[0].time)
         if not self.steps:
             self._in_sight = look.followed
@@ -189,8 +188,7 @@ class Escalation:
         self.steps = (*self.steps, step)
         ramp = max(follows.ramp, *(self._ramp(int(n)) for n in active))
         moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0
-        self._piece = self._piece.then(follows.amplitudes, ramp + moving, ramp)
-        return self._piece
+        return piece.then(follows.amplitudes, ramp + moving, ramp)
 
     def executed(self, steps: Sequence[Step]) -> ShakePlan:
         """Return the plan as it was carried out: the last step, and what the plant as believed would do in it."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anther.devices import (
     ArmRecord,
@@ -26,6 +26,7 @@ from anther.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.execution._closing import close, wait_after
 from anther.execution._params import Params
 from anther.execution._trial import EARLY, PHASES, Step, Trial
+from anther.execution._watched import Deciding, Line, Watched
 from anther.geometry import Array
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import choose_rate
@@ -76,50 +77,6 @@ class Planner(Protocol):
 
     def swing(self, q: Array, direction: Array, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
         """Return joined pieces of a flange shake about joints (J,) that all keep within `reach` [m]."""
-        ...
-
-
-class Line(NamedTuple):
-    """A line along which a watched shake may move the pads.
-
-    Attributes:
-        direction: (3,) unit, world.
-        tones: (K,) which tones of its pieces move along it.
-        reach: the pads never move further [m].
-    """
-
-    direction: Array
-    tones: NDArray[np.bool_]
-    reach: float
-
-
-class Watched(Protocol):
-    """A shake that is decided while it lasts, by what the side camera sees.
-
-    Attributes:
-        lines: along which its pieces move the pads.
-        steps: what was done so far.
-    """
-
-    @property
-    def lines(self) -> Sequence[Line]: ...
-    @property
-    def steps(self) -> tuple[Step, ...]: ...
-
-    def frame_rate(self, rates: Sequence[float]) -> float:
-        """Return at which of the camera's rates [1/s] it wants frames."""
-        ...
-
-    def begin(self, frame: Frame) -> Swing:
-        """Return the first piece; `frame` shows the held plant at rest."""
-        ...
-
-    def since(self) -> float:
-        """Return from when on the frames of the piece under way are wanted [s], counted from the shake's begin."""
-        ...
-
-    def go_on(self, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-        """Return the next piece, after frames since `since` and all readings of the arm; the last one ends at rest."""
         ...
 
 
@@ -286,7 +243,7 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
     """Shake in pieces, each decided by what was seen of the one before, without a stop between them."""
     camera, motor = work.robot.side_camera, work.robot.motor
     assert camera is not None
-    rest, done = work.robot.arm.joints(), [first]
+    rest, done, deciding = work.robot.arm.joints(), [first], Deciding(work.felt)
 
     def joints(piece: Swing) -> JointTrajectory:
         for amplitude, frequency in zip(piece.amplitudes, piece.frequencies, strict=True):
@@ -305,24 +262,28 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
         )
 
     def more() -> Swing | None:
-        if done[-1].stops:
+        piece, frames = done[-1], list[Frame]()
+        if piece.stops:
             return None
-        try:
-            frames = camera.recorded(work.felt[0].time + watched.since())
-        except DeviceError as error:
-            work.fail(error)
-            frames = []
-        done.append(watched.go_on(frames, work.felt))
+        if not deciding.under_way:
+            try:
+                frames = camera.recorded(work.felt[0].time + watched.since(piece))
+            except DeviceError as error:
+                work.fail(error)
+        done.append(deciding.after(piece, partial(watched.go_on, piece, frames, tuple(work.felt))))
         return done[-1]
 
     def onward() -> JointTrajectory | None:
         piece = more()
         return None if piece is None else joints(piece)
 
-    if motor is None:
-        _shake(work, lambda: work.follow(joints(first), work.felt.append, onward))
-    else:
-        _shake(work, lambda: work.note(motor.swing(first, work.felt.append, more)))
+    try:
+        if motor is None:
+            _shake(work, lambda: work.follow(joints(first), work.felt.append, onward))
+        else:
+            _shake(work, lambda: work.note(motor.swing(first, work.felt.append, more)))
+    finally:
+        deciding.close()
 
 
 def _shake(work: _Work, move: Callable[[], ArmRecord]) -> None:

@@ -1,0 +1,99 @@
+"""A shake that is decided while it lasts: what follows a piece is decided while the piece goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import replace
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.devices import ArmSample, Frame
+from anther.execution._trial import Step
+from anther.geometry import Array
+from anther.swing import Swing
+
+PATIENCE = 0.12
+"""How long a decision is waited for [s]; of the `LEAD` that a machine gives, the rest is for checking what follows."""
+LONGER = 0.5  # s: a piece goes on so much longer while what follows it is not decided
+
+
+class Line(NamedTuple):
+    """A line along which a watched shake may move the pads.
+
+    Attributes:
+        direction: (3,) unit, world.
+        tones: (K,) which tones of its pieces move along it.
+        reach: the pads never move further [m].
+    """
+
+    direction: Array
+    tones: NDArray[np.bool_]
+    reach: float
+
+
+class Watched(Protocol):
+    """A shake that is decided while it lasts, by what the side camera sees.
+
+    Attributes:
+        lines: along which its pieces move the pads.
+        steps: what was done so far.
+    """
+
+    @property
+    def lines(self) -> Sequence[Line]: ...
+    @property
+    def steps(self) -> tuple[Step, ...]: ...
+
+    def frame_rate(self, rates: Sequence[float]) -> float:
+        """Return at which of the camera's rates [1/s] it wants frames."""
+        ...
+
+    def begin(self, frame: Frame) -> Swing:
+        """Return the first piece; `frame` shows the held plant at rest."""
+        ...
+
+    def since(self, piece: Swing) -> float:
+        """Return from when on the frames of the piece under way are wanted [s], counted from the shake's begin."""
+        ...
+
+    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        """Return the next piece (`piece.then`), after frames since `since` and all readings of the arm.
+
+        The last one ends at rest. Called in another thread; until it returns, the piece goes on as it is.
+        """
+        ...
+
+
+class Deciding:
+    """Decisions in a thread of their own.
+
+    Args:
+        felt: the arm's readings so far; it grows while the arm moves. Waiting is timed by it, so that a simulated arm,
+            whose time stands still meanwhile, waits for every decision.
+    """
+
+    def __init__(self, felt: Sequence[ArmSample]) -> None:
+        self._felt, self._pool = felt, ThreadPoolExecutor(1)
+        self._coming: Future[Swing] | None = None
+
+    @property
+    def under_way(self) -> bool:
+        """Whether what follows the piece that was last asked about is still being decided."""
+        return self._coming is not None
+
+    def after(self, piece: Swing, decide: Callable[[], Swing]) -> Swing:
+        """Return what follows a piece: what is decided of it or, until that is there, the same for `LONGER`."""
+        asked = self._felt[-1].time
+        coming = self._coming = self._coming or self._pool.submit(decide)
+        while not wait([coming], timeout=0.01).done:
+            if self._felt[-1].time - asked > PATIENCE:
+                return piece.then(piece.amplitudes, LONGER, LONGER)
+        self._coming = None
+        return replace(coming.result(), begin=piece.begin + piece.seconds)
+
+    def close(self) -> None:
+        """Wait for no decision any more."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
