@@ -15,7 +15,7 @@ from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.shake import ShakePlan
 from anther.sim.cell import Cell, mujoco
-from anther.sim.robot import SimArm
+from anther.sim.robot import RATES, SimArm
 from anther.swing import Swing
 
 
@@ -23,6 +23,7 @@ class ClockCamera:
     """A camera that sees nothing, on the cell's clock: no response is measured here."""
 
     intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
+    rates = RATES
 
     def __init__(self, cell: Cell) -> None:
         self.cell, self.begun = cell, (0.0, 0.0)

@@ -175,6 +175,11 @@ class FaultyCamera:
         """Of every frame."""
         return self._camera.intrinsics
 
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """At which a recording may be begun [1/s]."""
+        return self._camera.rates
+
     def read(self) -> Frame:
         """Return a frame, or lose it."""
         self._reads += 1

@@ -33,6 +33,11 @@ class ReplayCamera:
         """Of every frame."""
         return self._capture.intrinsics
 
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """At which a recording may be begun [1/s]."""
+        return (1 / self._period,)
+
     def read(self) -> Frame:
         """Return the next view.
 

@@ -35,7 +35,6 @@ from swept import swept
 from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
 from anther.devices import Frame
 from anther.errors import InputError
-from anther.execution import Params as ExecutionParams
 from anther.files import replacing, write_json
 from anther.flowers import Flowers
 from anther.geometry import Array, inverse, transform_points
@@ -44,7 +43,7 @@ from anther.response import measure_response
 from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
-from anther.sim.robot import cut_out
+from anther.sim.robot import RATES, cut_out
 
 SHAKES = ((0.001, 10.0), (0.002, 6.0), (0.004, 3.0), (0.008, 6.0), (0.012, 1.5), (0.001, 30.0))
 """(median amplitude of the flowers [m], frequency [Hz])."""
@@ -192,7 +191,7 @@ def main() -> None:
     args = parser.parse_args()
     plants = [(s, args.seed + k) for k in range(1 if args.quick else args.plants) for s in CROPS]
     plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
-    jobs = [(*p, a, f, choose_rate(f, ExecutionParams().rates)) for p in plants for a, f in shakes]
+    jobs = [(*p, a, f, choose_rate(f, RATES)) for p in plants for a, f in shakes]
     hidden = [(*p, *b) for p in plants[:1] for b in BLIND]
     names = ("species", "seed", "amplitude", "frequency", "rate")
     cases = [dict(zip(names, job, strict=True)) for job in jobs + hidden]

@@ -95,6 +95,7 @@ class BoardCamera:
     """See the module."""
 
     intrinsics = CAMERA
+    rates = (30.0,)
 
     def __init__(self, world: str, arm: Any) -> None:
         self.truth, self.arm, self.reads = read_truth(world), arm, 0

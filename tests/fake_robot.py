@@ -92,9 +92,10 @@ class FakeCamera:
     """Sees nothing, at the rate asked for, for a second."""
 
     intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
+    rates = (15.0, 30.0, 60.0, 90.0)
 
     def __init__(self) -> None:
-        self.rates: list[float] = []
+        self.asked: list[float] = []
         self.reads = 0
 
     def read(self) -> Frame:
@@ -102,15 +103,15 @@ class FakeCamera:
         return self._frame(self.reads / 30)
 
     def start(self, rate: float) -> None:
-        self.rates.append(rate)
+        self.asked.append(rate)
 
     def recorded(self, since: float) -> list[Frame]:
-        if not self.rates:
+        if not self.asked:
             raise DeviceError("it records nothing")
-        return [self._frame(since + i / self.rates[-1]) for i in range(int(self.rates[-1] / 2))]
+        return [self._frame(since + i / self.asked[-1]) for i in range(int(self.asked[-1] / 2))]
 
     def stop(self) -> list[Frame]:
-        return [self._frame(i / self.rates[-1]) for i in range(int(self.rates[-1]))] if self.rates else []
+        return [self._frame(i / self.asked[-1]) for i in range(int(self.asked[-1]))] if self.asked else []
 
     def _frame(self, time: float) -> Frame:
         return Frame(time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))

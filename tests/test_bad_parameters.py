@@ -42,7 +42,7 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
     [
         (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0),
         (skeleton.Params, "recentre", 1_000_000),
-        (flowers.Params, "reach", 0.0), (execution.Params, "rates", ()), (execution.Params, "rates", (0.0,)),
+        (flowers.Params, "reach", 0.0),
         (execution.Params, "settle", 1e9), (grasp.Params, "spacing", 0.0), (grasp.Params, "wanted", 0),
         (shake.Params, "most_amplitude", 0.0),
         (shake.Params, "most_amplitude", float("inf")), (masks.Params, "ground_radius", 10.0),

@@ -297,6 +297,27 @@ def test_rate_and_losses_of_a_webcam_are_measured() -> None:
     assert health.longest_gap > 5 / 40
 
 
+def test_a_camera_offers_the_rate_that_it_has_and_whole_parts_of_it_not_what_it_was_asked_for() -> None:
+    with FreeRunningCamera(Uvc(0, WEBCAM, rate=90.0, opener=FakeWebcam(rate=40.0)), 2) as camera:
+        until(lambda: camera.health().received >= 20)
+        first, *rest = camera.rates
+        camera.start(rest[0])
+        time.sleep(1.0)
+        gaps = np.diff([f.time for f in camera.stop()])
+    assert first == pytest.approx(40, rel=0.2)
+    assert rest == pytest.approx([first / 2, first / 3, first / 4, first / 6])
+    assert np.median(gaps) == pytest.approx(2 / first, rel=0.2)
+
+
+def test_a_camera_that_has_stopped_offers_no_rate() -> None:
+    fake = FakeWebcam()
+    with webcam(fake) as camera:
+        fake.there = False
+        until(lambda: bool(camera.health().fault))
+        with pytest.raises(DeviceError):
+            _ = camera.rates
+
+
 def test_a_recording_is_thinned_to_the_rate_asked_for() -> None:
     with webcam(FakeWebcam(rate=100.0)) as camera:
         camera.start(20.0)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fake_robot import FakeCamera
 from made_foresight import ALONG, FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
 from scipy.stats import norm
 
@@ -18,7 +19,6 @@ from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
 from anther.escalation.knowledge import DAMPING, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
-from anther.execution import Params as ExecutionParams
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
 from anther.shake import PlantLimits
@@ -175,7 +175,7 @@ def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(
         plan = replace(FREE, tones=replace(FREE.tones, frequencies=tones))
         world = World(foresight._replace(tones=tones), foresight.vectors[1], plan=plan)
         watched = shaken(world)
-        rates = ExecutionParams().rates
+        rates = FakeCamera.rates
         rate = watched.frame_rate(rates)
         looks = [(step.end - step.begin, np.array(step.frequencies)) for step in watched.steps]
         best = [likeness(max(rates), *look) for look in looks]

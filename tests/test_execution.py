@@ -278,8 +278,8 @@ def test_a_grasp_without_joints_is_unreachable() -> None:
 
 @given(frequency=st.floats(0.5, 40))
 def test_the_camera_rate_can_tell_the_phase(frequency: float) -> None:
-    rate = choose_rate(frequency, Params().rates)
-    assert rate in Params().rates
+    rate = choose_rate(frequency, FakeCamera.rates)
+    assert rate in FakeCamera.rates
     assert rate >= 8 * frequency or 0.05 < alias(frequency, rate) / rate < 0.45
 
 

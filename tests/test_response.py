@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from anther.devices import Frame
 from anther.errors import InputError
-from anther.execution import Params as ExecutionParams
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.oscillation import choose_rate, find_frequency, fit_swing, swing_basis
 from anther.response import Response, measure_response
 from anther.response.depth import depth_along
 from anther.response.petals import Patch, petal_weight
+from anther.sim.robot import RATES
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
 T_WORLD_CAM = look_at([0.72, -0.55, 0.1], [0.72, 0.0, 0.1])
@@ -53,7 +53,7 @@ def record(
     amplitude: float, frequency: float, *, count: int = 45, colour: tuple[int, int, int] = (245, 215, 40)
 ) -> list[Frame]:
     rng = np.random.default_rng(0)
-    rate = choose_rate(frequency, ExecutionParams().rates)
+    rate = choose_rate(frequency, RATES)
     gain = np.array([1.0, 0.5, 1.5])[:, None]
     frames = []
     for i in range(count):
@@ -254,7 +254,7 @@ def test_a_response_survives_the_disk(tmp_path: Path) -> None:
     drift=st.floats(-0.01, 0.01),
 )
 def test_the_fit_is_exact_on_a_sinusoid(amplitude: float, frequency: float, phase: float, drift: float) -> None:
-    rate = choose_rate(frequency, ExecutionParams().rates)
+    rate = choose_rate(frequency, RATES)
     times = np.arange(90) / rate
     direction = np.array([0.6, 0.0, 0.8])
     path = np.outer(amplitude * np.sin(2 * np.pi * frequency * times + phase), direction) + drift * times[:, None]

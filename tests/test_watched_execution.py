@@ -147,7 +147,7 @@ def test_the_frame_rate_is_what_the_shake_asks_for(rate: float) -> None:
     watched.rate = rate
     execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
     assert isinstance(robot.side_camera, FakeCamera)
-    assert robot.side_camera.rates == [rate]
+    assert robot.side_camera.asked == [rate]
 
 
 def test_without_a_side_camera_the_plan_is_carried_out() -> None:

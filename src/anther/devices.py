@@ -196,6 +196,11 @@ class Camera(Protocol):
         """Of every frame."""
         ...
 
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """At which a recording may be begun [1/s]."""
+        ...
+
     def read(self) -> Frame:
         """Return one frame taken now.
 
@@ -205,7 +210,7 @@ class Camera(Protocol):
         ...
 
     def start(self, rate: float) -> None:
-        """Begin to record at `rate` frames per second."""
+        """Begin to record at `rate` frames per second, one of `rates`."""
         ...
 
     def recorded(self, since: float) -> list[Frame]:

@@ -26,6 +26,8 @@ AGAIN = 1.0
 """Between two tries to open a camera that stopped [s]."""
 MOST_BYTES = 1e9
 """Of a recording no more than so much is kept, its end [bytes]: 351 frames of 848 x 480 px."""
+PARTS = (1, 2, 3, 4, 6)
+"""A recording has every such frame."""
 _COLD = "camera: it is still warming up"
 _HEARD = 100  # frames that rate and longest gap are told from
 
@@ -141,6 +143,19 @@ class FreeRunningCamera:
     def intrinsics(self) -> Intrinsics:
         """Of every frame."""
         return self._intrinsics
+
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """At which a recording may be begun [1/s]: the rate that frames really have, and whole parts of it.
+
+        Raises:
+            DeviceError: the camera has stopped.
+        """
+        self._wait_for(lambda: self._fault or len(self._times) > 1, STALLED)
+        with self._news:
+            self._refuse_if_stopped()
+            rate = 1 / float(np.median(np.diff(self._times)))
+        return tuple(rate / n for n in PARTS)
 
     def read(self) -> Frame:
         """Return the first frame taken from now on.

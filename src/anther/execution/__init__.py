@@ -303,7 +303,7 @@ def _filmed(work: _Work) -> Iterator[None]:
         yield
         return
     try:
-        camera.start(_rate(work))
+        camera.start(_rate(work, camera.rates))
     except DeviceError as error:
         work.fail(error)
     shaken = False
@@ -319,11 +319,9 @@ def _filmed(work: _Work) -> Iterator[None]:
             work.fail(error)
 
 
-def _rate(work: _Work) -> float:
-    """Return the frame rate that suits the shake."""
-    if work.watched is None:
-        return choose_rate(work.plan.frequency, work.params.rates)
-    return work.watched.frame_rate(work.params.rates)
+def _rate(work: _Work, rates: Sequence[float]) -> float:
+    """Return the one of a camera's frame rates that suits the shake."""
+    return choose_rate(work.plan.frequency, rates) if work.watched is None else work.watched.frame_rate(rates)
 
 
 def _back(work: _Work) -> None:

@@ -14,17 +14,12 @@ class Params:
     Attributes:
         approach_speed: on that line [m/s].
         settle: wait between closing and shaking, in which touched leaves calm down [s].
-        rates: frame rates the side camera has [Hz] (D455).
     """
 
     approach_speed: float = 0.12
     settle: float = 0.6
-    rates: tuple[float, ...] = (15.0, 30.0, 60.0, 90.0)
 
     def __post_init__(self) -> None:
         check_parameters(self)
         check_range("approach_speed", self.approach_speed, 0.001, 0.6, "m/s")
         check_range("settle", self.settle, 0.01, 30.0, "s")
-        check_range("number of rates", len(self.rates), 1, 100)
-        for rate in self.rates:
-            check_range("rates", rate, 1, 1000, "Hz")

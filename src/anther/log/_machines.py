@@ -160,6 +160,11 @@ class HeardCamera:
         """See `anther.devices.Camera`."""
         return self._camera.intrinsics
 
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """See `anther.devices.Camera`."""
+        return self._camera.rates
+
     def read(self) -> Frame:
         """See `anther.devices.Camera`."""
         frame = self._camera.read()

@@ -220,6 +220,11 @@ class GuardedCamera:
         """Of every frame."""
         return self._camera.intrinsics
 
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """At which a recording may be begun [1/s]."""
+        return self._camera.rates
+
     def read(self) -> Frame:
         """Return one frame taken now.
 

@@ -123,6 +123,9 @@ class SimGripper:
         return GripperState(opening, force, force > 1.0 and opening > self.cell.grip_command + 2e-4)
 
 
+RATES = (15.0, 30.0, 60.0, 90.0)  # 1/s; a D455 at 848 x 480 px
+
+
 class SimCamera:
     """An RGB-D camera in the cell. Frames of a recording are rendered, from the log, when it is stopped."""
 
@@ -164,6 +167,11 @@ class SimCamera:
     def intrinsics(self) -> Intrinsics:
         """Of every frame."""
         return self._intrinsics
+
+    @property
+    def rates(self) -> tuple[float, ...]:
+        """At which a recording may be begun [1/s]."""
+        return RATES
 
     def read(self) -> Frame:
         """Return one frame taken now."""
