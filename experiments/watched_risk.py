@@ -49,6 +49,7 @@ from anther.plant import PEPPER, TOMATO
 from anther.response.points import Sight, Swings, sight
 from anther.shake import PlantLimits, ShakePlan
 from anther.shake.observables import ComplexArray, semi_major
+from anther.shake.params import RINGING
 from anther.shake.plant_limits import FAST
 from anther.sim.judge import Harm
 from anther.sim.plant import Organ
@@ -70,7 +71,7 @@ TOGETHER = 0.7
 SLOW = 5.0  # Hz: the judge counts leaves' loads below
 SAID = {"stem": "stem_strain", "pedicel": "joint_strain", "base": "base_strain"}
 """Kinds of `TOLERANCE` -> of `foresight.LOADS`; limits are those of `PlantLimits`, <kind>_strain."""
-BANDS = {"slow": (0.0, FAST), "ringing": (FAST, knowledge.RINGING), "fast": (knowledge.RINGING, np.inf)}
+BANDS = {"slow": (0.0, FAST), "ringing": (FAST, RINGING), "fast": (RINGING, np.inf)}
 
 
 class Begins(BaseException):
@@ -247,7 +248,7 @@ def metrics(way: str, rows: Sequence[dict[str, Any]]) -> dict[str, float]:
         for row in rows
         for one in row["shakes"]
         for look in one["looks"]
-        if one["risk"] == (knowledge.WATCHED if look["hertz"] <= knowledge.RINGING else knowledge.WATCHED_FASTEST)
+        if one["risk"] == (knowledge.WATCHED if look["hertz"] <= RINGING else knowledge.WATCHED_FASTEST)
     ]
     for band, (low, high) in BANDS.items():
         looks = [look for look, _ in used if low < look["hertz"] <= high]

@@ -33,7 +33,7 @@ from anther.shake.actuators import RAMPS
 from anther.shake.choice import PRESS, _worth, plant_limits
 from anther.shake.limits import sawyer_limit
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
-from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, load_error
+from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
 from anther.shake.plant_limits import FAST
 from anther.shake.search import Version, gains, scenarios
 from anther.shake.verification import steadily_shaken, verified
@@ -238,10 +238,25 @@ def test_a_leaf_s_load_binds_up_to_the_tones_of_an_arm_and_strain_above(plant: P
 
 
 def test_a_margin_is_that_of_the_tone() -> None:
-    median, spread = load_error("joint_strain", np.array([[2.0], [FAST], [FAST + 0.1]]))
-    assert median.shape == spread.shape == (3, 1)
-    assert (median[0], spread[0]) == (median[1], spread[1]) == LOAD_ERROR["joint_strain"]
-    assert (median[2], spread[2]) == FAST_LOAD_ERROR["joint_strain"]
+    tones = np.array([[2.0], [FAST], [np.sqrt(FAST * RINGING)], [RINGING], [40.0]])
+    for kind, slow in LOAD_ERROR.items():
+        fast = FAST_LOAD_ERROR[kind]
+        median, spread = load_error(kind, tones)
+        assert median.shape == spread.shape == (5, 1)
+        assert (median[0], spread[0]) == (median[1], spread[1]) == slow
+        assert (median[2], spread[2]) == (
+            pytest.approx(np.sqrt(slow[0] * fast[0])),
+            pytest.approx(np.mean([slow[1], fast[1]])),
+        )
+        assert (median[3], spread[3]) == (median[4], spread[4]) == (pytest.approx(fast[0]), pytest.approx(fast[1]))
+
+
+def test_no_margin_jumps_from_one_tone_to_the_next() -> None:
+    tones = np.geomspace(5.0, 40.0, 2000)
+    for kind in LOAD_ERROR:
+        median, spread = load_error(kind, tones)
+        bound = np.log(median) + 2 * spread
+        assert np.abs(np.diff(bound)).max() < 0.02
 
 
 def test_flowers_that_grow_from_the_stem_itself_are_planned_for() -> None:

@@ -20,7 +20,7 @@ from anther.response.points import Swings
 from anther.shake import Params as Limits
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import FLOWER_SPREAD, load_error
+from anther.shake.params import FLOWER_SPREAD, RINGING, blended, fastness, load_error
 from anther.shake.plant_limits import FAST
 
 SEEN_ERROR = {
@@ -37,15 +37,8 @@ points seen with an error of 12 %: 5 % of the loads pass what they say at that r
 on 21 plants shaken in the whole cell (7752-7754, 9572-9579). Of the grip's force: that of the model."""
 
 FAST_SEEN_ERROR = SEEN_ERROR | {"joint_strain": (0.5, 0.45), "base_strain": (1.1, 0.85)}
-"""The same above `FAST`, as `shake.params.FAST_LOAD_ERROR`; of pedicels beside what unknown flowers may do
+"""The same from `RINGING` on, as `shake.params.FAST_LOAD_ERROR`; of pedicels beside what unknown flowers may do
 (`Foresight.pedicels`)."""
-RINGING_SEEN_ERROR = FAST_SEEN_ERROR | {"joint_strain": (0.42, 0.75)}
-"""The same between `FAST` and `RINGING`, where single pedicels ring: a judgement between two measurements. In 26 shakes
-of ten plants in the whole cell (9830-9836) the pedicel bent most came to 0.23 of what (0.5, 0.9) says of it (median; at
-most 0.8); by MuJoCo's linear equations (34 plants, 9720-9739) one passed what (0.5, 0.7) says at a risk of 7.5 % in
-23 % of the looks."""
-RINGING = 20.5
-"""Up to here pedicels ring [Hz]."""
 
 WATCHED, WATCHED_FASTEST = 5.0, 8.0
 """So many times the plan's risk is allowed once the camera has seen the shake, up to `RINGING` and above: a load that
@@ -241,7 +234,7 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
     swing = semi_major(flowers)
     members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
-    unknown = FLOWER_SPREAD if hertz > FAST else 0.0  # `SEEN_ERROR` of slower tones contains it
+    unknown = FLOWER_SPREAD * float(fastness(hertz))  # `SEEN_ERROR` of slower tones contains it
     shaken = np.where(seen, swing, np.nan) if seen.any() else np.where(followed, shown, np.nan)  # at least as far
     members["joint_strain"] = foresight.pedicels(one.members, shaken, may, unknown)
     errors = dict(seen_error(hertz))
@@ -341,7 +334,8 @@ def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:
 
 def seen_error(hertz: float) -> Mapping[str, tuple[float, float]]:
     """Return `SEEN_ERROR` of a tone."""
-    return SEEN_ERROR if hertz <= FAST else RINGING_SEEN_ERROR if hertz <= RINGING else FAST_SEEN_ERROR
+    errors = {kind: blended(SEEN_ERROR[kind], FAST_SEEN_ERROR[kind], hertz) for kind in SEEN_ERROR}
+    return {kind: (float(median), float(spread)) for kind, (median, spread) in errors.items()}
 
 
 def risk(planned: float, hertz: float) -> float:
