@@ -3,9 +3,10 @@ r"""What the margins of the plant's loads promise: how many pass them, by the mo
     python tools/record.py experiments/loads.py --page docs/reports/loads.md
 
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at two
-places and shaken a little at fourteen tones. The truth is MuJoCo's linear equations. The camera sees the nodes that are
-in sight at rest, each with an error of 12 % and 0.03 px. `shake.params.load_error` and `escalation.knowledge.seen_error`
-were set on the plants of --development; others check them: 5 % of the loads should pass a margin of 5 %.
+places and shaken a little at fourteen tones. The truth is MuJoCo's linear equations. The camera sees the nodes that
+are in sight at rest, each with an error of 12 % and 0.03 px. `shake.params.load_error` and
+`escalation.knowledge.seen_error` were set on the plants of --development; others check them: 5 % of the loads should
+pass a margin of 5 %.
 
 Keys of --json: `past_model_<load>`, `past_seen_<load>` (shares), `factor_...` (median of the margin over what is said),
 `spread_...` (of ln true over said), `rank_...` (Spearman), all also with `_ringing` and `_fast` for the tones of
