@@ -21,7 +21,7 @@ from anther.escalation import foresight as foresight_module
 from anther.escalation.knowledge import DAMPING, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
-from anther.shake import PlantLimits
+from anther.shake import PlantLimits, plant_limits
 from anther.shake.observables import semi_major
 
 WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
@@ -36,6 +36,7 @@ Shaken = Callable[[World], Escalation]
 def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     """Shake a world with a camera that sees as it says and an arm that reads so, by members trusted to 2 %."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
+    monkeypatch.setattr(plant_limits, "GUSTS", float(TONES.max()))  # leaves count at every tone
     monkeypatch.setattr(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones))))
     monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 

@@ -34,7 +34,7 @@ from anther.shake.choice import PRESS, _worth, plant_limits
 from anther.shake.limits import sawyer_limit
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
-from anther.shake.plant_limits import FAST
+from anther.shake.plant_limits import FAST, GUSTS
 from anther.shake.search import Version, gains, scenarios
 from anther.shake.verification import steadily_shaken, verified
 
@@ -221,15 +221,15 @@ def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: Plant
 
 def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:
     with pytest.raises(StageFailure, match=r"the largest is .* mm at .* Hz\. The limit that binds is leaf-base") as no:
-        plan_shake(plant, grasps, params=replace(QUICK, highest=10, plant=PlantLimits(leaf_load=1e-3)))
+        plan_shake(plant, grasps, params=replace(QUICK, highest=GUSTS, plant=PlantLimits(leaf_load=1e-3)))
     assert no.value.kind == "limits_exceeded"
 
 
-def test_a_leaf_s_load_binds_up_to_the_tones_of_an_arm_and_strain_above(plant: PlantModel, grasps: list[Grasp]) -> None:
-    light = PlantLimits(leaf_load=2.0)
+def test_a_leaf_s_load_binds_up_to_the_pace_of_gusts_and_strain_above(plant: PlantModel, grasps: list[Grasp]) -> None:
+    light, strong = PlantLimits(leaf_load=2.0), ArmShaker(lambda g, d, f: 9 * sawyer_limit(g, d, f))
     slow, fast = (
-        plan_shake(plant, grasps, VibratingGripper(), replace(QUICK, plant=light, lowest=a, highest=b))
-        for a, b in ((10.0, FAST), (FAST + 1, 30.0))
+        plan_shake(plant, grasps, strong, replace(QUICK, plant=light, lowest=a, highest=b))
+        for a, b in ((2.0, GUSTS), (GUSTS + 0.1, 20.0))
     )
     slow_rows, fast_rows = ({name: share for name, _, _, share in plan.limits} for plan in (slow, fast))
     assert max(slow_rows, key=lambda name: slow_rows[name]) == "leaf-base load [m/s2]"
