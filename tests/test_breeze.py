@@ -54,7 +54,7 @@ def test_words_say_where_the_table_ends() -> None:
 
 def test_the_names_are_those_of_a_plans_limits() -> None:
     skeleton, stem, flowers = branched()
-    few = Params(frequencies=2, directions=2, heights=0, draws=1, lowest=5, highest=8)
+    few = Params(frequencies=2, directions=2, heights=0, draws=1, lowest=3, highest=4.9)
     plan = plan_shake(build_plant(skeleton, stem, flowers, None, TOMATO), grasps_on(skeleton, stem, [8]), params=few)
     assert set(BREEZE) <= {name for name, *_ in plan.limits}
 

@@ -76,7 +76,7 @@ def test_a_skeletons_flowers_are_named_or_supposed(file: Path, capsys: pytest.Ca
         (["--flower", "1"], "flower: got the root"),
         (["--flower", "999"], "node number: got 999"),
         (["--highest", "0.5"], "band of the arm"),
-        (["--params.plant.leaf-load", "0.001"], "no shake of 0.3 mm or more is allowed"),
+        (["--params.plant.stem-strain", "0.00000001"], "no shake of 0.3 mm or more is allowed"),
         (["--material", "nowhere.json"], "nowhere.json"),
     ],
 )
