@@ -267,6 +267,13 @@ def test_of_fast_tones_those_at_which_pedicels_ring_have_the_wider_margin() -> N
     assert bounds[0] - bounds[-1] > 1
 
 
+def test_of_two_looks_the_one_that_allowed_less_is_not_forgotten() -> None:
+    less, more = knowledge.Allowed(1e-3, 5.0, "slip"), knowledge.Allowed(4e-3, 20.0, "the target")
+    assert knowledge.remembered(more, less) == less, "what was seen last allows no more than it says"
+    both = knowledge.remembered(less, more)
+    assert (both.amplitude, both.flowers, both.binds) == (pytest.approx(2e-3), pytest.approx(10.0), "slip")
+
+
 def test_more_is_risked_of_what_was_watched_and_most_of_the_fastest_but_never_more_than_half() -> None:
     for planned in (0.001, 0.02, 0.09, 0.4):
         slow, ringing, fastest = (knowledge.risk(planned, hertz) for hertz in (3.0, RINGING, 30.0))

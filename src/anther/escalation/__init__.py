@@ -27,6 +27,7 @@ from anther.escalation.knowledge import (
     lateness,
     limits_of,
     noted,
+    remembered,
     risk,
     settled,
     summed,
@@ -259,7 +260,9 @@ class Escalation:
         """Learn of a shake that was done alone. By what its promise is not kept, those of the others count less too."""
         promised = self._may.get(shake)
         self._learned(shake, one)
-        if promised and shake not in self._alone and one.seen.any():
+        if promised and shake in self._alone:
+            self._may[shake] = remembered(promised, self._may[shake])
+        elif promised and one.seen.any():
             kept = min(self._may[shake].flowers / max(promised.flowers, 1e-12), 1.0)
             for other in set(self._may) - self._alone - {shake}:
                 self._may[other] = self._may[other]._replace(flowers=kept * self._may[other].flowers)

@@ -281,6 +281,16 @@ def allowed(one: Known, limits: Mapping[str, float], reach: float, params: Param
     return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
 
 
+def remembered(before: Allowed, now: Allowed) -> Allowed:
+    """Return how far a shake may be raised after two looks at it: if the first allowed less, half of that counts [ln].
+
+    What swung far once may do so again, and what is seen of a swing errs by a quarter.
+    """
+    share = min(1.0, (before.amplitude / now.amplitude) ** 0.5)
+    binds = now.binds if share == 1 else before.binds
+    return Allowed(share * now.amplitude, share * now.flowers, binds)
+
+
 def noted(
     tones: Array,
     look: Look,
