@@ -159,12 +159,12 @@ def test_an_unplugged_realsense_says_so_and_comes_back(bench: Bench) -> None:
         camera.read()
         bench.plugged = False
         until(lambda: "unplugged" in camera.health().fault)
-        began = time.monotonic()
-        with pytest.raises(DeviceError, match=r"unplugged.*Plug it in"):
+        began, gone = time.monotonic(), "(unplugged|none is connected).*Plug it in"  # the latter once it was tried again
+        with pytest.raises(DeviceError, match=gone):
             camera.read()
-        with pytest.raises(DeviceError, match="unplugged"):
+        with pytest.raises(DeviceError, match=gone):
             camera.start(RATE)
-        with pytest.raises(DeviceError, match=r"no frame since.*unplugged"):
+        with pytest.raises(DeviceError, match=f"no frame since.*{gone}"):
             camera.recorded(time.monotonic())
         assert time.monotonic() - began < 0.2  # nobody waits for a camera that is known to be gone
         kept = len(camera.recorded(0))
