@@ -159,7 +159,7 @@ def test_an_unplugged_realsense_says_so_and_comes_back(bench: Bench) -> None:
         camera.read()
         bench.plugged = False
         until(lambda: "unplugged" in camera.health().fault)
-        began, gone = time.monotonic(), "(unplugged|none is connected).*Plug it in"  # the latter once it was tried again
+        began, gone = time.monotonic(), "(unplugged|none is connected).*Plug it in"  # once tried again
         with pytest.raises(DeviceError, match=gone):
             camera.read()
         with pytest.raises(DeviceError, match=gone):
