@@ -153,18 +153,19 @@ def test_lost_frames_are_counted(bench: Bench) -> None:
     assert lost <= bench.number - before.received
 
 
-def test_an_unplugged_realsense_says_so_and_comes_back(bench: Bench) -> None:
+def test_an_unplugged_realsense_says_so_and_comes_back(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(free_running, "AGAIN", 3.0)  # a busy computer asks late; the next try says something else
     with realsense(bench) as camera:
         camera.start(RATE)
         camera.read()
         bench.plugged = False
         until(lambda: "unplugged" in camera.health().fault)
-        began, gone = time.monotonic(), "(unplugged|none is connected).*Plug it in"  # once tried again
-        with pytest.raises(DeviceError, match=gone):
+        began = time.monotonic()
+        with pytest.raises(DeviceError, match=r"unplugged.*Plug it in"):
             camera.read()
-        with pytest.raises(DeviceError, match=gone):
+        with pytest.raises(DeviceError, match="unplugged"):
             camera.start(RATE)
-        with pytest.raises(DeviceError, match=f"no frame since.*{gone}"):
+        with pytest.raises(DeviceError, match=r"no frame since.*unplugged"):
             camera.recorded(time.monotonic())
         assert time.monotonic() - began < 0.2  # nobody waits for a camera that is known to be gone
         kept = len(camera.recorded(0))

@@ -97,6 +97,10 @@ class Health:
     fault: str
 
 
+def _silent() -> DeviceError:
+    return DeviceError(f"camera: no frame in {STALLED:g} s. Check its cable, and that nobody else uses it.")
+
+
 class FreeRunningCamera:
     """A live camera, as a `devices.Camera`. Use it as a context manager, or close it.
 
@@ -149,11 +153,13 @@ class FreeRunningCamera:
         """At which a recording may be begun [1/s]: the rate that frames really have, and whole parts of it.
 
         Raises:
-            DeviceError: the camera has stopped.
+            DeviceError: the camera has stopped, or gives no two frames in `STALLED`.
         """
         self._wait_for(lambda: self._fault or len(self._times) > 1, STALLED)
         with self._news:
             self._refuse_if_stopped()
+            if len(self._times) < 2:
+                raise _silent()
             rate = 1 / float(np.median(np.diff(self._times)))
         return tuple(rate / n for n in PARTS)
 
@@ -175,7 +181,7 @@ class FreeRunningCamera:
         with self._news:
             self._refuse_if_stopped()
             if self._latest is None or self._latest.time < asked:
-                raise DeviceError(f"camera: no frame in {STALLED:g} s. Check its cable, and that nobody else uses it.")
+                raise _silent()
             return self._latest
 
     def start(self, rate: float) -> None:

@@ -35,7 +35,7 @@ FAST_LOAD_ERROR = LOAD_ERROR | {"joint_strain": (0.4, 0.8), "base_strain": (0.9,
 """The same from `RINGING` on: 24 plants (seeds 500-511), two grips, 17 to 38 Hz (docs/reports/loads.md)."""
 
 RINGING = 20.5
-"""From `FAST` up to here single pedicels ring [Hz], and errors blend: on 43 plants pedicels err at 14 to 15 Hz as at
+"""From `FAST` up to here single pedicels ring [Hz], and errors blend: on 61 plants pedicels err at 14 to 15 Hz as at
 slower tones, at 20 Hz as at faster ones (docs/reports/loads.md)."""
 
 MOST_DURATION = 5.0

@@ -12,7 +12,7 @@ from anther.geometry import Array
 
 GRAVITY = 9.81
 FAST = 14.0
-"""Faster than an arm shakes [Hz]."""
+"""Up to here an arm's readings tell what its gripper does, and loads err as they do at slow tones [Hz]."""
 GUSTS = 5.0
 """Up to here a leaf's load counts [Hz]: what petioles bear in units of their leaf's weight was measured slowly, and
 gusts that load them last a second (facts: pollination 2 and 6). Of faster shakes the strain of their bases counts,
