@@ -15,7 +15,7 @@ from anther.escalation import foresight as foresight_module
 from anther.escalation import knowledge
 from anther.escalation.foresight import LOADS, Foresight, foresee, misfit, narrowed
 from anther.escalation.gripper import ARM_FOLLOWS, gripper_motion, links
-from anther.escalation.knowledge import Known, Look, answered, known, lateness, summed
+from anther.escalation.knowledge import Answer, Known, Look, answered, known, lateness, summed
 from anther.plant import TOMATO, build_plant
 from anther.shake.observables import observables, semi_major
 from anther.shake.params import RINGING
@@ -265,6 +265,23 @@ def test_of_fast_tones_those_at_which_pedicels_ring_have_the_wider_margin() -> N
     assert np.all(np.diff(bounds) <= 0)
     assert np.abs(np.diff(bounds)).max() < 0.05
     assert bounds[0] - bounds[-1] > 1
+
+
+def test_the_fewer_flowers_are_known_the_more_their_pedicels_count_as_bent() -> None:
+    """Twins of one flower say nothing new: only that fewer may be hidden."""
+    foresight = made_foresight(3)
+    vectors, where = foresight.vectors.copy(), dict(foresight.where)
+    for kind in ("flowers", "joint_strain"):
+        vectors[..., where[kind], :] = vectors[..., where[kind].start, :][..., None, :]
+    loads = []
+    for count in (1, FLOWERS):
+        where["flowers"] = slice(0, count)
+        twins = foresight._replace(vectors=vectors, where=where, hangs=np.minimum(foresight.hangs, count - 1))
+        none = np.full((count, 3), np.nan)
+        loads.append(known(twins, 3.0, Answer(of(twins), none.astype(complex), none, AXES[:count]), 0.0, 0.05).loads)
+    alone, many = loads
+    assert alone["joint_strain"] == pytest.approx(np.sqrt(FLOWERS) * many["joint_strain"])
+    assert {**alone, "joint_strain": 0.0} == {**many, "joint_strain": 0.0}
 
 
 def test_of_two_looks_the_one_that_allowed_less_is_not_forgotten() -> None:
