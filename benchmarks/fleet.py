@@ -47,7 +47,7 @@ WRITERS, FLOWERS, SEASON = 20, 3, 200
 """Robots; flowers of a visit; days over which the visits are spread."""
 FAILURES = ("slipped", "unreachable", "no_stem_found", "branch_or_leaf_grasped")
 COLUMNS = {
-    "plants": "id, species, label, taught, learned",
+    "plants": "id, species, label",
     "visits": "id, plant_id, robot, time, success, failure, run, taught, acceleration_ms2, material_before, "
     "material_after",
     "grasps": "visit_id, arc_length_m, stem_diameter_m, confidence, organ",
@@ -76,7 +76,6 @@ def fill(where: str, visits: int, plants: int) -> None:
     rng = random.Random(1)
     before = json.dumps(record("x", "", 0, NOW).plain()["believed"])
     afters = [json.dumps(record("x", "", k, NOW).plain()["material"]) for k in range(50)]
-    learned = json.dumps({"scanned_youngs": [40.0, 736.0], "damping_ratio": [20.0, -60.0]})
     step = timedelta(days=SEASON) / visits
 
     def moment(k: int) -> str:
@@ -84,8 +83,7 @@ def fill(where: str, visits: int, plants: int) -> None:
 
     def of_plants() -> Iterator[tuple[Any, ...]]:
         for k in range(plants):
-            last = visits - plants + k
-            yield 10 + k, "pepper" if k % 4 == 0 else "tomato", f"row {k // 250}, {k % 250}", moment(last), learned
+            yield 10 + k, "pepper" if k % 4 == 0 else "tomato", f"row {k // 250}, {k % 250}"
 
     def of_visits() -> Iterator[tuple[Any, ...]]:
         for k in range(visits):

@@ -1,4 +1,4 @@
-"""What is believed of a plant before a trial: its own last belief, what its crop taught, or the facts."""
+"""What is believed of a plant before a trial: its own last belief, or the facts."""
 
 from __future__ import annotations
 
@@ -8,21 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from anther.errors import InputError
-from anther.history import (
-    GraspRecord,
-    ShakeRecord,
-    TrialRecord,
-    crop_prior,
-    earlier_shake,
-    facts_prior,
-    hierarchical_normal,
-    record_trial,
-    starting_material,
-)
+from anther.history import GraspRecord, ShakeRecord, TrialRecord, earlier_shake, record_trial, starting_material
 from anther.history._records import material_of
 from anther.plant import PEPPER, TOMATO, Material
 
@@ -51,10 +38,8 @@ def test_which_belief_is_used_and_said(tmp_path: Path) -> None:
     own = starting_material("tomato", "a", where)
     assert (own.source, own.material) == ("plant", second)
     assert "2 trials" in own.reason
-    crop = starting_material("tomato", "b", where)
-    assert (crop.source, crop.plants) == ("crop", 1)
-    assert TOMATO.youngs < crop.material.youngs < second.youngs
-    assert starting_material("pepper", "a", where).source == "facts"
+    for species, plant in (("tomato", "b"), ("pepper", "a")):
+        assert starting_material(species, plant, where).source == "facts", "another plant's stiffness is its own"
 
 
 def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
@@ -63,7 +48,6 @@ def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
     record_trial(replace(taught, success=False, failure="branch_or_leaf_grasped"), where)
     record_trial(replace(taught, measured_amplitude=(float("nan"),), material=TOMATO), where)
     assert starting_material("tomato", "a", where).source == "facts"
-    assert starting_material("tomato", "b", where).source == "facts"
 
 
 def test_the_last_shake_that_was_held_and_seen_is_remembered(tmp_path: Path) -> None:
@@ -96,82 +80,15 @@ def test_flowers_that_only_moved_too_little_teach_as_well(tmp_path: Path) -> Non
     after = TOMATO.changed(response_gain=0.6, response_spread=0.2)
     record_trial(replace(trial("a", TOMATO, after), measured_amplitude=(float("nan"),)), where)
     assert starting_material("tomato", "a", where).source == "plant"
-    assert starting_material("tomato", "b", where).material.response_gain < 1
 
 
-def test_no_plants_give_the_facts_and_many_give_the_crop() -> None:
-    assert crop_prior([], TOMATO) == TOMATO
-    assert hierarchical_normal(np.zeros(0), np.zeros(0), 18.0, 0.66) == (18.0, 0.66)
-    rng = np.random.default_rng(3)
-    truth = rng.normal(np.log(2.5e8), 0.25, 60)
-    trials = [trial(f"{k}", TOMATO, told(TOMATO, y + rng.normal(0, 0.3), 0.3)) for k, y in enumerate(truth)]
-    learned = crop_prior(trials, TOMATO)
-    assert np.log(learned.youngs) == pytest.approx(np.log(2.5e8), abs=3 * 0.4 / np.sqrt(60))
-    assert learned.youngs_spread == pytest.approx(0.25, abs=0.1)  # of the plants, not of the measurements (0.4 both)
-    untouched = ("density", "damping_ratio", "bend_over_twist", "twist_spread")
-    assert [getattr(learned, n) for n in untouched] == pytest.approx([getattr(TOMATO, n) for n in untouched])
-
-
-def test_the_prior_is_not_counted_once_a_plant() -> None:
-    """Plants that all say the same from weak evidence move the crop to it, wherever their own belief stayed."""
-    trials = [trial(f"{k}", TOMATO, told(TOMATO, np.log(4e8), 1.0)) for k in range(100)]
-    assert max(t.material.youngs for t in trials if t.material) < 1.6e8
-    assert crop_prior(trials, TOMATO).youngs == pytest.approx(4e8, rel=0.1)
-
-
-def test_two_trials_of_a_plant_are_one_plant() -> None:
-    """Whether it learned in one trial or in two that say as much together."""
-    half = told(TOMATO, np.log(3e8), 0.2 * np.sqrt(2))
-    twice = [trial("a", TOMATO, half), trial("a", half, told(half, np.log(3e8), 0.2 * np.sqrt(2)))]
-    once = [trial("a", TOMATO, told(TOMATO, np.log(3e8), 0.2))]
-    assert crop_prior(twice, TOMATO).youngs == pytest.approx(crop_prior(once, TOMATO).youngs, rel=1e-6)
-
-
-def test_what_is_predicted_covers_the_next_plant() -> None:
-    """Crops and plants drawn from the prior: 90 % intervals hold 90 % of the next plants (calibration)."""
-    rng, centre, spread, inside = np.random.default_rng(0), 18.0, 0.66, 0
-    for _ in range(400):
-        tau2 = 0.5 * spread**2 * 2 / rng.chisquare(4)
-        plants = rng.normal(rng.normal(centre, spread * np.sqrt(0.5)), np.sqrt(tau2), 7)
-        error = rng.uniform(0.1, 0.6, 6)
-        mean, deviation = hierarchical_normal(rng.normal(plants[:6], error), error, centre, spread)
-        inside += abs(plants[6] - mean) < 1.645 * deviation
-    assert 0.86 < inside / 400 < 0.94
-
-
-@given(st.lists(st.tuples(st.floats(10, 25), st.floats(0.02, 3)), max_size=8), st.floats(0.05, 1))
-def test_always_between_facts_and_plants(plants: list[tuple[float, float]], spread: float) -> None:
-    y, error = np.array([p[0] for p in plants]), np.array([p[1] for p in plants])
-    mean, deviation = hierarchical_normal(y, error, 18.0, spread)
-    assert min([18.0, *y]) - 1e-9 <= mean <= max([18.0, *y]) + 1e-9
-    assert np.isfinite(deviation)
-    assert deviation > 0
-
-
-def test_a_crop_teaches_its_gain_and_its_radius() -> None:
-    rng = np.random.default_rng(5)
-    trials = []
-    for k in range(30):
-        gain, scale = np.exp(rng.normal(np.log(0.5), 0.2)), np.exp(rng.normal(np.log(1.05), 0.01))
-        after = TOMATO.changed(response_gain=float(gain), response_spread=0.15)
-        trials.append(trial(f"{k}", TOMATO, after.changed(radius_scale=float(scale), radius_spread=0.02)))
-    learned = crop_prior(trials, TOMATO)
-    assert learned.response_gain == pytest.approx(0.5, rel=0.2)
-    assert learned.response_spread < 0.4
-    assert learned.radius_scale == pytest.approx(1.05, abs=0.02)
-    assert learned.scanned_youngs == pytest.approx(TOMATO.youngs)
-
-
-def test_a_plant_keeps_its_stiffness_and_begins_with_the_crops_gain(tmp_path: Path) -> None:
+def test_a_plant_keeps_its_stiffness_and_not_its_gain(tmp_path: Path) -> None:
     where = tmp_path / "h.sqlite"
-    low = told(TOMATO, np.log(3e8), 0.2).changed(response_gain=0.3, response_spread=0.3)
+    low = told(TOMATO, np.log(3e8), 0.2).changed(response_gain=0.3, response_spread=0.1)
     record_trial(trial("a", TOMATO, low), where)
-    for k in range(6):
-        other = TOMATO.changed(response_gain=1.0, response_spread=0.3)
-        record_trial(trial(f"{k}", TOMATO, other, hours=k + 1), where)
-    own, crop = (starting_material("tomato", plant, where).material for plant in ("a", "new"))
+    own = starting_material("tomato", "a", where).material
     assert own.youngs == pytest.approx(low.youngs)
-    assert own.response_gain == crop.response_gain > 0.6
+    assert (own.response_gain, own.response_spread) == (TOMATO.response_gain, TOMATO.response_spread)
 
 
 def test_histories_from_before_radius_and_gain_teach_neither(tmp_path: Path) -> None:
@@ -181,18 +98,6 @@ def test_histories_from_before_radius_and_gain_teach_neither(tmp_path: Path) -> 
     before = material_of({"youngs": 1e8, "youngs_spread": 0.66})
     assert before is not None
     record_trial(trial("a", before, old), tmp_path / "h.sqlite")
-    crop = starting_material("tomato", "b", tmp_path / "h.sqlite").material
-    assert (crop.response_gain, crop.response_spread) == (TOMATO.response_gain, TOMATO.response_spread)
-    assert crop.youngs > TOMATO.youngs
-
-
-def test_bad_errors_are_refused() -> None:
-    for error in ([0.1], [0.1, 0.0], [0.1, float("nan")]):
-        with pytest.raises(InputError):
-            hierarchical_normal(np.array([1.0, 2.0]), np.array(error), 0.0, 1.0)
-
-
-def test_a_belief_that_did_not_sharpen_says_nothing() -> None:
-    same = [trial(f"{k}", TOMATO, replace(TOMATO, youngs=3e8)) for k in range(9)]
-    assert crop_prior(same, TOMATO) == TOMATO
-    assert facts_prior("pepper") == PEPPER
+    own = starting_material("tomato", "a", tmp_path / "h.sqlite").material
+    assert (own.response_gain, own.response_spread) == (TOMATO.response_gain, TOMATO.response_spread)
+    assert own.youngs == 2e8

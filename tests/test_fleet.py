@@ -24,7 +24,6 @@ from anther.history import (
     ShakeRecord,
     TrialRecord,
     count_trials,
-    crop_prior,
     each_trial,
     merge,
     read_outcomes,
@@ -108,12 +107,10 @@ def test_what_was_learned_does_not_depend_on_who_came_first(tmp_path: Path) -> N
     for record in records[6:]:
         record_trial(record, other)
     merge(part, other)
-    for plant in ("1", "new"):
-        here, there = (starting_material("tomato", plant, where).material for where in (one, other))
-        assert here.youngs == pytest.approx(there.youngs)
-        assert here.youngs_spread == pytest.approx(there.youngs_spread)
-    all_of_it = crop_prior(records, TOMATO)
-    assert starting_material("tomato", "new", other).material.youngs == pytest.approx(all_of_it.youngs)
+    for plant in "0123":
+        here, there = (starting_material("tomato", plant, where) for where in (one, other))
+        assert here.source == there.source == "plant"
+        assert here.material == there.material
 
 
 def test_a_merge_that_was_cut_off_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,17 +152,6 @@ def test_however_many_there_are_they_come_in_order(where: str, monkeypatch: pyte
     assert [t.time.minute for t in each_trial(where, plant="a")] == [1, 2, 3, 3, 4, 5]
     assert [t.id for t in each_trial(where)] == [t.id for t in read_trials(where)]
     assert [t.time.minute for t in read_trials(where, last=2)] == [5, 9]
-
-
-def test_the_crop_is_learned_from_the_plants_that_taught_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    where = str(tmp_path / "h.sqlite")
-    records = [visit(f"{k}", "r", k, youngs=1e8 * (1 + k)) for k in range(5)]
-    for record in records:
-        record_trial(record, where)
-    monkeypatch.setattr("anther.history._beliefs.MOST_PLANTS", 2)
-    belief = starting_material("tomato", "new", where)
-    assert belief.plants == 2
-    assert belief.material.youngs == pytest.approx(crop_prior(records[3:], TOMATO).youngs)
 
 
 def test_who_reads_cannot_write(where: str) -> None:

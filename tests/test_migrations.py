@@ -59,6 +59,20 @@ def test_the_tables_are_those_of_the_classes(where: str) -> None:
         assert connection.execute(text("SELECT plant FROM trials")).scalar() == "a"
 
 
+def test_a_history_of_the_version_before_is_brought_up_with_all_that_is_in_it(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as before, engine_of(where).begin() as connection:
+        before.setattr(versions, "HEAD", "0003")
+        versions.migrate(connection)
+        connection.execute(text("INSERT INTO plants (species, label, learned) VALUES ('tomato', 'a', '{}')"))
+        row = "(plant_id, time, success) VALUES (1, '2026-05-01 12:00:00', true)"
+        connection.execute(text(f"INSERT INTO visits {row}"))
+    assert [(trial.plant, trial.success) for trial in read_trials(where)] == [("a", True)]
+    record_trial(VISIT, where)
+    assert len(read_trials(where)) == 2
+
+
 def test_the_head_is_the_newest_version() -> None:
     assert ScriptDirectory(str(Path(versions.__file__).parent)).get_current_head() == HEAD
 

@@ -70,7 +70,7 @@ def test_a_response_that_cannot_be_measured_leaves_the_belief_and_the_history_as
     assert "no flower's motion was measurable" in learned.notes[0]
     unmeasured = replace(trial("a", plant.material, learned.material), measured_amplitude=tuple(nothing))
     assert remember(unmeasured, tmp_path, str(tmp_path / "h.sqlite")) is None
-    assert starting_material("tomato", "b", tmp_path / "h.sqlite").source == "facts"
+    assert starting_material("tomato", "a", tmp_path / "h.sqlite").source == "facts"
 
 
 def test_a_locked_history_keeps_the_trial_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -234,7 +234,7 @@ def _belief(args: Args) -> Belief:
     from anther.history import Belief, facts_prior, starting_material
 
     if args.material == "facts":
-        return Belief(facts_prior(args.plant), "facts", 0, f"the facts' prior of {args.plant}, as asked for")
+        return Belief(facts_prior(args.plant), "facts", f"the facts' prior of {args.plant}, as asked for")
     return starting_material(args.plant, _label(args), args.history)
 
 

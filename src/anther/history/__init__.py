@@ -2,18 +2,10 @@
 
 `record_trial`, `record_outcome`, `record_note` write, `read_trials`, `read_outcomes` read, `merge` takes in another
 history, `export` makes tables for other programs, and `starting_material` says what is believed of a plant before it is
-shaken: its own last belief, else what the crop taught; `earlier_shake` with which shake to begin. `overview` has what
-pages show.
+shaken: its own last belief, else the facts; `earlier_shake` with which shake to begin. `overview` has what pages show.
 """
 
-from anther.history._beliefs import (
-    Belief,
-    crop_prior,
-    earlier_shake,
-    facts_prior,
-    hierarchical_normal,
-    starting_material,
-)
+from anther.history._beliefs import Belief, earlier_shake, facts_prior, starting_material
 from anther.history._database import DEFAULT, PATIENCE, reading, shown
 from anther.history._export import TABLES, Merged, export, merge
 from anther.history._records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
@@ -45,14 +37,12 @@ __all__ = [
     "add_jobs",
     "add_missing",
     "count_trials",
-    "crop_prior",
     "each_trial",
     "earlier_shake",
     "export",
     "facts_prior",
     "find_plants",
     "find_visit",
-    "hierarchical_normal",
     "merge",
     "note_jobs",
     "read_jobs",

@@ -5,8 +5,7 @@ The tables of the trial history, for SQLAlchemy. Units are in the names of the c
 One plant has many visits; a visit has at most one grasp and one shake, a response of every flower, and links to its run
 folder; outcomes belong to a plant, and to one of its visits where the grower says so. A sweep has many jobs, which
 have no visits. The tables themselves are made by `migrations`, which a test holds equal to these classes. Visits,
-responses, outcomes and notes are never changed; what a plant taught is a sum over its visits, kept beside it because a
-crop's would take minutes to add up.
+responses, outcomes and notes are never changed.
 """
 
 from __future__ import annotations
@@ -72,15 +71,13 @@ class Base(DeclarativeBase):
 
 
 class Plant(Base):
-    """A plant, known by its species and label; `learned`: quantity -> sums over its visits (`evidence.summed`)."""
+    """A plant, known by its species and label."""
 
     __tablename__ = "plants"
-    __table_args__ = (UniqueConstraint("species", "label"), Index("ix_plants_taught", "species", "taught"))
+    __table_args__ = (UniqueConstraint("species", "label"),)
     id: Mapped[int] = mapped_column(primary_key=True)
     species: Mapped[str]
     label: Mapped[str]
-    taught: Mapped[datetime | None]
-    learned: Mapped[Any] = mapped_column(nullable=True)
 
 
 class Visit(Base):

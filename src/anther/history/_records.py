@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -14,7 +13,7 @@ from anther.checks import check_array, check_range
 from anther.errors import bad_input
 from anther.files import read_object, understood
 from anther.geometry import Array
-from anther.plant import LEARNED, Material
+from anther.plant import Material
 
 MOTIONS = (
     "predicted_amplitude",
@@ -258,31 +257,3 @@ def _finite(record: Any, what: str, names: tuple[str, ...]) -> None:
 
 def _tuple(name: str, values: Any, count: int) -> tuple[float, ...]:
     return tuple(check_array(name, values, (count,)).tolist())
-
-
-LEAST = 0.05
-"""A visit teaches a quantity if it adds this share of the precision there was; less is noise of the ensemble [-]."""
-
-Sums = Mapping[str, list[float]]
-"""Quantity of `plant.LEARNED` -> [sum of d, sum of d y]."""
-
-
-def told(before: Material, after: Material) -> Sums:
-    """Return what one visit says of each quantity; those of which it says nothing are left out."""
-    sums = {}
-    for value, spread in LEARNED.items():
-        old, new = getattr(before, spread), getattr(after, spread)
-        if new > 0 and old > 0 and 1 / new**2 >= (1 + LEAST) / old**2:
-            weighted = np.log(getattr(after, value)) / new**2 - np.log(getattr(before, value)) / old**2
-            sums[value] = [1 / new**2 - 1 / old**2, float(weighted)]
-    return sums
-
-
-def summed(parts: Iterable[Sums]) -> Sums:
-    """Return several visits' sums as one."""
-    total: dict[str, list[float]] = {}
-    for part in parts:
-        for quantity, (precision, weighted) in part.items():
-            before = total.get(quantity, [0.0, 0.0])
-            total[quantity] = [before[0] + precision, before[1] + weighted]
-    return total

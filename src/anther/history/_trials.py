@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 
 from anther.errors import bad_input
 from anther.history._database import DEFAULT, FruitSet, Grasp, Note, Plant, Response, Shake, Visit, reading, writing
-from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of, summed, told
+from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of
 
 _COLUMNS = {name: f"{name}_{'ms2' if name.endswith('acceleration') else 'm'}" for name in MOTIONS}
 
@@ -61,9 +61,6 @@ def add(session: Session, record: TrialRecord) -> tuple[int, bool]:
         return number, False
     visit = _visit(record, plant.id)
     session.add(visit)
-    if visit.success and visit.taught and record.believed is not None and record.material is not None:
-        plant.learned = summed([plant.learned or {}, told(record.believed, record.material)])
-        plant.taught = record.time if plant.taught is None else max(plant.taught, record.time)
     session.flush()
     return visit.id, True
 
