@@ -34,9 +34,10 @@ from swept import swept
 from vibration_models import PRIOR, Model, anther_model, perceive, scanned, true_model
 from vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIST, matched, stem_points
 
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.files import replacing, write_json
 from anther.geometry import Array
+from anther.shake import Crop
 from anther.shake.observables import semi_major
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
@@ -53,7 +54,7 @@ COLOURS = {"true": "#2f7d4f", "scanned": "#c2389a"}
 class Case:
     """One plant, and whether it is scanned too."""
 
-    species: Species
+    species: Crop
     seed: int
     scan: bool
 
@@ -186,7 +187,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
     plants, scans = (1, 0) if args.quick else (args.plants, args.scanned)
-    crops: tuple[Species, ...] = ("tomato", "pepper")
+    crops: tuple[Crop, ...] = ("tomato", "pepper")
     cases = [asdict(Case(species, args.seed + k, k < scans)) for species in crops for k in range(plants)]
     found = metrics(swept(one_plant, cases, args.out, args.jobs, lambda _: {}))
     for table in tables(found):

@@ -25,10 +25,11 @@ from rich.table import Table
 from anther.arm import sawyer, sharpness, timing
 from anther.arm.timing import USABLE
 from anther.arm.views import SEEN, Views, capture_time, cylinder_points
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, views_at
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, views_at
 from anther.devices import JointTrajectory
 from anther.files import write_json
 from anther.geometry import Array, Box
+from anther.shake import Crop
 from anther.sim.cell import Cell
 from anther.sim.robot import SimArm
 
@@ -53,7 +54,7 @@ def judged(views: Views, pot: Box) -> dict[str, float]:
     }
 
 
-def driven(views: Views, species: Species, seed: int) -> dict[str, float]:
+def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
     """Return how the simulated arm follows the whole motion before a plant of that seed, and how long it is sharp."""
     cell, camera = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY), sharpness.Params()
     motion, arrivals = through_views(views)
@@ -127,7 +128,7 @@ def main() -> None:
     rows = dict[str, dict[str, float]]()
     for name in ["fast"] if args.quick else list(PRESETS):
         views = views_at(USUAL_DISTANCE, PRESETS[name])
-        species: Species = get_args(Species)[len(rows) % 2]
+        species: Crop = get_args(Crop)[len(rows) % 2]
         pot = grow(species, args.seed, 0.0, USUAL_DISTANCE).pot
         width = np.array([pot.radius_top, pot.radius_top, 0])
         body = Box(pot.centre - width - [0, 0, pot.height], pot.centre + width)

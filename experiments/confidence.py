@@ -40,12 +40,13 @@ from anther import masks
 from anther.arm.views import Params as ViewParams
 from anther.capture import Capture
 from anther.cloud import Cloud, fuse
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.errors import StageFailure
 from anther.files import write_json
 from anther.flowers import flower_centres
 from anther.geometry import Array
 from anther.grasp import plan_grasps
+from anther.shake import Crop
 from anther.sim.plant import Organ, SimPlant
 from anther.skeleton import Skeleton, skeletonize
 from anther.skeleton.support import node_support, probability
@@ -99,7 +100,7 @@ def samples(seeds: range, degradations: int, draw: int, kept: Path | None) -> It
         kept: folder in which clouds are kept and looked up.
     """
     names = list(DEGRADATIONS)
-    for number, (seed, species) in enumerate((seed, species) for seed in seeds for species in get_args(Species)):
+    for number, (seed, species) in enumerate((seed, species) for seed in seeds for species in get_args(Crop)):
         plant = grow(species, seed, 0.0, USUAL_DISTANCE)
         turn = [names[(number * degradations + i) % len(names)] for i in range(degradations)]
         for name in ["as taken", *turn]:
@@ -126,7 +127,7 @@ def _cloud(plant: SimPlant, name: str, draw: int, kept: Path | None) -> Cloud:
 
 
 @cache
-def photographed(species: Species, seed: int) -> Capture:
+def photographed(species: Crop, seed: int) -> Capture:
     """Return the capture of a plant as `anther trial` would take it, in VIEWS views."""
     views = views_at(USUAL_DISTANCE, ViewParams(count=VIEWS))
     return photograph(grow(species, seed, 0.0, USUAL_DISTANCE), views.joints, seed)[0]

@@ -30,13 +30,13 @@ from rich.markdown import Markdown
 from skeletons import TEN
 from swept import FOLDER, swept
 
-from anther.commands.simulated_cell import Species
 from anther.files import write_json
+from anther.shake import Crop
 
 VIEWPOINTS = (0, 90, 180, 270)  # degrees
 PRESETS = ("full", "fast")
-SPECIES: tuple[Species, ...] = ("tomato", "pepper")
-FURTHER: list[tuple[Species, int]] = [(species, 1054 + k) for k in range(50) for species in SPECIES]
+SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
+FURTHER: list[tuple[Crop, int]] = [(species, 1054 + k) for k in range(50) for species in SPECIES]
 """Of those before (1000-1053), which an earlier run took, the failures said what to mend."""
 
 
@@ -53,8 +53,8 @@ def chosen(args: argparse.Namespace) -> list[Case]:
     return [Case(case.species, case.seed + args.seed, case.viewpoint, case.preset) for case in cases]
 
 
-def _plant(word: str) -> tuple[Species, int]:
-    for species in get_args(Species):
+def _plant(word: str) -> tuple[Crop, int]:
+    for species in get_args(Crop):
         if word.startswith(f"{species}-"):
             return species, int(word.removeprefix(f"{species}-"))
     raise SystemExit(f"--plants: got {word}; allowed: tomato-SEED or pepper-SEED, such as pepper-10.")

@@ -18,14 +18,14 @@ from swept import failed
 from anther.arm.arms import in_simulated_cell
 from anther.arm.planner import Planner
 from anther.cloud import Cloud
-from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
+from anther.commands.simulated_cell import PRESETS, SimulatedCell, build
 from anther.commands.trial_summary import summarise
 from anther.errors import StageFailure
 from anther.execution import EARLY, execute
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
-from anther.shake import ArmShaker, plan_shake
+from anther.shake import ArmShaker, Crop, plan_shake
 from anther.sim.judge import judge
 from anther.sim.truth import NOMINAL, Truth, draw
 
@@ -50,7 +50,7 @@ class Case:
     `truth` is "nominal", "wide", or the group of `sim.truth.WIDE` that alone is not nominal.
     """
 
-    species: Species
+    species: Crop
     seed: int
     viewpoint: int
     preset: str = "full"

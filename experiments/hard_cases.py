@@ -38,13 +38,14 @@ from swept import failed, swept
 
 from anther.arm import sawyer
 from anther.capture import Capture
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, SimulatedCell, Species, build, grow, photograph
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, SimulatedCell, build, grow, photograph
 from anther.files import write_json
 from anther.geometry import Array
 from anther.pipeline import Params, pollinate
 from anther.plant import PEPPER, TOMATO
 from anther.runs import Advance
 from anther.safety import guard
+from anther.shake import Crop
 from anther.sim import cell as world
 from anther.sim.capture import capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
@@ -65,7 +66,7 @@ class Case:
     """One plant in one kind of trouble."""
 
     kind: str
-    species: Species
+    species: Crop
     seed: int
 
     def file(self, out: Path) -> Path:
@@ -201,7 +202,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/hard_cases"), help="where finished trials are kept")
     args = parser.parse_args()
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
-    cases = [Case(kind, species, seed) for kind in args.cases for species in get_args(Species) for seed in seeds]
+    cases = [Case(kind, species, seed) for kind in args.cases for species in get_args(Crop) for seed in seeds]
     rows = swept(one_trial, map(asdict, cases), args.out, args.jobs, failed)
     text = report(rows)
     print(text)

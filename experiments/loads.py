@@ -34,7 +34,7 @@ from vibration_plant import stem_points
 from wide_plant import KINDS, loads_of, looks, scanned_plant
 from wide_truth import markdown
 
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
 from anther.devices import Frame
 from anther.errors import StageFailure
 from anther.escalation import Foresight, foresee, watch_points
@@ -43,6 +43,7 @@ from anther.escalation.knowledge import Answer, known, seen_error
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.response.points import Sight, sight
+from anther.shake import Crop
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
 from anther.shake.params import RINGING, load_error
@@ -67,7 +68,7 @@ LEAFY = 1e-4
 LOADS = (*KINDS, "leaf_load")
 
 
-def one(species: Species, seed: int) -> list[dict[str, Any]]:
+def one(species: Crop, seed: int) -> list[dict[str, Any]]:
     """Return a row for each grip and tone of one plant: true loads, and what is said of them."""
     truth = truth_of("wide", seed)
     plant = grow(species, seed, 0, USUAL_DISTANCE, truth)
@@ -201,7 +202,7 @@ def main() -> None:
     parser.add_argument("--page", type=Path, help="write the table into this docs page")
     args = parser.parse_args()
     first, rows = DEVELOPMENT if args.development else FIRST, []
-    species: tuple[Species, ...] = ("tomato", "pepper")
+    species: tuple[Crop, ...] = ("tomato", "pepper")
     for k in track(range(2 if args.quick else args.plants), "plants", console=Console()):
         file = args.out / f"{species[k % 2]}-{first + k // 2}.json"
         if not file.exists():

@@ -34,10 +34,11 @@ from scipy.spatial import KDTree
 from anther import cloud, masks
 from anther.arm.views import Params as ViewParams
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.files import read_json, write_json
 from anther.geometry import Box
 from anther.masks import FLOWER, Masks
+from anther.shake import Crop
 from anther.sim import _greenhouse
 from anther.sim._greenhouse import Setting
 from anther.sim.capture import CaptureTruth
@@ -171,7 +172,7 @@ def main() -> None:
     args = parser.parse_args()
     console = Console()
     lights, count = (QUICK, 10) if args.quick else (tuple(SETTINGS), 30)
-    kinds: tuple[Species, ...] = ("tomato", "pepper")
+    kinds: tuple[Crop, ...] = ("tomato", "pepper")
     plants = {species: grow(species, args.seed, 0.0, USUAL_DISTANCE) for species in kinds}
     in_one_light(plants["tomato"], "daylight", 2)  # compiles
     cases = [(species, name) for species in kinds for name in lights]
@@ -201,7 +202,7 @@ def main() -> None:
         write_json(args.json, values)
 
 
-def _print(console: Console, rows: dict[tuple[Species, str], dict[str, float]]) -> None:
+def _print(console: Console, rows: dict[tuple[Crop, str], dict[str, float]]) -> None:
     short = ("IoU", "+depth", "petal R", "petal P", "found", "soil", "other", "s", "cpu s")
     table = Table("plant", "light", *short, box=None)
     for (species, name), row in rows.items():

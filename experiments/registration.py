@@ -40,14 +40,15 @@ from anther.capture import Capture
 from anther.cloud import EDGE_DEPTH, EDGE_SUPPORT, EDGE_WINDOW
 from anther.cloud._pixels import supported_pixels
 from anther.cloud._registration import Params, register
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, layout
 from anther.files import replacing, write_json
 from anther.geometry import Array, inverse, small_transform, transform_points
+from anther.shake import Crop
 from anther.sim.capture import CaptureTruth, perturbed_hand_eye
 from anther.sim.plant import Organ
 
-TEN: list[tuple[Species, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
-DEVELOPMENT: list[tuple[Species, int]] = [
+TEN: list[tuple[Crop, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
+DEVELOPMENT: list[tuple[Crop, int]] = [
     *(("tomato", 10 + k) for k in range(4)),
     *(("pepper", 10 + k) for k in range(6)),
 ]

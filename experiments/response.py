@@ -32,7 +32,7 @@ from shaken_plant import Params as ShakenParams
 from shaken_plant import Shaken, ShakenPlant
 from swept import swept
 
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
 from anther.devices import Frame
 from anther.errors import InputError
 from anther.files import replacing, write_json
@@ -40,6 +40,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array, inverse, transform_points
 from anther.oscillation import choose_rate, fit_swing
 from anther.response import measure_response
+from anther.shake import Crop
 from anther.sim.capture import CameraErrors, noisy_depth, noisy_rgb
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
@@ -53,7 +54,7 @@ FRAMES = 60
 PLACED = 0.0015
 """Standard deviation per axis with which perception places a flower [m]; 1.2 mm measured on ten plants."""
 CAMERA = cut_out(d455(848, 480), 480, 480)
-CROPS: tuple[Species, ...] = ("tomato", "pepper")
+CROPS: tuple[Crop, ...] = ("tomato", "pepper")
 BANDS = {"1mm": (0.0, 1.5e-3), "3mm": (1.5e-3, 5e-3), "12mm": (5e-3, 1.0)}
 
 

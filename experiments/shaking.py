@@ -32,17 +32,17 @@ from swept import failed, swept
 from vibration_plant import matched
 
 from anther.arm.planner import Planner
-from anther.commands.simulated_cell import PRESETS, SimulatedCell, Species, build
+from anther.commands.simulated_cell import PRESETS, SimulatedCell, build
 from anther.execution import execute
 from anther.files import write_json
 from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance
 from anther.safety import GuardedArm
-from anther.shake import ArmShaker, EarlierShake, ShakePlan, plan_shake
+from anther.shake import ArmShaker, Crop, EarlierShake, ShakePlan, plan_shake
 from anther.sim.truth import WIDE
 
-SPECIES: tuple[Species, ...] = ("tomato", "pepper")
+SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
 FIRST, DEVELOPMENT = 9500, 7700
 """Plants from the first seed on are in no other table; on those from the second on constants may be set."""
 PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
@@ -57,7 +57,7 @@ WAYS = ("paper", "plan", "escalated", "again", "motor")
 class Case:
     """One plant, one way to shake it, under one truth: "wide", "nominal", or a group of `sim.truth.WIDE` alone."""
 
-    species: Species
+    species: Crop
     seed: int
     way: str
     truth: str = "wide"

@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from skeleton_truth import AXIS, NEAR, Score
 
 from anther.cloud import Cloud
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow
 from anther.pictures.plant import draw_side
+from anther.shake import Crop
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem
@@ -22,7 +23,7 @@ FRONT = (1, 2, 0)
 Which = tuple[Any, int]
 
 
-def draw_ten(plants: list[tuple[Species, int, Path]]) -> Figure:
+def draw_ten(plants: list[tuple[Crop, int, Path]]) -> Figure:
     """Return the plants (species, seed, folder with what was found) side by side: cloud, skeleton by organ, main stem;
     true stem and branches dashed."""
     figure = Figure(figsize=(15, 7.5), layout="constrained")

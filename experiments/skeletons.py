@@ -29,15 +29,16 @@ from swept import FOLDER, swept
 from anther import cloud, flowers, masks, skeleton, stem
 from anther.arm.views import Params as ViewParams
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.errors import AntherError
 from anther.files import write_json
+from anther.shake import Crop
 from anther.sim.capture import CaptureTruth
 from anther.sim.plant import SimPlant
 
 VIEWS = 30
-TEN: list[tuple[Species, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
-HUNDRED: list[tuple[Species, int]] = [(species, 1000 + k) for k in range(50) for species in ("tomato", "pepper")]
+TEN: list[tuple[Crop, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
+HUNDRED: list[tuple[Crop, int]] = [(species, 1000 + k) for k in range(50) for species in ("tomato", "pepper")]
 
 TARGETS = {
     "stem_error_median_mm": "<= 1.5",
@@ -60,7 +61,7 @@ TARGETS = {
 """What the table shows, with the target where there is one."""
 
 
-def take(species: Species, seed: int, views: int = VIEWS) -> tuple[SimPlant, Capture, CaptureTruth]:
+def take(species: Crop, seed: int, views: int = VIEWS) -> tuple[SimPlant, Capture, CaptureTruth]:
     """Grow a plant in the cell and see it as `anther trial` does."""
     planned = views_at(USUAL_DISTANCE, ViewParams(count=views))
     plant = grow(species, seed, 0.0, USUAL_DISTANCE)

@@ -28,8 +28,8 @@ from vibration_figures import draw
 from vibration_plant import FAST_FREQUENCIES, PAPER_FREQUENCIES, Case, one_plant
 from vibration_table import metrics, report
 
-from anther.commands.simulated_cell import Species
 from anther.files import write_json
+from anther.shake import Crop
 
 FIRST_RANDOM = 2000
 
@@ -37,20 +37,20 @@ FIRST_RANDOM = 2000
 def chosen(args: argparse.Namespace) -> list[Case]:
     """Return the plants: two shaken thoroughly, the random ones with fewer shakes."""
     if args.plants:
-        pairs: list[tuple[Species, int]] = [_plant(word) for word in args.plants]
+        pairs: list[tuple[Crop, int]] = [_plant(word) for word in args.plants]
         return [Case(species, seed) if not args.quick else brief(species, seed) for species, seed in pairs]
-    both: tuple[Species, Species] = ("tomato", "pepper")
+    both: tuple[Crop, Crop] = ("tomato", "pepper")
     two = [Case(species, args.seed) if not args.quick else brief(species, args.seed) for species in both]
     count = 0 if args.quick else args.random
     return two + [brief(both[k % 2], FIRST_RANDOM + args.seed + k) for k in range(count)]
 
 
-def brief(species: Species, seed: int) -> Case:
+def brief(species: Crop, seed: int) -> Case:
     """Return a plant whose truth is linear, with fewer amplitudes."""
     return Case(species, seed, PAPER_FREQUENCIES + FAST_FREQUENCIES, (4e-3, 8e-3, 12e-3), stepped_below=0.0)
 
 
-def _plant(word: str) -> tuple[Species, int]:
+def _plant(word: str) -> tuple[Crop, int]:
     species, _, seed = word.partition("-")
     if species not in ("tomato", "pepper") or not seed.isdigit():
         raise SystemExit(f"--plants: got {word}; allowed: tomato-SEED or pepper-SEED, such as pepper-10.")

@@ -18,7 +18,7 @@ from shaken_plant import Params as ShakenParams
 from shaken_plant import Shaken, ShakenPlant
 from vibration_models import PRIOR, Seen, anther_model, paper_model, perceive, scanned, true_model
 
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.devices import Frame
 from anther.elastic_rod import Drive
 from anther.errors import StageFailure
@@ -27,7 +27,7 @@ from anther.grasp import Grasp
 from anther.identification import Felt, Observed, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
-from anther.shake import ShakePlan
+from anther.shake import Crop, ShakePlan
 from anther.shake.limits import sawyer_limit
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes
@@ -81,7 +81,7 @@ class Case:
             equations [Hz].
     """
 
-    species: Species
+    species: Crop
     seed: int
     frequencies: tuple[float, ...] = PAPER_FREQUENCIES + FAST_FREQUENCIES
     amplitudes: tuple[float, ...] = AMPLITUDES

@@ -34,17 +34,18 @@ from anther import flowers, masks, skeleton, stem
 from anther.arm.views import Viewpoints, capture_time, reachable_views, visit_views
 from anther.capture import Capture
 from anther.cloud import Cloud
-from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, Species, grow, layout, photograph
+from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, photograph
 from anther.errors import AntherError
 from anther.files import read_json, write_json
 from anther.flowers import Flowers
+from anther.shake import Crop
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
 POOL = 60
 COUNTS = {"fixed": (5, 8, 12, 20, 30), "narrow": (8, 10, 12)}
-SPECIES: tuple[Species, ...] = ("tomato", "pepper")
+SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
 METRICS = {
     "stem_error_median_mm": "stem error, median [mm]",
     "stem_error_p95_mm": "stem error, p95 [mm]",
@@ -121,7 +122,7 @@ def prefixes(name: str, pool: Pool, order: list[int], counts: tuple[int, ...]) -
     }
 
 
-def one_plant(species: Species, seed: int, viewpoints: Viewpoints, counts: dict[str, Any], out: Path) -> Any:
+def one_plant(species: Crop, seed: int, viewpoints: Viewpoints, counts: dict[str, Any], out: Path) -> Any:
     """Return the rows of one plant, from --out when it was run before; "views" are numbers of viewpoints."""
     file = out / f"{species}-{seed}.json"
     if not file.exists():
@@ -175,7 +176,7 @@ def main() -> None:
     counts = dict.fromkeys(COUNTS, (8,)) if args.quick else COUNTS
     viewpoints = reachable_views(PLACE.region, PLACE.solids)
     rows = []
-    plants: list[tuple[Species, int]] = [
+    plants: list[tuple[Crop, int]] = [
         (species, k) for k in range(1 if args.quick else args.each) for species in SPECIES
     ]
     first = viewpoints.spread(3)

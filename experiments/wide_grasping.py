@@ -9,9 +9,9 @@ import numpy as np
 from grasping_table import effects, interval
 from grasping_trial import Case
 
-from anther.commands.simulated_cell import Species
+from anther.shake import Crop
 
-SPECIES: tuple[Species, ...] = ("tomato", "pepper")
+SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
 VIEWPOINTS = (0, 90, 180, 270)  # degrees
 FIRST = 8000
 """Plants from this seed on are in no other table."""

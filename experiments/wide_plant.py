@@ -21,7 +21,6 @@ from vibration_plant import matched, stem_points
 from anther.commands.simulated_cell import (
     PRESETS,
     USUAL_DISTANCE,
-    Species,
     grow,
     in_wind,
     layout,
@@ -34,7 +33,7 @@ from anther.geometry import Array
 from anther.identification import Felt, Observed, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import PlantModel
 from anther.response import measure_response, stem_near
-from anther.shake import ShakePlan
+from anther.shake import Crop, ShakePlan
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes
 from anther.shake.search import Version, flower_motion
@@ -71,7 +70,7 @@ KINDS = ("stem_strain", "joint_strain", "base_strain")
 class Case:
     """One plant under one truth: "nominal", "wide", or a group of `sim.truth.WIDE` alone."""
 
-    species: Species
+    species: Crop
     seed: int
     truth: str = "wide"
 
@@ -86,7 +85,7 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=4)
-def scanned_plant(species: Species, seed: int, seen_as: Truth) -> Seen:
+def scanned_plant(species: Crop, seed: int, seen_as: Truth) -> Seen:
     """Return what ten views tell of a plant of this truth."""
     views = views_at(USUAL_DISTANCE, PRESETS["fast"])
     plant = grow(species, seed, 0, USUAL_DISTANCE, seen_as)

@@ -30,7 +30,8 @@ from made_realsense import UNIT
 from served_world import World
 
 from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
+from anther.shake import Crop
 from anther.sim import arm_model, cell
 from anther.sim._motor import contact_vector
 from anther.sim.capture import camera_errors, perturbed_hand_eye
@@ -51,7 +52,7 @@ STROKE = 0.085  # m, of a 2F-85; the fingers of this cell open `SAWYER.tool.stro
 class Plant:
     """Which plant is served."""
 
-    species: Species
+    species: Crop
     seed: int
     truth: str
 

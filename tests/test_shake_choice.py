@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from anther.shake import (
     PADS,
     PRESETS,
     ArmShaker,
+    Objective,
     Pads,
     Params,
     PlantLimits,
@@ -271,7 +271,7 @@ def test_flowers_that_grow_from_the_stem_itself_are_planned_for() -> None:
 
 @pytest.mark.parametrize("objective", ["acceleration", "amplitude"])
 def test_without_scenarios_the_plant_as_believed_decides(
-    plant: PlantModel, grasps: list[Grasp], objective: Literal["acceleration", "amplitude"]
+    plant: PlantModel, grasps: list[Grasp], objective: Objective
 ) -> None:
     plan = plan_shake(plant, grasps, params=replace(QUICK, draws=0, objective=objective))
     low, high = plan.predicted_amplitude_interval.T

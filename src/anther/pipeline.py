@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, shake, skeleton, stem
 from anther.capture import Capture
@@ -25,7 +25,7 @@ from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response, stem_near
 from anther.response.thresholds import FEWEST_FRAMES
 from anther.runs import Advance, Run
-from anther.shake import EarlierShake, Pads, ShakePlan
+from anther.shake import ActuatorName, EarlierShake, Pads, ShakePlan
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
@@ -50,7 +50,7 @@ class Params:
     shake: shake.Params = field(default_factory=shake.Params)
     execution: execution.Params = field(default_factory=execution.Params)
     escalation: escalation.Params = field(default_factory=escalation.Params)
-    actuator: Literal["arm", "gripper"] = "arm"
+    actuator: ActuatorName = "arm"
     """What shakes the closed pads: the arm, or a motor in the gripper, which is always watched."""
     escalate: bool = True
     """Whether the shake is raised by what the side camera sees, or done as planned."""

@@ -5,17 +5,15 @@ from __future__ import annotations
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
-from anther.arm import xarm7
+from anther.arm import ArmName, xarm7
 from anther.arm.model import ArmModel
 from anther.arm.sawyer import SAWYER
 from anther.arm.urdf import from_urdf
 from anther.errors import bad_input
-
-Name = Literal["sawyer", "ur5e", "fr3", "xarm7"]
 
 
 @cache
@@ -36,7 +34,7 @@ def named(name: str) -> ArmModel:
         case "xarm7":
             return xarm7.described()
         case _:
-            raise bad_input("arm", given=f"{name!r}", allowed=", ".join(get_args(Name)), do="Choose one.")
+            raise bad_input("arm", given=f"{name!r}", allowed=", ".join(get_args(ArmName)), do="Choose one.")
 
 
 @cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -27,8 +27,10 @@ from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flower
 from anther.runs import FILES
 from anther.shake import (
     Actuator,
+    ActuatorName,
     ArmShaker,
     Crop,
+    Objective,
     Params,
     Preset,
     ShakePlan,
@@ -67,9 +69,9 @@ class Args:
     likened to."""
     material: Path | None = None
     """What `anther identify` measured (material.json)."""
-    objective: Literal["acceleration", "amplitude"] | None = None
+    objective: Objective | None = None
     """What three flowers of four feel, or mean flower amplitude as in the paper; by default what --params says."""
-    actuator: Literal["arm", "gripper"] = "arm"
+    actuator: ActuatorName = "arm"
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
     shake: Preset | None = None
     """How boldly the plant may be loaded (docs/shake.md has the limits); by default what --params says. 'paper' is

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_range
 from anther.commands.skeletonize import main_stem, node_named, read_source
-from anther.elastic_rod import Clamp, Rods, least_stiffness, stands, with_gravity_equilibrium
+from anther.elastic_rod import Clamp, Discretisation, Rods, least_stiffness, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile
 from anther.geometry import Array
@@ -66,7 +66,7 @@ class PlantOptions:
     pads: float = 0.0
     """Length of stem between the gripper's pads [m], which hold its direction too; 0 moves one node, about which the
     stem may turn."""
-    discretisation: Literal["consistent", "paper"] = "consistent"
+    discretisation: Discretisation = "consistent"
     """Second order in the edge length, also at forks and kinks; or the paper's formula to the letter."""
 
 

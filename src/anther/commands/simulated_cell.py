@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Literal
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from anther.devices import JointTrajectory, SafetyLimits, Tap, untapped
 from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.safety import guard
+from anther.shake import ActuatorName, Crop
 from anther.sim import arm_model, carriage
 from anther.sim import cell as world
 from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, perturbed_hand_eye
@@ -31,8 +31,6 @@ from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
 from anther.sim.true_plant import as_true
 from anther.sim.truth import NOMINAL, Truth
-
-Species = Literal["tomato", "pepper"]
 
 USUAL_DISTANCE = 0.72
 """Of the pot's axis in front of the Sawyer [m]: where facts: sawyer 6 tabulates what the arm can shake."""
@@ -134,7 +132,7 @@ class SimulatedCell:
         return capture_time(self.views)
 
 
-def grow(species: Species, seed: int, viewpoint: float, distance: float, truth: Truth = NOMINAL) -> SimPlant:
+def grow(species: Crop, seed: int, viewpoint: float, distance: float, truth: Truth = NOMINAL) -> SimPlant:
     """Grow a plant in a pot `distance` [m] in front of the arm; `viewpoint` [deg] turns it about the pot's axis."""
     match species:
         case "tomato":
@@ -167,14 +165,14 @@ def to_waiting(distance: float, views: ViewParams, arm: ArmModel = SAWYER) -> Jo
 
 
 def build(
-    species: Species,
+    species: Crop,
     seed: int,
     viewpoint: float,
     views: ViewParams,
     *,
     distance: float | None = None,
     truth: Truth = NOMINAL,
-    actuator: Literal["arm", "gripper"] = "arm",
+    actuator: ActuatorName = "arm",
     visit: int = 0,
     tap: Tap = untapped,
     arm: ArmModel = SAWYER,

@@ -12,13 +12,16 @@ if TYPE_CHECKING:
     from anther.sweep import Job
 
 
+Kind = Literal["trial", "reconstruct"]
+
+
 @dataclass(frozen=True)
 class Args:
     """Attributes: what is run, where the results go, and on which machines."""
 
     table: Annotated[Path | None, tyro.conf.Positional] = None
     """CSV file: a column for every option of the command, a line for every run. Without it, say how far --out is."""
-    kind: Literal["trial", "reconstruct"] = "trial"
+    kind: Kind = "trial"
     """Which command is run on each line."""
     out: str = "runs/sweep"
     """Folder of the sweep, or an address that fsspec knows (s3://bucket/name). The same folder and table go on."""

@@ -10,14 +10,14 @@ from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 from anther.commands import reconstruct as reconstruct_command
 from anther.commands import trial as trial_command
+from anther.commands.sweep import Kind
 from anther.errors import InputError, StageFailure, bad_input
 from anther.files import read_object
 
-Kind = Literal["trial", "reconstruct"]
 LOG = "log.txt"
 _ARGS = {"trial": trial_command.Args, "reconstruct": reconstruct_command.Args}
 _SET_BY_SWEEP = ("out", "history", "restart_from", "overwrite")

@@ -11,10 +11,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from anther.arm import ArmName
 from anther.commands.mask_source import MaskSource
 from anther.devices import Tap, untapped
 from anther.pipeline import Params
-from anther.shake import Preset, with_preset
+from anther.shake import ActuatorName, Crop, Preset, with_preset
 
 if TYPE_CHECKING:
     from anther.arm.views import Params as ViewParams
@@ -34,7 +35,7 @@ SAME = ("cell", "arm", "label", "plant", "seed", "viewpoint", "distance", "prese
 class Args:
     """Attributes: which plant, how it is seen, and where the run is kept."""
 
-    plant: Literal["tomato", "pepper"] = "tomato"
+    plant: Crop = "tomato"
     """Species of the simulated plant."""
     cell: str = "simulated"
     """Which cell: 'simulated', or a cell file of a real one (docs/cell_file.md). Of a real one nobody knows the truth:
@@ -45,7 +46,7 @@ class Args:
     """Which plant; all noise comes from it too."""
     viewpoint: float = 0.0
     """Turn the plant about its pot's axis [degrees]."""
-    arm: Literal["sawyer", "ur5e", "fr3", "xarm7"] | None = None
+    arm: ArmName | None = None
     """Which arm, by default a Sawyer; a cell file names its own (docs/arm.md)."""
     distance: float | None = None
     """Of the pot in front of the arm [m]; by default what suits the arm: 0.72 for a Sawyer."""
@@ -78,7 +79,7 @@ class Args:
     the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept, slip is not prevented, nothing is raised."""
     watch: bool = True
     """Raise the shake in steps by what the side camera sees, or carry out the plan alone."""
-    actuator: Literal["arm", "gripper"] | None = None
+    actuator: ActuatorName | None = None
     """What shakes the plant: the arm, or a motor in the gripper (docs/gripper_motor.md), which is always watched."""
     log: bool = True
     """Write log.mcap, which Foxglove opens and `anther view --live` shows as it happens (docs/log.md)."""

@@ -11,7 +11,7 @@ from anther.elastic_rod._linear import Modes, natural_frequencies
 from anther.elastic_rod._motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive, unit_direction
 from anther.elastic_rod._observed import Observed, joints, observed_response, strain_changes
 from anther.elastic_rod._response import base_response, frequency_response, response_map, steady_motion
-from anther.elastic_rod._rods import GRAVITY, Array, NaturalShape, Rods
+from anther.elastic_rod._rods import GRAVITY, Array, Discretisation, NaturalShape, Rods
 from anther.elastic_rod._simulation import Trajectory, simulate
 from anther.elastic_rod._vectors import compiled
 
@@ -22,6 +22,7 @@ __all__ = [
     "Burst",
     "Chirp",
     "Clamp",
+    "Discretisation",
     "Drive",
     "Modes",
     "Motion",

@@ -12,6 +12,7 @@ from anther.checks import check_array
 from anther.errors import bad_input
 
 Array = NDArray[np.float64]
+Discretisation = Literal["consistent", "paper"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 """Acceleration of free fall [m/s^2], rounded as in the paper's simulations."""
@@ -83,7 +84,7 @@ class Rods:
     air_drag: Array | float = 0.0
     node_drag: Array | float = 0.0
     natural: NaturalShape | None = None
-    discretisation: Literal["consistent", "paper"] = "consistent"
+    discretisation: Discretisation = "consistent"
 
     def __post_init__(self) -> None:
         n = len(self.nodes)

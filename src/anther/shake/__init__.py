@@ -16,7 +16,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
-from anther.shake.actuators import Actuator, ArmShaker, VibratingGripper
+from anther.shake.actuators import Actuator, ActuatorName, ArmShaker, VibratingGripper
 from anther.shake.breeze import Crop, like_breeze
 from anther.shake.choice import (
     Grips,
@@ -34,15 +34,32 @@ from anther.shake.choice import (
 )
 from anther.shake.limits import sawyer_limit
 from anther.shake.pads import PADS, Pads
-from anther.shake.params import FLOWER_SPREAD, MOST_DURATION, Params, Preset, with_preset
+from anther.shake.params import FLOWER_SPREAD, MOST_DURATION, Objective, Params, Preset, with_preset
 from anther.shake.plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
 from anther.shake.plant_limits import PRESETS, PlantLimits
 from anther.shake.search import Gains, gains, scenarios
 from anther.shake.verification import Shaken, verified
 
 __all__ = [
-    "PADS", "PRESETS", "Actuator", "ArmShaker", "Crop", "EarlierShake", "Pads", "Params", "PlantLimits", "Preset",
-    "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper", "like_breeze", "plan_shake", "sawyer_limit",
+    "PADS",
+    "PRESETS",
+    "Actuator",
+    "ActuatorName",
+    "ArmShaker",
+    "Crop",
+    "EarlierShake",
+    "Objective",
+    "Pads",
+    "Params",
+    "PlantLimits",
+    "Preset",
+    "ResponseMap",
+    "RunnerUp",
+    "ShakePlan",
+    "VibratingGripper",
+    "like_breeze",
+    "plan_shake",
+    "sawyer_limit",
     "with_preset",
 ]  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from anther.shake.limits import ArmLimit, sawyer_limit
 
 RAMPS = 0.97
 """Share of a motor's limits that a steady shake may take: a ramp over half a second adds 1 % at 10 Hz."""
+
+ActuatorName = Literal["arm", "gripper"]
 
 
 class Actuator(Protocol):

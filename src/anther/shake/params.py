@@ -41,6 +41,8 @@ slower tones, at 20 Hz as at faster ones (docs/reports/loads.md)."""
 MOST_DURATION = 5.0
 """Of a visit [s]."""
 
+Objective = Literal["acceleration", "amplitude"]
+
 
 def load_error(kind: str, frequencies: ArrayLike) -> tuple[Array, Array]:
     """Return median and spread of a kind of load, each of the shape of the frequencies [Hz]."""
@@ -86,7 +88,7 @@ class Params:
         duration: of the shake [s]; longer at low frequency, to have five cycles, up to `MOST_DURATION`.
     """
 
-    objective: Literal["acceleration", "amplitude"] = "acceleration"
+    objective: Objective = "acceleration"
     lowest: float | None = None
     highest: float | None = None
     frequencies: int = 40
