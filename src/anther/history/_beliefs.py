@@ -57,7 +57,7 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
         own, count = (None, 0) if session is None else _own(session, species, plant)
     if own is None or own.material_after is None:
         known = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
-        return Belief(facts, "facts", f"the facts' prior of {known}; {plant} has taught nothing yet")
+        return Belief(facts, "facts", f"the facts' prior of {known}; nothing was learned of this plant yet")
     reason = f"{plant}'s own, learned in {_count(count, 'trial')}, the last on {own.time:%Y-%m-%d %H:%M} UTC"
     last = material_of(own.material_after) or facts
     material = last.changed(response_gain=facts.response_gain, response_spread=facts.response_spread)
