@@ -41,26 +41,9 @@ from anther.shake.search import Gains, gains, scenarios
 from anther.shake.verification import Shaken, verified
 
 __all__ = [
-    "PADS",
-    "PRESETS",
-    "Actuator",
-    "ActuatorName",
-    "ArmShaker",
-    "Crop",
-    "EarlierShake",
-    "Objective",
-    "Pads",
-    "Params",
-    "PlantLimits",
-    "Preset",
-    "ResponseMap",
-    "RunnerUp",
-    "ShakePlan",
-    "VibratingGripper",
-    "like_breeze",
-    "plan_shake",
-    "sawyer_limit",
-    "with_preset",
+    "PADS", "PRESETS", "Actuator", "ActuatorName", "ArmShaker", "Crop", "EarlierShake", "Objective", "Pads", "Params",
+    "PlantLimits", "Preset", "ResponseMap", "RunnerUp", "ShakePlan", "VibratingGripper", "like_breeze", "plan_shake",
+    "sawyer_limit", "with_preset",
 ]  # fmt: skip
 
 
