@@ -191,8 +191,7 @@ def shake(kept: Kept, at: Sight, true: TrueMotion, risk: float, noise: int) -> d
     with ExitStack() as instead:
         for name, value in (("swings", filmed), ("gripper_motion", read), ("sight", lambda *_: at)):
             instead.enter_context(patch.object(escalation, name, value))
-        for name in ("WATCHED", "WATCHED_FASTEST"):
-            instead.enter_context(patch.object(knowledge, name, risk))
+        instead.enter_context(patch.object(knowledge, "WATCHED", risk))
         escalated = kept.anew()
         piece.append(escalated.begin(None))  # pyright: ignore[reportArgumentType]
         while piece[-1].amplitudes.any():
@@ -248,7 +247,7 @@ def metrics(way: str, rows: Sequence[dict[str, Any]]) -> dict[str, float]:
         for row in rows
         for one in row["shakes"]
         for look in one["looks"]
-        if one["risk"] == (knowledge.WATCHED if look["hertz"] <= RINGING else knowledge.WATCHED_FASTEST)
+        if one["risk"] == knowledge.WATCHED
     ]
     for band, (low, high) in BANDS.items():
         looks = [look for look, _ in used if low < look["hertz"] <= high]

@@ -50,7 +50,7 @@ def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
 def most(world: World, tone: int) -> tuple[float, float]:
     """Return how far a tone may be raised, by the truth: amplitude [m] and the flowers' median there [m/s2]."""
     flowers, loads = world.flowers(tone), world.loads(tone)
-    sigmas = norm.isf(risk(world.limits.risk, float(TONES[tone])))
+    sigmas = norm.isf(risk(world.limits.risk))
     margin = {k: median * np.exp(sigmas * spread) for k, (median, spread) in SEEN_ERROR.items()}
     caps = [
         limit / (margin[k] * loads[k])
@@ -257,22 +257,53 @@ def test_a_shake_that_is_lost_from_sight_ends(shaken: Shaken, look: int) -> None
 
 
 @pytest.mark.parametrize("count", [1, FLOWERS - 1])
-def test_a_shake_that_loses_a_flower_goes_back_to_where_it_was_seen(shaken: Shaken, count: int) -> None:
-    """The flower that is lost first is the one that swings furthest."""
+def test_a_shake_that_loses_a_flower_that_may_swing_far_goes_back_to_where_it_was_seen(
+    shaken: Shaken, count: int
+) -> None:
     foresight = made_foresight(1)
     few = SIGHTED.copy()
     few[:count] = False
     steady = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3))
-    losing = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[SIGHTED, SIGHTED, few])
+    losing = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[*[SIGHTED] * 4, few])
     shaken(steady)
     watched = shaken(losing)
-    assert max(p.amplitudes.max() for p in steady.pieces) > 1.4 * losing.pieces[2].amplitudes.max()
-    assert losing.pieces[2].amplitudes.max() > losing.pieces[1].amplitudes.max()
-    assert losing.pieces[3].amplitudes == pytest.approx(losing.pieces[2].amplitudes)
-    assert losing.pieces[4].amplitudes == pytest.approx(losing.pieces[1].amplitudes)
-    assert losing.pieces[5].stops
-    assert "Watched again" in watched.steps[2].decided
-    assert "flowers were lost from sight" in watched.steps[3].decided
+    sure, lost, again, held, end = losing.pieces[3:]
+    assert max(p.amplitudes.max() for p in steady.pieces) > 1.05 * lost.amplitudes.max()
+    assert lost.amplitudes.max() > sure.amplitudes.max()
+    assert again.amplitudes == pytest.approx(lost.amplitudes)
+    assert held.amplitudes == pytest.approx(sure.amplitudes)
+    assert end.stops
+    assert "Watched again" in watched.steps[4].decided
+    assert "flowers were lost from sight" in watched.steps[5].decided
+
+
+def test_a_flower_that_is_lost_while_it_swings_little_ends_the_raise_only_where_it_may_feel_more_than_the_most(
+    shaken: Shaken,
+) -> None:
+    foresight, few = made_foresight(1), SIGHTED.copy()
+    few[0] = False
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=Limits(plant=WEAK), shown=[SIGHTED, SIGHTED, few])
+    world.params = Params(most_seconds=30)
+    steps = single(shaken(world))
+    at_most = (
+        escalation.JUMP * np.array([s.amplitudes[0] for s in steps]) * steps[0].flowers[0] / steps[0].amplitudes[0]
+    )
+    assert np.isnan([step.flowers[0] for step in steps[1:]]).all()
+    doubted = [k for k, step in enumerate(steps) if "Watched again" in step.decided]
+    assert "lost from sight" in steps[doubted[0]].decided
+    assert doubted[0] > 1
+    assert at_most[doubted[0]] > world.params.most > at_most[0]
+    assert steps[-1].amplitudes == pytest.approx(steps[doubted[0] - 1].amplitudes)
+
+
+def test_of_a_flower_that_the_camera_cannot_tell_from_one_that_swings_too_far_the_model_speaks(shaken: Shaken) -> None:
+    """Else the camera's noise at fast tones would end the shake before it begins."""
+    foresight, noise = made_foresight(1), 0.012
+    world = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), noise=noise)
+    steps = single(shaken(world))
+    assert 3 * noise * (2 * np.pi * steps[0].frequencies[0]) ** 2 > world.params.most
+    assert np.isnan(steps[0].flowers).all()
+    assert all("lost from sight" not in step.decided for step in steps)
 
 
 def test_a_flower_that_may_feel_more_than_the_most_without_being_measured_counts_as_lost(shaken: Shaken) -> None:
@@ -280,18 +311,18 @@ def test_a_flower_that_may_feel_more_than_the_most_without_being_measured_counts
 
     class Blurred(World):
         def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
-            self.noise = 1e-6 if self.looks < 2 else 0.2
+            self.noise = 1e-6 if self.looks < 4 else 0.2
             return super().swings(_, frames, tones, expected)
 
     world = Blurred(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), limits=Limits(plant=WEAK))
     watched = shaken(world)
-    first, raised, again, held = (piece.amplitudes.max() for piece in world.pieces[1:5])
-    assert np.isfinite(single(watched)[0].flowers).all()
-    assert np.isnan(single(watched)[1].flowers).all()
-    assert raised > first
+    sure, raised, again, held = (piece.amplitudes.max() for piece in world.pieces[3:7])
+    assert np.isfinite(single(watched)[2].flowers).all()
+    assert np.isnan(single(watched)[3].flowers).all()
+    assert raised > sure
     assert again == pytest.approx(raised)
-    assert held == pytest.approx(first)
-    assert "flowers were lost from sight" in watched.steps[3].decided
+    assert held == pytest.approx(sure)
+    assert "flowers were lost from sight" in watched.steps[5].decided
 
 
 def test_a_flower_that_is_found_again_ends_nothing(shaken: Shaken) -> None:
@@ -302,13 +333,13 @@ def test_a_flower_that_is_found_again_ends_nothing(shaken: Shaken) -> None:
         World(
             foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=shown, params=Params(most_seconds=30)
         )
-        for shown in ([SIGHTED], [SIGHTED, SIGHTED, few, SIGHTED])
+        for shown in ([SIGHTED], [*[SIGHTED] * 4, few, SIGHTED])
     )
     held = shaken(steady).steps[-1].amplitudes
     watched = shaken(losing)
-    assert "Watched again" in watched.steps[2].decided
-    assert "lost from sight" in watched.steps[2].decided
-    assert losing.pieces[3].amplitudes == pytest.approx(losing.pieces[2].amplitudes)
+    assert "Watched again" in watched.steps[4].decided
+    assert "lost from sight" in watched.steps[4].decided
+    assert losing.pieces[5].amplitudes == pytest.approx(losing.pieces[4].amplitudes)
     assert watched.steps[-1].amplitudes == pytest.approx(held, rel=0.05)
 
 
@@ -318,13 +349,15 @@ def test_a_flower_that_is_lost_where_it_was_just_seen_takes_the_shake_further_ba
     foresight = made_foresight(1)
     few = SIGHTED.copy()
     few[:count] = False
-    weak = Limits(plant=PlantLimits(leaf_load=2.0))
-    world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak, shown=[*[SIGHTED] * 3, few])
+    weak = Limits(plant=PlantLimits(leaf_load=5.0))
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak)
+    looks = 1 + next(k for k, step in enumerate(shaken(world).steps) if "Watched again" in step.decided)
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak, shown=[*[SIGHTED] * looks, few])
     watched = shaken(world)
-    second, again, held = (piece.amplitudes.max() for piece in world.pieces[2:5])
+    second, again, held = (piece.amplitudes.max() for piece in world.pieces[looks - 1 : looks + 2])
     assert second == pytest.approx(again, rel=0.05)
-    assert "Watched again" in watched.steps[2].decided
-    assert "flowers were lost from sight" in watched.steps[3].decided
+    assert "Watched again" in watched.steps[looks - 1].decided
+    assert "flowers were lost from sight" in watched.steps[looks].decided
     assert held <= again / world.params.raised * 1.0001
 
 
@@ -378,7 +411,7 @@ def test_a_shake_at_which_flowers_in_sight_do_not_seem_to_move_is_raised(shaken:
 
 
 @pytest.mark.parametrize("count", [1, FLOWERS])
-def test_flowers_out_of_sight_that_never_were_seen_to_move_take_back_nothing_the_model_allows(
+def test_where_none_of_the_flowers_is_followed_the_shake_stays_at_what_the_model_allows(
     shaken: Shaken, count: int
 ) -> None:
     foresight, few = made_foresight(1), SIGHTED.copy()
@@ -387,8 +420,11 @@ def test_flowers_out_of_sight_that_never_were_seen_to_move_take_back_nothing_the
     world = World(foresight, foresight.vectors[4], plan=plan, noise=4e-4, shown=[SIGHTED, few])
     first, *others = single(shaken(world))
     assert first.amplitudes[0] == pytest.approx(escalation.BEGINS * plan.tones.amplitudes.max())
-    assert [step.amplitudes[0] for step in others] == pytest.approx([first.amplitudes[0]] * len(others))
-    assert "lost from sight" in others[-2].decided
+    if count < FLOWERS:
+        assert others[0].amplitudes[0] > first.amplitudes[0]
+    else:
+        assert [step.amplitudes[0] for step in others] == pytest.approx([first.amplitudes[0]] * len(others))
+        assert "lost from sight" in others[-2].decided
 
 
 @pytest.mark.parametrize("seconds", [10.0, 11.0, 14.0])

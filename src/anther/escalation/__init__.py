@@ -11,12 +11,12 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee, watch_points
 from anther.escalation.gripper import gripper_motion, links
 from anther.escalation.knowledge import (
+    JUMP,
     Allowed,
     Answer,
     Known,
@@ -127,14 +127,15 @@ class Escalation:
         self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
         self._hertz = tones.frequencies[self._tone]
         self._limits = [limits_of(limits, plan.press, hertz) for hertz in self._hertz.tolist()]
-        self._risk = [risk(limits.risk, hertz) for hertz in self._hertz.tolist()]
+        self._risk = risk(limits.risk)
         self._reach, self._planned = tones.reach.ravel(), tones.amplitudes.ravel()
         self._answers: list[list[Answer]] = []
         self._may: dict[int, Allowed] = {}
         self._told: dict[int, Known] = {}
+        self._most: dict[int, Array] = {}
         self._tried: dict[int, tuple[float, float]] = {}
         self._late, self._in_sight, self._last = 0.0, 0, False
-        self._followed, self._sure = np.zeros(len(flowers), dtype=bool), 0.0
+        self._sure = 0.0
         self._alone, self._doubted = set[int](), False
 
     @property
@@ -250,7 +251,7 @@ class Escalation:
         return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
-        return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk[shake])
+        return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
 
     def _learned(self, shake: int, one: Known) -> None:
         self._may[shake] = allowed(one, self._limits[shake], float(self._reach[shake]), self.params)
@@ -277,7 +278,6 @@ class Escalation:
             return self._only(0, self.plan.amplitude, self.plan.duration, words)
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
-        self._loses(self._in_view(look))
         if len(self._answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._answers)])
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
@@ -294,14 +294,17 @@ class Escalation:
         kept = SLOW_KEPT if self._hertz[shake] < SLOW and shake not in self._alone else 1.0
         return kept * self._may[shake].flowers
 
-    def _in_view(self, look: Look) -> NDArray[np.bool_]:
-        return np.isfinite(look.swings.std[: len(self._followed), 0])
+    def _lost(self, shake: int, amplitude: float) -> bool:
+        """Return whether a flower may swing too far to be measured.
 
-    def _loses(self, followed: NDArray[np.bool_]) -> bool:
-        """Return whether a flower is no longer followed: it may swing too far for that."""
-        lost = bool(np.any(self._followed & ~followed))
-        self._followed |= followed
-        return lost
+        One that a look before showed to feel less than `Params.most` may feel `JUMP` times as much for each metre, or
+        what would be measured. Of one that no look ever did, as of a hidden one, only the model speaks.
+        """
+        one, before = self._told[shake], self._most.get(shake, np.full(len(self._places[0]), np.nan))
+        may = amplitude * np.where(np.isfinite(before), np.fmin(one.most, JUMP * before), 0.0)
+        bounded = one.seen | (amplitude * one.most <= self.params.most)
+        self._most[shake] = np.where(bounded, one.most, before)
+        return bool(np.any(~one.seen & (may > self.params.most)))
 
     def _rest(self, look: Look) -> Next:
         words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
@@ -314,18 +317,15 @@ class Escalation:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
-        wild = ~self._told[now].seen & (amplitude * self._told[now].most > self.params.most)
-        followed = self._in_view(look) & ~wild
-        lost = self._loses(followed)
+        lost = self._lost(now, amplitude)
         if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
             return self._again(now, min(amplitude, self._may[now].amplitude), OUT_OF_SIGHT)
         if lost:
             return self._raised(now, amplitude, lost=True)
         borne = min(amplitude, self._may[now].amplitude)
         self._tried[now] = max(self._tried.get(now, (0.0, 0.0)), (borne * self._worth(now), borne))
-        shown = self._sight.shown[: len(followed)]
-        told = bool(self._told[now].seen.any() or (shown.any() and followed[shown].all()))
-        if told:  # flowers all followed that do not seem to move move little
+        told = bool(np.isfinite(self._told[now].most).any())
+        if told:  # flowers that are followed and do not seem to move move little
             self._sure = amplitude
         else:
             self._may[now] = self._may[now]._replace(flowers=0.0)
@@ -367,7 +367,7 @@ class Escalation:
         may = self._may[shake]
         higher, why = min(may.amplitude, self.params.raised * now, now + self._adding(shake)), may.binds
         if lost:  # also what was seen at this amplitude may have grown since
-            sure = self._sure if self._sure < now or shake not in self._tried else now / self.params.raised
+            sure = self._sure if ENOUGH * self._sure < now or shake not in self._tried else now / self.params.raised
             higher, why = min(sure, higher), OUT_OF_SIGHT
         elif not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
