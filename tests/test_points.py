@@ -131,13 +131,44 @@ def test_all_flowers_together_tell_how_fast_their_swing_grows_or_dies_out(rate: 
     """A mode that nears its swing as 1 - exp(-1.6 t), or falls as 1 + exp(-1.6 t), or neither, 0.4 s after a change."""
     times, tones, rng = 0.4 + np.arange(0, 0.6, 1 / 30), np.array([17.0]), np.random.default_rng(3)
     size = 1 - np.sign(rate) * np.exp(-1.6 * times)
-    growth, basis = _Growth(times, tones), _basis(times, tones)
+    growth, basis = _Growth(times), _basis(times, tones)
     for phase in range(5):
         path = size[:, None] * np.sin(2 * np.pi * 17 * times + phase)[:, None] * [2.0, -1.0]
         growth.add(path + rng.normal(0, 0.05, path.shape), basis, PER_PIXEL)
     middle = np.exp(-1.6 * times.mean())
     true = 1.6 * np.sign(rate) * middle / (1 - np.sign(rate) * middle)
     assert growth.rate() == pytest.approx(true, rel=0.15) if rate else growth.rate() == 0
+
+
+def test_the_overtones_of_a_tone_are_told_from_it_and_change_nothing_of_it() -> None:
+    every = 4.3 * np.arange(1, 4)
+    rest, frames = film([wave(phasors, every) for phasors in SWUNG], seconds=0.7)
+    found = swings(seen(rest), frames, every[:1], overtones=2)
+    assert found.phasors.shape[1] == 1
+    assert off(found._replace(phasors=np.concatenate([found.phasors, found.overtones], axis=1))).max() < 0.05
+    assert swings(seen(rest), frames, every[:1]).overtones.size == 0, "none that nobody asks for"
+
+
+def test_overtones_that_frames_cannot_tell_from_the_tone_are_left_out() -> None:
+    tone = np.array([14.9])  # at 30 frames a second twice as much seems to stand still, three times to be the tone
+    paths = [wave(phasors[:1], tone) for phasors in SWUNG]
+    for rate, count in ((30.0, 0), (90.0, 2)):
+        rest, frames = film(paths, rate=rate)
+        found = swings(seen(rest), frames, tone, overtones=2)
+        assert found.overtones.shape[1] == count
+        assert np.linalg.norm(found.overtones[..., :2], axis=2).max(initial=0) < 0.1 * PER_PIXEL
+
+
+def test_growth_is_that_of_the_tone_whatever_overtones_there_are() -> None:
+    times, tone = 0.4 + np.arange(0, 0.6, 1 / 60), np.array([6.0])
+    found = []
+    for count in (1, 3):
+        growth = _Growth(times)
+        for phase in range(5):
+            path = (1 + 0.8 * times)[:, None] * np.sin(2 * np.pi * 6 * times + phase)[:, None] * [2.0, -1.0]
+            growth.add(path, _basis(times, tone * np.arange(1, 1 + count)), PER_PIXEL)
+        found.append(growth.rate())
+    assert found == pytest.approx([0.8 / (1 + 0.8 * times.mean())] * 2, rel=0.05)
 
 
 def test_a_large_swing_is_followed_over_many_pixels() -> None:

@@ -50,14 +50,20 @@ def draw(flowers: Array, time: float, rng: np.random.Generator, colour: tuple[in
 
 
 def record(
-    amplitude: float, frequency: float, *, count: int = 45, colour: tuple[int, int, int] = (245, 215, 40)
+    amplitude: float,
+    frequency: float,
+    *,
+    count: int = 45,
+    colour: tuple[int, int, int] = (245, 215, 40),
+    overtone: float = 0.0,
 ) -> list[Frame]:
     rng = np.random.default_rng(0)
     rate = choose_rate(frequency, RATES)
     gain = np.array([1.0, 0.5, 1.5])[:, None]
     frames = []
     for i in range(count):
-        shift = amplitude * np.sin(2 * np.pi * frequency * i / rate + 0.4)
+        phase = 2 * np.pi * frequency * i / rate + 0.4
+        shift = amplitude * (np.sin(phase) + overtone * np.sin(2 * phase))
         frames.append(draw(REST + 0.002 + gain * shift * DIRECTION, i / rate, rng, colour))
     return frames
 
@@ -73,7 +79,19 @@ def test_amplitude_and_frequency_are_measured(amplitude: float, frequency: float
     assert response.visible.all()
     assert np.abs(response.amplitude - truth).max() < max(0.0003, 0.1 * truth.max())
     assert response.frequency == pytest.approx(np.full(3, frequency), rel=0.01 if amplitude > 0.001 else 0.02)
-    assert response.acceleration_peak == pytest.approx(response.amplitude * (2 * np.pi * response.frequency) ** 2)
+    sine = response.amplitude * (2 * np.pi * response.frequency) ** 2
+    assert response.acceleration_peak == pytest.approx(sine, rel=0.06)
+
+
+def test_a_swing_that_is_no_sine_is_measured_with_its_overtones() -> None:
+    """A flower that swings far about its pedicel is pulled along it twice a period."""
+    response = measure_response(record(0.006, 5.0, overtone=0.4), CAMERA, T_WORLD_CAM, flowers(), 5.0)
+    truth = 0.006 * np.array([1.0, 0.5, 1.5])
+    phase = np.linspace(0, 2 * np.pi, 1000)
+    sharper = np.abs(np.sin(phase) + 4 * 0.4 * np.sin(2 * phase)).max()
+    assert response.visible.all(), response.notes
+    assert response.amplitude == pytest.approx(truth, rel=0.1)
+    assert response.acceleration_peak == pytest.approx(sharper * truth * (10 * np.pi) ** 2, rel=0.15)
 
 
 @pytest.mark.parametrize(("frequency", "rate"), [(27.0, 60.0), (27.0, 90.0), (30.0, 90.0)])
@@ -262,6 +280,22 @@ def test_the_fit_is_exact_on_a_sinusoid(amplitude: float, frequency: float, phas
     assert swing.amplitude == pytest.approx(amplitude, rel=1e-6)
     assert abs(swing.direction @ direction) == pytest.approx(1, abs=1e-6)
     assert swing.at(times) == pytest.approx(path, abs=1e-9)
+
+
+@pytest.mark.parametrize("second", [0.0, 0.3, -0.8])
+def test_overtones_are_told_from_the_tone_as_far_as_the_samples_tell_them(second: float) -> None:
+    for rate, told in ((60.0, 2), (10.03, 0)):
+        times = np.arange(90) / rate
+        phase = 2 * np.pi * 5 * times
+        path = 0.002 * np.outer(np.sin(phase) + (second if told else 0) * np.sin(2 * phase + 1), [0.6, 0.0, 0.8])
+        swing, plain = fit_swing(times, path, 5.0, overtones=2), fit_swing(times, path, 5.0)
+        assert (swing.overtones, plain.overtones) == (told, 0)
+        assert swing.amplitude == pytest.approx(0.002, rel=1e-6)
+        assert swing.at(times) == pytest.approx(path, abs=1e-9)
+        turn = np.linspace(0, 2 * np.pi, 1000)
+        sharper = np.abs(np.sin(turn) + 4 * (second if told else 0) * np.sin(2 * turn + 1)).max()
+        assert swing.acceleration() == pytest.approx(sharper * 0.002 * (10 * np.pi) ** 2, rel=1e-2)
+        assert plain.acceleration() == pytest.approx(plain.amplitude * (10 * np.pi) ** 2)
 
 
 @given(begin=st.floats(-100, 100), phase=st.floats(0, 6.28))

@@ -2,9 +2,9 @@
 
 The fit x(t) = slow(t) + a cos(2 pi f t) + b sin(2 pi f t) is linear least squares at a known frequency (lock-in), with
 slow(t) a Legendre series that wriggles up to half the frequency: it takes up the free sway of a plant that was just
-touched. The fit needs no even sampling, and no sampling above twice the frequency: a shake of known frequency can be
-measured with a slower camera as long as f is not close to a multiple of rate/2, where cosine and sine cannot be told
-apart.
+touched. What swings far is no sine: overtones, sines of 2, 3, ... times the frequency, may be fitted beside it. The fit
+needs no even sampling, and no sampling above twice the frequency: a shake of known frequency can be measured with a
+slower camera as long as f is not close to a multiple of rate/2, where cosine and sine cannot be told apart.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ from anther.checks import check_array, check_range
 from anther.errors import bad_input
 from anther.geometry import Array
 
+MUCH_ALIKE = 3.0
+"""Overtones are fitted where no variance is more than so many times what it is with evenly spread phases."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swing:
@@ -32,8 +35,9 @@ class Swing:
         direction: (3,) unit vector along that axis, its largest component positive.
         frequency: [Hz].
         residual: root mean square distance of the samples from the fit, per axis [m].
-        coefficients: (2 + slow terms, 3) of the fit: a, b, then the Legendre series.
+        coefficients: (2 + 2 H + slow terms, 3) of the fit: a, b, those of the overtones, then the Legendre series.
         span: (start, end) of the samples [s], the series' interval.
+        overtones: H, how many were fitted.
     """
 
     amplitude: float
@@ -44,6 +48,19 @@ class Swing:
     residual: float
     coefficients: Array
     span: tuple[float, float]
+    overtones: int = 0
+
+    def acceleration(self, least: float = 0.0) -> float:
+        """Return its largest in a period [m/s2]; overtones of less than `least` [m] do not count."""
+        order, omega2 = np.arange(1, self.overtones + 2), (2 * np.pi * self.frequency) ** 2
+        cosine, sine = (self.coefficients[part : 2 + 2 * self.overtones : 2] for part in (0, 1))
+        sure = np.hypot(np.linalg.norm(cosine, axis=1), np.linalg.norm(sine, axis=1)) >= least
+        if not sure[1:].any():
+            return omega2 * self.amplitude
+        counts = order**2 * (sure | (order == 1))
+        phase = np.linspace(0, 2 * np.pi, 128, endpoint=False)[:, None] * order
+        path = (counts * np.cos(phase)) @ cosine + (counts * np.sin(phase)) @ sine
+        return float(omega2 * np.linalg.norm(path, axis=1).max())
 
     @property
     def phase(self) -> float:
@@ -53,16 +70,18 @@ class Swing:
 
     def at(self, times: Array) -> Array:
         """Return the fitted path (T, 3) [m] at `times` (T,) [s]."""
-        return _basis(times, self.span, self.frequency, len(self.coefficients) - 2) @ self.coefficients
+        slow = len(self.coefficients) - 2 - 2 * self.overtones
+        return _basis(times, self.span, self.frequency, slow, self.overtones) @ self.coefficients
 
 
-def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
+def fit_swing(times: Array, path: Array, frequency: float, overtones: int = 0) -> Swing:
     """Fit a swing of known frequency.
 
     Args:
         times: (T,) [s].
         path: (T, 3) [m]; rows with NaN are left out.
         frequency: [Hz].
+        overtones: so many are fitted beside it, or as many fewer as the samples tell from it.
 
     Raises:
         InputError: fewer than 8 samples, or samples that cannot tell cosine from sine at this frequency.
@@ -73,11 +92,9 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
     if seen.sum() < 8:
         raise bad_input("swing", given=f"{seen.sum()} samples", allowed="8 or more", do="Record longer.")
     t, x = times[seen], path[seen]
-    basis = swing_basis(t, frequency)
-    # normal equations: a decomposition of the basis would wake BLAS threads, which cost more than the work
-    gram = np.einsum("ti,tj->ij", basis, basis)
-    # how much larger the variance of a and b is than with evenly spread phases
-    loss = np.inf if np.linalg.cond(gram) > 1e10 else len(t) / 2 * np.diag(np.linalg.inv(gram))[:2].max()
+    basis, gram, inverse_gram, loss = _normal(t, frequency, count := overtones)
+    while count and (loss > MUCH_ALIKE or len(t) <= 2 * len(gram)):
+        basis, gram, inverse_gram, loss = _normal(t, frequency, count := count - 1)
     if loss > 100:
         raise bad_input(
             "swing",
@@ -87,7 +104,7 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
         )
     coefficients: Array = np.linalg.solve(gram, np.einsum("ti,tk->ik", basis, x)).astype(np.float64)
     misses = np.sum((x - basis @ coefficients) ** 2, axis=0) / max(len(t) - basis.shape[1], 1)
-    axis_std = np.sqrt(misses * np.diag(np.linalg.inv(gram))[:2].max())
+    axis_std = np.sqrt(misses * np.diag(inverse_gram)[:2].max())
     _, size, axes = np.linalg.svd(coefficients[:2])
     return Swing(
         amplitude=float(size[0]),
@@ -98,12 +115,24 @@ def fit_swing(times: Array, path: Array, frequency: float) -> Swing:
         residual=float(np.sqrt(misses.mean())),
         coefficients=coefficients,
         span=(float(t[0]), float(t[-1])),
+        overtones=count,
     )
 
 
-def swing_basis(times: Array, frequency: float) -> Array:
-    """Return (T, 2 + slow terms) what `fit_swing` fits to samples at `times` (T,): cosine, sine, Legendre series."""
-    return _basis(times, (float(times[0]), float(times[-1])), frequency, _slow_terms(times, frequency))
+def _normal(t: Array, frequency: float, overtones: int) -> tuple[Array, Array, Array, float]:
+    """Return the basis, its normal matrix and the inverse, and how much larger a wave's variance is than it need be."""
+    basis = swing_basis(t, frequency, overtones)
+    # normal equations: a decomposition of the basis would wake BLAS threads, which cost more than the work
+    gram = np.einsum("ti,tj->ij", basis, basis)
+    inverse_gram = np.full_like(gram, np.inf) if np.linalg.cond(gram) > 1e10 else np.linalg.inv(gram)
+    # beside evenly spread phases
+    loss = len(t) / 2 * float(np.diag(inverse_gram)[: 2 + 2 * overtones].max())
+    return basis, gram, inverse_gram, loss
+
+
+def swing_basis(times: Array, frequency: float, overtones: int = 0) -> Array:
+    """Return (T, 2 + 2 H + slow terms) what `fit_swing` fits to samples at `times` (T,)."""
+    return _basis(times, (float(times[0]), float(times[-1])), frequency, _slow_terms(times, frequency), overtones)
 
 
 def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1) -> float:
@@ -146,8 +175,10 @@ def _slow_terms(t: Array, frequency: float) -> int:
     return 2 + int(min(np.ptp(t) * shown, len(t) / 4))
 
 
-def _basis(t: Array, span: tuple[float, float], frequency: float, slow: int) -> Array:
-    phase = 2 * np.pi * frequency * (t - span[0])
+def _basis(t: Array, span: tuple[float, float], frequency: float, slow: int, overtones: int = 0) -> Array:
+    """Return cosine and sine of the frequency and its overtones, one after the other, and the Legendre series."""
+    phase = 2 * np.pi * frequency * (t - span[0])[:, None] * np.arange(1, overtones + 2)
     along = 2 * (t - span[0]) / max(span[1] - span[0], 1e-9) - 1
     slow_part: Array = np.polynomial.legendre.legvander(along, slow - 1).astype(np.float64)
-    return np.column_stack([np.cos(phase), np.sin(phase), slow_part])
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(t), -1)
+    return np.column_stack([waves, slow_part])

@@ -36,6 +36,7 @@ from anther.escalation.params import SHORTEST, Params
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.response.points import likeness, sight, swings
+from anther.response.thresholds import overtones
 from anther.shake import Params as Limits
 from anther.shake import ShakePlan
 from anther.shake.observables import semi_major
@@ -149,7 +150,7 @@ class Escalation:
 
     def frame_rate(self, rates: Sequence[float]) -> float:
         """Return the slowest of a camera's rates [1/s] that tells the tones apart about as well as the fastest does."""
-        looks = [(self._watch(n), self._hertz[[n]]) for n in range(len(self._hertz))]
+        looks = [(self._watch(n), hertz * np.arange(1, 2 + overtones(hertz))) for n, hertz in enumerate(self._hertz)]
         looks.append((self._probe, np.unique(self._hertz)))
         best = [likeness(max(rates), *look) for look in looks]
         return min(r for r in rates if all(likeness(r, *a) <= WORSE * b for a, b in zip(looks, best, strict=True)))
@@ -247,7 +248,8 @@ class Escalation:
             expected = np.stack(
                 [c * self._told[int(n)].picture for c, n in zip(commanded, active, strict=True)], axis=1
             )
-        seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
+        over = overtones(float(tones[0])) if len(tones) == 1 else 0
+        seen = settled(swings(self._sight, frames, tones, expected, over), float(tones[0]))
         return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
 from anther.escalation.gripper import drawn_errors
+from anther.escalation.overtones import SIGNIFICANCE, sharpened
 from anther.escalation.params import Params
 from anther.execution import Step
 from anther.geometry import Array
@@ -66,9 +67,6 @@ WORDS = {
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
 seen: a tone is not taken for what it might do."""
-SIGNIFICANCE = 3.0
-"""A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
-
 MISTAKEN = 4.0
 """Nor when a flower seems to swing exp(4 `FLOWER_SPREAD`), 13, times as far as the members say of it while the others
 do not: something else was followed."""
@@ -153,12 +151,14 @@ class Answer(NamedTuple):
         flowers: (F, 3) motion that the camera measured, along `axes`; NaN where it did not.
         std: (F, 3) its standard deviation.
         axes: (F, 3, 3) see `response.points.Sight`.
+        peak: (F,) see `overtones.sharpened`.
     """
 
     members: ComplexArray
     flowers: ComplexArray
     std: Array
     axes: Array
+    peak: Array | float = 1.0
 
 
 def settled(swings: Swings, hertz: float) -> Swings:
@@ -169,7 +169,7 @@ def settled(swings: Swings, hertz: float) -> Swings:
     """
     ends = 1 + swings.growing / (2 * np.pi * hertz * DAMPING)
     times = float(np.clip(ends, 1.0, MOST_GROWTH))
-    return swings._replace(phasors=times * swings.phasors, std=times * swings.std)
+    return swings._replace(phasors=times * swings.phasors, std=times * swings.std, overtones=times * swings.overtones)
 
 
 def lateness(foresight: Foresight, look: Look) -> float:
@@ -203,7 +203,7 @@ def answered(foresight: Foresight, look: Look, i: int, late: float, before: Know
         mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > JUMP * before.most)
     motion[own][mistaken] = std[own][mistaken] = np.nan
     found = narrowed(members, *_used(foresight, look, motion, std))
-    return Answer(found, motion[own], std[own], look.swings.axes[own])
+    return Answer(found, motion[own], std[own], look.swings.axes[own], sharpened(look.swings, own))
 
 
 def summed(answers: Sequence[Answer], parts: Array) -> Answer:
@@ -240,7 +240,7 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     away = np.where(deep, one.flowers[:, 2], _away(moved, one.flowers[:, :2]))
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
-    swing = semi_major(flowers)
+    swing = one.peak * semi_major(flowers)  # that would give this acceleration without overtones
     members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
     unknown = FLOWER_SPREAD * float(fastness(hertz))  # `SEEN_ERROR` of slower tones contains it
     shaken = np.where(seen, swing, np.nan) if seen.any() else np.where(followed, shown, np.nan)  # at least as far

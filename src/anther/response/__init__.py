@@ -27,6 +27,7 @@ from anther.response.thresholds import (
     RESIDUAL_PIXELS,
     SEEN_SHARE,
     SPREAD,
+    overtones,
 )
 
 __all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
@@ -51,7 +52,7 @@ class Response:
         phase: (F,) [rad] of the swing along `direction`: sin(2 pi f t + phase), f the shake's frequency, t the cameras'
             clock. Where the flower moves on an ellipse, other directions have other phases.
         phase_std: (F,) its standard deviation [rad].
-        acceleration_peak: (F,) amplitude x (2 pi frequency)^2 [m/s2].
+        acceleration_peak: (F,) the largest in a period [m/s2], with overtones where a shake is slow.
         at_most: (F,) where a flower was followed but moved less than can be told: that least amplitude [m].
         visible: (F,) bool, whether it could be measured.
         notes: what the stage wants the user to know.
@@ -227,7 +228,7 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
     try:
         own = without_outliers(times, one.track, hint)
         clean, unseen = _without_noisy_depth(times, own, hint, one.deep)
-        swing = fit_swing(times, clean, hint)
+        swing = fit_swing(times, clean, hint, overtones(hint))
     except InputError as error:
         return f"could not be measured: {error}"
     if np.isfinite(clean[:, 0]).sum() < least:
@@ -252,7 +253,7 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
         frequency_std=float(np.sqrt(3) / np.pi * noise / amplitude / span),
         phase=swing.phase,
         phase_std=float(np.hypot(noise / amplitude, PHASE_ERROR)),
-        acceleration_peak=amplitude * (2 * np.pi * frequency) ** 2,
+        acceleration_peak=swing.acceleration(limit) * (frequency / hint) ** 2,
         at_most=float("nan"),
     )
 

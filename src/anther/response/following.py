@@ -28,7 +28,16 @@ from anther.response.petals import (
     seek,
     smoothed,
 )
-from anther.response.thresholds import DEPTH_GATE, DEPTH_REACH, LEAST_COVER, LIKENESS, OUTLIER, REACH, SHIFT
+from anther.response.thresholds import (
+    DEPTH_GATE,
+    DEPTH_REACH,
+    LEAST_COVER,
+    LIKENESS,
+    OUTLIER,
+    REACH,
+    SHIFT,
+    overtones,
+)
 
 FLOWER_RADIUS = 0.007
 """Of a flower [m]."""
@@ -174,7 +183,7 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float) -> Array:
     for _ in range(AGAIN):
         flat = np.column_stack([path, np.where(np.isfinite(path[:, 0]), 0.0, np.nan)])
         try:
-            swing = fit_swing(times, without_outliers(times, flat, hint), hint)
+            swing = fit_swing(times, without_outliers(times, flat, hint), hint, overtones(hint))
         except InputError:
             return path
         path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], NEAR_SWING, OWN_LIKENESS)
@@ -183,7 +192,7 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float) -> Array:
 
 def _depth(frames: Sequence[Frame], patch: Patch, path: Array, hint: float, rest: float) -> tuple[bool, Array]:
     """Return whether a flower's depth is sure along its path (T, 2), and that depth (T,) [m], or `rest` where not."""
-    swing = swing_basis(np.array([f.time for f in frames]), hint)
+    swing = swing_basis(np.array([f.time for f in frames]), hint, overtones(hint))
     depth = depth_along(frames, patch, path, swing, np.array(rest), OWN_DEPTH)
     sure = bool(np.isfinite(depth).mean() >= DEPTH_SHARE * np.isfinite(path[:, 0]).mean() > 0)
     return sure, depth if sure else np.full(len(frames), rest)
@@ -207,6 +216,6 @@ def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
 
 def without_outliers(times: Array, track: Array, frequency: float) -> Array:
     """Return the track (T, 3) with NaN where it lies more than `OUTLIER` robust deviations off its swing on an axis."""
-    miss = np.abs(track - fit_swing(times, track, frequency).at(times))
+    miss = np.abs(track - fit_swing(times, track, frequency, overtones(frequency)).at(times))
     spread = 1.4826 * np.nanmedian(miss, axis=0)
     return np.where((miss <= OUTLIER * np.maximum(spread, 1e-5)).all(axis=1, keepdims=True), track, np.nan)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics, inverse, transform_points
+from anther.oscillation import MUCH_ALIKE
 from anther.response.depth import depth_along
 from anther.response.following import NEAR_SWING, OWN_DEPTH, OWN_LIKENESS, placed
 from anther.response.petals import Image, Patch, seek, smoothed
@@ -49,6 +50,7 @@ LEAST_ERROR = 0.03
 """No place is surer than this [px]: a guess, and about what films without motion show."""
 LEAST_DEPTH_ERROR = 0.0005
 """Nor is a depth, of a frame [m]: a guess."""
+NO_OVERTONES = np.zeros((0, 0, 3), np.complex128)
 
 
 class Sight(NamedTuple):
@@ -84,12 +86,14 @@ class Swings(NamedTuple):
         axes: (P, 3, 3) of `Sight`.
         growing: by which share of itself the swing of all flowers grows in a second, in the middle of the frames [1/s];
             0 where that is not told from none, or there are several tones.
+        overtones: (P, H, 3) phasors at 2, 3, ... times the one tone; H is 0 where none were looked for or can be told.
     """
 
     phasors: ComplexArray
     std: Array
     axes: Array
     growing: float = 0.0
+    overtones: ComplexArray = NO_OVERTONES
 
 
 def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array) -> Sight:
@@ -112,7 +116,9 @@ def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Arr
     return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, rest[:, 2], axes, shown, tuple(alone))
 
 
-def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None) -> Swings:
+def swings(
+    at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None, overtones: int = 0
+) -> Swings:
     """Return how the points in sight swung in frames of a shake whose tones (K,) [Hz] are known.
 
     Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
@@ -126,12 +132,17 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         frames: of the shake.
         tones: (K,) [Hz].
         expected: (F, K, 3) phasors of the flowers as `Swings` has them [m]; None: nothing is.
+        overtones: of a single tone, so many are looked for, as far as the frames tell them from it.
     """
-    phasors = np.full((len(at.pixels), len(tones), 3), np.nan, np.complex128)
-    std, times = np.full((len(at.pixels), 3), np.nan), np.array([f.time for f in frames])
+    times = np.array([f.time for f in frames])
+    every = _with_overtones(times, tones, overtones) if len(tones) == 1 else tones
+    phasors = np.full((len(at.pixels), len(every), 3), np.nan, np.complex128)
+    std = np.full((len(at.pixels), 3), np.nan)
     if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
-        return Swings(phasors, std, at.axes)
-    basis, growth = _basis(times, tones), _Growth(times, tones)
+        return Swings(phasors[:, : len(tones)], std, at.axes)
+    if expected is not None:
+        expected = np.pad(expected, [(0, 0), (0, len(every) - len(tones)), (0, 0)])
+    basis, growth = _basis(times, every), _Growth(times)
     with ThreadPoolExecutor() as pool:  # OpenCV lets go of Python's lock
         gains = list(pool.map(_gain, frames))
         pictures = pool.map(_picture, frames, gains)
@@ -146,25 +157,27 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         across = _fitted(basis, path, LEAST_ERROR)
         away = _away(at, int(point), frames, path, basis, guess) if flower and across is not None else None
         if across is not None:
-            phasors[point, :, :2], std[point, :2] = scale * _phasors(across, len(tones)), scale * across.std
+            phasors[point, :, :2], std[point, :2] = scale * _phasors(across, len(every)), scale * across.std
             if flower and len(tones) == 1:
                 growth.add(path, basis, scale)
         if away is not None:
-            phasors[point, :, 2:], std[point, 2] = _phasors(away, len(tones)), away.std
-    return Swings(phasors, std, at.axes, growth.rate())
+            phasors[point, :, 2:], std[point, 2] = _phasors(away, len(every)), away.std
+    own, over = phasors[:, : len(tones)], phasors[:, len(tones) :]
+    return Swings(own, std, at.axes, growth.rate(), over)
 
 
 class _Growth:
     """How flowers' swings of one tone grow, all by the same share: those that swing furthest tell it."""
 
-    def __init__(self, times: Array, tones: Array) -> None:
+    def __init__(self, times: Array) -> None:
         self._since = times - times.mean()
         self._top = self._bottom = self._variance = 0.0
 
     def add(self, path: Array, basis: Array, scale: float) -> None:
         """Count a flower's path (T, 2) [px]."""
-        used = np.isfinite(path).all(axis=1)
-        both = np.column_stack([basis[:, :2] * self._since[:, None], basis])[used]
+        used, tone = np.isfinite(path).all(axis=1), [0, (basis.shape[1] - SLOW) // 2]
+        both = np.column_stack([basis[:, tone] * self._since[:, None], basis[:, tone], np.delete(basis, tone, axis=1)])
+        both = both[used]
         if used.sum() < both.shape[1] + 4:
             return
         parts, inverse_gram = _solved(both, scale * path[used])
@@ -186,11 +199,20 @@ def likeness(rate: float, seconds: float, tones: Array) -> float:
     above half the rate seem slower than they are; known ones may (stroboscope), as long as no two seem alike. Infinite
     where there are not `SPARE` more frames than numbers that are fitted.
     """
-    times = np.arange(int(seconds * rate)) / rate
+    return _alike(np.arange(int(seconds * rate)) / rate, tones)
+
+
+def _alike(times: Array, tones: Array) -> float:
     if len(times) < 2 * len(tones) + SLOW + SPARE:
         return float("inf")
     _, inverse_gram = _solved(_basis(times, tones), times[:, None])
     return float(inverse_gram.diagonal()[:-SLOW].max()) * len(times) / 2
+
+
+def _with_overtones(times: Array, tone: Array, most: int) -> Array:
+    """Return (1 + H,) a tone and as many overtones, `most` or fewer, as frames tell from it."""
+    every = [tone * np.arange(1, 2 + count) for count in range(most, 0, -1)]
+    return next((some for some in every if _alike(times, some) <= MUCH_ALIKE), tone)
 
 
 def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
