@@ -9,8 +9,7 @@ from made_foresight import ALONG, FLOWERS, TONES, made_foresight
 from anther.escalation.knowledge import Answer, known, settled
 from anther.escalation.overtones import SIGNIFICANCE, sharpened
 from anther.response.points import Swings
-from anther.response.thresholds import OVERTONES, overtones
-from anther.shake.plant_limits import FAST
+from anther.response.thresholds import LARGE, OVERTONES, overtones
 
 OWN = slice(0, 2)
 
@@ -45,7 +44,7 @@ def test_a_swing_that_still_grows_keeps_its_shape() -> None:
 
 
 def test_overtones_are_looked_for_where_swings_are_large_enough() -> None:
-    assert [overtones(hertz) for hertz in (0.5, 5.0, FAST, 1.01 * FAST, 40.0)] == [OVERTONES] * 3 + [0] * 2
+    assert [overtones(hertz) for hertz in (0.5, 5.0, LARGE, 1.01 * LARGE, 40.0)] == [OVERTONES] * 3 + [0] * 2
 
 
 def test_a_flower_whose_acceleration_is_sharper_feels_more_and_bends_its_pedicel_as_much_more() -> None:
