@@ -44,9 +44,10 @@ LEAST_SPREAD = 0.00015
 
 OVERTONES, LARGE = 2, 8.0
 """Twice and three times the frequency of a shake up to `LARGE` [Hz] are looked for: of a flower that swings about its
-pedicel the pull along it comes twice a period, and what is shaken at 5 Hz may ring at 10. Of one pepper (9917) at 5.2 Hz
-the second gave its seven flowers 0.2 to 2.6 times the acceleration that the first did, and pedicels bent twice as far.
-With overtones 7 of 12 flowers were measured within 15 % (43 % of 81 without); from 8 to 14 Hz 1 of 6 (78 % of 23)."""
+pedicel the pull along it comes twice a period, and what is shaken at 5 Hz may ring at 10. Of one pepper (9917) at
+5.2 Hz the second gave its seven flowers 0.2 to 2.6 times the acceleration that the first did, and pedicels bent twice
+as far. With overtones 7 of 12 flowers were measured within 15 % (43 % of 81 without); from 8 to 14 Hz 1 of 6 (78 % of
+23)."""
 
 
 def overtones(hertz: float) -> int:
