@@ -35,7 +35,7 @@ SEEN_ERROR = {
 as `shake.params.LOAD_ERROR` but after the camera has seen a tone. Measured by us on 34 simulated plants (seeds
 500-519; the stem's spread also on 9600-9607) whose truth no stage believes, two grips, seven tones from 2 to 11 Hz,
 points seen with an error of 12 %: 5 % of the loads pass what they say at that risk. Of pedicels (`Foresight.pedicels`):
-on 21 plants shaken in the whole cell (7752-7754, 9572-9579). Of bases: in 86 shakes of the whole cell by the arm and 41
+on 21 plants shaken in the whole cell (7752-7754, 9572-9579). Of bases: in 88 shakes of the whole cell by the arm and 41
 by a motor; by the linear equations alone they would be 0.65 and 1.1, which 54 % of the arm's slow shakes passed. Of the
 grip's force: that of the model."""
 
