@@ -13,6 +13,7 @@ import numpy as np
 
 from anther.files import write_text
 from anther.fruit_set import worth
+from anther.geometry import Array
 from anther.pictures import report as figures
 from anther.pictures.report import draw_steps
 from anther.plant import LEARNED, Material
@@ -215,36 +216,45 @@ def _motion(results: RunResults) -> str:
     if shake is None or response is None:
         return ""
     picture = _image(lambda: figures.motion(shake, response), "predicted and measured flower motion")
+    measured = _felt(results, response)
     rows = [
         [
             f"Flower {i + 1}",
             f"{_milli(shake.predicted_amplitude[i])} ({1e3 * low:.2f} to {1e3 * high:.2f})",
             _measured(response, i),
             _number(shake.predicted_acceleration[i]),
-            _number(response.acceleration_peak[i]),
+            _number(measured[i]),
         ]
         for i, (low, high) in enumerate(shake.predicted_amplitude_interval)
     ]
     held = response.visible & np.all(
         (response.amplitude[:, None] >= shake.predicted_amplitude_interval) == [1, 0], axis=1
     )
-    felt = np.where(response.visible, response.acceleration_peak, shake.predicted_acceleration)
+    felt = np.where(np.isfinite(measured), measured, shake.predicted_acceleration)
     text = f"<p>{held.sum()} of {response.visible.sum()} measured amplitudes lie within the predicted interval.</p>"
     text += f"<p>{escape(worth(felt, results.crop or ''))}</p>"
-    text += _beside(results, felt)
+    text += _beside(results, measured)
     header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
     return text + picture + _film(results) + _table(header, rows)
 
 
-def _beside(results: RunResults, said: Any) -> str:
+def _felt(results: RunResults, response: Response) -> Array:
+    """Return (F,) the acceleration measured after the shake, or else in its last step [m/s2]; NaN where in neither."""
+    steps = () if results.trial is None else results.trial.steps
+    last = np.array(steps[-1].flowers) if steps else np.full(len(response.visible), np.nan)
+    return np.where(response.visible, response.acceleration_peak, last)
+
+
+def _beside(results: RunResults, measured: Array) -> str:
     """Return the median flower as predicted, measured and, in simulation, as it truly moved."""
-    shake, response, summary = results.shaken, results.response, results.summary or {}
+    shake, summary = results.shaken, results.summary or {}
     assert shake is not None
-    assert response is not None
-    seen = response.acceleration_peak[response.visible]
+    seen = measured[np.isfinite(measured)]
     cells = {
         "Predicted": _number(float(np.median(shake.predicted_acceleration))),
-        f"Measured ({len(seen)} of {len(said)} flowers)": _number(float(np.median(seen))) if len(seen) else "nothing",
+        f"Measured ({len(seen)} of {len(measured)} flowers)": _number(float(np.median(seen)))
+        if len(seen)
+        else "nothing",
     }
     true = summary.get("true_flower_acceleration_median_ms2")
     if true is not None:
