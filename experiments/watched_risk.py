@@ -172,7 +172,7 @@ def shake(kept: Kept, at: Sight, true: TrueMotion, risk: float, noise: int) -> d
         tones = [int(np.abs(plan.tones.frequencies - piece[-1].frequencies[n]).argmin()) for n in numbers]
         return list(zip(tones, lines, piece[-1].amplitudes[numbers].tolist(), strict=True))
 
-    def filmed(_: Sight, __: Sequence[Frame], tones: Array, *___: Any) -> Swings:
+    def filmed(_: Sight, __: Sequence[Frame], tones: Array, expected: Any = None) -> Swings:
         phasors = np.full((count, len(tones), 3), np.nan, dtype=complex)
         for k, (tone, line, amplitude) in enumerate(done()):
             moved = amplitude * true.points[tone] @ gripped(plan, true, tone, line)[1][:2]

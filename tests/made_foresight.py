@@ -125,7 +125,7 @@ class World:
         self._rng = np.random.default_rng(1)
         self.looks = 0
 
-    def swings(self, _: Any, frames: Sequence[Frame], tones: Array, expected: Any = None, overtones: int = 0) -> Swings:
+    def swings(self, _: Any, frames: Sequence[Frame], tones: Array, expected: Any = None) -> Swings:
         """Return what is seen of the present piece."""
         shown = self.shown[min(self.looks, len(self.shown) - 1)] & bool(frames)
         self.looks += 1

@@ -310,7 +310,7 @@ def test_a_flower_that_may_feel_more_than_the_most_without_being_measured_counts
     foresight = made_foresight(1)
 
     class Blurred(World):
-        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None, over: int = 0) -> Any:
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
             self.noise = 1e-6 if self.looks < 4 else 0.2
             return super().swings(_, frames, tones, expected)
 
@@ -448,7 +448,7 @@ def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> No
     foresight = made_foresight(seed)
 
     class Fading(World):
-        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None, over: int = 0) -> Any:
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
             found = super().swings(_, frames, tones, expected)
             return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
 
@@ -525,7 +525,7 @@ def test_what_a_shake_turns_back_to_is_what_was_found_to_be_borne(shaken: Shaken
     truth[0, :, 0] *= 11
 
     class Clearing(World):
-        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None, over: int = 0) -> Any:
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
             self.noise = 0.03 if self.looks < 2 else 1e-6
             return super().swings(_, frames, tones, expected)
 

@@ -143,18 +143,19 @@ def test_all_flowers_together_tell_how_fast_their_swing_grows_or_dies_out(rate: 
 def test_the_overtones_of_a_tone_are_told_from_it_and_change_nothing_of_it() -> None:
     every = 4.3 * np.arange(1, 4)
     rest, frames = film([wave(phasors, every) for phasors in SWUNG], seconds=0.7)
-    found = swings(seen(rest), frames, every[:1], overtones=2)
+    found = swings(seen(rest), frames, every[:1])
     assert found.phasors.shape[1] == 1
     assert off(found._replace(phasors=np.concatenate([found.phasors, found.overtones], axis=1))).max() < 0.05
-    assert swings(seen(rest), frames, every[:1]).overtones.size == 0, "none that nobody asks for"
+    assert swings(seen(rest), frames, every[:2]).overtones.size == 0, "of one tone only"
+    assert swings(seen(rest), frames, 2 * every[:1]).overtones.size == 0, "nor of a fast one"
 
 
 def test_overtones_that_frames_cannot_tell_from_the_tone_are_left_out() -> None:
-    tone = np.array([14.9])  # at 30 frames a second twice as much seems to stand still, three times to be the tone
+    tone = np.array([7.45])  # at 30 frames a second sine and cosine of twice as much seem alike, three times is 7.65
     paths = [wave(phasors[:1], tone) for phasors in SWUNG]
     for rate, count in ((30.0, 0), (90.0, 2)):
         rest, frames = film(paths, rate=rate)
-        found = swings(seen(rest), frames, tone, overtones=2)
+        found = swings(seen(rest), frames, tone)
         assert found.overtones.shape[1] == count
         assert np.linalg.norm(found.overtones[..., :2], axis=2).max(initial=0) < 0.1 * PER_PIXEL
 

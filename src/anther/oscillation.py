@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from anther.checks import check_array, check_range
@@ -52,15 +53,14 @@ class Swing:
 
     def acceleration(self, least: float = 0.0) -> float:
         """Return its largest in a period [m/s2]; overtones of less than `least` [m] do not count."""
-        order, omega2 = np.arange(1, self.overtones + 2), (2 * np.pi * self.frequency) ** 2
+        omega2 = (2 * np.pi * self.frequency) ** 2
         cosine, sine = (self.coefficients[part : 2 + 2 * self.overtones : 2] for part in (0, 1))
-        sure = np.hypot(np.linalg.norm(cosine, axis=1), np.linalg.norm(sine, axis=1)) >= least
+        phasors = np.asarray(sine + 1j * cosine, dtype=np.complex128)
+        sure = np.linalg.norm(phasors, axis=1) >= least
         if not sure[1:].any():
             return omega2 * self.amplitude
-        counts = order**2 * (sure | (order == 1))
-        phase = np.linspace(0, 2 * np.pi, 128, endpoint=False)[:, None] * order
-        path = (counts * np.cos(phase)) @ cosine + (counts * np.sin(phase)) @ sine
-        return float(omega2 * np.linalg.norm(path, axis=1).max())
+        sure[0] = True
+        return float(omega2 * peak(np.where(sure[:, None], phasors, 0)))
 
     @property
     def phase(self) -> float:
@@ -117,6 +117,13 @@ def fit_swing(times: Array, path: Array, frequency: float, overtones: int = 0) -
         span=(float(t[0]), float(t[-1])),
         overtones=count,
     )
+
+
+def peak(phasors: NDArray[np.complex128]) -> Array:
+    """Return the largest acceleration in a period of tones (..., 1 + H, 3), one and its overtones, over omega^2."""
+    order, phase = np.arange(1, phasors.shape[-2] + 1), np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    path = np.einsum("k,tk,...kx->t...x", order**2, np.exp(1j * phase[:, None] * order), phasors).imag
+    return np.asarray(np.linalg.norm(path, axis=-1).max(axis=0))
 
 
 def _normal(t: Array, frequency: float, overtones: int) -> tuple[Array, Array, Array, float]:

@@ -248,8 +248,7 @@ class Escalation:
             expected = np.stack(
                 [c * self._told[int(n)].picture for c, n in zip(commanded, active, strict=True)], axis=1
             )
-        over = overtones(float(tones[0])) if len(tones) == 1 else 0
-        seen = settled(swings(self._sight, frames, tones, expected, over), float(tones[0]))
+        seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
         return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:

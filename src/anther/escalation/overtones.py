@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from anther.geometry import Array
+from anther.oscillation import peak
 from anther.response.points import Swings
 
 SIGNIFICANCE = 3.0
@@ -23,8 +24,5 @@ def sharpened(swings: Swings, own: slice) -> Array:
         return np.ones(len(tone))
     least = SIGNIFICANCE * np.sqrt(np.nansum(swings.std[own] ** 2, axis=1))
     over = np.where(np.linalg.norm(over, axis=2, keepdims=True) > least[:, None, None], over, 0.0)
-    order, phase = np.arange(2, over.shape[1] + 2), np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    alone = np.imag(np.exp(1j * phase)[:, None, None] * tone)
-    beside = np.imag(np.einsum("h,th,fhx->tfx", order**2, np.exp(1j * phase[:, None] * order), over))
-    whole, sine = (np.linalg.norm(path, axis=2).max(axis=0) for path in (alone + beside, alone))
+    whole, sine = peak(np.concatenate([tone[:, None], over], axis=1)), peak(tone[:, None])
     return np.divide(whole, sine, out=np.ones(len(tone)), where=sine > 0)

@@ -19,7 +19,7 @@ from anther.oscillation import MUCH_ALIKE
 from anther.response.depth import depth_along
 from anther.response.following import NEAR_SWING, OWN_DEPTH, OWN_LIKENESS, placed
 from anther.response.petals import Image, Patch, seek, smoothed
-from anther.response.thresholds import DEPTH_GATE, LEAST_COVER, OUTLIER
+from anther.response.thresholds import DEPTH_GATE, LEAST_COVER, OUTLIER, overtones
 from anther.shake.observables import ComplexArray
 
 WINDOW = 15
@@ -116,26 +116,24 @@ def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Arr
     return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, rest[:, 2], axes, shown, tuple(alone))
 
 
-def swings(
-    at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None, overtones: int = 0
-) -> Swings:
+def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None) -> Swings:
     """Return how the points in sight swung in frames of a shake whose tones (K,) [Hz] are known.
 
     Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
     and back: where it is going, else at home, else where it was. A flower is small before a background that stands
     still: its own pixels alone are then looked for along what is expected and along that path, each time once more
     along the swing that fits; where it is found most often counts. How far away it is then is read from the depth of
-    those pixels. Tones and slow terms are fitted to each path by least squares.
+    those pixels. Tones and slow terms are fitted to each path by least squares; of a single tone also
+    its `overtones`, as far as the frames tell them from it.
 
     Args:
         at: what is in sight.
         frames: of the shake.
         tones: (K,) [Hz].
         expected: (F, K, 3) phasors of the flowers as `Swings` has them [m]; None: nothing is.
-        overtones: of a single tone, so many are looked for, as far as the frames tell them from it.
     """
     times = np.array([f.time for f in frames])
-    every = _with_overtones(times, tones, overtones) if len(tones) == 1 else tones
+    every = _with_overtones(times, tones) if len(tones) == 1 else tones
     phasors = np.full((len(at.pixels), len(every), 3), np.nan, np.complex128)
     std = np.full((len(at.pixels), 3), np.nan)
     if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
@@ -209,9 +207,9 @@ def _alike(times: Array, tones: Array) -> float:
     return float(inverse_gram.diagonal()[:-SLOW].max()) * len(times) / 2
 
 
-def _with_overtones(times: Array, tone: Array, most: int) -> Array:
-    """Return (1 + H,) a tone and as many overtones, `most` or fewer, as frames tell from it."""
-    every = [tone * np.arange(1, 2 + count) for count in range(most, 0, -1)]
+def _with_overtones(times: Array, tone: Array) -> Array:
+    """Return (1 + H,) a tone and as many of its `overtones` as frames tell from it."""
+    every = [tone * np.arange(1, 2 + count) for count in range(overtones(float(tone[0])), 0, -1)]
     return next((some for some in every if _alike(times, some) <= MUCH_ALIKE), tone)
 
 
