@@ -129,6 +129,18 @@ def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, alo
     assert watched.executed(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
 
 
+@pytest.mark.parametrize("pedicel_strain", [1.0, 1e-3])
+def test_a_second_probe_is_gentler_by_what_the_first_passed_a_limit(shaken: Shaken, pedicel_strain: float) -> None:
+    believed = made_foresight(2)
+    world = World(believed, believed.vectors[3], plan=made_plan(reach=(0.2,) * 3, lines=8))
+    world.plan = replace(world.plan, press=1000.0)
+    world.limits = Limits(plant=replace(WEAK, pedicel_strain=pedicel_strain))
+    first, second, *_ = shaken(world).steps
+    passed = max(first.loads.values())
+    assert (passed > 1) == (pedicel_strain < 1)
+    assert second.amplitudes == pytest.approx(np.array(first.amplitudes) / max(passed, 1.0))
+
+
 def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
     for seed in range(5):
         foresight = made_foresight(seed)
@@ -536,3 +548,13 @@ def test_what_a_shake_turns_back_to_is_what_was_found_to_be_borne(shaken: Shaken
     assert "more moved at 2.5 Hz" in held.decided
     assert max(max(step.flowers) for step in single(watched)[1:]) > 1.1 * world.params.most
     assert np.nanmax(last.flowers) == pytest.approx(world.params.most, rel=0.03)
+
+
+def test_a_shake_is_gone_back_to_no_further_than_its_last_look_allows(shaken: Shaken) -> None:
+    believed = made_foresight(0)
+    watched = shaken(World(believed, believed.vectors[0], limits=Limits(plant=WEAK)))
+    tone = int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())
+    tried = watched._borne(tone)
+    assert tried == pytest.approx(max(s.amplitudes[0] for s in single(watched)))
+    watched._looked_at(tone, watched._told[tone]._replace(flowers=100 * watched._told[tone].flowers))
+    assert watched._borne(tone) == watched._may[tone].amplitude < 0.5 * tried
