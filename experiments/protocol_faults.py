@@ -8,53 +8,43 @@ a few views, and executes the stored plan of `faults.py` (OUT/base, made when mi
 On the way a fault strikes, each kind in every phase, at a moment drawn by its number. Then everything is put right, a
 robot that was stopped is enabled, and another process goes on with the run.
 
-Faults go through a sweep in OUT/protocol, each in processes of its own: what is done is not done again. It is real
-protocol on one machine's loopback, by the wall's clock: where the machine itself is too slow for the arm (`HELD_UP`), a
-case is begun again, TRIES times at most, and counted.
+What came of a fault is kept in OUT/protocol and is not done again. It is real protocol on one machine's loopback, by
+the wall's clock: where the machine itself is too slow for the arm (`HELD_UP`), a case is begun again, TRIES times at
+most, and counted.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
+import shutil
 import signal
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from fault_machines import Pieces
-from faults import options, outcome_of, planned, prepare
+from faults import options, planned, prepare
+from protocol_anther import PATHS, Anther
 from protocol_machines import Machines
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
-from swept import swept
 
 from anther.arm import sawyer
-from anther.arm.views import Params as ViewParams
-from anther.arm.views import plan_views
-from anther.capture import Capture
-from anther.cells import CellFile, read_cell
-from anther.commands.hardware_cell import connected, look_around, motion_params
-from anther.devices import Robot
 from anther.errors import AntherError, InputError
-from anther.execution import EARLY, Params, Trial, execute
-from anther.execution.early_reach import early_reach
+from anther.execution import EARLY, Trial
 from anther.files import read_json, write_json
 from anther.grasp import STAND_OFF
-from anther.runs import Run
-from anther.safety import guard
 from anther.shake import ShakePlan
 
-HERE = Path(__file__).parent
 PHASES = {"views": 6.0, EARLY: 2.5, "approach": 1.5, "close": 1.5, "shake": 3.5, "retreat": 1.0}
 """Where faults strike, and how long each lasts about [s]."""
 EXPECTED: dict[str, str] = {
@@ -97,7 +87,6 @@ HELD_UP = "Let nothing else run|Look at what else runs here"
 TRIES = 4
 STILL, RESTS = 0.01, 0.1
 """An arm that is slower than this [rad/s] for so long [s] stands: in a shake it turns about in no time."""
-LONGEST = 120.0  # s of a process
 
 
 @dataclass(frozen=True)
@@ -117,113 +106,13 @@ def draw(number: int, seed: int) -> Case:
     return Case(number, kinds[number % len(kinds)], phases[number // len(kinds) % len(phases)], share)
 
 
-def anther(folder: Path, base: Path, *, views: bool, again: bool) -> None:
-    """Be Anther: connect, look around where asked for, execute the stored plan; say each phase as it begins."""
-    file, (planner, plan, _) = read_cell(folder / "cell.toml"), planned(base)
-    limits = file.safety_limits()
-    with connected(file) as bare:
-        if again:
-            ready(bare)
-        robot = guard(bare, limits)
-        with Run(folder / "run", restart_from="shake plan" if again and not views else None, quiet=True) as run:
-            if views:
-                say("views")
-                run.stage("capture", Capture.load, lambda advance: seen(file, robot, advance))
-            say(EARLY)
-            with early_reach(planner, plan.grasp, robot, limits, Params()) as arrive:
-                shake = run.stage("shake plan", ShakePlan.load, lambda _: plan)
-                run.stage(
-                    "execution",
-                    Trial.load,
-                    lambda _: execute(
-                        planner,
-                        shake,
-                        robot,
-                        limits,
-                        progress=lambda done, count, name: say(name),
-                        arrive=arrive,
-                        watched=Pieces(shake),
-                    ),
-                )
-
-
-def seen(file: CellFile, robot: Robot, advance: Any) -> Capture:
-    """Return a few views of nothing, driven to and taken as in a trial."""
-    boxes, start = tuple(place.box for place in file.keep_out), robot.arm.joints()
-    few = ViewParams(count=4)
-    motion = motion_params(file.limits.speed_ratio)
-    planned_views = plan_views(
-        file.region, boxes, few, start=start, T_flange_cam=file.T_flange_cam, motion=motion, arm=file.model
-    )
-    return look_around(robot, planned_views, file.T_flange_cam, advance, file.model)
-
-
-def ready(robot: Robot) -> None:
-    """Enable a robot that was stopped: what `anther cell enable` does."""
-    arm = cast(Any, robot.arm)
-    if arm.call("cannot"):
-        arm.call("enable")
-
-
-def say(phase: str) -> None:
-    """Tell who strikes."""
-    print(phase, flush=True)
-
-
-class Process:
-    """Anther's process of a case. Attributes: `said`, (time, phase) as they began; `errors`, what it wrote."""
-
-    def __init__(self, folder: Path, base: Path, *options: str) -> None:
-        words = [sys.executable, __file__, "--anther", str(folder), "--base", str(base), *options]
-        paths = os.pathsep.join(filter(None, [str(HERE), str(HERE.parent / "tests"), os.environ.get("PYTHONPATH")]))
-        environment = os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}
-        pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        self.process = subprocess.Popen(words, env=environment, start_new_session=True, **pipes)
-        self.said, self.errors = list[tuple[float, str]](), ""
-        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._hear, self._read)]
-        for thread in self._threads:
-            thread.start()
-
-    def waits_for(self, phase: str) -> bool:
-        """Wait until a phase begins; return whether it did before the process ended."""
-        until = time.monotonic() + LONGEST
-        while all(name != phase for _, name in self.said):
-            if self.process.poll() is not None or time.monotonic() > until:
-                return False
-            time.sleep(0.005)
-        return True
-
-    def arms_process(self) -> int:
-        """Return the number of the process that has the arm: the first that was spawned."""
-        kids = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
-        spawned = [kid for kid in map(int, kids) if b"spawn_main" in Path(f"/proc/{kid}/cmdline").read_bytes()]
-        return min(spawned)
-
-    def end(self) -> int:
-        """Wait for the end; return the exit status. What takes too long is killed."""
-        with suppress(subprocess.TimeoutExpired):
-            self.process.wait(LONGEST)
-        if self.process.poll() is None:
-            os.killpg(self.process.pid, signal.SIGKILL)
-        for thread in self._threads:
-            thread.join(5)
-        return self.process.wait()
-
-    def _hear(self) -> None:
-        for line in cast(Any, self.process.stdout):
-            self.said.append((time.monotonic(), line.strip()))
-
-    def _read(self) -> None:
-        self.errors = cast(Any, self.process.stderr).read()
-
-
 def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
     """Let a fault strike, put everything right, go on; return what came of it."""
     plan = planned(base)[1]
     machines = Machines(folder, sawyer.READY)
     try:
-        run, options = folder / "run", ["--views"] if case.phase == "views" else []
-        anthers = Process(folder, base, *options)
+        run, views = folder / "run", case.phase == "views"
+        anthers = Anther(folder, base, views=views)
         began = anthers.waits_for(case.phase)
         if began:
             time.sleep(case.share * PHASES[case.phase])
@@ -231,13 +120,13 @@ def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
         moving = speed_at(machines, at)
         match case.kind:
             case "Ctrl-C":
-                os.kill(anthers.process.pid, signal.SIGINT)
+                os.kill(anthers.pid, signal.SIGINT)
             case "kill -9":
-                os.kill(anthers.process.pid, signal.SIGKILL)
+                os.kill(anthers.pid, signal.SIGKILL)
             case "the arm's process killed":
                 os.kill(anthers.arms_process(), signal.SIGKILL)
             case "a second process":
-                second = Process(folder, base)
+                second = Anther(folder, base)
                 other = "" if second.end() and "commanded by another process" in second.errors else "was let in"
             case kind:
                 machines.strike(kind)
@@ -249,7 +138,7 @@ def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
         row["record"] = bad_record(run, case, anthers, began) or other
         machines.repair()
         time.sleep(0.3)
-        again = Process(folder, base, "--again", *(options if not (run / "01_capture").exists() else []))
+        again = Anther(folder, base, views=views and not (run / "01_capture").exists(), again=True)
         again.end()
         row["continued"] = "" if finished(run) else said_in(run) or again.errors[-300:]
         told = f"{row['record']} {row['continued']} {said_in(run)}"
@@ -298,7 +187,7 @@ def unsafe(machines: Machines, plan: ShakePlan, case: Case) -> str:
     return ", ".join(name for name, bad in found.items() if bad)
 
 
-def bad_record(run: Path, case: Case, anthers: Process, began: bool) -> str:
+def bad_record(run: Path, case: Case, anthers: Anther, began: bool) -> str:
     """Return what is wrong with the record of a fault, read back from disk; "" if it names what happened."""
     if not began:
         return f"{case.phase} never began: {anthers.errors[-300:]}"
@@ -341,15 +230,22 @@ def said_in(run: Path) -> str:
     return ""
 
 
-def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Run one case, again where the machine was too slow, and return what came of it, for a sweep."""
-    words = ["--alone", str(row["number"]), "--seed", str(row["seed"]), "--base", row["base"]]
+def one(number: int, *, seed: int, base: Path, out: Path) -> dict[str, Any]:
+    """Return what came of one case, which begins again where the machine was too slow, and keep it."""
+    case, folder = draw(number, seed), out / f"{seed}-{number:04d}"
+    kept = folder / "outcome.json"
+    if kept.exists():
+        return read_json(kept)
     found: dict[str, Any] = {}
-    for number in range(TRIES):
-        own = folder / str(number)
-        found = outcome_of([__file__, *words, "--out", str(own)], own) | {"begun_again": number}
+    for begun_again in range(TRIES):
+        shutil.rmtree(folder, ignore_errors=True)
+        try:
+            found = struck(case, base, folder) | {"begun_again": begun_again}
+        except Exception as error:  # of the experiment: one case's must not end a run of hours
+            return crashed(repr(error))
         if not found["held_up"]:
             break
+    write_json(kept, {**asdict(case), **found})
     return found
 
 
@@ -360,7 +256,7 @@ def crashed(why: str) -> dict[str, Any]:
 
 def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Print a table and return the metrics."""
-    table = Table("fault", "struck", "safe ends", "records lost", "gone on", "stands after [ms], median, largest")
+    table = Table("fault", "struck", "safe ends", "records lost", "gone on", "stands after (ms), median, largest")
     metrics: dict[str, float] = {}
     for kind in ["", *EXPECTED]:
         some = [row for row, case in zip(rows, cases, strict=True) if kind in ("", case.kind)]
@@ -390,25 +286,14 @@ def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics."""
     parser = options(__doc__, "one fault of every kind instead of 1000")
     parser.add_argument("--faults", type=int, default=1000)
-    parser.add_argument("--anther", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--views", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--again", action="store_true", help=argparse.SUPPRESS)
     args = parser.parse_args()
-    base = args.base or args.out / "base"
-    if args.anther is not None:
-        try:
-            anther(args.anther, base, views=args.views, again=args.again)
-        except (AntherError, KeyboardInterrupt) as error:
-            raise SystemExit(f"{type(error).__name__}: {error}") from None
-        return
-    if args.alone is not None:
-        case = draw(args.alone, args.seed)
-        write_json(args.out / "outcome.json", {**asdict(case), **struck(case, base, args.out)})
-        return
+    base = (args.base or args.out / "base").resolve()
     prepare(base)
     numbers = args.only or range(len(EXPECTED) if args.quick else args.faults)
-    asked = [{"number": number, "seed": args.seed, "base": str(base.resolve())} for number in numbers]
-    rows = swept(one, asked, args.out / "protocol", args.jobs, crashed)
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [*PATHS, os.environ.get("PYTHONPATH")]))
+    case = partial(one, seed=args.seed, base=base, out=args.out.resolve() / "protocol")
+    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
+        rows = list(track(pool.map(case, numbers), "faults", len(numbers)))
     metrics = summary([draw(number, args.seed) for number in numbers], rows)
     print(json.dumps(metrics, indent=2))
     if args.json:

@@ -6,9 +6,10 @@
 behind a ROS 1 master, a Robotiq over Modbus TCP, cameras of the RealSense SDK (`tests/served_cell.py`). The cell's time
 goes slower than the wall's, and a trial has one core. Each is kept in --out and is not run again.
 
-**A fake Sawyer**: the driver runs in a process of its own and follows a joint swing at 1.9 Hz, as a shake does, in
-trajectory mode at 100 commands a second. The fake notes when each command arrives. Then, with as many busy processes
-beside it as there are cores, the same again; and KILLS times the driver is killed (SIGKILL) in full motion.
+**A fake Sawyer**: the driver runs in a process of its own, which also writes a trial's log, and follows a joint swing at
+1.9 Hz, as a shake does, in trajectory mode at 100 commands a second. The fake notes when each command arrives. Then,
+with as many busy processes beside it as there are cores, the same again; and KILLS times the driver is killed (SIGKILL)
+in full motion.
 
 It is the real protocol on one machine's loopback: neither a network nor an arm is in it.
 """
@@ -24,22 +25,26 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from fake_robot import LIMITS, FakeCamera, fake_robot
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer, swing
 from served_trial import served
 from swept import swept
 
 from anther.arm import sawyer
+from anther.devices import Robot
 from anther.drivers.intera import types
 from anther.drivers.ros1 import Node
 from anther.drivers.sawyer_ros1 import Sawyer
 from anther.files import write_json
 from anther.geometry import Array
+from anther.log import Log
 
 FIRST = 9800
 """The first of the plants, tomatoes and peppers in turn; in no other table."""
@@ -49,10 +54,15 @@ PERIOD = 0.01  # s
 
 
 def drive(master: str, seconds: float) -> None:
-    """Follow the swing: the driver's own process."""
-    with closing(Sawyer(Node(master, "/anther", types()), mode="trajectory")) as arm:
+    """Follow the swing, logged: the driver's own process."""
+    with ExitStack() as stack:
+        arm = stack.enter_context(closing(Sawyer(Node(master, "/anther", types()), mode="trajectory")))
+        log = Log(Path(stack.enter_context(TemporaryDirectory())) / "log.mcap")
+        robot = Robot(arm, fake_robot().gripper, FakeCamera())
+        robot = log.tap(robot, LIMITS, sawyer.T_FLANGE_CAM, time.monotonic)
         print("ready", flush=True)
-        arm.follow(swing(seconds, AMPLITUDE))
+        robot.arm.follow(swing(seconds, AMPLITUDE))
+        log.close()
 
 
 @contextmanager
