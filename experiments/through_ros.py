@@ -6,8 +6,8 @@
 behind a ROS 1 master, a Robotiq over Modbus TCP, cameras of the RealSense SDK (`tests/served_cell.py`). The cell's time
 goes slower than the wall's, and a trial has one core. Each is kept in --out and is not run again.
 
-**A fake Sawyer**: the driver runs in a process of its own, which also writes a trial's log, and follows a joint swing at
-1.9 Hz, as a shake does, in trajectory mode at 100 commands a second. The fake notes when each command arrives. Then,
+**A fake Sawyer**: the driver runs in a process of its own, which also writes a trial's log, and follows a joint swing
+at 1.9 Hz, as a shake does, in trajectory mode at 100 commands a second. The fake notes when each command arrives. Then,
 with as many busy processes beside it as there are cores, the same again; and KILLS times the driver is killed (SIGKILL)
 in full motion.
 
