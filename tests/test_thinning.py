@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from made_plants import simple_plant, tube
+from real.paper_rule import core_stem
 
 from anther.cloud import Cloud
 from anther.skeleton import Params, skeletonize
-from anther.skeleton.raw_tree import rooted
 from anther.skeleton.thinning import (
-    best_path,
-    core_stem,
     knn_links,
     link_costs,
     medial_line,
-    path_scores,
-    simplified,
     spanning_tree,
 )
 from anther.skeleton.voxel_solid import VoxelSolid, components, neighbour_edges, solidify
@@ -94,24 +90,7 @@ def test_the_papers_steps_in_order_end_in_the_stem() -> None:
     nodes, radius = solid.points[line], radius[order][line]
     links = knn_links(nodes, 3.0)  # P8
     links = spanning_tree(len(nodes), links, link_costs(nodes, radius, links))  # P9
-    parent, order = rooted(links, len(nodes), int(np.argmin(nodes[:, 2])))
-    assert len(order) == len(nodes)
-    nodes, radius = nodes[order], radius[order]
-    vertices, above = simplified(parent)
-    path = best_path(above, path_scores(nodes[vertices], above, radius[vertices]))  # P10
-    core = nodes[vertices[core_stem(nodes[vertices], path)]]  # P11
+    core = nodes[np.unique(core_stem(nodes, links, radius)[0])]  # P10, P11
     assert np.abs(core[:, :2] - 3).max() <= 2
-    assert core[0, 2] < 6
-    assert core[-1, 2] > 194
-
-
-def test_simplified_keeps_root_junctions_and_ends() -> None:
-    vertices, above = simplified(np.array([-1, 0, 1, 2, 3, 2, 5]))
-    assert vertices.tolist() == [0, 2, 4, 6]
-    assert above.tolist() == [-1, 0, 1, 1]
-
-
-def test_the_core_stem_ends_where_the_path_leaves_the_vertical() -> None:
-    nodes = np.array([[0, 0, 0], [0, 0, 1], [0.2, 0, 2], [1.2, 0, 2.2], [1.2, 0, 3]])
-    assert core_stem(nodes, np.arange(5)).tolist() == [0, 1, 2]
-    assert core_stem(nodes, np.arange(3)).tolist() == [0, 1, 2]
+    assert core[:, 2].min() < 6
+    assert core[:, 2].max() > 194

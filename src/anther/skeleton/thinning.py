@@ -2,12 +2,10 @@
 
     P7   medial_line            one voxel thick, by 3-D thinning
     P8   knn_links, link_costs  a graph of the nearest neighbours, in which thick, vertical links are cheap
-    P9   spanning_tree          without cycles; simplified: only junctions and ends are left
-    P10  path_scores, best_path the path from the root that is long, thick and vertical
-    P11  core_stem              without what leaves the vertical
+    P9   spanning_tree          without cycles
 
-`thinned_tree` runs P7 to P9 on a plant; `Params(method="thinning")` goes on from there as it does from the default.
-N voxels, M of them on the medial line, J nodes of a rooted tree, K of them junctions, ends or the root.
+`thinned_tree` runs them on a plant; `Params(method="thinning")` goes on from there as it does from the default.
+N voxels, M of them on the medial line, J nodes of a rooted tree.
 """
 
 from __future__ import annotations
@@ -23,7 +21,7 @@ from skimage.morphology import skeletonize as thin
 
 from anther.geometry import Array
 from anther.skeleton.bridging import bridges
-from anther.skeleton.raw_tree import Parents, RawTree, rooted, with_extents
+from anther.skeleton.raw_tree import RawTree, rooted, with_extents
 from anther.skeleton.voxel_solid import Voxels, components
 
 _NEIGHBOURS = 12
@@ -89,66 +87,6 @@ def spanning_tree(count: int, links: NDArray[Any], cost: Array) -> NDArray[Any]:
     graph = sparse.coo_matrix((cost, (links[:, 0], links[:, 1])), (count, count))
     tree = minimum_spanning_tree(graph.tocsr()).tocoo()
     return np.stack([tree.row, tree.col], axis=1).astype(np.int64)
-
-
-def simplified(parent: Parents) -> tuple[NDArray[Any], Parents]:
-    """Return the tree's junctions, ends and root (K,), and (K,) their parents among these (P9).
-
-    Args:
-        parent: (J,) of a rooted tree, parent[0] = -1, parent[j] < j.
-    """
-    kept = np.bincount(parent[1:], minlength=len(parent)) != 1
-    kept[0] = True
-    above = parent.copy()
-    for node in range(1, len(parent)):
-        if not kept[parent[node]]:
-            above[node] = above[parent[node]]
-    vertices = np.flatnonzero(kept)
-    rank = np.cumsum(kept) - 1
-    return vertices, np.where(vertices > 0, rank[above[vertices]], -1)
-
-
-def path_scores(nodes: Array, parent: Parents, radius: Array, alpha: float = 2.0, v_bias: float = 1.0) -> Array:
-    """Return (J,) the score of the path from the root to each node (P10).
-
-    S = sum over its edges of L_e r_e^alpha (1 + v_bias |dz_e| / L_e).
-    `raw_tree.path_gain` is what Anther uses instead: there falling edges lose what rising ones gain.
-
-    Args:
-        nodes: (J, 3) [m].
-        parent: (J,) of a rooted tree, parent[0] = -1, parent[j] < j.
-        radius: (J,) [m]; an edge has the mean of its ends.
-        alpha: exponent of the radius.
-        v_bias: weight of the vertical.
-    """
-    above = np.maximum(parent, 0)
-    step = nodes - nodes[above]
-    gain = ((radius + radius[above]) / 2) ** alpha * (np.linalg.norm(step, axis=1) + v_bias * np.abs(step[:, 2]))
-    score = np.zeros(len(parent))
-    for node in range(1, len(parent)):
-        score[node] = score[parent[node]] + gain[node]
-    return score
-
-
-def best_path(parent: Parents, score: Array) -> NDArray[Any]:
-    """Return the nodes of the path from the root to the node of the largest score (P10)."""
-    path = [int(np.argmax(score))]
-    while parent[path[-1]] >= 0:
-        path.append(int(parent[path[-1]]))
-    return np.array(path[::-1])
-
-
-def core_stem(nodes: Array, path: NDArray[Any], lean: float = 45.0) -> NDArray[Any]:
-    """Return the path (of a simplified tree) up to where it first leaves the vertical growth axis (P11).
-
-    Args:
-        nodes: (K, 3) [m].
-        path: nodes from the root on.
-        lean: largest angle of an edge from the vertical [degrees]; the paper gives none, this is our estimate.
-    """
-    step = np.diff(nodes[path], axis=0)
-    upright = step[:, 2] >= np.cos(np.radians(lean)) * np.linalg.norm(step, axis=1)
-    return path[: 1 + (len(upright) if upright.all() else int(np.argmin(upright)))]
 
 
 def _lee(index: NDArray[Any]) -> NDArray[np.bool_]:
