@@ -45,12 +45,12 @@ AREAS = {
         ["shake", "escalation"],
         [
             "test_shake_choice.py", "test_plan_shake.py", "test_escalation.py", "test_foresight.py", "test_pads.py",
-            "test_breeze.py", "test_expectation.py",
+            "test_breeze.py", "test_expectation.py", "test_overtones.py",
         ],
     ),
     "response": (
         ["response", "oscillation.py"],
-        ["test_response.py", "test_points.py", "test_beside.py"],
+        ["test_response.py", "test_points.py", "test_beside.py", "test_overtones.py"],
     ),
     "history": (
         ["history", "fruit_set.py"],
