@@ -38,7 +38,7 @@ points seen with an error of 12 %: 5 % of the loads pass what they say at that r
 risk of 7.5 %. Of bases: 129 such shakes; by the linear equations alone they would be 0.65 and 1.1, which 54 % of the
 arm's slow shakes passed. Of the grip's force: that of the model."""
 
-FAST_SEEN_ERROR = SEEN_ERROR | {"joint_strain": (0.5, 0.45), "base_strain": (1.9, 0.85)}
+FAST_SEEN_ERROR = SEEN_ERROR | {"joint_strain": (0.45, 0.45), "base_strain": (1.9, 0.85)}
 """The same from `RINGING` on, as `shake.params.FAST_LOAD_ERROR`; of pedicels beside what unknown flowers may do
 (`Foresight.pedicels`)."""
 
