@@ -176,7 +176,7 @@ def test_masks_agree_with_the_whole_network_run_on_one_image(networks: GroundedS
         with torch.inference_mode():
             answer = whole(
                 pixel_values=normalised(image[None], (SIDE, SIDE), CPU, SAM2_MEAN, SAM2_STD),
-                input_boxes=(corners * scale)[None],
+                input_boxes=(corners.cpu() * scale)[None],
                 multimask_output=False,
             )
         other = full_size(answer.pred_masks[0, :, 0], (HEIGHT, WIDTH))
