@@ -51,11 +51,17 @@ class Swing:
     span: tuple[float, float]
     overtones: int = 0
 
-    def acceleration(self, least: float = 0.0) -> float:
-        """Return its largest in a period [m/s2]; overtones of less than `least` [m] do not count."""
+    def acceleration(self, least: float = 0.0, axes: int = 3) -> float:
+        """Return its largest in a period [m/s2].
+
+        Args:
+            least: overtones of less do not count [m].
+            axes: nor do they along others than the first so many.
+        """
         omega2 = (2 * np.pi * self.frequency) ** 2
         cosine, sine = (self.coefficients[part : 2 + 2 * self.overtones : 2] for part in (0, 1))
         phasors = np.asarray(sine + 1j * cosine, dtype=np.complex128)
+        phasors[1:, axes:] = 0
         sure = np.linalg.norm(phasors, axis=1) >= least
         if not sure[1:].any():
             return omega2 * self.amplitude

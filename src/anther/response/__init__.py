@@ -253,7 +253,7 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
         frequency_std=float(np.sqrt(3) / np.pi * noise / amplitude / span),
         phase=swing.phase,
         phase_std=float(np.hypot(noise / amplitude, PHASE_ERROR)),
-        acceleration_peak=swing.acceleration(limit) * (frequency / hint) ** 2,
+        acceleration_peak=swing.acceleration(limit, axes=2) * (frequency / hint) ** 2,
         at_most=float("nan"),
     )
 

@@ -86,7 +86,8 @@ class Swings(NamedTuple):
         axes: (P, 3, 3) of `Sight`.
         growing: by which share of itself the swing of all flowers grows in a second, in the middle of the frames [1/s];
             0 where that is not told from none, or there are several tones.
-        overtones: (P, H, 3) phasors at 2, 3, ... times the one tone; H is 0 where none were looked for or can be told.
+        overtones: (P, H, 3) phasors at 2, 3, ... times the one tone, NaN away from the camera; H is 0 where none were
+            looked for or can be told.
     """
 
     phasors: ComplexArray
@@ -123,8 +124,9 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
     and back: where it is going, else at home, else where it was. A flower is small before a background that stands
     still: its own pixels alone are then looked for along what is expected and along that path, each time once more
     along the swing that fits; where it is found most often counts. How far away it is then is read from the depth of
-    those pixels. Tones and slow terms are fitted to each path by least squares; of a single tone also
-    its `overtones`, as far as the frames tell them from it.
+    those pixels. Tones and slow terms are fitted to each path by least squares; of a single tone across the line of
+    sight also its `overtones`, as far as the frames tell them from it. In depth millimetres of noise pass for them: a
+    tomato's flowers (9928) that felt 6 m/s2 were said to feel up to 130.
 
     Args:
         at: what is in sight.
@@ -140,7 +142,7 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         return Swings(phasors[:, : len(tones)], std, at.axes)
     if expected is not None:
         expected = np.pad(expected, [(0, 0), (0, len(every) - len(tones)), (0, 0)])
-    basis, growth = _basis(times, every), _Growth(times)
+    basis, plain, growth = _basis(times, every), _basis(times, tones), _Growth(times)
     with ThreadPoolExecutor() as pool:  # OpenCV lets go of Python's lock
         gains = list(pool.map(_gain, frames))
         pictures = pool.map(_picture, frames, gains)
@@ -153,13 +155,14 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         if flower:
             path = _flower_path(at, int(point), images, around, basis, guess)
         across = _fitted(basis, path, LEAST_ERROR)
-        away = _away(at, int(point), frames, path, basis, guess) if flower and across is not None else None
+        known = None if guess is None else guess[: len(tones)]
+        away = _away(at, int(point), frames, path, plain, known) if flower and across is not None else None
         if across is not None:
             phasors[point, :, :2], std[point, :2] = scale * _phasors(across, len(every)), scale * across.std
             if flower and len(tones) == 1:
                 growth.add(path, basis, scale)
         if away is not None:
-            phasors[point, :, 2:], std[point, 2] = _phasors(away, len(every)), away.std
+            phasors[point, : len(tones), 2:], std[point, 2] = _phasors(away, len(tones)), away.std
     own, over = phasors[:, : len(tones)], phasors[:, len(tones) :]
     return Swings(own, std, at.axes, growth.rate(), over)
 
