@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.devices import Frame
+from anther.escalation.overtones import sharpened
 from anther.geometry import Array, Intrinsics
 from anther.response.points import Sight, Swings, _basis, _Growth, likeness, sight, swings
 from anther.shake.observables import ComplexArray
@@ -290,6 +292,20 @@ def test_a_flower_is_followed_though_its_background_stands_still(size: float, wr
     found = swings(at, frames, tones, expected)
     assert off(found, truth).max() < 0.08
     assert np.isfinite(found.std[0]).all()
+
+
+def test_what_a_flowers_depth_does_at_overtones_is_noise() -> None:
+    tone = np.array([4.1])
+    rest, frames = flower_film(wave(np.array([[4.0 + 0j, 0.0j]]), tone))
+    noise = 0.004 * np.sin(4 * np.pi * tone[0] * np.array([f.time for f in frames]))
+    frames = [replace(f, depth=f.depth + np.float32(off)) for f, off in zip(frames, noise, strict=True)]
+    place = np.append((HOMES[0] - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, DEPTH)
+    found = swings(sight(rest, CAMERA, np.eye(4), place[None], np.zeros((0, 3))), frames, tone)
+    assert found.overtones.shape[1] == 2
+    assert np.isfinite(found.overtones[..., :2]).all()
+    assert np.isnan(found.overtones[..., 2]).all()
+    assert np.abs(found.phasors[0, 0, 2]) < 0.001
+    assert sharpened(found, slice(0, 1)) == pytest.approx(1.0, abs=0.1)
 
 
 def test_flowers_come_first_and_one_that_is_hidden_is_not_in_sight() -> None:

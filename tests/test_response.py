@@ -299,6 +299,14 @@ def test_overtones_are_told_from_the_tone_as_far_as_the_samples_tell_them(second
         assert plain.acceleration() == pytest.approx(plain.amplitude * (10 * np.pi) ** 2)
 
 
+def test_overtones_along_axes_that_do_not_count_sharpen_nothing() -> None:
+    times = np.arange(90) / 60
+    deep = 0.002 * np.outer(np.sin(10 * np.pi * times) + 0.5 * np.sin(20 * np.pi * times), [0, 0, 1.0])
+    swing = fit_swing(times, deep, 5.0, overtones=2)
+    assert swing.acceleration(axes=2) == pytest.approx(0.002 * (10 * np.pi) ** 2, rel=0.01)
+    assert swing.acceleration() > 1.5 * swing.acceleration(axes=2)
+
+
 @given(begin=st.floats(-100, 100), phase=st.floats(0, 6.28))
 def test_the_phase_is_on_the_clock_of_the_samples_wherever_it_begins(begin: float, phase: float) -> None:
     times = begin + np.arange(90) / 60
