@@ -8,9 +8,9 @@ a few views, and executes the stored plan of `faults.py` (OUT/base, made when mi
 On the way a fault strikes, each kind in every phase, at a moment drawn by its number. Then everything is put right, a
 robot that was stopped is enabled, and another process goes on with the run.
 
-What came of a fault is kept in OUT/protocol and is not done again. It is real protocol on one machine's loopback, by
-the wall's clock: where the machine itself is too slow for the arm (`HELD_UP`), a case is begun again, TRIES times at
-most, and counted.
+What came of a fault is kept in OUT/protocol and is not done again (no sweep: its workers may have no children). It is
+real protocol on one machine's loopback, by the wall's clock: where the machine itself is too slow for the arm
+(`HELD_UP`), a case is begun again, TRIES times at most, and counted.
 """
 
 from __future__ import annotations

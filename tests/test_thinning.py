@@ -9,12 +9,7 @@ from real.paper_rule import core_stem
 
 from anther.cloud import Cloud
 from anther.skeleton import Params, skeletonize
-from anther.skeleton.thinning import (
-    knn_links,
-    link_costs,
-    medial_line,
-    spanning_tree,
-)
+from anther.skeleton.thinning import knn_links, link_costs, medial_line, spanning_tree
 from anther.skeleton.voxel_solid import VoxelSolid, components, neighbour_edges, solidify
 
 
@@ -90,6 +85,7 @@ def test_the_papers_steps_in_order_end_in_the_stem() -> None:
     nodes, radius = solid.points[line], radius[order][line]
     links = knn_links(nodes, 3.0)  # P8
     links = spanning_tree(len(nodes), links, link_costs(nodes, radius, links))  # P9
+    assert len(links) == len(nodes) - 1
     core = nodes[np.unique(core_stem(nodes, links, radius)[0])]  # P10, P11
     assert np.abs(core[:, :2] - 3).max() <= 2
     assert core[:, 2].min() < 6

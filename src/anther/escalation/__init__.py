@@ -177,16 +177,15 @@ class Escalation:
         before = [self._told.get(n) for n in active.tolist()]
         answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
         told = [self._known(int(n), one) for n, one in zip(active, answers, strict=True)]
-        limits = [self._limits[n] for n in active]
+        loads = shares(np.abs(look.commanded), told, [self._limits[n] for n in active])
         if self._probing:
             self._answers.append(answers)
-            loads = shares(np.abs(look.commanded), told, limits)
             follows = self._after_probe(look, max(loads.values()))
         else:
             self._looked_at(int(active[0]), told[0])
             follows = self._decided(look, int(active[0]))
         when = steady[0].time, steady[-1].time
-        step = noted(self._foresight.tones, look, told, limits, when, follows.words, perf_counter() - started)
+        step = noted(self._foresight.tones, look, told, loads, when, follows.words, perf_counter() - started)
         self.steps = (*self.steps, step)
         ramp = max(follows.ramp, *(self._ramp(int(n)) for n in active))
         moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0

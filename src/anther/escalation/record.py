@@ -29,7 +29,7 @@ def noted(
     tones: Array,
     look: Look,
     told: Sequence[Known],
-    limits: Sequence[Mapping[str, float]],
+    loads: Mapping[str, float],
     when: tuple[float, float],
     decided: str,
     seconds: float,
@@ -40,14 +40,13 @@ def noted(
         tones: (K,) of the foresight [Hz].
         look: what was seen.
         told: what is known of each of its tones.
-        limits: of each, see `limits_of`.
+        loads: see `shares`.
         when: its begin and end [s].
         decided: in words.
         seconds: that measuring and deciding took [s].
     """
     amplitudes = np.abs(look.commanded)
     felt = np.sqrt(sum((a * one.flowers) ** 2 for a, one in zip(amplitudes, told, strict=True)))
-    loads = shares(amplitudes, told, limits)
     return Step(
         *when,
         tuple(tones[look.tones].tolist()),

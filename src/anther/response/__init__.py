@@ -253,6 +253,7 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
         frequency_std=float(np.sqrt(3) / np.pi * noise / amplitude / span),
         phase=swing.phase,
         phase_std=float(np.hypot(noise / amplitude, PHASE_ERROR)),
+        # in depth noise passes for overtones
         acceleration_peak=swing.acceleration(limit, axes=2) * (frequency / hint) ** 2,
         at_most=float("nan"),
     )
