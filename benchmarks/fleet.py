@@ -48,7 +48,7 @@ WRITERS, FLOWERS, SEASON = 20, 3, 200
 FAILURES = ("slipped", "unreachable", "no_stem_found", "branch_or_leaf_grasped")
 COLUMNS = {
     "plants": "id, species, label",
-    "visits": "id, plant_id, robot, time, success, failure, run, taught, acceleration_ms2, material_before, "
+    "visits": "id, plant_id, robot, time, held_unharmed, failure, run, taught, acceleration_ms2, material_before, "
     "material_after",
     "grasps": "visit_id, arc_length_m, stem_diameter_m, confidence, organ",
     "shakes": "visit_id, frequency_hz, amplitude_m, duration_s, waveform, direction",

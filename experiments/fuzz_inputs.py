@@ -78,7 +78,7 @@ def write_inputs(folder: Path) -> None:
     rows = (folder / "board" / "poses.csv").read_text().splitlines()
     (folder / "board" / "poses.csv").write_text("\n".join(rows[:6]) + "\n")
     for k in range(3):
-        record_trial(TrialRecord("tomato", "abc"[k], success=True, failure=None), folder / "history.sqlite")
+        record_trial(TrialRecord("tomato", "abc"[k], held_unharmed=True, failure=None), folder / "history.sqlite")
     (folder / "options.json").write_text(json.dumps({name: _options(name) for name in COMMANDS}))
 
 
@@ -104,7 +104,7 @@ def _write_run(run: Path, tree: Skeleton, cloud: Cloud) -> None:
     save_grasps(run / FILES["grasp"], plan_grasps(stem, tree, cloud))
     build_plant(tree, stem, flowers, cloud, TOMATO).save(run / FILES["plant model"])
     write_json(run / "00_params.json", {"command": "trial", "plant": "tomato"})
-    write_json(run / "visit.json", TrialRecord("tomato", "z", success=True, failure=None).plain())
+    write_json(run / "visit.json", TrialRecord("tomato", "z", held_unharmed=True, failure=None).plain())
 
 
 def _thin_captures(folder: Path) -> None:

@@ -338,8 +338,9 @@ def test_an_outcome_edited_by_hand(tmp_path: Path) -> None:
 
 
 VISITS = [
-    ("species", 5), ("species", ["t"]), ("plant", None), ("plant", {}), ("success", "yes"), ("success", None),
-    ("failure", 3), ("run", ["a"]), ("time", 5), ("time", "noon"), ("grasp", 5), ("grasp", {"nose": 1}),
+    ("species", 5), ("species", ["t"]), ("plant", None), ("plant", {}), ("held_unharmed", "yes"),
+    ("held_unharmed", None), ("failure", 3), ("run", ["a"]), ("time", 5), ("time", "noon"), ("grasp", 5),
+    ("grasp", {"nose": 1}),
     ("grasp", {"organ": 5}), ("shake", []), ("shake", {"frequency": "fast", "amplitude": 1}), ("material", "soft"),
     ("material", {"youngs": "soft"}), ("material", [1]), ("measured_amplitude", 5), ("measured_amplitude", ["a", "b"]),
     ("measured_amplitude", [[1], [2]]), ("predicted_amplitude", {"a": 1}),

@@ -45,7 +45,7 @@ def test_which_belief_is_used_and_said(tmp_path: Path) -> None:
 def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
     where = tmp_path / "h.sqlite"
     taught = trial("a", TOMATO, Material(youngs=3e8, youngs_spread=0.1))
-    record_trial(replace(taught, success=False, failure="branch_or_leaf_grasped"), where)
+    record_trial(replace(taught, held_unharmed=False, failure="branch_or_leaf_grasped"), where)
     record_trial(replace(taught, measured_amplitude=(float("nan"),), material=TOMATO), where)
     assert starting_material("tomato", "a", where).source == "facts"
 
@@ -58,7 +58,7 @@ def test_the_last_shake_that_was_held_and_seen_is_remembered(tmp_path: Path) -> 
     first = replace(trial("a", TOMATO, TOMATO), grasp=grasp, shake=sine)
     record_trial(first, where)
     later = [
-        replace(first, success=False, failure="slipped", shake=replace(sine, amplitude=9e-3)),
+        replace(first, held_unharmed=False, failure="slipped", shake=replace(sine, amplitude=9e-3)),
         replace(first, measured_amplitude=(float("nan"),), shake=replace(sine, amplitude=8e-3)),
         replace(first, shake=None),
         replace(first, plant="b", shake=replace(sine, amplitude=7e-3)),

@@ -127,7 +127,7 @@ def test_trial_json_says_what_the_flowers_felt() -> None:
 )
 def test_the_history_keeps_held_and_unharmed(summary: dict[str, Any], kept: tuple[bool, str | None], tmp_path) -> None:
     record = _record(Args(), tmp_path, datetime.now(UTC), summary, None)
-    assert (record.success, record.failure) == kept
+    assert (record.held_unharmed, record.failure) == kept
 
 
 @pytest.mark.parametrize(

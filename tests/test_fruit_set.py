@@ -140,7 +140,7 @@ def test_counts_meet_their_visits() -> None:
         visit(1, 0, predicted_acceleration=(10.0, 20.0), measured_acceleration=(nan, 30.0)),
         visit(2, 3, predicted_amplitude=(1e-3,)),
         visit(3, 9, measured_acceleration=(40.0,)),
-        visit(4, 9, shake=None, success=False, failure="nothing_grasped"),
+        visit(4, 9, shake=None, held_unharmed=False, failure="nothing_grasped"),
     ]
     outcomes = [
         Outcome("tomato", "a", 10, 4, date(2026, 5, 8)),
@@ -156,7 +156,7 @@ def test_counts_meet_their_visits() -> None:
         [pytest.approx([1e-3 * (20 * np.pi) ** 2])],
         [],
     ]
-    unknown = visit(5, 10, success=False, failure="slipped", predicted_acceleration=(9.0,))
+    unknown = visit(5, 10, held_unharmed=False, failure="slipped", predicted_acceleration=(9.0,))
     counts, left_out = counts_of([*trials, unknown], outcomes)
     assert [c.fruit for c in counts] == [4, 3, 2]
     assert "1 of 4" in left_out[0]

@@ -51,7 +51,7 @@ def full(plant: str = "seed 3", minutes: int = 0) -> TrialRecord:
     return TrialRecord(
         species="tomato",
         plant=plant,
-        success=False,
+        held_unharmed=False,
         failure="slipped",
         grasp=GraspRecord(0.31, 0.008, 0.93, "stem", tuple(range(7))),
         shake=ShakeRecord(8.1, 1.3e-3, 3.2, "sine", (0.0, 1.0, 0.0)),
@@ -74,7 +74,7 @@ def test_round_trip(where: str) -> None:
     assert read.measured_amplitude[0] == 1.1e-3
     assert np.isnan(read.measured_amplitude[1])
     assert np.isnan(read.measured_acceleration).all()
-    assert (read.success, read.failure, read.run) == (False, "slipped", "runs/7")
+    assert (read.held_unharmed, read.failure, read.run) == (False, "slipped", "runs/7")
     assert find_visit(number, where).grasp == read.grasp  # type: ignore[union-attr]
     assert find_visit(number + 1, where) is None
 
@@ -97,7 +97,7 @@ def test_oldest_first_and_filtered(where: str) -> None:
     assert minutes_of(species="tomato") == [1, 3, 5]
     assert minutes_of(plant="b", species="tomato") == [3, 5]
     assert minutes_of(result="slipped") == minutes_of(result="failure") == [1, 3, 5]
-    assert minutes_of(result="success") == minutes_of(since=date(2026, 5, 2)) == [0]
+    assert minutes_of(result="held_unharmed") == minutes_of(since=date(2026, 5, 2)) == [0]
     assert minutes_of(since=date(2026, 5, 3), until=date(2026, 5, 3)) == [0]
     assert minutes_of(until=date(2026, 5, 2)) == [1, 3, 5]
     assert read_trials(where, species="cucumber") == []
@@ -290,7 +290,7 @@ def test_passwords_are_not_shown() -> None:
 @given(st.sampled_from(["species", "plant"]), st.sampled_from(["", "x" * 201]))
 def test_labels_are_brief(name: str, value: str) -> None:
     with pytest.raises(InputError, match=name):
-        TrialRecord(**({"species": "tomato", "plant": "1", "success": True} | {name: value}))  # type: ignore[arg-type]
+        TrialRecord(**({"species": "tomato", "plant": "1", "held_unharmed": True} | {name: value}))  # type: ignore[arg-type]
     with pytest.raises(InputError, match=name):
         Outcome(**({"species": "t", "plant": "1", "flowers": 2, "fruit": 1, "date": date.today()} | {name: value}))  # type: ignore[arg-type]
 

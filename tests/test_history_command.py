@@ -28,7 +28,7 @@ def trial(plant: str, days: float = 0, species: str = "tomato") -> TrialRecord:
     return TrialRecord(
         species=species,
         plant=plant,
-        success=True,
+        held_unharmed=True,
         grasp=GraspRecord(0.21, organ="stem"),
         shake=ShakeRecord(9.0, 6e-4, 3.0),
         predicted_amplitude=(1e-3, 2e-3),
@@ -69,7 +69,7 @@ def test_the_list_and_its_filters(history: str, say) -> None:
     assert code == 0
     for part in ("0.60 mm, 9.0 Hz", "1.00 -> 1.50 (1 of 2)", "no_stem_found", "nothing was learned of this plant yet"):
         assert part in text, part
-    assert "no_stem_found" not in say("history", history, "--result", "success")[1]
+    assert "no_stem_found" not in say("history", history, "--result", "held_unharmed")[1]
     assert "row 1" not in say("history", history, "--plant", "7")[1]
     assert "its own" not in text
     assert "7's own" in say("history", history, "--plant", "7")[1]

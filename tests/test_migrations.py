@@ -56,7 +56,7 @@ def test_the_tables_are_those_of_the_classes(where: str) -> None:
     record_trial(VISIT, where)
     with engine_of(where).connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
-        assert connection.execute(text("SELECT plant FROM trials")).scalar() == "a"
+        assert connection.execute(text("SELECT plant, held_unharmed FROM trials")).one() == ("a", True)
 
 
 def test_a_history_of_the_version_before_is_brought_up_with_all_that_is_in_it(
@@ -68,7 +68,7 @@ def test_a_history_of_the_version_before_is_brought_up_with_all_that_is_in_it(
         connection.execute(text("INSERT INTO plants (species, label, learned) VALUES ('tomato', 'a', '{}')"))
         row = "(plant_id, time, success) VALUES (1, '2026-05-01 12:00:00', true)"
         connection.execute(text(f"INSERT INTO visits {row}"))
-    assert [(trial.plant, trial.success) for trial in read_trials(where)] == [("a", True)]
+    assert [(trial.plant, trial.held_unharmed) for trial in read_trials(where)] == [("a", True)]
     record_trial(VISIT, where)
     assert len(read_trials(where)) == 2
 

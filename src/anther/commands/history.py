@@ -33,7 +33,7 @@ class Args:
     until: date | None = None
     """Only trials of this day and earlier, UTC."""
     result: str | None = None
-    """Only 'success', 'failure', or one kind of failure, e.g. 'slipped'."""
+    """Only 'held_unharmed', 'failure', or one kind of failure, e.g. 'slipped'."""
     last: int = 40
     """List at most so many, the last ones. An export always has all."""
     export: Path | None = None
@@ -54,7 +54,7 @@ def run(args: Args) -> None:
     """
     from anther.history import count_trials, each_trial, export, read_outcomes, read_trials
 
-    kinds = ("success", "failure", *get_args(FailureKind))
+    kinds = ("held_unharmed", "failure", *get_args(FailureKind))
     if args.result is not None and args.result not in kinds:
         raise bad_input("result", given=f"'{args.result}'", allowed=", ".join(kinds), do="Choose one.")
     if args.add or args.merge:
@@ -113,7 +113,7 @@ def _trials(trials: Sequence[TrialRecord]) -> Table:
         grasp, shake = t.grasp, t.shake
         held = "" if grasp is None or grasp.arc_length is None else f"{100 * grasp.arc_length:.1f}"
         shaken = "" if shake is None else f"{1000 * shake.amplitude:.2f} mm, {shake.frequency:.1f} Hz"
-        result = "success" if t.success else str(t.failure or "failure")
+        result = "held_unharmed" if t.held_unharmed else str(t.failure or "failure")
         stiff = "" if t.material is None or not t.measured else f"{t.material.youngs / 1e6:.0f}"
         first = (str(t.id), f"{t.time:%Y-%m-%d %H:%M}", t.species, t.plant, result)
         table.add_row(*first, held, shaken, _motion(t), stiff, t.run or "")

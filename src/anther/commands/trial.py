@@ -259,13 +259,16 @@ def _judge(cell: SimulatedCell, done: Done) -> Verdict:
 
 
 def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], done: Done | None) -> TrialRecord:
-    """Return what the history keeps of the trial: held and unharmed is a success that teaches.
+    """Return what the history keeps of the trial: what was held and not harmed teaches.
 
     That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that.
     """
     from anther.commands.run_folder import with_what_was_done
     from anther.history import TrialRecord
 
-    result = {"success": bool(summary["held"] and summary["unharmed"] is not False), "failure": summary["failure"]}
+    result = {
+        "held_unharmed": bool(summary["held"] and summary["unharmed"] is not False),
+        "failure": summary["failure"],
+    }
     record = TrialRecord(args.plant, _label(args), **result, run=str(out), robot=args.robot, time=began)
     return record if done is None else with_what_was_done(record, done, summary["organ_grasped"])

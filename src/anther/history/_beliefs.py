@@ -88,9 +88,9 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
 
 
 def _visits_of(query: Any, species: str, plant: str) -> Any:
-    """Ask a query of the successful visits to a plant, the last one first."""
+    """Ask a query of the visits that held a plant and did not harm it, the last one first."""
     number = select(Plant.id).where(Plant.species == species, Plant.label == plant).scalar_subquery()
-    query = query.select_from(Visit).where(Visit.plant_id == number, Visit.success)
+    query = query.select_from(Visit).where(Visit.plant_id == number, Visit.held_unharmed)
     return query.order_by(Visit.time.desc(), Visit.id.desc())
 
 

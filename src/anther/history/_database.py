@@ -89,13 +89,15 @@ class Visit(Base):
     __tablename__ = "visits"
     __table_args__ = (
         Index("ix_visits_plant", "plant_id", "time", "robot", unique=True),
-        Index("ix_visits_time", "time", "robot", "success", "failure", "acceleration_ms2"),  # trends read it alone
+        Index(
+            "ix_visits_time", "time", "robot", "held_unharmed", "failure", "acceleration_ms2"
+        ),  # trends read it alone
     )
     id: Mapped[int] = mapped_column(primary_key=True)
     plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
     robot: Mapped[str] = mapped_column(server_default="")
     time: Mapped[datetime]
-    success: Mapped[bool]
+    held_unharmed: Mapped[bool]
     taught: Mapped[bool] = mapped_column(server_default=false())
     acceleration_ms2: Mapped[float | None]
     failure: Mapped[str | None]

@@ -29,7 +29,7 @@ _VISIT = {"visit": int, "time": datetime, "species": str, "plant": str}
 TABLES: dict[str, dict[str, type]] = {
     "visits": {
         **_VISIT,
-        "success": bool,
+        "held_unharmed": bool,
         "failure": str,
         "run": str,
         "robot": str,
@@ -100,7 +100,12 @@ def export(path: Path, table: str, trials: Iterable[TrialRecord], outcomes: Iter
 
 def _visit(trial: TrialRecord) -> dict[str, Any]:
     grasp, shake, before, after = trial.grasp, trial.shake, trial.believed, trial.material
-    line = _of(trial) | {"success": trial.success, "failure": trial.failure, "run": trial.run, "robot": trial.robot}
+    line = _of(trial) | {
+        "held_unharmed": trial.held_unharmed,
+        "failure": trial.failure,
+        "run": trial.run,
+        "robot": trial.robot,
+    }
     felt = trial.accelerations()
     line["acceleration_mean_ms2"] = None if felt is None else float(felt.mean())
     if grasp is not None:

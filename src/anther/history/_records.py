@@ -82,7 +82,7 @@ class TrialRecord:
     Attributes:
         species: "tomato", "pepper", or whatever the user calls the crop.
         plant: label of the plant: a row and number in the greenhouse, or the seed of a simulated one.
-        success: whether the plant was held through the shake and not harmed, however little its flowers moved.
+        held_unharmed: whether the plant was held through the shake and not harmed, however little its flowers moved.
         failure: kind of failure (`errors.FailureKind`), or None.
         grasp, shake: None where it never came to that.
         predicted_amplitude, measured_amplitude, measured_amplitude_std: (F,) [m]; NaN where not measurable.
@@ -97,7 +97,7 @@ class TrialRecord:
 
     species: str
     plant: str
-    success: bool
+    held_unharmed: bool
     failure: str | None = None
     grasp: GraspRecord | None = None
     shake: ShakeRecord | None = None
@@ -115,7 +115,7 @@ class TrialRecord:
 
     def __post_init__(self) -> None:
         _labels(self.species, self.plant)
-        _of_type(self, success=bool, failure=str | None, run=str | None, robot=str)
+        _of_type(self, held_unharmed=bool, failure=str | None, run=str | None, robot=str)
         if len(self.robot) > 200:
             raise bad_input("robot", given=f"{len(self.robot)} characters", allowed="up to 200", do="Name it briefly.")
         if self.time.tzinfo is None:
@@ -148,7 +148,7 @@ class TrialRecord:
 
         A visit whose shake never began gave nothing; one that failed and was not measured may have given anything.
         """
-        if self.shake is None or not (self.success or self.measured):
+        if self.shake is None or not (self.held_unharmed or self.measured):
             return None
         motions = {name: np.array(values) for name, values in self.motions().items()}
         square = (2 * np.pi * self.shake.frequency) ** 2

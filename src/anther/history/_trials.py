@@ -86,7 +86,7 @@ def read_trials(
         where: a SQLite file, or a PostgreSQL URL.
         species, plant: only trials with these labels.
         since, until: only trials of these days and between them (UTC).
-        result: only "success", "failure", or one kind of failure.
+        result: only "held_unharmed", "failure", or one kind of failure.
         last: only so many, the last ones.
 
     Raises:
@@ -156,8 +156,8 @@ def chosen(
         query = query.where(Visit.time >= datetime.combine(since, time(), UTC))
     if until is not None:
         query = query.where(Visit.time < datetime.combine(until + timedelta(days=1), time(), UTC))
-    if result in ("success", "failure"):
-        query = query.where(Visit.success.is_(result == "success"))
+    if result in ("held_unharmed", "failure"):
+        query = query.where(Visit.held_unharmed.is_(result == "held_unharmed"))
     elif result is not None:
         query = query.where(Visit.failure == result)
     return query
@@ -274,7 +274,7 @@ def _visit(record: TrialRecord, plant: int) -> Visit:
         time=record.time,
         taught=record.taught,
         acceleration_ms2=None if felt is None else float(felt.mean()),
-        success=record.success,
+        held_unharmed=record.held_unharmed,
         failure=record.failure,
         run=record.run,
         material_before=None if record.believed is None else asdict(record.believed),
@@ -312,7 +312,7 @@ def trial_of(visit: Visit) -> TrialRecord:
     record = TrialRecord(
         species=visit.plant.species,
         plant=visit.plant.label,
-        success=visit.success,
+        held_unharmed=visit.held_unharmed,
         failure=visit.failure,
         grasp=grasp
         and GraspRecord(grasp.arc_length_m, grasp.stem_diameter_m, grasp.confidence, grasp.organ, grasp.pose7),

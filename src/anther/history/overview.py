@@ -132,7 +132,7 @@ class SweepTally:
 
 _TALLY = (
     func.count(),
-    func.sum(cast(Visit.success, Integer)),
+    func.sum(cast(Visit.held_unharmed, Integer)),
     func.avg(Visit.acceleration_ms2),
     func.max(Visit.time),
 )
@@ -161,7 +161,7 @@ def robots(session: Session, since: date, until: date) -> list[Tally]:
 def failures(session: Session, since: date, until: date) -> list[Tally]:
     """Return the visits that failed on some days by the kind of failure, "" where none was named, most first."""
     kind = func.coalesce(Visit.failure, "")
-    query = _between(select(kind, *_TALLY), since, until).where(Visit.success.is_(False)).group_by(kind)
+    query = _between(select(kind, *_TALLY), since, until).where(Visit.held_unharmed.is_(False)).group_by(kind)
     return [Tally(*row) for row in session.execute(query.order_by(func.count().desc(), kind))]
 
 
@@ -180,16 +180,24 @@ def visits(
 ) -> Sequence[Any]:
     """Return at most PAGE + 1 visits, the last one first: one more than is shown says that there are more.
 
-    Each has id, time, robot, success, failure, acceleration_ms2, species, label, plant_id, and amplitude_m,
+    Each has id, time, robot, held_unharmed, failure, acceleration_ms2, species, label, plant_id, and amplitude_m,
     frequency_hz, duration_s of its shake.
 
     Args:
         session: that reads.
         day, plant: only of this day, of the plant with this number.
-        result: only "success" or "failure".
+        result: only "held_unharmed" or "failure".
         before: only those before the visit with this number.
     """
-    columns = (Visit.id, Visit.time, Visit.robot, Visit.success, Visit.failure, Visit.acceleration_ms2, Visit.plant_id)
+    columns = (
+        Visit.id,
+        Visit.time,
+        Visit.robot,
+        Visit.held_unharmed,
+        Visit.failure,
+        Visit.acceleration_ms2,
+        Visit.plant_id,
+    )
     query = select(*columns, Plant.species, Plant.label, Shake.amplitude_m, Shake.frequency_hz, Shake.duration_s)
     query = query.join(Plant, Plant.id == Visit.plant_id).outerjoin(Shake, Shake.visit_id == Visit.id)
     if day is not None:
@@ -197,7 +205,7 @@ def visits(
     if plant is not None:
         query = query.where(Visit.plant_id == plant)
     if result is not None:
-        query = query.where(Visit.success.is_(result == "success"))
+        query = query.where(Visit.held_unharmed.is_(result == "held_unharmed"))
     if before is not None:
         moment = session.scalar(select(Visit.time).where(Visit.id == before))
         query = query.where(tuple_(Visit.time, Visit.id) < (moment, before))

@@ -202,7 +202,7 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
     def a_day(
         request: Request,
         day: Day = None,
-        result: Literal["success", "failure"] | None = None,
+        result: Literal["held_unharmed", "failure"] | None = None,
         before: Before = None,
     ) -> HTMLResponse:
         today = datetime.now(UTC).date()
