@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from made_foresight import made_plan
-from protocol_faults import EXPECTED, GOES_ON, PHASES, Case, draw, no_effect, stop_time, unsafe
+from protocol_faults import EXPECTED, GOES_ON, PHASES, Case, draw, held_up, no_effect, stop_time, unsafe
 
 from anther.arm import sawyer
 from anther.geometry import Array
@@ -84,3 +84,19 @@ def test_a_trial_may_finish_only_where_what_failed_is_needed_no_more() -> None:
                 assert allowed
             elif kind in ("stop button", "kill -9", "joints silent", "side camera unplugged"):
                 assert not allowed
+
+
+@pytest.mark.parametrize(
+    ("kind", "before", "after", "again"),
+    [
+        ("pushed", "joints are 51 ms old", "", True),
+        ("joints silent", "joints are 51 ms old", "", False),
+        ("joints silent", "joints are 51 ms old", "joints are 51 ms old", True),
+        ("pushed", "contact force 60 N", "", False),
+        ("Ctrl-C", "Let nothing else run", "", True),
+    ],
+)
+def test_a_case_begins_again_where_joints_came_late_by_themselves(
+    kind: str, before: str, after: str, again: bool
+) -> None:
+    assert held_up(replace(CASE, kind=kind), before, after) == again
