@@ -16,7 +16,7 @@ from anther.capture import Capture
 from anther.files import replacing
 from anther.geometry import Array, inverse, transform_points
 from anther.grasp import Grasp
-from anther.grasp.clearance import Gripper
+from anther.grasp.clearance import GripperShape
 
 TILE = 150  # px
 AROUND = 0.13  # m shown to either side of the grasp
@@ -51,7 +51,7 @@ def portrait(capture: Capture, grasp: Grasp | None, path: Path) -> None:
 
 def finger_boxes() -> list[Array]:
     """Return the eight corners (8, 3) of each open pad in the flange's frame [m]."""
-    gripper = Gripper()
+    gripper = GripperShape()
     inner, deep = sawyer.STROKE / 2, gripper.pad[1] / 2
     spans = [(inner, inner + gripper.finger[0]), (-inner - gripper.finger[0], -inner)]
     across, along = gripper.pad[0] / 2, (gripper.depth - deep, gripper.depth + deep)

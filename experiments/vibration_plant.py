@@ -24,7 +24,7 @@ from anther.elastic_rod import Drive
 from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.grasp import Grasp
-from anther.identification import Felt, Observed, Refinement, refine
+from anther.identification import Felt, ObservedShake, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
 from anther.shake import Crop, ShakePlan
@@ -225,8 +225,8 @@ def probed(
         shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=predicted, **facts))
         true = np.full(len(expected), np.nan)
         true[i] = np.abs(done.amplitude[j] + rng.normal(0, CAMERA_ERROR, len(j)))
-        by_camera.append(Observed.of(shake, answer, Felt(began=0.0)))
-        by_truth.append(Observed(shake, true, np.full(len(expected), CAMERA_ERROR)))
+        by_camera.append(ObservedShake.of(shake, answer, Felt(began=0.0)))
+        by_truth.append(ObservedShake(shake, true, np.full(len(expected), CAMERA_ERROR)))
         told.append({"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]})
     beliefs = {"prior": refine(model, []), "probe": refine(model, by_camera)}
     beliefs["probe, every flower seen"] = refine(model, by_truth)

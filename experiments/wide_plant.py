@@ -30,7 +30,7 @@ from anther.commands.simulated_cell import (
 from anther.devices import Frame
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.identification import Felt, Observed, Refinement, expect, flowers_at, loads_at, refine
+from anther.identification import Felt, ObservedShake, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import PlantModel
 from anther.response import measure_response, stem_near
 from anther.shake import Crop, ShakePlan
@@ -147,7 +147,7 @@ def tone_amplitudes(belief: Refinement, point: Array) -> Array:
 
 def _probe(
     model: PlantModel, grip: ShakenPlant, seen: Seen, frequency: float, amplitude: float, swayed: Array, truth: Truth
-) -> Observed:
+) -> ObservedShake:
     """Shake at one tone, in the wind; return what camera and arm measured of it."""
     intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
     frames = _filmed(grip, amplitude, frequency, pose, truth, swayed)
@@ -161,7 +161,7 @@ def _probe(
     facts = {"direction": DIRECTION, "amplitude": amplitude, "frequency": frequency, "pads": PADS}
     place = SimpleNamespace(point=grip.point)
     shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=amplitude * linear, **facts))
-    return Observed.of(shake, answer, _felt(grip, amplitude, frequency, grip.plant.seed))
+    return ObservedShake.of(shake, answer, _felt(grip, amplitude, frequency, grip.plant.seed))
 
 
 def _times(frequency: float) -> Array:
@@ -226,7 +226,7 @@ def loads_of(grip: ShakenPlant, frequencies: Array) -> dict[str, Array]:
 
 def _raised(
     belief: Refinement,
-    probes: list[Observed],
+    probes: list[ObservedShake],
     grip: ShakenPlant,
     f: float,
     size: float,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from anther.devices import Frame
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.identification import Felt, Observed
+from anther.identification import Felt, ObservedShake
 from anther.response import Response, StemNear, measure_response, stem_near
 from anther.shake import ShakePlan
 
@@ -105,8 +105,8 @@ def test_the_stem_is_kept_and_told_relative_to_the_grippers_motion(tmp_path: Pat
     assert np.array_equal(again.points, response.stem.points)
     plan = ShakePlan.__new__(ShakePlan)
     object.__setattr__(plan, "frequency", F)
-    told = Observed.of(plan, response, Felt(began=0.013)).beside
+    told = ObservedShake.of(plan, response, Felt(began=0.013)).beside
     real = told.motion * np.sign(told.axis @ SHAKE)
     assert np.all(real.real > 0)
     assert np.all(np.abs(real.imag) < 4 * told.std)
-    assert len(Observed.of(plan, response).beside.points) == 0
+    assert len(ObservedShake.of(plan, response).beside.points) == 0

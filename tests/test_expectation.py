@@ -11,7 +11,7 @@ import pytest
 from sample_plants import branched
 
 from anther.elastic_rod import Array
-from anther.identification import Felt, Observed, Params, Refinement, expect, flowers_at, loads_at, refine
+from anther.identification import Felt, ObservedShake, Params, Refinement, expect, flowers_at, loads_at, refine
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.shake import PADS, Pads, ShakePlan
 from anther.shake.observables import semi_major
@@ -50,11 +50,11 @@ def point(plant: PlantModel) -> Array:
     return plant.rods.nodes[plant.stem_nodes[HELD]]
 
 
-def seen(point: Array, amplitude: Any = MEASURED, error: Any = ERROR, **more: Any) -> Observed:
+def seen(point: Array, amplitude: Any = MEASURED, error: Any = ERROR, **more: Any) -> ObservedShake:
     """A shake of the gripper by `SIZE` in which the flowers moved so far; `error` is relative."""
     facts = {"direction": WAY, "amplitude": SIZE, "frequency": PITCH, "pads": PADS}
     shake = cast(ShakePlan, SimpleNamespace(grasp=SimpleNamespace(point=point), predicted_amplitude=amplitude, **facts))
-    return Observed(shake, np.array(amplitude), error * np.array(amplitude), **more)
+    return ObservedShake(shake, np.array(amplitude), error * np.array(amplitude), **more)
 
 
 def median(learned: Refinement, point: Array, way: Array, pitch: float) -> Array:
@@ -103,7 +103,7 @@ def test_of_another_shake_the_ensemble_speaks(
 def test_faint_lost_and_still_flowers_are_not_measured(learned: Refinement, point: Array) -> None:
     nan = np.nan
     faint = seen(point, [nan, nan, MEASURED[2]], at_most=np.array([1e-4, nan, nan]))
-    still = Observed(faint.shake, np.array([0.0, nan, nan]), np.array([1e-5, nan, nan]))
+    still = ObservedShake(faint.shake, np.array([0.0, nan, nan]), np.array([1e-5, nan, nan]))
     told, model = expect(learned, [faint, still], point, WAY, PITCH, SIZE), median(learned, point, WAY, PITCH)
     assert told.measured.tolist() == [False, False, True]
     assert told.amplitude == pytest.approx([*SIZE * model[:2], MEASURED[2]])

@@ -20,7 +20,7 @@ from anther.grasp import (
     STROKE_MARGIN,
     TOWARD_TIPS,
     Grasp,
-    Gripper,
+    GripperShape,
     Params,
     _rank,
     load_grasps,
@@ -80,7 +80,7 @@ def test_frame_conventions():
         np.testing.assert_allclose(g.tangent, tilt[:, 2], atol=1e-9)
         assert abs(y @ g.tangent) < 1e-9
         assert abs(x @ g.tangent) == pytest.approx(1)
-        np.testing.assert_allclose(p + (Gripper().depth + TOWARD_TIPS) * z, g.point, atol=1e-12)
+        np.testing.assert_allclose(p + (GripperShape().depth + TOWARD_TIPS) * z, g.point, atol=1e-12)
         np.testing.assert_allclose(g.pregrasp(0.1)[:3, 3], p - 0.1 * z, atol=1e-12)
 
 
@@ -279,7 +279,7 @@ def test_branch_directions_point_outward():
     ],
 )
 def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance):
-    gripper = Gripper(body=())
+    gripper = GripperShape(body=())
     ball = Surroundings(np.array([point]), np.zeros(1), np.array([OBSTACLE]), np.zeros(1))
     met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing())
     assert met.distance.shape == (1, KINDS)
@@ -291,7 +291,7 @@ def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance)
 @settings(max_examples=25)
 def test_clearance_is_that_of_all_balls_and_boxes_one_by_one(seed):
     """Large balls, far balls, several cubes of them, turned grippers."""
-    rng, gripper = np.random.default_rng(seed), Gripper()
+    rng, gripper = np.random.default_rng(seed), GripperShape()
     count = int(rng.integers(1, 40))
     centers, radius = rng.uniform(-0.3, 0.3, (count, 3)), rng.choice([0.0, 0.005, 0.06], count)
     balls = Surroundings(centers, radius, np.full(count, OBSTACLE), np.zeros(count))
@@ -308,7 +308,7 @@ def test_clearance_is_that_of_all_balls_and_boxes_one_by_one(seed):
 
 def test_the_whole_way_in_counts():
     """A ball that the gripper's body passes on the way is met although the gripper at the grasp is clear of it."""
-    gripper, pose = Gripper(), np.eye(4)[None]
+    gripper, pose = GripperShape(), np.eye(4)[None]
     ball = Surroundings(np.array([[0.0, 0.05, -0.09]]), np.zeros(1), np.array([OBSTACLE]), np.zeros(1))
     at_end = clearance(pose, ball, gripper.boxes(0.0), gripper.closing())
     on_way = clearance(pose, ball, gripper.boxes(0.1), gripper.closing())
@@ -319,7 +319,7 @@ def test_the_whole_way_in_counts():
 @given(depth=st.floats(-0.01, 0.007), stiffness=st.floats(0, 1e-6))
 def test_what_is_pushed_aside_pushes_back(depth, stiffness):
     """A petiole's ball `depth` inside a finger, which is 15 mm thick, moves by that and the margin."""
-    gripper = Gripper(body=())
+    gripper = GripperShape(body=())
     ball = Surroundings(
         np.array([[0, gripper.stroke / 2 + depth, 0.1]]), np.zeros(1), np.array([PETIOLE]), np.array([stiffness])
     )
@@ -390,13 +390,13 @@ def test_toward_the_base_every_place_below_the_fork_is_tried_and_few_above_it():
 
 @pytest.mark.parametrize(("less", "refused"), [(0.5, True), (1.5, False)])
 def test_a_stem_needs_the_margin_between_the_open_pads(less, refused):
-    radius = (Gripper().stroke - less * STROKE_MARGIN) / 2
+    radius = (GripperShape().stroke - less * STROKE_MARGIN) / 2
     ranking = _rank(*make_plant(branches=(), radius=radius), Params(), toward_base=False)
     assert ranking.fell["thicker than the stroke"] == refused * len(ranking.candidates.station)
 
 
 def test_the_space_between_the_pads_is_as_large_as_they_are_and_the_margin():
-    gripper = Gripper()
+    gripper = GripperShape()
     lower, upper = gripper.closing(0.003).reshape(2, 3)
     np.testing.assert_allclose((lower + upper) / 2, [0, 0, gripper.depth], atol=1e-12)
     np.testing.assert_allclose(upper - lower, [gripper.pad[0] + 0.006, gripper.stroke, gripper.pad[1] + 0.006])

@@ -13,7 +13,7 @@ from sample_plants import branched, grasps_on
 
 from anther.errors import InputError
 from anther.identification import (
-    Observed,
+    ObservedShake,
     Params,
     density_from_samples,
     fit_free_vibration,
@@ -104,7 +104,7 @@ def test_a_measured_response_improves_prediction_and_belief(plant: PlantModel, p
     truth = plant.with_material(replace(plant.material, youngs=factor * plant.material.youngs))
     measured = amplitude_of(truth, plant, plan)
     params = Params(model_error=0.05)
-    after = refine(plant, [Observed(plan, measured, np.full(len(measured), 1e-4 * measured.max()))], params)
+    after = refine(plant, [ObservedShake(plan, measured, np.full(len(measured), 1e-4 * measured.max()))], params)
     before = np.abs(np.log(plan.predicted_amplitude / measured)).mean()
     assert np.abs(np.log(after.predicted_amplitude[0] / measured)).mean() < before + 0.05
     assert after.material.youngs_spread < 0.8 * plant.material.youngs_spread
@@ -114,7 +114,7 @@ def test_a_measured_response_improves_prediction_and_belief(plant: PlantModel, p
 
 
 def test_an_unmeasurable_response_teaches_nothing(plant: PlantModel, plan: ShakePlan) -> None:
-    after = refine(plant, [Observed(plan, np.full(3, np.nan), np.full(3, np.nan))])
+    after = refine(plant, [ObservedShake(plan, np.full(3, np.nan), np.full(3, np.nan))])
     assert after.material == plant.material
     assert "no flower" in after.notes[0]
 
@@ -125,7 +125,7 @@ def test_a_vague_measurement_leaves_the_belief_as_it_was(
 ) -> None:
     """Also of a plant that barely stands, whose softer draws are stiffened."""
     stands = plant.with_material(replace(plant.material, youngs=above_least * plant.least_youngs))
-    vague = [Observed(plan, plan.predicted_amplitude, 10 * plan.predicted_amplitude)]
+    vague = [ObservedShake(plan, plan.predicted_amplitude, 10 * plan.predicted_amplitude)]
     after = refine(stands, vague, Params(model_error=10), pads=FIRM)
     assert after.material.youngs == pytest.approx(stands.material.youngs, rel=0.02)
     assert after.material.youngs_spread == pytest.approx(stands.material.youngs_spread, rel=0.05)
@@ -136,7 +136,7 @@ def test_one_flower_mistaken_for_another_does_not_decide_alone(plant: PlantModel
     wrong = fair.copy()
     wrong[0] *= 30
     error = 0.05 * fair
-    one, two = (refine(plant, [Observed(plan, m, error)]).material.youngs for m in (fair, wrong))
+    one, two = (refine(plant, [ObservedShake(plan, m, error)]).material.youngs for m in (fair, wrong))
     assert abs(np.log(one / two)) < plant.material.youngs_spread
 
 
@@ -153,22 +153,22 @@ STIFF_BRANCHES = Params(members=512, branch_spread=0.05, model_error=0.1)
 
 def test_what_all_flowers_do_alike_is_the_models_gain(known: PlantModel, plan: ShakePlan) -> None:
     half = amplitude_of(known.with_material(replace(known.material, response_gain=0.5)), known, plan)
-    after = refine(known, [Observed(plan, half, 0.02 * half)], STIFF_BRANCHES).material
+    after = refine(known, [ObservedShake(plan, half, 0.02 * half)], STIFF_BRANCHES).material
     assert after.response_gain < 0.8
     assert after.response_spread < 0.8 * known.material.response_spread
-    again = refine(known.with_material(after), [Observed(plan, half, 0.02 * half)], STIFF_BRANCHES).material
+    again = refine(known.with_material(after), [ObservedShake(plan, half, 0.02 * half)], STIFF_BRANCHES).material
     assert again.response_spread <= after.response_spread
 
 
 def test_flowers_that_moved_too_little_to_be_measured_lower_the_gain(known: PlantModel, plan: ShakePlan) -> None:
     nothing = np.full(len(plan.predicted_amplitude), np.nan)
-    low = refine(known, [Observed(plan, nothing, nothing, 0.3 * plan.predicted_amplitude)], STIFF_BRANCHES)
-    high = refine(known, [Observed(plan, nothing, nothing, 30 * plan.predicted_amplitude)], STIFF_BRANCHES)
+    low = refine(known, [ObservedShake(plan, nothing, nothing, 0.3 * plan.predicted_amplitude)], STIFF_BRANCHES)
+    high = refine(known, [ObservedShake(plan, nothing, nothing, 30 * plan.predicted_amplitude)], STIFF_BRANCHES)
     assert low.material.response_gain < 0.8
     assert low.predicted_amplitude.mean() < plan.predicted_amplitude.mean()
     assert high.material.response_gain == pytest.approx(known.material.response_gain, rel=0.1)
     with pytest.raises(InputError):
-        Observed(plan, nothing, nothing, 0 * plan.predicted_amplitude)
+        ObservedShake(plan, nothing, nothing, 0 * plan.predicted_amplitude)
 
 
 def swing(truth: PlantModel, plan: ShakePlan, frequency: float) -> tuple[ShakePlan, np.ndarray]:
@@ -187,9 +187,9 @@ def test_a_phase_tells_on_which_side_of_a_resonance_the_shake_is(plant: PlantMod
     along = np.tile(plan.direction, (len(expected), 1))
     phase, std = np.angle(motion @ plan.direction), np.full(len(expected), 0.05)
     params = Params(members=64, branch_spread=0.05, phase_error=0.3)
-    alone = refine(plant, [Observed(shake, expected, error)], params)
-    timed = refine(plant, [Observed(shake, expected, error, phase=phase, phase_std=std, axis=along)], params)
-    flipped = Observed(shake, expected, error, phase=phase + 2 * np.pi, phase_std=std, axis=along)
+    alone = refine(plant, [ObservedShake(shake, expected, error)], params)
+    timed = refine(plant, [ObservedShake(shake, expected, error, phase=phase, phase_std=std, axis=along)], params)
+    flipped = ObservedShake(shake, expected, error, phase=phase + 2 * np.pi, phase_std=std, axis=along)
     assert refine(plant, [flipped], params).material.youngs == pytest.approx(timed.material.youngs)
     assert timed.material.youngs_spread < alone.material.youngs_spread
     assert abs(np.log(timed.material.youngs / plant.material.youngs)) < 2 * timed.material.youngs_spread
@@ -201,7 +201,7 @@ def test_two_shakes_teach_more_than_either(plant: PlantModel, plan: ShakePlan) -
     for frequency in (3.0, 8.0):
         shake, motion = swing(truth, plan, frequency)
         believed = swing(plant, plan, frequency)[0]
-        seen.append(Observed(believed, semi_major(motion), 0.02 * shake.predicted_amplitude))
+        seen.append(ObservedShake(believed, semi_major(motion), 0.02 * shake.predicted_amplitude))
     params = Params(members=64, branch_spread=0.05, model_error=0.2)
     both, *single = (refine(plant, some, params).material for some in (seen, seen[:1], seen[1:]))
     assert both.youngs_spread < min(one.youngs_spread for one in single)
@@ -217,10 +217,10 @@ def test_a_branch_that_is_softer_than_the_others_is_learned_and_no_other_one(
     z[8 + own] = -1.4
     truth = drawn_version(known, PADS, z, 0.5)
     assert truth is not None
-    seen = list[Observed]()
+    seen = list[ObservedShake]()
     for frequency in (3.0, 6.0, 9.0):
         (shake, _), (_, motion) = swing(known, plan, frequency), swing(truth.plant, plan, frequency)
-        seen.append(Observed(shake, semi_major(motion), 0.02 * semi_major(motion)))
+        seen.append(ObservedShake(shake, semi_major(motion), 0.02 * semi_major(motion)))
     after = refine(known, seen, Params(model_error=0.05, likeness=0.0))
     first = refine(known, [], Params())
 
@@ -237,14 +237,14 @@ def test_a_branch_that_is_softer_than_the_others_is_learned_and_no_other_one(
 
 
 def test_a_late_camera_is_not_taken_for_a_softer_plant(plant: PlantModel, plan: ShakePlan) -> None:
-    late, seen = 0.03, list[Observed]()
+    late, seen = 0.03, list[ObservedShake]()
     along = np.tile(plan.direction, (len(plant.flower_nodes), 1))
     for frequency in (3.0, 8.0):
         shake, motion = swing(plant, plan, frequency)
         phase = np.angle(motion @ plan.direction) - 2 * np.pi * frequency * late
         error = 0.05 * shake.predicted_amplitude
         seen.append(
-            Observed(shake, shake.predicted_amplitude, error, phase=phase, phase_std=0 * phase + 0.05, axis=along)
+            ObservedShake(shake, shake.predicted_amplitude, error, phase=phase, phase_std=0 * phase + 0.05, axis=along)
         )
     params = Params(branch_spread=0.05, model_error=0.1, phase_error=0.1)
     found = [refine(plant, seen, replace(params, clock_error=error)).predicted_amplitude for error in (0.02, 0.0)]
@@ -290,7 +290,7 @@ def test_pads_that_turn_carry_a_slowly_shaken_plant_along_as_one_body(plant: Pla
 
 def test_motion_hardly_tells_the_radius_from_the_stiffness(plant: PlantModel, plan: ShakePlan) -> None:
     measured = amplitude_of(plant.with_material(replace(plant.material, youngs=3e8)), plant, plan)
-    after = refine(plant, [Observed(plan, measured, 0.02 * measured)], Params(model_error=0.05)).material
+    after = refine(plant, [ObservedShake(plan, measured, 0.02 * measured)], Params(model_error=0.05)).material
     assert after.youngs_spread < 0.8 * plant.material.youngs_spread
     assert after.radius_spread > 0.6 * plant.material.radius_spread
     assert after.radius_scale == pytest.approx(1.0, abs=0.05)
@@ -311,4 +311,4 @@ def test_bad_measurements_are_refused(plant: PlantModel, plan: ShakePlan) -> Non
     good = plan.predicted_amplitude
     for measured, error in ((good[:2], good[:2]), (good, 0 * good), (-good, good), (good, np.full(3, np.nan))):
         with pytest.raises(InputError):
-            refine(plant, [Observed(plan, measured, error)])
+            refine(plant, [ObservedShake(plan, measured, error)])

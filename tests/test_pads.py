@@ -13,7 +13,7 @@ from sample_plants import branched
 
 from anther.elastic_rod import Springs
 from anther.errors import InputError
-from anther.identification import Felt, Observed, Params, Refinement, refine
+from anther.identification import Felt, ObservedShake, Params, Refinement, refine
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.response import StemMotion
 from anther.shake import PADS, Pads, ShakePlan
@@ -41,7 +41,7 @@ def dense_motion(plant: PlantModel, row: int, pads: Pads, frequency: float) -> A
     return dense_answer(plant.rods, pad, Springs(pads.stiffness, pads.turning), frequency, WAY[None], loss)[0, :, :3]
 
 
-def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, beside: bool = False) -> Observed:
+def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, beside: bool = False) -> ObservedShake:
     """Return what a good camera would see of a shake of truly soft pads."""
     point = plant.rods.nodes[plant.stem_nodes[HELD]]
     motion = SIZE * dense_motion(plant, HELD, truth, frequency)
@@ -56,7 +56,7 @@ def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, be
         near = plant.stem_nodes[[HELD - 2, HELD + 2, HELD + 3]]
         places = plant.rods.nodes[near]
         told["beside"] = StemMotion(places, np.tile(WAY, (3, 1)), motion[near] @ WAY, np.full(3, 5e-5))
-    return Observed(shake, size, 0.03 * size, **told)
+    return ObservedShake(shake, size, 0.03 * size, **told)
 
 
 def miss(plant: PlantModel, truth: Pads, belief: Refinement, frequencies: list[float]) -> float:
@@ -88,11 +88,11 @@ def test_the_grips_force_or_the_stem_beside_it_tell_both_stiffnesses(
         replace(plant, material=replace(plant.material, youngs_spread=0.05)),
         replace(QUICK, members=256, grip_error=0.05),
     )
-    blind, told = list[Observed](), list[Observed]()
+    blind, told = list[ObservedShake](), list[ObservedShake]()
     for f in (1.0, 4.0, 9.0):
         whole = seen(plant, truth, f, believed, beside=source == "stem")
         nothing = np.full(3, np.nan)
-        only = Observed(whole.shake, nothing, nothing, beside=whole.beside)
+        only = ObservedShake(whole.shake, nothing, nothing, beside=whole.beside)
         if source == "force":
             held = plant.stem_nodes[HELD]
             force = SIZE * truth.stiffness * (WAY - dense_motion(plant, HELD, truth, f)[held])
@@ -100,7 +100,7 @@ def test_the_grips_force_or_the_stem_beside_it_tell_both_stiffnesses(
             felt = Felt(SIZE, 0.0, float(abs(square) ** 0.5), 0.01, float(np.angle(square) / 2))
             only = replace(only, felt=felt)
         told.append(only)
-        blind.append(Observed(whole.shake, nothing, nothing))
+        blind.append(ObservedShake(whole.shake, nothing, nothing))
     found = refine(plant, told, sharp, pads=believed).pads
     assert refine(plant, blind, sharp, pads=believed).pads == believed
     assert 1 / 1.5 < found.stiffness / truth.stiffness < 1.5

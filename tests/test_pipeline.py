@@ -113,7 +113,7 @@ def _pollinated(
     planner: Any = SmallPlanner()
     planner.reach = None
     workspace = Box(-np.ones(3), np.ones(3))
-    cell = pipeline.Cell(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
+    cell = pipeline.RobotSide(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
     return pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params()), robot  # type: ignore[arg-type]
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
-from anther.grasp import Gripper
+from anther.grasp import GripperShape
 
 PI = np.pi
 # Standard DH: offset of theta, d, a, alpha; then Rz(-100 deg) (facts: sawyer 2).
@@ -111,7 +111,7 @@ def test_camera_does_not_see_the_gripper():
 
 def test_grasp_planning_assumes_the_same_gripper():
     """Stages do not import the arm, so grasp planning has the gripper's numbers as defaults: they must not drift."""
-    gripper = Gripper()
+    gripper = GripperShape()
     assert gripper.depth == pytest.approx(sawyer.T_FLANGE_GRASP[2, 3])
     assert gripper.pad == (sawyer.PAD[0], sawyer.PAD[2])
     boxes = {tuple(np.round(box, 6)) for box in gripper.boxes(0.0)}

@@ -16,7 +16,7 @@ from anther.commands.run_folder import VISIT, remember
 from anther.errors import InputError, StageFailure
 from anther.files import replacing, write_json
 from anther.history import starting_material
-from anther.identification import Observed, refine
+from anther.identification import ObservedShake, refine
 from anther.pipeline import Params, Seen, model_plant
 from anther.plant import TOMATO, Material, build_plant
 from anther.plant import Params as PlantParams
@@ -65,7 +65,7 @@ def test_a_response_that_cannot_be_measured_leaves_the_belief_and_the_history_as
     plant = build_plant(skeleton, stem, flowers, None, replace(TOMATO, youngs=2e8))
     plan = plan_shake(plant, grasps_on(skeleton, stem, [8]), params=QUICK)
     nothing = np.full(len(plan.predicted_amplitude), np.nan)
-    learned = refine(plant, [Observed(plan, nothing, nothing, nothing)])
+    learned = refine(plant, [ObservedShake(plan, nothing, nothing, nothing)])
     assert learned.material == plant.material
     assert "no flower's motion was measurable" in learned.notes[0]
     unmeasured = replace(trial("a", plant.material, learned.material), measured_amplitude=tuple(nothing))

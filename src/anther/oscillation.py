@@ -26,7 +26,7 @@ MUCH_ALIKE = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Swing:
+class Oscillation:
     """A sinusoidal motion in space: an ellipse.
 
     Attributes:
@@ -80,7 +80,7 @@ class Swing:
         return _basis(times, self.span, self.frequency, slow, self.overtones) @ self.coefficients
 
 
-def fit_swing(times: Array, path: Array, frequency: float, overtones: int = 0) -> Swing:
+def fit_swing(times: Array, path: Array, frequency: float, overtones: int = 0) -> Oscillation:
     """Fit a swing of known frequency.
 
     Args:
@@ -112,7 +112,7 @@ def fit_swing(times: Array, path: Array, frequency: float, overtones: int = 0) -
     misses = np.sum((x - basis @ coefficients) ** 2, axis=0) / max(len(t) - basis.shape[1], 1)
     axis_std = np.sqrt(misses * np.diag(inverse_gram)[:2].max())
     _, size, axes = np.linalg.svd(coefficients[:2])
-    return Swing(
+    return Oscillation(
         amplitude=float(size[0]),
         amplitude_std=float(np.linalg.norm(axes[0] * axis_std)),
         axis_std=axis_std,

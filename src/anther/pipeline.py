@@ -19,7 +19,7 @@ from anther.execution.early_reach import Arrive, early_reach
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
-from anther.identification import Observed, feel, refine
+from anther.identification import ObservedShake, feel, refine
 from anther.masks import Masks, by_words
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response, stem_near
@@ -60,7 +60,7 @@ FindMasks = Callable[[Capture, Box | None, Advance], Masks]
 """Another way to masks than `masks.segment`: (capture, workspace, progress) -> Masks."""
 
 
-class MotionPlanner(execution.Planner, Protocol):
+class MotionPlanner(execution.TrajectoryPlanner, Protocol):
     """What a trial asks of an arm's planner, beyond the motions that execution asks for."""
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
@@ -73,7 +73,7 @@ class MotionPlanner(execution.Planner, Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cell:
+class RobotSide:
     """One robot before one plant, simulated or real.
 
     Attributes:
@@ -187,7 +187,7 @@ def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
 
 
 def pollinate(
-    cell: Cell,
+    cell: RobotSide,
     material: Material,
     run: Run,
     params: Params,
@@ -223,12 +223,14 @@ def pollinate(
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads)
     felt = feel(trial, shake, cell.limits.forward)
-    told = [Observed.of(shake, answer, felt)]
+    told = [ObservedShake.of(shake, answer, felt)]
     learned = run.timed("learning", lambda _: refine(rods, told, pads=params.shake.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
 
 
-def _watched(cell: Cell, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *, params: Params) -> Response | None:
+def _watched(
+    cell: RobotSide, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *, params: Params
+) -> Response | None:
     """Measure the motion of flowers and stem in the side camera's frames; None when there are too few."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
@@ -256,7 +258,7 @@ def _watched(cell: Cell, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *
 
 
 def _shaken(
-    cell: Cell,
+    cell: RobotSide,
     planner: MotionPlanner,
     rods: PlantModel,
     grasps: list[Grasp],
@@ -318,7 +320,7 @@ def _phases_told(run: Run, advance: Advance) -> execution.Progress:
     return begins
 
 
-def _watching(cell: Cell, rods: PlantModel, shake: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
+def _watching(cell: RobotSide, rods: PlantModel, shake: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
     """Return what raises the shake by what the side camera sees; None where it cannot."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     wanted = params.escalate or params.actuator == "gripper"

@@ -30,7 +30,7 @@ EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
 """The shake as it was carried out; its end, as the side camera saw it; the trial in numbers."""
 
 
-class Answer(NamedTuple):
+class Finding(NamedTuple):
     """One of the three questions about a trial, as its truth answers it.
 
     Attributes:
@@ -125,7 +125,7 @@ class RunResults:
         unmoved = "the flowers hardly moved" if summary.get("flowers_moved") is False else "execution stopped"
         return f"failed: {failure or unmoved}"
 
-    def answers(self) -> tuple[Answer, ...]:
+    def answers(self) -> tuple[Finding, ...]:
         """Return what the simulator's truth says: held? harmed? did the flowers move? None of it in older runs."""
         s = self.summary or {}
         if "held" not in s:
@@ -133,9 +133,9 @@ class RunResults:
         organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
         between = "" if s["unharmed"] is None else f"simulated: {organ} between the pads, {_slip(s)}"
         return (
-            Answer("Was the main stem held?", s["held"], "yes" if s["held"] else "no", between),
-            Answer("Was the plant harmed?", s["unharmed"], *_harm(s)),
-            Answer("Did the flowers move?", s["flowers_moved"], *_moved(s)),
+            Finding("Was the main stem held?", s["held"], "yes" if s["held"] else "no", between),
+            Finding("Was the plant harmed?", s["unharmed"], *_harm(s)),
+            Finding("Did the flowers move?", s["flowers_moved"], *_moved(s)),
         )
 
     def headline_facts(self) -> list[tuple[str, str]]:

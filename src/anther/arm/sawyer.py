@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Rider, Solid, Tool
 from anther.geometry import transform
-from anther.grasp.clearance import Gripper
+from anther.grasp.clearance import GripperShape
 
 JOINTS = tuple(f"right_j{i}" for i in range(7))
 LOWER = np.array([-3.0503, -3.8095, -3.0426, -3.0439, -2.9761, -2.9761, -4.7124])  # rad
@@ -132,7 +132,7 @@ T_L6_FLANGE = transform(Rotation.from_rotvec([0, 0, pi / 2]).as_matrix(), [0, 0,
 # Gripper: Rethink electric parallel gripper, standard narrow fingers, soft tips (facts: sawyer 3). In the flange frame.
 GRIPPER_MASS = 0.47  # kg, the whole end effector
 GRIPPER_COM = (0.0028, -0.0004, 0.0343)  # m
-STROKE = Gripper().stroke  # m, largest opening between the pads
+STROKE = GripperShape().stroke  # m, largest opening between the pads
 FINGER_Z = 0.05992  # m, where the fingers leave the body: 0.0018 + 0.0176 + 0.04552 - 0.005
 TIP_Z = 0.13562  # m, the SDK's tip
 PAD = (0.016, 0.007, 0.037)  # m: width along x, thickness along y, length along z, ending at the tip

@@ -1,4 +1,4 @@
-"""The machines of a cell file as `pipeline.Cell`: connected, owned by this process, behind the guard."""
+"""The machines of a cell file as `pipeline.RobotSide`: connected, owned by this process, behind the guard."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CALM = 0.5
 class HardwareCell:
     """Attributes: `robot_side`, what the pipeline is given. There is no simulated world in it."""
 
-    robot_side: pipeline.Cell
+    robot_side: pipeline.RobotSide
     world: None = None
     capture_seconds: None = None
 
@@ -138,7 +138,7 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Ite
                 ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params, arm=file.model
             )
 
-        yield HardwareCell(pipeline.Cell(take_views, plan_around, robot, file.workspace, limits))
+        yield HardwareCell(pipeline.RobotSide(take_views, plan_around, robot, file.workspace, limits))
 
 
 def look_around(robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER) -> Capture:

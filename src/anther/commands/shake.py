@@ -60,7 +60,7 @@ class Args(PlantOptions):
 
 
 @dataclass(frozen=True)
-class Motion:
+class FlowerMotion:
     """How the flower answers the shake."""
 
     flower_amplitude_m: float
@@ -131,7 +131,7 @@ def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:
             return Drive(grip, axis, amplitude, frequency, args.ramp, also)
 
 
-def measure(rods: Rods, clamp: Clamp, drive: Shake, trajectory: Trajectory, flower: int) -> Motion:
+def measure(rods: Rods, clamp: Clamp, drive: Shake, trajectory: Trajectory, flower: int) -> FlowerMotion:
     """Return how the flower moves along the drive's direction.
 
     The amplitude is the median of the Hilbert envelope of the detrended displacement and the frequency its FFT peak,
@@ -140,7 +140,7 @@ def measure(rods: Rods, clamp: Clamp, drive: Shake, trajectory: Trajectory, flow
     along = trajectory.displacement(flower) @ drive.direction
     amplitude, frequency = vibration(along, float(trajectory.times[1]))
     grip = vibration(trajectory.displacement(drive.node) @ drive.direction, float(trajectory.times[1]))[0]
-    return Motion(
+    return FlowerMotion(
         flower_amplitude_m=amplitude,
         flower_peak_m=float(np.abs(along).max()),
         flower_frequency_hz=frequency,
@@ -164,7 +164,7 @@ def vibration(displacement: Any, dt: float) -> tuple[float, float]:
     return float(np.median(envelope)), float(np.fft.rfftfreq(padded, dt)[np.argmax(spectrum)])
 
 
-def _text(args: Args, motion: Motion, plant: RodPlant, *, grip_node: int, flower_node: int) -> str:
+def _text(args: Args, motion: FlowerMotion, plant: RodPlant, *, grip_node: int, flower_node: int) -> str:
     ratio = "" if motion.amplitude_ratio is None else f", {motion.amplitude_ratio:.3f} of the shake"
     lines = [
         f"flower node {flower_node}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"

@@ -1,4 +1,4 @@
-"""The simulated cell as `pipeline.Cell`: what the robot may know goes in; the plant's truth stays with the judge."""
+"""The simulated cell: what the robot may know goes into `pipeline.RobotSide`; the truth stays with the judge."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class SimulatedCell:
     world: world.Cell
     views: Views
     to_waiting: JointTrajectory
-    robot_side: pipeline.Cell
+    robot_side: pipeline.RobotSide
 
     @property
     def capture_seconds(self) -> float:
@@ -208,7 +208,7 @@ def build(
         world=mujoco,
         views=planned,
         to_waiting=last,
-        robot_side=pipeline.Cell(
+        robot_side=pipeline.RobotSide(
             take_views=lambda advance: photograph(
                 in_wind(plant, scene, planned, truth),
                 planned.joints,

@@ -14,7 +14,6 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from anther.commands import reconstruct as reconstruct_command
 from anther.commands import trial as trial_command
-from anther.commands.sweep import Kind
 from anther.errors import InputError, StageFailure, bad_input
 from anther.files import read_object
 
@@ -79,7 +78,7 @@ def _found(folder: Path) -> dict[str, Any]:
     }
 
 
-def typed(kind: Kind, rows: Sequence[Mapping[str, str]]) -> list[dict[str, Any]]:
+def typed(kind: str, rows: Sequence[Mapping[str, str]]) -> list[dict[str, Any]]:
     """Return a table's rows with every cell as its option takes it; paths become absolute.
 
     Raises:

@@ -33,7 +33,10 @@ from anther.oscillation import choose_rate
 from anther.safety import check_shake, guard
 from anther.swing import Swing, whole_shake
 
-__all__ = ["EARLY", "PHASES", "Line", "Params", "Planner", "Progress", "Shake", "Step", "Trial", "Watched", "execute"]
+__all__ = [
+    "EARLY", "PHASES", "Line", "Params", "PlannedShake", "Progress", "Step", "TrajectoryPlanner", "Trial", "Watched",
+    "execute",
+]  # fmt: skip
 
 DEFAULTS = Params()
 Progress = Callable[[int, int, str], None]  # called with (phases done, phases in all, the phase that begins)
@@ -41,7 +44,7 @@ THERE = 1e-3  # rad; an arm this near to where the approach begins need not go t
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
-class Shake(Protocol):
+class PlannedShake(Protocol):
     """What execution reads of a shake plan.
 
     Attributes:
@@ -64,7 +67,7 @@ class Shake(Protocol):
     def press(self) -> float: ...
 
 
-class Planner(Protocol):
+class TrajectoryPlanner(Protocol):
     """What execution asks of an arm's motion planner. Every trajectory keeps the arm's own limits."""
 
     def move(self, q_from: Array, q_to: Array) -> JointTrajectory:
@@ -81,8 +84,8 @@ class Planner(Protocol):
 
 
 def execute(
-    planner: Planner,
-    shake: Shake,
+    planner: TrajectoryPlanner,
+    shake: PlannedShake,
     robot: Robot,
     limits: SafetyLimits,
     params: Params = DEFAULTS,
@@ -129,8 +132,8 @@ def execute(
 class _Work:
     """A trial under way."""
 
-    planner: Planner
-    plan: Shake
+    planner: TrajectoryPlanner
+    plan: PlannedShake
     robot: Robot
     limits: SafetyLimits
     params: Params

@@ -9,7 +9,7 @@ from threading import Event
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, Robot, SafetyLimits
 from anther.errors import StageFailure
-from anther.execution import Params, Planner
+from anther.execution import Params, TrajectoryPlanner
 from anther.grasp import STAND_OFF, Grasp
 from anther.safety import guard
 
@@ -19,7 +19,7 @@ Arrive = Callable[[], ArmRecord]
 
 @contextmanager
 def early_reach(
-    planner: Planner, grasp: Grasp, robot: Robot, limits: SafetyLimits, params: Params
+    planner: TrajectoryPlanner, grasp: Grasp, robot: Robot, limits: SafetyLimits, params: Params
 ) -> Iterator[Arrive | None]:
     """Open the gripper and go before a grasp while the block computes; it is given a function that waits for the arm.
 

@@ -26,7 +26,7 @@ from anther.grasp.clearance import (
     OBSTACLE,
     STEM,
     Clearance,
-    Gripper,
+    GripperShape,
     clearance,
     surroundings_of,
 )
@@ -37,7 +37,7 @@ from anther.skeleton import Skeleton
 from anther.stem import Stem
 
 __all__ = [
-    "STAND_OFF", "Grasp", "Gripper", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps",
+    "STAND_OFF", "Grasp", "GripperShape", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps",
     "save_grasps",
 ]  # fmt: skip
 
@@ -105,7 +105,7 @@ class Grasp:
     reason: str
     joints: NDArray[Any] | None = None
     confidence: float | None = None
-    opening: float = Gripper().stroke
+    opening: float = GripperShape().stroke
     squeezed: float | None = None
 
     def __post_init__(self) -> None:

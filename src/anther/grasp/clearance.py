@@ -39,7 +39,7 @@ CELL = 0.03  # m, edge of the cubes in which balls are looked up; only speed dep
 
 
 @dataclass(frozen=True, slots=True)
-class Gripper:
+class GripperShape:
     """A parallel gripper with its wrist camera, in the flange frame; fingers close along +-y.
 
     The defaults are Sawyer's electric gripper with standard narrow fingers, soft pads and a D455 (arm/sawyer.py, which

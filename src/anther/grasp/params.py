@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anther.checks import check_parameters, check_range
-from anther.grasp.clearance import Gripper
+from anther.grasp.clearance import GripperShape
 
 STROKE_MARGIN = 0.008
 """The stem must be thinner than the stroke by this [m]."""
@@ -28,7 +28,7 @@ class Params:
         wanted: how many grasps the arm must confirm.
     """
 
-    gripper: Gripper = field(default_factory=Gripper)
+    gripper: GripperShape = field(default_factory=GripperShape)
     fit_gripper: bool = True
     spacing: float = 0.005
     directions: int = 24

@@ -10,7 +10,7 @@ from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
 
 from anther.checks import check_array
-from anther.history._database import DEFAULT, Grasp, Plant, Response, Shake, Visit, reading
+from anther.history._database import DEFAULT, GraspRow, Plant, ResponseRow, ShakeRow, Visit, reading
 from anther.history._records import material_of
 from anther.plant import PEPPER, TOMATO, Material
 from anther.shake import EarlierShake
@@ -70,13 +70,13 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
     Raises:
         InputError: the history cannot be read.
     """
-    query = _visits_of(select(Grasp.arc_length_m, Shake), species, plant)
-    query = query.join(Grasp, Grasp.visit_id == Visit.id).join(Shake, Shake.visit_id == Visit.id)
+    query = _visits_of(select(GraspRow.arc_length_m, ShakeRow), species, plant)
+    query = query.join(GraspRow, GraspRow.visit_id == Visit.id).join(ShakeRow, ShakeRow.visit_id == Visit.id)
     query = query.where(
-        Grasp.arc_length_m.is_not(None),
-        Shake.direction.is_not(None),
-        Shake.waveform == "sine",
-        exists().where(Response.visit_id == Visit.id, Response.measured_amplitude_m.is_not(None)),
+        GraspRow.arc_length_m.is_not(None),
+        ShakeRow.direction.is_not(None),
+        ShakeRow.waveform == "sine",
+        exists().where(ResponseRow.visit_id == Visit.id, ResponseRow.measured_amplitude_m.is_not(None)),
     )
     with reading(where) as session:
         found: Any = None if session is None else session.execute(query.limit(1)).first()

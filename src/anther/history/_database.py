@@ -105,12 +105,12 @@ class Visit(Base):
     material_before: Mapped[Any] = mapped_column(nullable=True)
     material_after: Mapped[Any] = mapped_column(nullable=True)
     plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
-    grasp: Mapped[Grasp | None] = relationship(lazy="selectin", uselist=False)
-    shake: Mapped[Shake | None] = relationship(lazy="selectin", uselist=False)
-    responses: Mapped[list[Response]] = relationship(lazy="selectin", order_by="Response.flower")
+    grasp: Mapped[GraspRow | None] = relationship(lazy="selectin", uselist=False)
+    shake: Mapped[ShakeRow | None] = relationship(lazy="selectin", uselist=False)
+    responses: Mapped[list[ResponseRow]] = relationship(lazy="selectin", order_by="ResponseRow.flower")
 
 
-class Grasp(Base):
+class GraspRow(Base):
     """Where the plant was held."""
 
     __tablename__ = "grasps"
@@ -123,7 +123,7 @@ class Grasp(Base):
     pose7: Mapped[Any] = mapped_column(nullable=True)
 
 
-class Shake(Base):
+class ShakeRow(Base):
     """How it was shaken."""
 
     __tablename__ = "shakes"
@@ -136,7 +136,7 @@ class Shake(Base):
     direction: Mapped[Any] = mapped_column(nullable=True)
 
 
-class Response(Base):
+class ResponseRow(Base):
     """How one flower answered; null where it was not predicted or not measurable."""
 
     __tablename__ = "responses"
@@ -151,7 +151,7 @@ class Response(Base):
     measured_acceleration_ms2: Mapped[float | None]
 
 
-class FruitSet(Base):
+class FruitSetRow(Base):
     """How many flowers of a plant set fruit, as the grower counted; nothing is ever overwritten."""
 
     __tablename__ = "outcomes"

@@ -21,7 +21,7 @@ from sqlalchemy.orm import Session
 
 from anther.errors import bad_input
 from anther.formats.tables import write_table
-from anther.history._database import DEFAULT, FruitSet, Note, Plant, Visit, reading, shown, writing
+from anther.history._database import DEFAULT, FruitSetRow, Note, Plant, Visit, reading, shown, writing
 from anther.history._records import Outcome, TrialRecord
 from anther.history._trials import BATCH, add, plant_of, trial_of, visit_of
 
@@ -197,15 +197,15 @@ def _visits(source: Path | str) -> Iterator[Sequence[TrialRecord]]:
 
 def _counts(here: Session, there: Session) -> Iterator[bool]:
     """Add each count that is not there; yield whether it was new."""
-    query = select(FruitSet).join(FruitSet.plant).order_by(Plant.species, Plant.label, FruitSet.id)
+    query = select(FruitSetRow).join(FruitSetRow.plant).order_by(Plant.species, Plant.label, FruitSetRow.id)
     for count in here.scalars(query):
         plant = plant_of(there, count.plant.species, count.plant.label).id
-        same = select(FruitSet.id).where(FruitSet.plant_id == plant, FruitSet.recorded == count.recorded)
+        same = select(FruitSetRow.id).where(FruitSetRow.plant_id == plant, FruitSetRow.recorded == count.recorded)
         new = there.scalar(same) is None
         if new:
             visit = None if count.visit_id is None else _number(here, there, count.visit_id)
             values = {name: getattr(count, name) for name in ("date", "flowers", "fruit", "note", "recorded")}
-            there.add(FruitSet(plant_id=plant, visit_id=visit, **values))
+            there.add(FruitSetRow(plant_id=plant, visit_id=visit, **values))
         yield new
 
 

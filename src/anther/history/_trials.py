@@ -14,7 +14,18 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from anther.errors import bad_input
-from anther.history._database import DEFAULT, FruitSet, Grasp, Note, Plant, Response, Shake, Visit, reading, writing
+from anther.history._database import (
+    DEFAULT,
+    FruitSetRow,
+    GraspRow,
+    Note,
+    Plant,
+    ResponseRow,
+    ShakeRow,
+    Visit,
+    reading,
+    writing,
+)
 from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of
 
 _COLUMNS = {name: f"{name}_{'ms2' if name.endswith('acceleration') else 'm'}" for name in MOTIONS}
@@ -185,7 +196,7 @@ def record_outcome(outcome: Outcome, where: Path | str = DEFAULT) -> int:
                 )
         row = asdict(outcome)
         values = {name: row[name] for name in ("date", "flowers", "fruit", "note", "recorded")}
-        counted = FruitSet(plant_id=plant, visit_id=outcome.visit, **values)
+        counted = FruitSetRow(plant_id=plant, visit_id=outcome.visit, **values)
         session.add(counted)
         session.flush()
         return counted.id
@@ -218,8 +229,8 @@ def read_outcomes(
     Raises:
         InputError: no history of Anther's, or it cannot be read.
     """
-    query = _of_plant(select(FruitSet).join(FruitSet.plant), species, plant).order_by(FruitSet.date)
-    query = query.order_by(FruitSet.recorded, FruitSet.id)
+    query = _of_plant(select(FruitSetRow).join(FruitSetRow.plant), species, plant).order_by(FruitSetRow.date)
+    query = query.order_by(FruitSetRow.recorded, FruitSetRow.id)
     with reading(where) as session:
         rows = [] if session is None else list(session.scalars(query))
         last = {(row.plant_id, row.visit_id, row.date): row for row in rows}
@@ -280,7 +291,7 @@ def _visit(record: TrialRecord, plant: int) -> Visit:
         material_before=None if record.believed is None else asdict(record.believed),
         material_after=None if record.material is None else asdict(record.material),
         grasp=grasp
-        and Grasp(
+        and GraspRow(
             arc_length_m=grasp.arc_length,
             stem_diameter_m=grasp.stem_diameter,
             confidence=grasp.confidence,
@@ -288,7 +299,7 @@ def _visit(record: TrialRecord, plant: int) -> Visit:
             pose7=grasp.pose7,
         ),
         shake=shake
-        and Shake(
+        and ShakeRow(
             frequency_hz=shake.frequency,
             amplitude_m=shake.amplitude,
             duration_s=shake.duration,
@@ -296,7 +307,7 @@ def _visit(record: TrialRecord, plant: int) -> Visit:
             direction=shake.direction,
         ),
         responses=[
-            Response(flower=k, **{_COLUMNS[name]: _null(values[k]) for name, values in record.motions().items()})
+            ResponseRow(flower=k, **{_COLUMNS[name]: _null(values[k]) for name, values in record.motions().items()})
             for k in range(record.flowers)
         ],
     )
@@ -328,12 +339,12 @@ def trial_of(visit: Visit) -> TrialRecord:
     return replace(record, **{name: _column(visit.responses, column) for name, column in _COLUMNS.items()})
 
 
-def _column(responses: Sequence[Response], name: str) -> tuple[float, ...]:
+def _column(responses: Sequence[ResponseRow], name: str) -> tuple[float, ...]:
     values = [getattr(response, name) for response in responses]
     return tuple(float("nan") if v is None else float(v) for v in values)
 
 
-def _outcome(row: FruitSet) -> Outcome:
+def _outcome(row: FruitSetRow) -> Outcome:
     return Outcome(
         species=row.plant.species,
         plant=row.plant.label,

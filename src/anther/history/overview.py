@@ -17,7 +17,7 @@ from sqlalchemy import Integer, bindparam, cast, func, select, tuple_, update
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from anther.history._database import FruitSet, Note, Plant, Shake, Sweep, SweepJob, Visit, reading, writing
+from anther.history._database import FruitSetRow, Note, Plant, ShakeRow, Sweep, SweepJob, Visit, reading, writing
 
 State = Literal["waiting", "done", "poison"]
 
@@ -198,8 +198,9 @@ def visits(
         Visit.acceleration_ms2,
         Visit.plant_id,
     )
-    query = select(*columns, Plant.species, Plant.label, Shake.amplitude_m, Shake.frequency_hz, Shake.duration_s)
-    query = query.join(Plant, Plant.id == Visit.plant_id).outerjoin(Shake, Shake.visit_id == Visit.id)
+    shake = ShakeRow.amplitude_m, ShakeRow.frequency_hz, ShakeRow.duration_s
+    query = select(*columns, Plant.species, Plant.label, *shake)
+    query = query.join(Plant, Plant.id == Visit.plant_id).outerjoin(ShakeRow, ShakeRow.visit_id == Visit.id)
     if day is not None:
         query = _between(query, day, day)
     if plant is not None:
@@ -231,10 +232,10 @@ def plant(session: Session, number: int) -> Plant | None:
     return session.get(Plant, number)
 
 
-def counts(session: Session, number: int) -> Sequence[FruitSet]:
+def counts(session: Session, number: int) -> Sequence[FruitSetRow]:
     """Return the counts of fruit set of a plant, the last one first."""
-    query = select(FruitSet).where(FruitSet.plant_id == number).order_by(FruitSet.date.desc(), FruitSet.recorded.desc())
-    return session.scalars(query).all()
+    newest = FruitSetRow.date.desc(), FruitSetRow.recorded.desc()
+    return session.scalars(select(FruitSetRow).where(FruitSetRow.plant_id == number).order_by(*newest)).all()
 
 
 def last_run(session: Session, number: int) -> Any:

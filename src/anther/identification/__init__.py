@@ -28,7 +28,7 @@ from anther.identification._material_test import (
     read_material,
     write_material,
 )
-from anther.identification._observed import Felt, Observed, feel
+from anther.identification._observed import Felt, ObservedShake, feel
 from anther.identification._refinement import Expected, Params, Refinement, expect, flowers_at, loads_at, refine
 
 __all__ = [
@@ -41,7 +41,7 @@ __all__ = [
     "Identification",
     "InstrumentErrors",
     "MaterialTest",
-    "Observed",
+    "ObservedShake",
     "Orientation",
     "Params",
     "Refinement",

@@ -23,7 +23,7 @@ from anther.shake import ShakePlan
 from anther.shake.observables import ComplexArray, branch_of, semi_major
 from anther.shake.pads import grip_rows, pad_nodes
 from anther.shake.plant_limits import FAST
-from anther.shake.search import Answer, Version, answer, flower_motion
+from anther.shake.search import Phasors, Version, answer, flower_motion
 
 
 def _unknown() -> Array:
@@ -54,7 +54,7 @@ NOTHING_FELT = Felt()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observed:
+class ObservedShake:
     """What one shake did. What was not measured is NaN, and so is what is not given.
 
     Attributes:
@@ -94,7 +94,7 @@ class Observed:
             raise bad_input("response", given=given, allowed="> 0 m", do="Check.")
 
     @classmethod
-    def of(cls, shake: ShakePlan, response: Response, felt: Felt = NOTHING_FELT) -> Observed:
+    def of(cls, shake: ShakePlan, response: Response, felt: Felt = NOTHING_FELT) -> ObservedShake:
         """Return what camera and arm measured of a shake.
 
         Args:
@@ -235,7 +235,7 @@ class Told(NamedTuple):
     force: ComplexArray
 
 
-def told(believed: Version, members: Sequence[Version], observed: Sequence[Observed]) -> list[Told]:
+def told(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Told]:
     """Return what the members say of every shake; the plan's flowers are reproduced for what it was made with.
 
     Shakes in one hold are answered together, which costs little more than one of them.
@@ -254,13 +254,13 @@ def told(believed: Version, members: Sequence[Version], observed: Sequence[Obser
     return [out[k] for k in range(len(observed))]
 
 
-def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequence[Observed]) -> list[Told]:
+def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Told]:
     (plant, pads), place = believed, observed[0].shake
     grip = pad_nodes(plant, grip_rows(plant, place.grasp.point[None]), pads.width)
     beside = [plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)] for one in observed]
     frequencies, starts = np.array([one.shake.frequency for one in observed]), np.cumsum([len(b) for b in beside])
     answers = [answer(member, grip, place.direction, frequencies, np.concatenate(beside)) for member in members]
-    flowers, stem, force = (np.array([a[k][:, 0] for a in answers]) for k in range(len(Answer._fields)))
+    flowers, stem, force = (np.array([a[k][:, 0] for a in answers]) for k in range(len(Phasors._fields)))
     parts = np.split(stem, starts[:-1], axis=2)
     out = list[Told]()
     for k, one in enumerate(observed):
@@ -276,7 +276,7 @@ def _nearest(nodes: Array, points: Array) -> NDArray[Any]:
 
 
 def misses(
-    plant: PlantModel, said: Sequence[Told], observed: Sequence[Observed], late: Array, errors: Errors
+    plant: PlantModel, said: Sequence[Told], observed: Sequence[ObservedShake], late: Array, errors: Errors
 ) -> Misses:
     """Return what members get wrong of all shakes.
 
@@ -305,7 +305,7 @@ def _part(miss: Array, model: float, own: Any, branch: Any = ON_STEM, *, bound: 
 
 
 def _of_flowers(
-    said: Told, one: Observed, turned: ComplexArray, branch: NDArray[Any], errors: Errors
+    said: Told, one: ObservedShake, turned: ComplexArray, branch: NDArray[Any], errors: Errors
 ) -> tuple[Misses, ...]:
     """Return what is wrong with the flowers' amplitudes, bounds and phases."""
     predicted, seen, faint = log_amplitude(said.flowers), one.seen, one.faint
@@ -320,7 +320,7 @@ def _of_flowers(
     )
 
 
-def _of_the_grip(said: Told, one: Observed, turned: ComplexArray, errors: Errors) -> list[Misses]:
+def _of_the_grip(said: Told, one: ObservedShake, turned: ComplexArray, errors: Errors) -> list[Misses]:
     """Return what is wrong with the grip's force and with the stem's motion beside the pads."""
     felt, beside, parts = one.felt, one.beside, list[Misses]()
     if np.isfinite(felt.force):

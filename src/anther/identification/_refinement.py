@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.checks import check_array, check_range
 from anther.elastic_rod import Array, unit_direction
 from anther.errors import StageFailure, bad_input
-from anther.identification._observed import Errors, Misses, Observed, log_amplitude, misses, told
+from anther.identification._observed import Errors, Misses, ObservedShake, log_amplitude, misses, told
 from anther.plant import LEARNED, Material, PlantModel
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
@@ -107,7 +107,7 @@ class Refinement:
 
 
 def refine(
-    plant: PlantModel, observed: Sequence[Observed], params: Params = Params(), *, pads: Pads = PADS
+    plant: PlantModel, observed: Sequence[ObservedShake], params: Params = Params(), *, pads: Pads = PADS
 ) -> Refinement:
     """Update what is believed of a plant's material, and of the pads that hold it, from measured responses.
 
@@ -236,7 +236,7 @@ class Expected:
 
 def expect(
     learned: Refinement,
-    observed: Sequence[Observed],
+    observed: Sequence[ObservedShake],
     point: ArrayLike,
     direction: ArrayLike,
     frequency: float,
@@ -302,7 +302,7 @@ def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: 
     }
 
 
-def _same(one: Observed, point: Array, direction: Array, frequency: float) -> bool:
+def _same(one: ObservedShake, point: Array, direction: Array, frequency: float) -> bool:
     shake = one.shake
     near = np.linalg.norm(shake.grasp.point - point) <= SAME_PLACE
     along = abs(float(shake.direction @ direction)) >= np.cos(SAME_WAY)

@@ -170,7 +170,7 @@ def held_radius(plant: PlantModel, grips: Sequence[NDArray[Any]]) -> Array:
     return np.asarray(plant.rods.edge_radius)[[grip[0] for grip in grips]]
 
 
-class Answer(NamedTuple):
+class Phasors(NamedTuple):
     """What one metre of gripper motion along one direction does, as phasors. S points of the main stem.
 
     Attributes:
@@ -190,7 +190,7 @@ def answer(
     direction: Array,
     frequencies: Array,
     stem: Sequence[int] | NDArray[Any] = (),
-) -> Answer:
+) -> Phasors:
     """Return the linear answer of one scenario.
 
     Args:
@@ -206,7 +206,7 @@ def answer(
     seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 4 * len(plant.rods.nodes)))
     response = vectors(version, grips, seen, frequencies)
     flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
-    return Answer(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
+    return Phasors(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
 
 
 def flower_motion(

@@ -33,7 +33,7 @@ ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Replay:
     """A shake in time.
 
     Attributes:
@@ -53,7 +53,7 @@ class Motion:
     flowers: Array
 
 
-def motion_of(results: RunResults) -> Motion | None:
+def motion_of(results: RunResults) -> Replay | None:
     """Return what moved in a run's shake; None where nothing was shaken or the plant's model is missing."""
     trial, plant, shake = results.trial, results.plant, results.shaken
     if trial is None or plant is None or shake is None or len(trial.shake_times) < 10:
@@ -64,7 +64,7 @@ def motion_of(results: RunResults) -> Motion | None:
     joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
     arm = (in_simulated_cell if results.simulated else named)(results.arm)
-    return Motion(
+    return Replay(
         arm, times - begin, joints, opening, _swayed(arm, plant, shake, trial, times), _filmed(results, times)
     )
 

@@ -11,13 +11,13 @@ import trimesh
 from anther.arm.model import ArmModel, Capsule, Solid
 from anther.geometry import Array
 from anther.results import RunResults
-from anther.viewer.motion import Motion
+from anther.viewer.motion import Replay
 from anther.viewer.scene import FLOWER_RADIUS, Handles, placed
 
 GREY, DARK = (165, 168, 175), (70, 72, 80)
 
 
-class Robot:
+class DrawnRobot:
     """An arm with its gripper, neutral until it is moved.
 
     Args:
@@ -80,10 +80,10 @@ class Player:
         handles: of what stands still in the scene, some of which it moves.
     """
 
-    def __init__(self, server: Any, results: RunResults, motion: Motion, handles: Handles) -> None:
+    def __init__(self, server: Any, results: RunResults, motion: Replay, handles: Handles) -> None:
         assert results.plant is not None
         self.motion, self._handles, self._plant = motion, handles, results.plant
-        self.robot = Robot(server.scene, motion.arm, motion.opening)
+        self.robot = DrawnRobot(server.scene, motion.arm, motion.opening)
         for rest in handles.layers.pop("flowers at rest", []):
             rest.remove()
         add = server.scene.add_icosphere
