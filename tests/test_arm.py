@@ -243,6 +243,28 @@ def test_move_draws_back_out_of_leaves():
     np.testing.assert_allclose(early[:, 1:], 0, atol=1e-5)
 
 
+@pytest.mark.parametrize("pocket", [0.1, 1.0])
+def test_move_draws_back_farther_where_the_nearest_free_place_is_shut_in(monkeypatch, pocket):
+    leaf = GRASP[:3, 3] + [0.02, 0.05, 0] + np.random.default_rng(0).uniform(-0.02, 0.02, (200, 3))
+    planner = Planner(leaf, NOTHING)
+    at_grasp, around = planner.reach(PREGRASP, GRASP), planner._free_motion
+    near = planner._backed_out(at_grasp)[0]
+
+    def shut_in(start, goal):
+        if np.linalg.norm(sawyer.forward(start)[:3, 3] - sawyer.forward(near)[:3, 3]) < pocket:
+            raise StageFailure("unreachable", "shut in")
+        return around(start, goal)
+
+    monkeypatch.setattr(planner, "_free_motion", shut_in)
+    if pocket > 0.5:
+        with pytest.raises(StageFailure, match="shut in"):
+            planner.move(at_grasp, sawyer.NEUTRAL)
+        return
+    motion = planner.move(at_grasp, sawyer.NEUTRAL)
+    np.testing.assert_allclose(motion.positions[[0, -1]], [at_grasp, sawyer.NEUTRAL], atol=1e-6)
+    assert_within_limits(motion, share=0.6)
+
+
 def shake(planner, q, direction, amplitude, frequency, duration):
     return planner.swing(q, direction, whole_shake(amplitude, frequency, duration), amplitude)
 

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation, Slerp
 from scipy.stats import qmc
 
 from anther.arm.model import ArmModel
@@ -231,3 +232,18 @@ def _solve_into(square, jacobian, error, step):
         step[i] = 0.0
         for a in range(6):
             step[i] += jacobian[a, i] * x[a]
+
+
+def poses_between(start: Array, end: Array, step: float) -> Array:
+    """Return poses (N, 4, 4) evenly on the straight line between two, both included, about `step` [m] apart, N >= 9."""
+    length = np.linalg.norm(end[:3, 3] - start[:3, 3])
+    t = np.linspace(0, 1, max(int(np.ceil(length / step - 1e-6)), int(angle(start, end) / 0.02), 8) + 1)
+    poses = np.tile(np.eye(4), (len(t), 1, 1))
+    poses[:, :3, :3] = Slerp([0, 1], Rotation.from_matrix([start[:3, :3], end[:3, :3]]))(t).as_matrix()
+    poses[:, :3, 3] = start[:3, 3] + t[:, None] * (end[:3, 3] - start[:3, 3])
+    return poses
+
+
+def angle(a: Array, b: Array) -> float:
+    """Return by how much two poses (4, 4) are turned against each other [rad]."""
+    return float(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).magnitude())

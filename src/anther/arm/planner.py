@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathShortcuttingOptions
 from roboplan.rrt import RRT, RRTOptions
-from scipy.spatial.transform import Rotation, Slerp
 
 from anther.arm import _kinematics, shaking, timing
 from anther.arm._collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
@@ -41,6 +40,9 @@ BACK_OUT = 0.3
 """How far the gripper draws back out of leaves before it moves freely [m]."""
 REACH_TIME = 0.2
 """Longest search when only asked whether a grasp can be reached [s]."""
+
+Place = tuple[Array, JointTrajectory | None]
+"""Free joints (J,), and the way back to them from such as are not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ class Planner:
         branches = _kinematics.inverse(self.arm, grasp)
         if not len(branches):
             return None
-        poses = _poses_between(grasp, pregrasp, REACH_STEP)
+        poses = _kinematics.poses_between(grasp, pregrasp, REACH_STEP)
         ways = sorted(self._ways_in(branches, poses), key=lambda way: self._delay(way[-1]))
         free = (way for way in ways if self._brushing_free(way))
         return next((way[0] for way in islice(free, WAYS_CONNECTED) if self._connected(way[-1])), None)
@@ -132,12 +134,16 @@ class Planner:
         Raises:
             StageFailure: "collision" (an end is not free) or "unreachable" (no path found).
         """
-        start, leave = self._backed_out(check_array("start joints", q_from, (self.arm.count,)))
-        goal, enter = self._backed_out(check_array("goal joints", q_to, (self.arm.count,)))
-        parts = [] if leave is None else [leave]
-        if np.abs(goal - start).max() > 1e-9 or (leave is None and enter is None):
-            parts.append(self._free_motion(start, goal))
-        return timing.check_effort(self.arm, timing.joined(parts if enter is None else [*parts, enter.backwards()]))
+        ends = (
+            check_array("start joints", q_from, (self.arm.count,)),
+            check_array("goal joints", q_to, (self.arm.count,)),
+        )
+        try:
+            return self._between(*map(self._backed_out, ends))
+        except StageFailure as failure:
+            if failure.kind != "unreachable" or all(map(self.world.free, ends)):
+                raise
+            return self._between(*(self._backed_out(q, far=True) for q in ends))
 
     def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
         """Return a slow straight motion of the flange to a pose; gripper and camera may touch the plant.
@@ -153,13 +159,13 @@ class Planner:
         q = check_array("start joints", q_from, (self.arm.count,))
         target = check_transform("flange pose", T_world_to)
         here = self.arm.forward(q)
-        path = _kinematics.follow(self.arm, q[None], _poses_between(here, target, LINE_STEP))[0]
+        path = _kinematics.follow(self.arm, q[None], _kinematics.poses_between(here, target, LINE_STEP))[0]
         if not np.isfinite(path).all():
             raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
         with self.world.touching_plant():
             if not self.world.path_free(path):
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
-        length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _angle(here, target)
+        length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _kinematics.angle(here, target)
         motion = timing.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
         return timing.check_effort(self.arm, motion)
 
@@ -240,6 +246,13 @@ class Planner:
         except StageFailure:
             return False
         return self._search(self.home, goal, REACH_TIME, SEARCH_STEP, self.params.seed) is not None
+
+    def _between(self, start: Place, goal: Place) -> JointTrajectory:
+        (begin, leave), (end, enter) = start, goal
+        parts = [] if leave is None else [leave]
+        if np.abs(end - begin).max() > 1e-9 or (leave is None and enter is None):
+            parts.append(self._free_motion(begin, end))
+        return timing.check_effort(self.arm, timing.joined(parts if enter is None else [*parts, enter.backwards()]))
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
@@ -332,20 +345,26 @@ class Planner:
         except RuntimeError:
             return None
 
-    def _backed_out(self, q: Array) -> tuple[Array, JointTrajectory | None]:
-        """Return free joints straight back along the approach axis and the way there; None if q is free."""
+    def _backed_out(self, q: Array, *, far: bool = False) -> Place:
+        """Return free joints straight back along the approach axis and the way there; None if q is free.
+
+        `far`: the farthest, since the nearest may be a pocket among leaves.
+        """
         if self.world.free(q):
             return q, None
-        here = self.arm.forward(q)
-        behind = here @ transform(np.eye(3), [0, 0, -BACK_OUT])
-        path = _kinematics.follow(self.arm, q[None], _poses_between(here, behind, LINE_STEP))[0]
-        for i in range(len(path)):
+        here, free = self.arm.forward(q), list[int]()
+        poses = _kinematics.poses_between(here, here @ transform(np.eye(3), [0, 0, -BACK_OUT]), LINE_STEP)
+        path = _kinematics.follow(self.arm, q[None], poses)[0]
+        for i, joints in enumerate(path):
             with self.world.touching_plant():
-                if not (np.isfinite(path[i]).all() and self.world.free(path[i])):
+                if (free and not far) or not (np.isfinite(joints).all() and self.world.free(joints)):
                     break
-            if i >= 8 and self.world.free(path[i]):
-                return path[i], timing.along_line(self.arm, path[: i + 1], i * LINE_STEP, self.params.approach_speed)
-        raise StageFailure("collision", f"the flange at {here[:3, 3].round(3)} m is not free, nor straight behind it.")
+            free += [i] * (i >= 8 and self.world.free(joints))
+        if not free:
+            at = here[:3, 3].round(3)
+            raise StageFailure("collision", f"the flange at {at} m is not free, nor straight behind it.")
+        way = path[: free[-1] + 1]
+        return way[-1], timing.along_line(self.arm, way, free[-1] * LINE_STEP, self.params.approach_speed)
 
 
 def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
@@ -357,16 +376,6 @@ def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: 
     quick = shaking.amplitude_limit(arm, q, direction, frequencies)
     strong = timing.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
     return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
-
-
-def _poses_between(start: Array, end: Array, step: float) -> Array:
-    """Return poses (N, 4, 4) evenly on the straight line between two, both included, about `step` [m] apart, N >= 9."""
-    length = np.linalg.norm(end[:3, 3] - start[:3, 3])
-    t = np.linspace(0, 1, max(int(np.ceil(length / step - 1e-6)), int(_angle(start, end) / 0.02), 8) + 1)
-    poses = np.tile(np.eye(4), (len(t), 1, 1))
-    poses[:, :3, :3] = Slerp([0, 1], Rotation.from_matrix([start[:3, :3], end[:3, :3]]))(t).as_matrix()
-    poses[:, :3, 3] = start[:3, 3] + t[:, None] * (end[:3, 3] - start[:3, 3])
-    return poses
 
 
 def _shake_rank(arm: ArmModel, branches: Array) -> Array:
@@ -381,7 +390,3 @@ def _steady(arm: ArmModel, way: Array) -> bool:
     """
     inside = np.all((way > arm.lower + 0.01) & (way < arm.upper - 0.01))
     return bool(inside and np.abs(np.diff(way, axis=0)).max() < STEADY)
-
-
-def _angle(a: Array, b: Array) -> float:
-    return float(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).magnitude())
