@@ -41,7 +41,7 @@ docs: $(DEV) demo  ## measure again what docs/ shows (many hours)
 	$(BIN)/python tools/record.py experiments/authors_plants.py --page docs/reports/authors_plants.md
 	$(BIN)/python tools/record.py experiments/views.py --figure docs/pictures/views.png
 	$(BIN)/python tools/record.py experiments/confidence.py --figure docs/pictures/confidence.png
-	$(BIN)/python tools/record.py experiments/faults.py
+	$(BIN)/python tools/record.py experiments/faults.py --seed 1 --jobs 2
 	$(BIN)/python tools/record.py experiments/protocol_faults.py --jobs 2
 	$(BIN)/python tools/record.py experiments/through_ros.py
 	$(BIN)/python tools/record.py experiments/fuzz.py --count 100000

@@ -353,6 +353,7 @@ def options(description: str | None, quick: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--faults", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
@@ -364,7 +365,7 @@ def options(description: str | None, quick: str) -> argparse.ArgumentParser:
 
 def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics."""
-    parser = options(__doc__, "20 faults instead of 200")
+    parser = options(__doc__, "20 faults instead of 1000")
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--kill-at", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -377,7 +378,7 @@ def main() -> None:
         alone(draw(args.alone, args.seed), base, args.out)
         return
     prepare(base)
-    numbers = args.only or range(20 if args.quick else 200)
+    numbers = args.only or range(20 if args.quick else args.faults)
     cases = [{"number": number, "seed": args.seed, "base": str(base.resolve())} for number in numbers]
     rows = swept(one, cases, args.out / "faults", args.jobs, crashed)
     drawn = [draw(number, args.seed) for number in numbers]

@@ -291,7 +291,6 @@ def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, 
 def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics."""
     parser = options(__doc__, "one fault of every kind instead of 1000")
-    parser.add_argument("--faults", type=int, default=1000)
     args = parser.parse_args()
     base = (args.base or args.out / "base").resolve()
     prepare(base)
