@@ -18,7 +18,8 @@ from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import foresight as foresight_module
-from anther.escalation.knowledge import DAMPING, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
+from anther.escalation.knowledge import DAMPING, JUMP, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
+from anther.escalation.option import SLOW
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
 from anther.shake import PlantLimits, plant_limits
@@ -89,7 +90,7 @@ def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken
 @pytest.mark.parametrize(("more", "taken"), [(1.3, 2), (3.0, 1)])
 def test_a_slow_tone_is_taken_only_where_it_promises_much_more(shaken: Shaken, more: float, taken: int) -> None:
     """Of what slow tones promise after the probes about half is kept."""
-    assert TONES[1] < escalation.SLOW < TONES[2]
+    assert TONES[1] < SLOW < TONES[2]
     foresight = made_foresight(2, gains=[0.1, more, 1.0] / (TONES / TONES[0]) ** 2)
     world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
     world.params = Params(most_seconds=10)
@@ -297,9 +298,7 @@ def test_a_flower_that_is_lost_while_it_swings_little_ends_the_raise_only_where_
     world = World(foresight, foresight.vectors[4], plan=FREE, limits=Limits(plant=WEAK), shown=[SIGHTED, SIGHTED, few])
     world.params = Params(most_seconds=30)
     steps = single(shaken(world))
-    at_most = (
-        escalation.JUMP * np.array([s.amplitudes[0] for s in steps]) * steps[0].flowers[0] / steps[0].amplitudes[0]
-    )
+    at_most = JUMP * np.array([s.amplitudes[0] for s in steps]) * steps[0].flowers[0] / steps[0].amplitudes[0]
     assert np.isnan([step.flowers[0] for step in steps[1:]]).all()
     doubted = [k for k, step in enumerate(steps) if "Watched again" in step.decided]
     assert "lost from sight" in steps[doubted[0]].decided
@@ -554,7 +553,8 @@ def test_a_shake_is_gone_back_to_no_further_than_its_last_look_allows(shaken: Sh
     believed = made_foresight(0)
     watched = shaken(World(believed, believed.vectors[0], limits=Limits(plant=WEAK)))
     tone = int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())
-    tried = watched._borne(tone)
+    tried = watched._options[tone].borne
     assert tried == pytest.approx(max(s.amplitudes[0] for s in single(watched)))
-    watched._looked_at(tone, watched._told[tone]._replace(flowers=100 * watched._told[tone].flowers))
-    assert watched._borne(tone) == watched._may[tone].amplitude < 0.5 * tried
+    told = watched._options[tone].told
+    watched._looked_at(tone, told._replace(flowers=100 * told.flowers))
+    assert watched._options[tone].borne == watched._options[tone].may.amplitude < 0.5 * tried

@@ -15,7 +15,6 @@ from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation.foresight import Foresight, foresee, watch_points
 from anther.escalation.gripper import gripper_motion, links
 from anther.escalation.knowledge import (
-    JUMP,
     Allowed,
     Answer,
     Known,
@@ -25,11 +24,11 @@ from anther.escalation.knowledge import (
     known,
     lateness,
     limits_of,
-    remembered,
     risk,
     settled,
     summed,
 )
+from anther.escalation.option import Option
 from anther.escalation.params import SHORTEST, Params
 from anther.escalation.record import carried_out, noted, shares
 from anther.execution import Line, Step
@@ -64,9 +63,6 @@ LASTING = (OUT_OF_SIGHT, NO_TIME)
 """What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
 BETTER = 1.6
 """Another tone or line is turned to for so many times the motion: of many promises the largest is too large."""
-SLOW, SLOW_KEPT = 5.0, 0.6
-"""Below so many hertz a promise counts so much until that shake was watched alone: of such promises five plants of
-linear equations felt 0.54 and 13 of the whole cell 0.5; of those at 5 to 9 Hz 0.9 and 0.8 (docs/reports/shaking.md)."""
 ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what moved the flowers more."""
 LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
@@ -128,13 +124,10 @@ class Escalation:
         self._risk = risk(limits.risk)
         self._reach, self._planned = tones.reach.ravel(), tones.amplitudes.ravel()
         self._answers: list[list[Answer]] = []
-        self._may: dict[int, Allowed] = {}
-        self._told: dict[int, Known] = {}
-        self._most: dict[int, Array] = {}
-        self._tried: dict[int, float] = {}
+        self._options: dict[int, Option] = {}
         self._late, self._in_sight, self._last = 0.0, 0, False
         self._sure = 0.0
-        self._alone, self._doubted = set[int](), False
+        self._doubted = False
 
     @property
     def lines(self) -> tuple[Line, ...]:
@@ -174,7 +167,7 @@ class Escalation:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look) if look.followed else 0.0
         active = np.flatnonzero(self._piece.amplitudes)
-        before = [self._told.get(n) for n in active.tolist()]
+        before = [one.told if (one := self._options.get(n)) else None for n in active.tolist()]
         answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
         told = [self._known(int(n), one) for n, one in zip(active, answers, strict=True)]
         loads = shares(np.abs(look.commanded), told, [self._limits[n] for n in active])
@@ -221,31 +214,27 @@ class Escalation:
         else:
             gripper, doubt = links(gripper_motion(steady, self._middle, tones), tones)
         expected = None
-        if all(int(n) in self._told for n in active):
-            expected = np.stack(
-                [c * self._told[int(n)].picture for c, n in zip(commanded, active, strict=True)], axis=1
-            )
+        if all(n in self._options for n in active.tolist()):
+            pictures = [self._options[n].told.picture for n in active.tolist()]
+            expected = np.stack([c * picture for c, picture in zip(commanded, pictures, strict=True)], axis=1)
         seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
         return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
         return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
 
-    def _learned(self, shake: int, one: Known) -> None:
-        self._may[shake] = allowed(one, self._limits[shake], float(self._reach[shake]), self.params)
-        self._told[shake] = one
+    def _allowed(self, shake: int, one: Known) -> Allowed:
+        return allowed(one, self._limits[shake], float(self._reach[shake]), self.params)
 
     def _looked_at(self, shake: int, one: Known) -> None:
         """Learn of a shake that was done alone. By what its promise is not kept, those of the others count less too."""
-        promised = self._may.get(shake)
-        self._learned(shake, one)
-        if promised and shake in self._alone:
-            self._may[shake] = remembered(promised, self._may[shake])
-        elif promised and one.seen.any():
-            kept = min(self._may[shake].flowers / max(promised.flowers, 1e-12), 1.0)
-            for other in set(self._may) - self._alone - {shake}:
-                self._may[other] = self._may[other]._replace(flowers=kept * self._may[other].flowers)
-        self._alone.add(shake)
+        if shake not in self._options:
+            self._options[shake] = Option(float(self._hertz[shake]), one, self._allowed(shake, one), alone=True)
+            return
+        kept = self._options[shake].looked_at(one, self._allowed(shake, one))
+        for option in self._options.values():
+            if not option.alone:
+                option.may = option.may._replace(flowers=kept * option.may.flowers)
 
     def _after_probe(self, look: Look, borne: float) -> Next:
         """Return what follows a probe: the next one, or the shake with which flowers can be moved most.
@@ -263,29 +252,14 @@ class Escalation:
             return self._probe_along(tones.probed[len(self._answers)], gentler=max(borne, 1.0))
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
             answer = summed([along[tone] for along in self._answers], tones.parts(int(line)))
-            self._learned(shake, self._known(shake, answer))
+            one = self._known(shake, answer)
+            self._options[shake] = Option(float(self._hertz[shake]), one, self._allowed(shake, one))
         return self._decided(look, 0) if len(self._hertz) == 1 else self._turned_to(self._best(), {})
 
     def _best(self) -> int:
         """Return the shake that may move the flowers most."""
-        return max(self._may, key=lambda n: (min(self._promised(n), self.params.target), self._promised(n)))
-
-    def _promised(self, shake: int) -> float:
-        """Return what the flowers may feel, as far as such promises are kept [m/s2]."""
-        kept = SLOW_KEPT if self._hertz[shake] < SLOW and shake not in self._alone else 1.0
-        return kept * self._may[shake].flowers
-
-    def _lost(self, shake: int, amplitude: float) -> bool:
-        """Return whether a flower may swing too far to be measured.
-
-        One that a look before showed to feel less than `Params.most` may feel `JUMP` times as much for each metre, or
-        what would be measured. Of one that no look ever did, as of a hidden one, only the model speaks.
-        """
-        one, before = self._told[shake], self._most.get(shake, np.full(len(self._places[0]), np.nan))
-        may = amplitude * np.where(np.isfinite(before), np.fmin(one.most, JUMP * before), 0.0)
-        bounded = one.seen | (amplitude * one.most <= self.params.most)
-        self._most[shake] = np.where(bounded, one.most, before)
-        return bool(np.any(~one.seen & (may > self.params.most)))
+        promised = {n: option.promised for n, option in self._options.items()}
+        return max(promised, key=lambda n: (min(promised[n], self.params.target), promised[n]))
 
     def _rest(self, look: Look) -> Next:
         words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
@@ -298,19 +272,20 @@ class Escalation:
             return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
         if look.followed < LOST * self._in_sight:
             return self._rest(look)
-        lost = self._lost(now, amplitude)
+        option = self._options[now]
+        lost = option.lost(amplitude, self.params.most)
         if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
-            return self._again(now, min(amplitude, self._may[now].amplitude), OUT_OF_SIGHT)
+            return self._again(now, min(amplitude, option.may.amplitude), OUT_OF_SIGHT)
         if lost:
             return self._raised(now, amplitude, lost=True)
-        self._tried[now] = max(self._tried.get(now, 0.0), amplitude)
-        told = bool(np.isfinite(self._told[now].most).any())
+        option.tried = max(option.tried, amplitude)
+        told = bool(np.isfinite(option.told.most).any())
         if told:  # flowers that are followed and do not seem to move move little
             self._sure = amplitude
         else:
-            self._may[now] = self._may[now]._replace(flowers=0.0)
+            option.may = option.may._replace(flowers=0.0)
         best = self._best()
-        if self._promised(best) > BETTER * self._may[now].flowers and self._fits(best):
+        if self._options[best].promised > BETTER * option.may.flowers and self._fits(best):
             return self._turned_to(best, {now: amplitude})
         return self._raised(now, amplitude, lost=not told)
 
@@ -322,7 +297,7 @@ class Escalation:
         return self._only(shake, amplitude, self._watch(shake), f"Watched again at {1e3 * amplitude:.2g} mm: {why}.")
 
     def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
-        most, tones, seen = self._may[shake], self.plan.tones, bool(self._told[shake].seen.any())
+        most, tones, seen = self._options[shake].may, self.plan.tones, bool(self._options[shake].told.seen.any())
         least = float(self._planned[shake]) * (1 if seen else BEGINS)
         self._sure, self._doubted = least, False
         first = least * min((most.amplitude / least) ** (FIRST * seen), self.params.raised)
@@ -336,22 +311,15 @@ class Escalation:
 
     def _adding(self, shake: int) -> float:
         """Return the amplitude that adds half the target to the flower seen that feels the most [m]."""
-        one = self._told[shake]
+        one = self._options[shake].told
         return 0.5 * self.params.target / max(float(one.flowers[one.seen].max(initial=0.0)), 1e-12)
-
-    def _borne(self, shake: int) -> float:
-        """Return how far a shake was raised, as far as that is still allowed after every look at it [m]."""
-        return min(self._tried.get(shake, 0.0), self._may[shake].amplitude)
-
-    def _worth(self, shake: int) -> float:
-        return float(np.median(self._told[shake].flowers))
 
     def _raised(self, shake: int, now: float, *, lost: bool) -> Next:
         """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is."""
-        may = self._may[shake]
+        option, may = self._options[shake], self._options[shake].may
         higher, why = min(may.amplitude, self.params.raised * now, now + self._adding(shake)), may.binds
         if lost:  # also what was seen at this amplitude may have grown since
-            sure = self._sure if ENOUGH * self._sure < now or shake not in self._tried else now / self.params.raised
+            sure = self._sure if ENOUGH * self._sure < now or not option.tried else now / self.params.raised
             higher, why = min(sure, higher), OUT_OF_SIGHT
         elif not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
@@ -361,10 +329,10 @@ class Escalation:
         if not self._doubted and why not in LASTING:
             return self._again(shake, higher, why)
         self._last = True
-        best = max(self._tried, key=lambda n: self._borne(n) * self._worth(n), default=shake)
-        if best != shake and self._borne(best) * self._worth(best) > ENOUGH * now * self._worth(shake):
+        best = max(self._options, key=lambda n: self._options[n].moved)
+        if best != shake and self._options[best].moved > ENOUGH * now * float(np.median(option.told.flowers)):
             why = f"{why}; more moved at {self._hertz[best]:.3g} Hz"
-            shake, higher = best, self._borne(best)
+            shake, higher = best, self._options[best].borne
         else:
             higher = min(now, higher)
         return self._only(shake, higher, self.params.hold, f"Held at {1e3 * higher:.2g} mm: {why}.")
