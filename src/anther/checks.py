@@ -31,16 +31,15 @@ def check_array(
     Raises:
         InputError: wrong shape, not numeric, or not finite.
     """
-    wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
     try:
         array = _cast(np.asarray(value), np.dtype(dtype))
     except (TypeError, ValueError) as error:
         raise bad_input(
-            name, given=type(value).__name__, allowed=f"numbers of shape {wanted}", do=str(error)
+            name, given=type(value).__name__, allowed=f"numbers of shape {_wanted(shape)}", do=str(error)
         ) from error
-    fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
-    if not fits:
-        raise bad_input(name, given=f"shape {array.shape}", allowed=f"shape {wanted}", do="Check the array's axes.")
+    if array.shape != shape and not _fits(array.shape, shape):
+        allowed = f"shape {_wanted(shape)}"
+        raise bad_input(name, given=f"shape {array.shape}", allowed=allowed, do="Check the array's axes.")
     if finite and array.dtype.kind == "f" and not np.isfinite(array).all():
         count = int((~np.isfinite(array)).sum())
         raise bad_input(
@@ -49,6 +48,14 @@ def check_array(
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def _fits(given: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
+    return len(given) == len(shape) and all(n is None or n == m for n, m in zip(shape, given, strict=True))
+
+
+def _wanted(shape: tuple[int | None, ...]) -> str:
+    return "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
 
 
 def _cast(given: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:

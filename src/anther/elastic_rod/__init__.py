@@ -5,7 +5,7 @@
 modes and their damping ratios, `base_response` for a shaking table.
 """
 
-from anther.elastic_rod._equilibrium import equilibrium, least_stiffness, stands, with_gravity_equilibrium
+from anther.elastic_rod._equilibrium import equilibrium, least_stiffness, standing, stands, with_gravity_equilibrium
 from anther.elastic_rod._grip import RIGID, Rocking, Springs
 from anther.elastic_rod._linear import Modes, natural_frequencies
 from anther.elastic_rod._motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive, unit_direction
@@ -43,6 +43,7 @@ __all__ = [
     "observed_response",
     "response_map",
     "simulate",
+    "standing",
     "stands",
     "steady_motion",
     "strain_changes",

@@ -229,20 +229,28 @@ RANGE = (1e-5, 1e4)
 """Factors on Young's modulus that are searched."""
 
 
-def stands(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> bool:
-    """Return whether the scanned shape, hanging in equilibrium, is stable: its tangent stiffness is positive definite.
+def standing(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Rods | None:
+    """Return rods whose scanned shape hangs in stable equilibrium: its tangent stiffness is positive definite.
 
-    Rods without a natural shape get the one of `with_gravity_equilibrium`.
+    Rods without a natural shape get the one of `with_gravity_equilibrium`. None if it is not stable, or none balances.
     """
     free = clamp.free(rods)
     model, frames = build_model(rods, gravity, clamp.planted)
-    if rods.natural is None:
+    natural = rods.natural
+    if natural is None:
         try:
             natural = balancing_shape(rods, model, frames, free)
         except StageFailure:
-            return False
+            return None
         model = model._replace(length=natural.length, curvature=natural.curvature, natural_twist=natural.twist)
-    return unstable_directions(model, free, new_state(rods.nodes, frames), new_blocks(len(rods.nodes))) == 0
+    if unstable_directions(model, free, new_state(rods.nodes, frames), new_blocks(len(rods.nodes))):
+        return None
+    return rods if rods.natural is natural else replace(rods, natural=natural)
+
+
+def stands(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> bool:
+    """Return whether the scanned shape hangs in stable equilibrium; see `standing`."""
+    return standing(rods, clamp, gravity=gravity) is not None
 
 
 def least_stiffness(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> float | None:

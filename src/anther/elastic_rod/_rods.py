@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -68,6 +68,7 @@ class Rods:
         natural: the stress-free shape; None means the scanned shape itself.
         discretisation: "consistent" converges with the second order in the edge length, also at forks and kinks;
             "paper" is P19 to the letter, with lumped masses, as its solver has it: first order at forks and kinks.
+        lengths: (N,) scanned length of edge j [m], found from the nodes; entry 0 is 0.
     """
 
     nodes: Array
@@ -85,6 +86,7 @@ class Rods:
     node_drag: Array | float = 0.0
     natural: NaturalShape | None = None
     discretisation: Discretisation = "consistent"
+    lengths: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         n = len(self.nodes)
@@ -96,6 +98,10 @@ class Rods:
         _check_tree(self.parent)
         for name, limits, unit in _LIMITS:
             object.__setattr__(self, name, _per_node(name, getattr(self, name), n, limits, unit))
+        lengths = np.linalg.norm(self.nodes - self.nodes[self.parent], axis=1)
+        lengths[0] = 0
+        lengths.flags.writeable = False
+        object.__setattr__(self, "lengths", lengths)
         if np.any(self.lengths[1:] < 1e-7):
             edge = 1 + int(np.argmin(self.lengths[1:]))
             raise bad_input(
@@ -105,13 +111,6 @@ class Rods:
             raise bad_input(
                 "natural shape", given=f"{len(self.natural.length)} nodes", allowed=f"{n} nodes", do="Compute it anew."
             )
-
-    @property
-    def lengths(self) -> Array:
-        """(N,) scanned length of edge j [m]; entry 0 is 0."""
-        lengths = np.linalg.norm(self.nodes - self.nodes[self.parent], axis=1)
-        lengths[0] = 0
-        return lengths
 
     @property
     def node_mass(self) -> Array:

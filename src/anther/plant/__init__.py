@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_parameters, check_range
 from anther.cloud import Cloud
-from anther.elastic_rod import Clamp, NaturalShape, Rods, stands, with_gravity_equilibrium
+from anther.elastic_rod import Clamp, NaturalShape, Rods, standing, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers, supposed_flowers
@@ -147,11 +147,12 @@ class PlantModel:
             bend_over_twist=material.bend_over_twist,
             natural=None,
         )
-        if not stands(rods, self.clamp):
+        at_rest = standing(rods, self.clamp)
+        if at_rest is None:
             raise _buckles(material.youngs, self.least_youngs / thicker**4)
         return replace(
             self,
-            rods=with_gravity_equilibrium(rods, self.clamp),
+            rods=at_rest,
             material=material,
             least_youngs=self.least_youngs / thicker**4,
         )

@@ -342,7 +342,9 @@ def _part(rods: Rods, nodes: NDArray[np.intp]) -> Rods:
     """Return the rods of some nodes; the first becomes the root."""
     parent = np.searchsorted(nodes, rods.parent[nodes])
     parent[0] = -1
-    values = {f.name: getattr(rods, f.name)[nodes] for f in fields(rods) if np.ndim(getattr(rods, f.name)) == 1}
+    values = {
+        f.name: getattr(rods, f.name)[nodes] for f in fields(rods) if f.init and np.ndim(getattr(rods, f.name)) == 1
+    }
     return replace(rods, **values | {"nodes": rods.nodes[nodes], "parent": parent}, natural=None)
 
 
