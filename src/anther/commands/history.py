@@ -113,7 +113,7 @@ def _trials(trials: Sequence[TrialRecord]) -> Table:
         grasp, shake = t.grasp, t.shake
         held = "" if grasp is None or grasp.arc_length is None else f"{100 * grasp.arc_length:.1f}"
         shaken = "" if shake is None else f"{1000 * shake.amplitude:.2f} mm, {shake.frequency:.1f} Hz"
-        result = "held_unharmed" if t.held_unharmed else str(t.failure or "failure")
+        result = "held, unharmed" if t.held_unharmed else str(t.failure or "failure")
         stiff = "" if t.material is None or not t.measured else f"{t.material.youngs / 1e6:.0f}"
         first = (str(t.id), f"{t.time:%Y-%m-%d %H:%M}", t.species, t.plant, result)
         table.add_row(*first, held, shaken, _motion(t), stiff, t.run or "")
