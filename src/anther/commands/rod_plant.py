@@ -108,7 +108,7 @@ class RodPlant:
 
     def distances(self) -> Array:
         """Return (N,) distances from the root along the plant [m]."""
-        along = self.rods.lengths
+        along = self.rods.lengths.copy()
         for j in range(1, len(along)):
             along[j] += along[self.rods.parent[j]]
         return along
