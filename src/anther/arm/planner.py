@@ -129,7 +129,8 @@ class Planner:
         """Return a free motion between two joint vectors (J,).
 
         The straight joint line if it is free, else RRT-Connect, shortcut, checked again finely, timed by TOPP-RA. Where
-        gripper or camera touch the plant at an end, the arm first draws back along the approach axis, or enters by it.
+        gripper or camera touch the plant at an end, the arm first draws back along the approach axis, or enters by it:
+        no farther than it must, but as far as it can where no path leads on from there.
 
         Raises:
             StageFailure: "collision" (an end is not free) or "unreachable" (no path found).

@@ -89,9 +89,8 @@ class Visit(Base):
     __tablename__ = "visits"
     __table_args__ = (
         Index("ix_visits_plant", "plant_id", "time", "robot", unique=True),
-        Index(
-            "ix_visits_time", "time", "robot", "held_unharmed", "failure", "acceleration_ms2"
-        ),  # trends read it alone
+        # trends read this index alone
+        Index("ix_visits_time", "time", "robot", "held_unharmed", "failure", "acceleration_ms2"),
     )
     id: Mapped[int] = mapped_column(primary_key=True)
     plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
