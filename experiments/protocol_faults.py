@@ -87,6 +87,8 @@ HELD_UP, STALE = "Let nothing else run|Look at what else runs here", "ms old"
 TRIES = 4
 STILL, RESTS = 0.01, 0.1
 """An arm that is slower than this [rad/s] for so long [s] stands: in a shake it turns about in no time."""
+UNEVEN = 10
+"""Speeds are of so many readings: a command that comes a millisecond late is a step of what a fake follows at once."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
         time.sleep(0.6)
         row: dict[str, Any] = {"moving": moving, "code": code}
         row["stop_s"] = stop_time(machines, at) if case.kind in BRAKES and moving > STILL else None
-        row["unsafe"] = unsafe(machines, plan, case)
+        row["unsafe"] = unsafe(machines, plan, case, at)
         row["record"] = bad_record(run, case, anthers, began) or other
         machines.repair()
         time.sleep(0.3)
@@ -169,23 +171,29 @@ def stop_time(machines: Machines, at: float) -> float:
     return float(moved[stood[0]] - at) if len(stood) else float("inf")
 
 
-def unsafe(machines: Machines, plan: ShakePlan, case: Case) -> str:
+def unsafe(machines: Machines, plan: ShakePlan, case: Case, at: float) -> str:
     """Return what is not safe about how the machines were left, by the robot's own log; "" if nothing is.
 
     Whole log: joints within range and speed. End: the arm stands; the pads are open, or, where nothing could open them,
-    closed with the arm where it took the stem.
+    closed with the arm where it took the stem. A robot whose node died tells nothing after the fault.
+
+    Args:
+        machines: as they are now.
+        plan: of the shake.
+        case: what befell them.
+        at: when it did [s].
     """
     times, joints = machines.log()
-    speed = np.abs(np.diff(joints, axis=0)) / np.maximum(np.diff(times), 0.005)[:, None]
+    speed = np.abs(joints[UNEVEN:] - joints[:-UNEVEN]) / (times[UNEVEN:] - times[:-UNEVEN])[:, None]
     flange = sawyer.forward(joints[:: max(len(joints) // 2000, 1)])[:, :3, 3]
     away = np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1)
     is_open, gripper_obeys = machines.opening > 0.03, not case.kind.startswith("gripper")
     anther_lives = case.kind not in ("kill -9",)
-    late = joints[times > times[-1] - 0.3]
+    late = joints[times > max(at, times[-1] - 0.3)]
     found = {
         "joint range": bool(np.any((joints < sawyer.LOWER) | (joints > sawyer.UPPER))),
         "joint speed": bool(np.any(speed > 1.05 * sawyer.VELOCITY)),
-        "arm moves": bool(np.abs(np.diff(late, axis=0)).max() > 1e-3),
+        "arm moves": bool(np.abs(np.diff(late, axis=0)).max(initial=0.0) > 1e-3),
         "torn": not is_open and float(away.min()) < 0.1 and float(away[-1]) > 0.03,
         "not open": not is_open and gripper_obeys and anther_lives,
         "not back": is_open and case.kind in GOES_ON and float(away[-1]) < STAND_OFF - 0.01,

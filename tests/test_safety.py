@@ -255,6 +255,34 @@ def test_a_box_beside_the_arm_is_no_reason_to_refuse_and_one_that_a_ball_touches
     assert 3 < sum(refused) < len(refused) - 3, "both happened"
 
 
+@pytest.mark.parametrize("reached", [True, False])
+def test_a_shake_is_held_against_the_boxes_in_few_poses_and_as_far_as_it_goes(reached: bool) -> None:
+    """The arm asks for the next piece of a shake in motion: the check is what it waits for."""
+    t = np.linspace(0, 2, 1001)[:, None]
+    swing, omega = turned(0, 0.01) - sawyer.NEUTRAL, 2 * np.pi * 5
+    shake = JointTrajectory(t[:, 0], sawyer.NEUTRAL + swing * np.sin(omega * t), swing * omega * np.cos(omega * t))
+    balls = LIMITS.outline(shake.positions)
+    ends = (balls[..., 1] + balls[..., 3]).max(axis=0)  # of every ball, as far as it goes to the left
+    ball = int(ends.argmax())
+    lower = balls[0, ball, :3] - 0.005
+    lower[1] = ends[ball] + (-0.004 if reached else 0.001)  # rests leave it free, and so does half the way
+    box, seen = Box(lower, lower + 0.01), list[int]()
+
+    def outline(q: Array) -> Array:
+        seen.append(len(q))
+        return LIMITS.outline(q)
+
+    with pytest.raises(StageFailure, match="keep-out") if reached else nullcontext():
+        check_trajectory(
+            shake,
+            sawyer.NEUTRAL,
+            replace(LIMITS, keep_out=(box,), outline=outline, joint_acceleration=np.full(7, 1e3)),
+            joined=True,
+            goes_on=True,
+        )
+    assert sum(seen) < 50 < len(t)
+
+
 # What the arm says on its way.
 
 

@@ -274,14 +274,14 @@ def outline(arm: ArmModel, q: ArrayLike) -> Array:
     A link is its capsules' axes in balls of their radius; gripper, open fingers and camera are points on their boxes.
     They fill the shapes that `collision` plans with and never stand out of them. Base and riders are left out.
     """
-    poses = arm.link_poses(q)
-    parts = []
+    poses, begin = arm.link_poses(q), 0
+    found = np.empty((*poses.shape[:-3], sum(map(len, _balls(arm))), 4))
     for i, balls in enumerate(_balls(arm)):
-        pose = poses[..., i, None, :, :]
-        centres = (pose[..., :3, :3] @ balls[:, :3, None])[..., 0] + pose[..., :3, 3]
-        radii = np.broadcast_to(balls[:, 3:], (*centres.shape[:-1], 1))
-        parts.append(np.concatenate([centres, radii], axis=-1))
-    return np.concatenate(parts, axis=-2)
+        turn, place = poses[..., i, :3, :3], poses[..., i, None, :3, 3]
+        own = found[..., begin : begin + len(balls), :]
+        own[..., :3], own[..., 3] = balls[:, :3] @ np.swapaxes(turn, -1, -2) + place, balls[:, 3]
+        begin += len(balls)
+    return found
 
 
 def of_capsule(capsule: Capsule) -> Array:

@@ -21,6 +21,8 @@ class Reference:
     def __init__(self, first: JointTrajectory, more: More | None = None) -> None:
         self._more, self._coming = more, None
         self._pool = None if more is None else ThreadPoolExecutor(1)
+        if self._pool is not None:
+            self._pool.submit(lambda: None)  # its thread begins here, to be served as the process is: see `_priority`
         self._coming: Future[JointTrajectory | None] | None = None
         self._pieces: list[tuple[float, Any]] = []
         self.ends = 0.0
