@@ -13,12 +13,12 @@ from made_stem import Truth, sine_trace
 from anther.errors import InputError
 from anther.identification import (
     ClampedStem,
-    Estimate,
     FreeVibration,
     Identification,
     InstrumentErrors,
     MaterialTest,
     Orientation,
+    Quantity,
     combine,
     disagreement,
     first_frequency,
@@ -189,8 +189,8 @@ shares = st.floats(-0.3, 0.3)
 def test_combining_never_extrapolates_and_never_loses(
     ratio: float, r1: float, r2: float, own1: float, own2: float
 ) -> None:
-    a = Estimate("a", 1e8, {"radius": r1, "one": own1})
-    b = Estimate("b", ratio * 1e8, {"radius": r2, "two": own2})
+    a = Quantity("a", 1e8, {"radius": r1, "one": own1})
+    b = Quantity("b", ratio * 1e8, {"radius": r2, "two": own2})
     both, swapped = combine(a, b), combine(b, a)
     assert min(a.value, b.value) * (1 - 1e-9) <= both.value <= max(a.value, b.value) * (1 + 1e-9)
     assert both.value == pytest.approx(swapped.value, rel=1e-6)
@@ -201,8 +201,8 @@ def test_combining_never_extrapolates_and_never_loses(
 
 
 def test_a_shared_error_neither_averages_out_nor_excuses_a_difference() -> None:
-    a = Estimate("a", 1.0e8, {"radius": 0.2, "frequency": 0.01})
-    b = Estimate("b", 1.1e8, {"radius": 0.2, "deflection": 0.01})
+    a = Quantity("a", 1.0e8, {"radius": 0.2, "frequency": 0.01})
+    b = Quantity("b", 1.1e8, {"radius": 0.2, "deflection": 0.01})
     assert disagreement(a, b) == pytest.approx(np.log(1.1) / np.hypot(0.01, 0.01))
     assert combine(a, replace(b, value=1.01e8)).relative_error > 0.2
 

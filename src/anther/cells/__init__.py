@@ -23,21 +23,21 @@ from anther.arm.model import ArmModel, outline
 from anther.arm.sawyer import SAWYER, TOOL
 from anther.calibration import HandEye
 from anther.cells import _parts
-from anther.cells._reading import Keys, Point, Pose, Source, built, checked, fitted, read_toml
+from anther.cells._reading import Keys, Point, Pose, TomlFile, built, checked, fitted, read_toml
 from anther.checks import check_range
 from anther.devices import DeviceError, SafetyLimits
 from anther.drivers.apart import ArmApart
 from anther.errors import bad_input
 from anther.geometry import Array, Box, transform_from_pose7
 
-__all__ = ["CellFile", "Limits", "Part", "Tool", "read_cell"]
+__all__ = ["CellFile", "Limits", "Part", "ToolSection", "read_cell"]
 
 MODELLED = 0.005, 0.1
 """A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Tool:
+class ToolSection:
     """What is on the flange: plans are made for Rethink's gripper with narrow fingers and a D455 beside it.
 
     Attributes:
@@ -131,7 +131,7 @@ class CellFile:
         keep_out: where nothing may be.
     """
 
-    source: Source
+    source: TomlFile
     arm: Part
     gripper: Part
     wrist_camera: Part
@@ -143,7 +143,7 @@ class CellFile:
     side_camera: Part | None = None
     T_world_side_camera: Array | None = None
     shaker: Part | None = None
-    tool: Tool = field(default_factory=Tool)
+    tool: ToolSection = field(default_factory=ToolSection)
     limits: Limits = field(default_factory=Limits)
     model: ArmModel = SAWYER
 
@@ -238,7 +238,7 @@ def read_cell(path: Path | str) -> CellFile:
         T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
         side_camera=None if side is None else _part(source, "side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
         shaker=_part(source, "shaker", _parts.SHAKERS) if "shaker" in table else None,
-        tool=built(source, ("tool",), table.get("tool", {}), Tool),
+        tool=built(source, ("tool",), table.get("tool", {}), ToolSection),
         limits=built(source, ("limits",), table.get("limits", {}), Limits),
         workspace=checked(source, ("workspace",), table["workspace"], Box),
         region=checked(source, ("region",), table["region"], Box),
@@ -249,7 +249,7 @@ def read_cell(path: Path | str) -> CellFile:
     return cell
 
 
-def _part(source: Source, name: str, drivers: dict[str, Callable[..., Any]], besides: tuple[str, ...] = ()) -> Part:
+def _part(source: TomlFile, name: str, drivers: dict[str, Callable[..., Any]], besides: tuple[str, ...] = ()) -> Part:
     table = source.table[name]
     if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
         choices = ", ".join(f'"{driver}"' for driver in drivers)
@@ -267,12 +267,12 @@ def _part(source: Source, name: str, drivers: dict[str, Callable[..., Any]], bes
     return Part(driver, make, rest, (name,))
 
 
-def _model(source: Source) -> ArmModel:
+def _model(source: TomlFile) -> ArmModel:
     with source.located(("arm", "model")):
         return named(str(source.table["arm"].get("model", "sawyer")))
 
 
-def _hand_eye(source: Source, table: dict[str, Any]) -> Array:
+def _hand_eye(source: TomlFile, table: dict[str, Any]) -> Array:
     """Return T_flange_cam, from the file or from a calibration.json."""
     if ("calibration" in table) == ("T_flange_cam" in table):
         given = "both calibration and T_flange_cam" if "calibration" in table else "no calibration and no T_flange_cam"
@@ -283,7 +283,7 @@ def _hand_eye(source: Source, table: dict[str, Any]) -> Array:
     return HandEye.load(checked(source, ("wrist_camera", "calibration"), table["calibration"], Path)).T_flange_cam
 
 
-def _pose(source: Source, name: str, key: str, table: dict[str, Any]) -> Array:
+def _pose(source: TomlFile, name: str, key: str, table: dict[str, Any]) -> Array:
     if key not in table:
         raise source.error((name,), given=f"no '{key}'", allowed="7 numbers: x y z [m] qx qy qz qw", do="Add it.")
     numbers = checked(source, (name, key), table[key], Pose)
@@ -291,7 +291,7 @@ def _pose(source: Source, name: str, key: str, table: dict[str, Any]) -> Array:
         return transform_from_pose7(np.array(numbers))
 
 
-def _keep_outs(source: Source) -> tuple[KeepOut, ...]:
+def _keep_outs(source: TomlFile) -> tuple[KeepOut, ...]:
     tables = source.table.get("keep_out", [])
     if not isinstance(tables, list):
         do = "Write [[keep_out]] above each."

@@ -29,7 +29,7 @@ _NAMES = {str: "text in quotes", bool: "true or false", int: "a whole number", f
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class TomlFile:
     """A TOML file that was read.
 
     Attributes:
@@ -61,7 +61,7 @@ class Source:
         return f"{place}: {'.'.join(keys)}" if keys else place
 
 
-def read_toml(path: Path | str) -> Source:
+def read_toml(path: Path | str) -> TomlFile:
     """Read a TOML file.
 
     Raises:
@@ -69,12 +69,12 @@ def read_toml(path: Path | str) -> Source:
     """
     rows = read_lines(path)
     try:
-        return Source(Path(path), tomllib.loads("\n".join(rows)), _lines(rows))
+        return TomlFile(Path(path), tomllib.loads("\n".join(rows)), _lines(rows))
     except tomllib.TOMLDecodeError as error:
         raise bad_input(str(path), given=f"no TOML: {error}", allowed="a TOML file", do="See toml.io.") from error
 
 
-def built(source: Source, keys: Keys, table: Any, target: Callable[..., T], **given: Any) -> T:
+def built(source: TomlFile, keys: Keys, table: Any, target: Callable[..., T], **given: Any) -> T:
     """Return what a dataclass or function makes of a table, its keys being the arguments' names.
 
     Args:
@@ -93,7 +93,7 @@ def built(source: Source, keys: Keys, table: Any, target: Callable[..., T], **gi
 
 
 def fitted(
-    source: Source, keys: Keys, table: Any, target: Callable[..., Any], given: Collection[str] = ()
+    source: TomlFile, keys: Keys, table: Any, target: Callable[..., Any], given: Collection[str] = ()
 ) -> dict[str, Any]:
     """Return the arguments that `built` calls its target with."""
     if not isinstance(table, dict):
@@ -120,7 +120,7 @@ def box(lower: Point, upper: Point) -> Box:
     return Box(np.array(lower), np.array(upper))
 
 
-def checked(source: Source, keys: Keys, value: Any, hint: Any) -> Any:
+def checked(source: TomlFile, keys: Keys, value: Any, hint: Any) -> Any:
     """Return a value as an annotation wants it: a path beside the file, a number as float, a list as tuple.
 
     Raises:

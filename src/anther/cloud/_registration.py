@@ -129,7 +129,7 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Checked:
+class _Judged:
     """An estimate, (V,) how far its views agree and which can be used, and what to say about the others."""
 
     found: Estimate
@@ -140,7 +140,7 @@ class _Checked:
 
 def _without_contradictions(
     sample: Sample, given: Array, found: Estimate, source: NDArray[np.bool_], params: Params
-) -> _Checked:
+) -> _Judged:
     """Place views that the others contradict anew, mark those that fit nowhere as unusable, and align once more.
 
     Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
@@ -158,7 +158,7 @@ def _without_contradictions(
         found.poses[~used] = given[~used]
     if mend.wrong.any():
         agrees = agreement(sample, found, range(len(given)))
-    return _Checked(found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far))
+    return _Judged(found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far))
 
 
 def _moved(sample: Sample, given: Array, found: Estimate) -> Array:
@@ -220,7 +220,7 @@ def _jointly(
         pairs = _match(sample, at, source, distance)
         if len(pairs) == 0:
             return None
-        problem = Problem(sample, pairs, given, information, max(POINT_SIGMA, distance / 3), weight)
+        problem = StepInput(sample, pairs, given, information, max(POINT_SIGMA, distance / 3), weight)
         for _ in range(2):
             at = step(problem, at, reach_fixed=reach_fixed)
     return at
@@ -236,7 +236,7 @@ def _declined(given: Array, why: str) -> Registration:
     return Registration(given, False, np.nan, np.nan, 0.0, np.full(views, np.nan), used, (f"registration: {why}",))
 
 
-def _judged(sample: Sample, given: Array, checked: _Checked, held_out: NDArray[np.bool_]) -> Registration:
+def _judged(sample: Sample, given: Array, checked: _Judged, held_out: NDArray[np.bool_]) -> Registration:
     """Return the registration, or the arm's poses where held-out points disagree no less than under them."""
     found, judges = checked.found, held_out & checked.used[sample.view]
     before, after = (_disagreement(sample, Estimate(T, found.reach), judges) for T in (given, found.poses))
@@ -278,7 +278,7 @@ def prior_information(views: int, own: tuple[float, float], common: tuple[float,
     return information
 
 
-class Problem(NamedTuple):
+class StepInput(NamedTuple):
     """What a Gauss-Newton step needs besides the estimate.
 
     Attributes:
@@ -298,7 +298,7 @@ class Problem(NamedTuple):
     weight: float
 
 
-def step(problem: Problem, at: Estimate, *, reach_fixed: bool = False) -> Estimate:
+def step(problem: StepInput, at: Estimate, *, reach_fixed: bool = False) -> Estimate:
     """Return the estimate after one Gauss-Newton step; with `reach_fixed` only the poses change."""
     information, weight = problem.information, problem.weight
     hessian, gradient = _normal_equations(problem, at)
@@ -315,7 +315,7 @@ def step(problem: Problem, at: Estimate, *, reach_fixed: bool = False) -> Estima
     return Estimate(np.stack(poses), at.reach + change[-1])
 
 
-def _normal_equations(problem: Problem, at: Estimate) -> tuple[Array, Array]:
+def _normal_equations(problem: StepInput, at: Estimate) -> tuple[Array, Array]:
     """Return the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient; threads share the pairs."""
     sample, size = problem.sample, len(problem.information)
     world, normals = sample.world(at)

@@ -49,7 +49,7 @@ class Args:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Examined:
     """One thing that was looked at.
 
     Attributes:
@@ -76,7 +76,7 @@ def run(args: Args) -> int:
     return int(any(finding.state == "wrong" for finding in findings))
 
 
-def examine() -> Iterator[Finding]:
+def examine() -> Iterator[Examined]:
     """Look at everything; nothing is written but one temporary file, which is removed."""
     yield _python()
     required, extras = _requirements()
@@ -89,11 +89,11 @@ def examine() -> Iterator[Finding]:
     yield _disk(Path.cwd())
 
 
-def _python() -> Finding:
+def _python() -> Examined:
     found = f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     if sys.version_info[:2] < LEAST_PYTHON:
-        return Finding("Python", "wrong", found, f"Anther needs Python {LEAST_PYTHON[0]}.{LEAST_PYTHON[1]} or newer.")
-    return Finding("Python", "ok", found)
+        return Examined("Python", "wrong", found, f"Anther needs Python {LEAST_PYTHON[0]}.{LEAST_PYTHON[1]} or newer.")
+    return Examined("Python", "ok", found)
 
 
 def _requirements() -> tuple[list[Requirement], dict[str, list[Requirement]]]:
@@ -123,33 +123,33 @@ def _lacking(needs: list[Requirement]) -> list[str]:
     return found
 
 
-def _packages(needs: list[Requirement]) -> Finding:
+def _packages(needs: list[Requirement]) -> Examined:
     from anther import __version__
 
     if not needs:
-        return Finding("Anther", "wrong", f"{__version__}, not installed", "Install it: pip install anther")
+        return Examined("Anther", "wrong", f"{__version__}, not installed", "Install it: pip install anther")
     lacking = _lacking(needs)
     if lacking:
-        return Finding("Anther", "wrong", f"{__version__}, without {', '.join(lacking)}", "pip install anther")
-    return Finding("Anther", "ok", f"{__version__}, with all {len(needs)} packages it needs")
+        return Examined("Anther", "wrong", f"{__version__}, without {', '.join(lacking)}", "pip install anther")
+    return Examined("Anther", "ok", f"{__version__}, with all {len(needs)} packages it needs")
 
 
-def _extra(name: str, needs: list[Requirement]) -> Finding:
+def _extra(name: str, needs: list[Requirement]) -> Examined:
     what, lacking = FOR.get(name, ""), _lacking(needs)
     if lacking:
-        return Finding(
+        return Examined(
             f"[{name}]", "absent", f"{what}: not installed: {', '.join(lacking)}", f"pip install 'anther[{name}]'"
         )
-    return Finding(f"[{name}]", "ok", what)
+    return Examined(f"[{name}]", "ok", what)
 
 
-def _gpu() -> Finding:
+def _gpu() -> Examined:
     if not Path("/proc/driver/nvidia/version").exists() and shutil.which("nvidia-smi") is None:
-        return Finding("GPU", "absent", "no NVIDIA driver; only network masks gain by one")
-    return Finding("GPU", "ok", "an NVIDIA driver; network masks use it where torch does")
+        return Examined("GPU", "absent", "no NVIDIA driver; only network masks gain by one")
+    return Examined("GPU", "ok", "an NVIDIA driver; network masks use it where torch does")
 
 
-def _compiled() -> Finding:
+def _compiled() -> Examined:
     """Compiled code is kept in numba's folder: without one every first command of a process takes a minute."""
     import anther
 
@@ -157,29 +157,29 @@ def _compiled() -> Finding:
     folder = Path(named) if named else Path(anther.__file__).parent / "__pycache__"
     if named and Path(tempfile.gettempdir()) in folder.parents:
         do = "Set NUMBA_CACHE_DIR to a folder of your own that stays."
-        return Finding("compiled code", "absent", f"kept in {folder}, which may not last", do)
+        return Examined("compiled code", "absent", f"kept in {folder}, which may not last", do)
     if not named and not anther._may_write(folder):
-        return Finding("compiled code", "ok", "kept in your cache folder")
-    return Finding("compiled code", "ok", f"kept in {folder}")
+        return Examined("compiled code", "ok", "kept in your cache folder")
+    return Examined("compiled code", "ok", f"kept in {folder}")
 
 
-def _cameras() -> Finding:
+def _cameras() -> Examined:
     """Name the video devices that Linux sees; a depth camera shows as several."""
     devices = sorted(Path("/sys/class/video4linux").glob("video*/name"))
     names = sorted({device.read_text(encoding="utf-8", errors="replace").strip() for device in devices})
     if names:
-        return Finding("cameras", "ok", "; ".join(names))
-    return Finding("cameras", "absent", "none; recorded views need none")
+        return Examined("cameras", "ok", "; ".join(names))
+    return Examined("cameras", "absent", "none; recorded views need none")
 
 
-def _disk(folder: Path) -> Finding:
+def _disk(folder: Path) -> Examined:
     free = shutil.disk_usage(folder).free
     found = f"{free / 1e9:.1f} GB free in {folder}"
     try:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        return Finding("disk", "wrong", f"{folder}: {error.strerror}", "Go to a folder that you may write.")
+        return Examined("disk", "wrong", f"{folder}: {error.strerror}", "Go to a folder that you may write.")
     if free < LEAST_DISK:
-        return Finding("disk", "wrong", found, f"Free some: {LEAST_DISK / 1e9:g} GB hold a few trials.")
-    return Finding("disk", "ok", found)
+        return Examined("disk", "wrong", found, f"Free some: {LEAST_DISK / 1e9:g} GB hold a few trials.")
+    return Examined("disk", "ok", found)

@@ -15,12 +15,12 @@ from anther.files import replacing, write_json
 from anther.geometry import Array
 from anther.identification import (
     ClampedStem,
-    Estimate,
     FreeVibration,
     Identification,
     InstrumentErrors,
     MaterialTest,
     Orientation,
+    Quantity,
     fit_free_vibration,
     identify,
     write_material,
@@ -192,7 +192,7 @@ def _numbers(test: MaterialTest, found: Identification) -> dict[str, Any]:
     return _without_nan(result)
 
 
-def _estimate(estimate: Estimate) -> dict[str, Any]:
+def _estimate(estimate: Quantity) -> dict[str, Any]:
     return {
         "value": estimate.value,
         "standard_error": estimate.standard_error,
@@ -241,7 +241,7 @@ def _vibration_line(test: MaterialTest, found: Identification) -> list[str]:
     return [line]
 
 
-def _modulus(estimate: Estimate) -> str:
+def _modulus(estimate: Quantity) -> str:
     largest = sorted(estimate.shares.items(), key=lambda item: -abs(item[1]))
     sources = ", ".join(f"{name} {abs(share):.1%}" for name, share in largest if abs(share) >= 0.001)
     return f"{estimate.value / 1e6:.3g} ± {estimate.standard_error / 1e6:.2g} MPa ({sources})"

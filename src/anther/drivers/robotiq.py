@@ -42,7 +42,7 @@ FAULTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Model:
+class Ranges:
     """Attributes: stroke [m]; force [N] and speed [m/s], each from and to (the manual's chapter 6)."""
 
     stroke: float
@@ -51,9 +51,9 @@ class Model:
 
 
 Name = Literal["2f-85", "2f-140"]
-MODELS: dict[Name, Model] = {
-    "2f-85": Model(0.085, (20.0, 235.0), (0.020, 0.150)),
-    "2f-140": Model(0.140, (10.0, 125.0), (0.030, 0.250)),
+MODELS: dict[Name, Ranges] = {
+    "2f-85": Ranges(0.085, (20.0, 235.0), (0.020, 0.150)),
+    "2f-140": Ranges(0.140, (10.0, 125.0), (0.030, 0.250)),
 }
 
 

@@ -37,7 +37,7 @@ REMOTE = "it is not in remote control: switch it from Local to Remote on the pen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class ControllerReading:
     """Joints (J,) [rad] and force [N] read at `time` [s] on this machine's clock, by the controller's stamp."""
 
     time: float
@@ -90,7 +90,7 @@ class Controller:
         """Commands that it takes a second: a CB3 (PolyScope 3) 125, later ones 500."""
         return 125.0 if self.version[0] <= 3 else 500.0
 
-    def read(self) -> Reading:
+    def read(self) -> ControllerReading:
         """Return what was measured last, and set the clocks by it.
 
         Raises:
@@ -104,7 +104,7 @@ class Controller:
         q = np.array(joints, dtype=float)
         if not np.isfinite(q).all():
             raise DeviceError(f"joints: got {q} rad. The arm does not tell where it is.")
-        return Reading(stamp + self._robot.offset, q, float(np.linalg.norm(force[:3])))
+        return ControllerReading(stamp + self._robot.offset, q, float(np.linalg.norm(force[:3])))
 
     def stopped(self) -> str:
         """Return what keeps the arm from moving at all; empty if nothing does."""

@@ -21,7 +21,7 @@ from anther.drivers._priority import quick_turns, served_first
 from anther.drivers._readings import STALE
 from anther.drivers._reference import Reference, braking
 from anther.drivers._streamed import SETTLE
-from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller, Reading
+from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller, ControllerReading
 from anther.geometry import Array
 
 SILENCE = 0.03
@@ -180,7 +180,7 @@ class UniversalRobot:
             self._forget()
             self._at.receive.disconnect()
 
-    def _read(self) -> Reading:
+    def _read(self) -> ControllerReading:
         reading = self._at.read()
         if len(reading.joints) != len(self._names):
             given = f"joints: the robot has {len(reading.joints)}; allowed: {len(self._names)}, the arm model's"

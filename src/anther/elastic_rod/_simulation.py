@@ -166,7 +166,7 @@ def prepare(
     newton_limit: int = 30,
     predictor: str = "inertia",
     moving: tuple[Array, Array] | None = None,
-) -> Run:
+) -> Integration:
     """Return a simulation ready to be stepped; arguments and errors as of `simulate`."""
     steps = _check_steps(duration, dt, record_every)
     if integrator not in ("midpoint", "implicit_euler"):
@@ -184,7 +184,7 @@ def prepare(
     if moving is not None:
         state = _set_moving(model, state, *moving, () if drive is None else drive.nodes)
     settings = Settings(dt, integrator == "midpoint", float(predictor == "inertia"), tolerance, newton_limit, True)
-    run = Run(model, free, state, drive, settings, steps, record_every)
+    run = Integration(model, free, state, drive, settings, steps, record_every)
     if predictor == "guess displacement":
         run.guess = _guess_shares(rods.parent, run.nodes)
     return run
@@ -236,7 +236,7 @@ def _check_steps(duration: float, dt: float, record_every: int) -> int:
     return steps // record_every * record_every
 
 
-class Run:
+class Integration:
     """One simulation: the constants, the moving state, and the splitting of steps that do not converge."""
 
     def __init__(

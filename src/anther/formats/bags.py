@@ -94,7 +94,7 @@ class _Contents:
 
 
 @dataclass(frozen=True, slots=True)
-class _View:
+class _FramePair:
     depth: int
     color: int
     time: float
@@ -240,7 +240,7 @@ def _where(path: str, topics: Topics, held: _Contents, options: BagOptions, fram
     return camera_at
 
 
-def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> tuple[list[_View], tuple[str, ...]]:
+def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> tuple[list[_FramePair], tuple[str, ...]]:
     """Return the views whose colour and pose are near enough in time, and notes on the others."""
     if not held.color or not held.depth:
         given = f"{len(held.color)} colour and {len(held.depth)} depth frames"
@@ -254,7 +254,7 @@ def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> t
         gap = (abs(float(stamps[k]) - time), pose_off)
         gaps.append(gap)
         if max(gap) <= options.tolerance:
-            views.append(_View(i, int(order[k]), time, T))
+            views.append(_FramePair(i, int(order[k]), time, T))
     if not views:
         color, pose = (min(column) for column in zip(*gaps, strict=True))
         raise bad_input(
@@ -271,7 +271,7 @@ def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> t
     return views, tuple(notes)
 
 
-def _images(bag: BagFile, topics: Topics, unit: float, views: list[_View]) -> list[tuple[Any, Any]]:
+def _images(bag: BagFile, topics: Topics, unit: float, views: list[_FramePair]) -> list[tuple[Any, Any]]:
     """Return (depth [m], RGB) of every view, in a second pass that decodes only these."""
     wanted = {topics.depth: {v.depth for v in views}, topics.color: {v.color for v in views}}
     found: dict[tuple[str, int], Any] = {}

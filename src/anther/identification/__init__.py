@@ -16,10 +16,10 @@ from anther.identification._clamped_stem import (
 from anther.identification._free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification._material_test import (
     Density,
-    Estimate,
     Identification,
     InstrumentErrors,
     MaterialTest,
+    Quantity,
     combine,
     density_from_samples,
     disagreement,
@@ -34,7 +34,6 @@ from anther.identification._refinement import Expected, Params, Refinement, expe
 __all__ = [
     "ClampedStem",
     "Density",
-    "Estimate",
     "Expected",
     "Felt",
     "FreeVibration",
@@ -44,6 +43,7 @@ __all__ = [
     "ObservedShake",
     "Orientation",
     "Params",
+    "Quantity",
     "Refinement",
     "combine",
     "density_from_samples",

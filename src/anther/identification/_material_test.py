@@ -35,7 +35,7 @@ DISAGREEMENT = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class Quantity:
     """A positive quantity with its error.
 
     Attributes:
@@ -61,7 +61,7 @@ class Estimate:
 
 def propagate(
     name: str, function: Callable[[Mapping[str, float]], float], errors: Mapping[str, float], **own: float
-) -> Estimate:
+) -> Quantity:
     """Return the estimate function({}) with the errors of its inputs.
 
     Linearised in the logarithm by central differences one standard error wide (GUM, JCGM 100:2008, 5.1.3 and its note
@@ -77,17 +77,17 @@ def propagate(
     for source, error in errors.items():
         if error > 0:
             shares[source] = 0.5 * float(np.log(function({source: error}) / function({source: -error})))
-    return Estimate(name, function({}), shares | {k.replace("_", " "): v for k, v in own.items() if v > 0})
+    return Quantity(name, function({}), shares | {k.replace("_", " "): v for k, v in own.items() if v > 0})
 
 
-def disagreement(a: Estimate, b: Estimate) -> float:
+def disagreement(a: Quantity, b: Quantity) -> float:
     """Return |ln a - ln b| in standard errors of that difference."""
     sources = a.shares.keys() | b.shares.keys()
     error = np.sqrt(sum((a.shares.get(s, 0.0) - b.shares.get(s, 0.0)) ** 2 for s in sources))
     return float(abs(np.log(a.value / b.value)) / max(error, 1e-12))
 
 
-def combine(a: Estimate, b: Estimate) -> Estimate:
+def combine(a: Quantity, b: Quantity) -> Quantity:
     """Return the geometric mean of two estimates that has the least variance.
 
     The weights allow for shared errors and stay within 0 and 1. Where the two disagree, one of them has an error that
@@ -102,7 +102,7 @@ def combine(a: Estimate, b: Estimate) -> Estimate:
     if apart:
         shares["disagreement"] = 0.5 * float(abs(np.log(a.value / b.value)))
     value = float(np.exp(weight * np.log(a.value) + (1 - weight) * np.log(b.value)))
-    return Estimate(f"{a.name} and {b.name}", value, shares)
+    return Quantity(f"{a.name} and {b.name}", value, shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,10 +226,10 @@ class Identification:
     """
 
     samples: Density | None
-    density: Estimate
+    density: Quantity
     vibration: FreeVibration | None
-    estimates: tuple[Estimate, ...]
-    youngs: Estimate | None
+    estimates: tuple[Quantity, ...]
+    youngs: Quantity | None
     material: Material
     warnings: tuple[str, ...]
 
@@ -268,7 +268,7 @@ def _samples(test: MaterialTest) -> Density | None:
     return density_from_samples(test.sample_mass, test.sample_radius, test.sample_length)
 
 
-def _density(test: MaterialTest, samples: Density | None) -> Estimate:
+def _density(test: MaterialTest, samples: Density | None) -> Quantity:
     """Return the density; a single sample has the spread of the prior as its error."""
     if samples is None:
         assert test.density is not None
@@ -278,7 +278,7 @@ def _density(test: MaterialTest, samples: Density | None) -> Estimate:
     return propagate("cut samples", test.density_at, {"density": scatter, "radius": test.errors.radius})
 
 
-def _shape_errors(test: MaterialTest, density: Estimate) -> dict[str, float]:
+def _shape_errors(test: MaterialTest, density: Quantity) -> dict[str, float]:
     assert test.stem is not None
     scatter = abs(density.shares.get("density", 0.0)) * density.value
     errors = {"radius": test.errors.radius, "length": test.errors.length, "density": scatter}
@@ -293,7 +293,7 @@ def _shape_errors(test: MaterialTest, density: Estimate) -> dict[str, float]:
     return errors | {"leaf mass": leaves}
 
 
-def _from_vibration(test: MaterialTest, density: Estimate, vibration: FreeVibration | None) -> Estimate | None:
+def _from_vibration(test: MaterialTest, density: Quantity, vibration: FreeVibration | None) -> Quantity | None:
     if vibration is None or test.stem is None:
         return None
 
@@ -305,7 +305,7 @@ def _from_vibration(test: MaterialTest, density: Estimate, vibration: FreeVibrat
     return propagate("vibration", youngs, errors)
 
 
-def _from_deflection(test: MaterialTest, density: Estimate) -> Estimate | None:
+def _from_deflection(test: MaterialTest, density: Quantity) -> Quantity | None:
     if not len(test.tip_mass) or test.stem is None:
         return None
 
@@ -320,7 +320,7 @@ def _from_deflection(test: MaterialTest, density: Estimate) -> Estimate | None:
     return propagate("deflection", youngs, errors, deflection=reading)
 
 
-def _material(prior: Material, density: Estimate, vibration: FreeVibration | None, youngs: Estimate | None) -> Material:
+def _material(prior: Material, density: Quantity, vibration: FreeVibration | None, youngs: Quantity | None) -> Material:
     """Return the prior with what was measured in its place."""
     found = replace(prior, density=density.value, density_spread=min(density.relative_error, 3.0))
     if youngs is not None:
@@ -332,7 +332,7 @@ def _material(prior: Material, density: Estimate, vibration: FreeVibration | Non
 
 
 def _warnings(
-    test: MaterialTest, density: Estimate, vibration: FreeVibration | None, estimates: tuple[Estimate, ...]
+    test: MaterialTest, density: Quantity, vibration: FreeVibration | None, estimates: tuple[Quantity, ...]
 ) -> list[str]:
     said = []
     if len(estimates) == 2 and (apart := disagreement(*estimates)) > DISAGREEMENT:

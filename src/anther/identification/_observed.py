@@ -227,7 +227,7 @@ class Misses(NamedTuple):
     branch: NDArray[Any]
 
 
-class Told(NamedTuple):
+class Predicted(NamedTuple):
     """What the members say of one shake, as phasors: flowers (M, F, 3) [m], stem (M, S, 3) [m], force (M, 3) [N]."""
 
     flowers: ComplexArray
@@ -235,7 +235,7 @@ class Told(NamedTuple):
     force: ComplexArray
 
 
-def told(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Told]:
+def told(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
     """Return what the members say of every shake; the plan's flowers are reproduced for what it was made with.
 
     Shakes in one hold are answered together, which costs little more than one of them.
@@ -248,13 +248,13 @@ def told(believed: Version, members: Sequence[Version], observed: Sequence[Obser
     holds = dict[tuple[float, ...], list[int]]()
     for k, one in enumerate(observed):
         holds.setdefault((*one.shake.grasp.point, *one.shake.direction), []).append(k)
-    out = dict[int, Told]()
+    out = dict[int, Predicted]()
     for which in holds.values():
         out |= zip(which, _of_one_hold(believed, members, [observed[k] for k in which]), strict=True)
     return [out[k] for k in range(len(observed))]
 
 
-def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Told]:
+def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
     (plant, pads), place = believed, observed[0].shake
     grip = pad_nodes(plant, grip_rows(plant, place.grasp.point[None]), pads.width)
     beside = [plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)] for one in observed]
@@ -262,12 +262,12 @@ def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequen
     answers = [answer(member, grip, place.direction, frequencies, np.concatenate(beside)) for member in members]
     flowers, stem, force = (np.array([a[k][:, 0] for a in answers]) for k in range(len(Phasors._fields)))
     parts = np.split(stem, starts[:-1], axis=2)
-    out = list[Told]()
+    out = list[Predicted]()
     for k, one in enumerate(observed):
         shake, moved = one.shake, one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
         planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequencies[k : k + 1])[0, 0]
         gain = shake.predicted_amplitude / shake.amplitude / np.maximum(semi_major(planned), 1e-12)
-        out.append(Told(moved * gain[:, None] * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
+        out.append(Predicted(moved * gain[:, None] * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
     return out
 
 
@@ -276,7 +276,7 @@ def _nearest(nodes: Array, points: Array) -> NDArray[Any]:
 
 
 def misses(
-    plant: PlantModel, said: Sequence[Told], observed: Sequence[ObservedShake], late: Array, errors: Errors
+    plant: PlantModel, said: Sequence[Predicted], observed: Sequence[ObservedShake], late: Array, errors: Errors
 ) -> Misses:
     """Return what members get wrong of all shakes.
 
@@ -305,7 +305,7 @@ def _part(miss: Array, model: float, own: Any, branch: Any = ON_STEM, *, bound: 
 
 
 def _of_flowers(
-    said: Told, one: ObservedShake, turned: ComplexArray, branch: NDArray[Any], errors: Errors
+    said: Predicted, one: ObservedShake, turned: ComplexArray, branch: NDArray[Any], errors: Errors
 ) -> tuple[Misses, ...]:
     """Return what is wrong with the flowers' amplitudes, bounds and phases."""
     predicted, seen, faint = log_amplitude(said.flowers), one.seen, one.faint
@@ -320,7 +320,7 @@ def _of_flowers(
     )
 
 
-def _of_the_grip(said: Told, one: ObservedShake, turned: ComplexArray, errors: Errors) -> list[Misses]:
+def _of_the_grip(said: Predicted, one: ObservedShake, turned: ComplexArray, errors: Errors) -> list[Misses]:
     """Return what is wrong with the grip's force and with the stem's motion beside the pads."""
     felt, beside, parts = one.felt, one.beside, list[Misses]()
     if np.isfinite(felt.force):

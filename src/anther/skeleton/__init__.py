@@ -22,7 +22,7 @@ from anther.skeleton.geodesics import LevelSets, geodesic_tree, level_sets
 from anther.skeleton.midribs import middled
 from anther.skeleton.nearby import nearest
 from anther.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
-from anther.skeleton.rooting import Base, distance_to_soil, find_root, stem_gain
+from anther.skeleton.rooting import PlantBase, distance_to_soil, find_root, stem_gain
 from anther.skeleton.support import node_confidence
 from anther.skeleton.surroundings import surroundings
 from anther.skeleton.thinning import thinned_tree
@@ -312,7 +312,7 @@ def _paths(voxels: Voxels, source: int, size: float, params: Params) -> tuple[Ra
     return _not_trivial(tree, size, params), levels
 
 
-def _rooted(tree: RawTree, found: Base) -> _Rooted:
+def _rooted(tree: RawTree, found: PlantBase) -> _Rooted:
     """Return how sure a base is; where it is doubtful, with a note that names its rival."""
     if found.probability >= _SURE:
         return _Rooted(found.probability)

@@ -13,7 +13,7 @@ from anther.geometry import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
+class PointGrid:
     """Points sorted into cubic blocks, so that all within one edge of a point are in 9 runs of 3 blocks.
 
     Attributes:
@@ -31,7 +31,7 @@ class Blocks:
     stride: NDArray[Any]
 
 
-def blocks(points: Array, edge: float) -> Blocks:
+def blocks(points: Array, edge: float) -> PointGrid:
     """Return the points (N, 3) sorted into blocks of `edge`, in the points' unit."""
     block = ((points - points.min(axis=0)) // edge).astype(np.int64) + 1
     _, columns, rows = block.max(axis=0) + 2
@@ -39,7 +39,7 @@ def blocks(points: Array, edge: float) -> Blocks:
     key = block @ np.append(stride, 1)
     order = np.argsort(key, kind="stable")
     held, start = np.unique(key[order], return_index=True)
-    return Blocks(order, key[order], held, np.append(start, len(points)), stride)
+    return PointGrid(order, key[order], held, np.append(start, len(points)), stride)
 
 
 def nearest(points: Array, nodes: Array) -> tuple[Array, NDArray[Any]]:

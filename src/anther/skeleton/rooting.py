@@ -30,7 +30,7 @@ def stem_gain(tree: RawTree) -> Array:
     return gain * _roundness(tree)
 
 
-class Base(NamedTuple):
+class PlantBase(NamedTuple):
     """Where a plant stands: the node, how likely that is, and where else it might be (itself, if nowhere)."""
 
     node: int
@@ -38,7 +38,7 @@ class Base(NamedTuple):
     rival: int
 
 
-def find_root(tree: RawTree, candidates: int = 60) -> Base:
+def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
     """Return the tip in the lower half of the plant at which it most likely stands.
 
     The tips are the choices of a conditional logit, nested in whether the base is in the cloud (McFadden 1978).
@@ -53,7 +53,7 @@ def find_root(tree: RawTree, candidates: int = 60) -> Base:
     odds, same = np.exp(utility - utility[best]), same_place(tree, tips, best)
     seen = float(probability(SEEN, utility[best : best + 1] + np.log(odds.sum())))
     rival = best if same.all() else int(np.argmax(np.where(same, -1, odds)))
-    return Base(int(tips[best]), seen * float(odds[same].sum() / odds.sum()), int(tips[rival]))
+    return PlantBase(int(tips[best]), seen * float(odds[same].sum() / odds.sum()), int(tips[rival]))
 
 
 def same_place(tree: RawTree, tips: NDArray[np.int64], best: int) -> NDArray[np.bool_]:

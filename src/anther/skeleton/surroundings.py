@@ -52,7 +52,7 @@ def _stride(extent: NDArray[Any]) -> NDArray[Any]:
 def _scatter(points, weight, key, held, start, stride, reach2):
     """Return (N, 3, 3) lower halves of the covariances of the points within reach, and (N,) distance to their mean.
 
-    The points are sorted as in `nearby.Blocks`, whose edge is the reach.
+    The points are sorted as in `nearby.PointGrid`, whose edge is the reach.
     """
     out, aside = np.zeros((len(points), 3, 3)), np.zeros(len(points))
     for n in range(len(points)):
