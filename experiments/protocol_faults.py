@@ -78,9 +78,9 @@ EXPECTED: dict[str, str] = {
 GOES_ON = ("the master dies", "5 % of messages lost", "joints in another order", "a second process")
 OF_ANTHER = ("Ctrl-C", "kill -9", "the arm's process killed", "a second process")
 BRAKES = (
-    *("the robot's node dies", "readings 200 ms late", "the robot's clock jumps", "joints not a number"),
-    *("joints renamed", "a joint missing", "joints silent", "stop button", "robot feels a collision"),
-    *("robot reports an error", "kill -9", "the arm's process killed"),
+    *("readings 200 ms late", "the robot's clock jumps", "joints not a number", "joints renamed", "a joint missing"),
+    *("joints silent", "stop button", "robot feels a collision", "robot reports an error"),
+    *("kill -9", "the arm's process killed"),
 )
 """After these the arm stops at once, and the time until it stands is measured."""
 HELD_UP, STALE = "Let nothing else run|Look at what else runs here", "ms old"
@@ -204,7 +204,7 @@ def unsafe(machines: Machines, plan: ShakePlan, case: Case, at: float) -> str:
 def bad_record(run: Path, case: Case, anthers: Anther, began: bool) -> str:
     """Return what is wrong with the record of a fault, read back from disk; "" if it names what happened."""
     if not began:
-        return f"{case.phase} never began: {anthers.errors[-300:]}"
+        return f"{case.phase} never began: {said_in(run) or anthers.errors[-300:]}"
     try:
         noted = read_json(run / "progress.json")
         trial = Trial.load(run / "09_trial.npz") if noted["stage"] == "execution" and not noted["failure"] else None

@@ -196,6 +196,17 @@ def test_line_is_straight_and_slow(planner):
     assert_within_limits(back)
 
 
+@pytest.mark.parametrize("length", [0.0, 1e-6, 1e-4, 1e-3, 0.01])
+def test_a_line_however_short_keeps_the_limits(planner, length):
+    """An arm that was stopped where it began goes back by such a line, and the guard looks between the samples."""
+    q = planner.reach(PREGRASP, GRASP)
+    back = planner.line(q, GRASP @ transform(np.eye(3), [0, 0, -length]))
+    curve = CubicHermiteSpline(back.times, back.positions, back.velocities)
+    ends = [curve(back.times[:-1], 2), curve(np.nextafter(back.times[1:], 0), 2)]
+    assert np.abs(ends / sawyer.ACCELERATION).max() <= 1
+    assert_within_limits(back)
+
+
 def test_line_into_the_bench_is_refused(planner):
     q = planner.reach(PREGRASP, GRASP)
     down = GRASP.copy()

@@ -111,6 +111,7 @@ def _inertia(mass: float, com: ArrayLike, moments: tuple[float, ...]) -> Any:
 
 
 PERIOD = 0.004  # s between samples
+LEAST = 20  # samples of a line, however short: of fewer its acceleration cannot be told
 BLEND = 0.01  # rad, how far a rounded corner may leave the waypoint where nothing else is said
 GRID = 400  # pieces of a straight joint line within each of which the acceleration is constant
 RAMP = 0.15  # s to reach the speed of a slow line: a third of the joints' acceleration at 0.12 m/s
@@ -238,7 +239,7 @@ def joined(parts: list[JointTrajectory]) -> JointTrajectory:
 
 def _ramped(joints: CubicSpline, duration: float, ramp: float) -> tuple[Array, Array, Array]:
     """Return times, positions and velocities of a motion 0..1 whose speed is flat between two smooth ramps."""
-    times = np.linspace(0, duration, max(int(np.ceil(duration / PERIOD)), 4) + 1)
+    times = np.linspace(0, duration, max(int(np.ceil(duration / PERIOD)), LEAST) + 1)
     top = 1 / (duration - ramp)
 
     def risen(t: Array) -> tuple[Array, Array]:
