@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -85,3 +86,16 @@ def test_the_cameras_see_the_plant_where_it_is(machines: tuple[Served, CellFile,
         for x, y, z in zip(u[seen], v[seen], inside[2][seen], strict=True)
     ]
     assert np.median(near) < 0.02
+
+
+def test_a_recording_is_as_fast_as_the_camera_says(machines: tuple[Served, CellFile, Robot]) -> None:
+    served, _, robot = machines
+    assert robot.side_camera is not None
+    rate = max(robot.side_camera.rates)
+    robot.side_camera.start(rate)
+    until = served.place.time + 0.5
+    while served.place.time < until:
+        time.sleep(0.05)
+    times = [frame.time for frame in robot.side_camera.stop()]
+    assert np.median(np.diff(times)) == pytest.approx(1 / rate, rel=0.2)
+    assert rate > 20

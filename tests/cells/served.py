@@ -54,6 +54,10 @@ class ServedCamera(free_running.FreeRunningCamera):
         threading.Thread(target=self._feed, daemon=True).start()
         super().__init__(source, warm_up=1)
 
+    @property
+    def rates(self) -> tuple[float, ...]:
+        return tuple(self._rate / n for n in free_running.PARTS)  # what it gives while nobody records tells nothing
+
     def start(self, rate: float) -> None:
         self._world.recorded = self._records = True
         super().start(rate)
