@@ -82,6 +82,7 @@ $(CORE): requirements.lock pyproject.toml
 
 $(DEV): $(CORE) requirements-dev.lock
 	$(PIP_INSTALL) -r requirements-dev.lock
+	$(PIP_INSTALL) --no-deps franka-sim==1.1.7  # its server wants none of the older libraries that its arm does
 	@touch $@
 
 $(SITE): $(DEV) requirements-site.lock

@@ -1,6 +1,7 @@
 """For `through_ros.py`: a trial of `anther trial --cell` whose machines are MuJoCo's cell behind their real protocols.
 
-ROS' own master where it is installed, a small one elsewhere; a process serves the plant (`tests/served_cell.py`), and
+For a Sawyer ROS' own master where it is installed, a small one elsewhere; a Franka answers at an address of its own on
+the loopback, as libfranka's port is always the same. A process serves the plant (`tests/served_cell.py`), and
 `anther trial` runs as a person would run it. Who serves judges, by truth.
 """
 
@@ -39,13 +40,23 @@ def master() -> Iterator[str]:
     small.stop()
 
 
+@contextmanager
+def robot(row: dict[str, Any]) -> Iterator[str]:
+    """Give the address at which the arm of a trial is asked for."""
+    if row.get("arm", "sawyer") == "sawyer":
+        with master() as uri:
+            yield uri
+    else:
+        yield f"127.0.{1 + (row['species'] == 'pepper')}.{1 + row['seed'] % 250}"
+
+
 def served(row: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return what became of a trial: {"species", "seed", "truth", "preset"} -> its row.
+    """Return what became of a trial: {"species", "seed", "truth", "preset"} and, but for a Sawyer, "arm" -> its row.
 
     "held", "unharmed" and "peaks" [m/s2] are who served's, by truth; "said" is what Anther says of the hold.
     """
-    words = [str(folder / "cell"), row["species"], str(row["seed"]), "--truth", row["truth"]]
-    with master() as uri, _serving([words[0], uri, *words[1:]]) as server:
+    words = [row["species"], str(row["seed"]), "--truth", row["truth"], "--arm", row.get("arm", "sawyer")]
+    with robot(row) as address, _serving([str(folder / "cell"), address, *words]) as server:
         assert server.stdin is not None
         assert server.stdout is not None
         cell, began = server.stdout.readline().strip(), time.monotonic()

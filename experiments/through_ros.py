@@ -2,9 +2,10 @@
 
     python tools/record.py experiments/through_ros.py --out runs/through_ros
 
-**Trials**: `anther trial --cell` grasps and shakes plants of MuJoCo's cell, which is served as machines: a Sawyer
-behind a ROS 1 master, a Robotiq over Modbus TCP, cameras of the RealSense SDK (`tests/served_cell.py`). The cell's time
-goes slower than the wall's, and a trial has one core. Each is kept in --out and is not run again.
+**Trials**: `anther trial --cell` grasps and shakes plants of MuJoCo's cell, which is served as machines
+(`tests/served_cell.py`): a Sawyer behind a ROS 1 master or, with --arm fr3, a Franka behind franka-sim's server; a
+Robotiq over Modbus TCP; cameras of the RealSense SDK. The cell's time goes slower than the wall's, and a trial has one
+core. Each is kept in --out and is not run again.
 
 **A fake Sawyer**: the driver runs in a process of its own, which also writes a trial's log, and follows a joint swing
 at 1.9 Hz, as a shake does, in trajectory mode at 100 commands a second. The fake notes when each command arrives. Then,
@@ -37,7 +38,7 @@ from fake_sawyer import FakeSawyer, swing
 from served_trial import served
 from swept import swept
 
-from anther.arm import sawyer
+from anther.arm import ArmName, sawyer
 from anther.devices import Robot
 from anther.drivers.intera import types
 from anther.drivers.ros1 import Node
@@ -129,10 +130,11 @@ def measure(kills: int, seconds: float) -> dict[str, Any]:
     }
 
 
-def trials(count: int, truth: str, jobs: int, out: Path) -> dict[str, Any]:
+def trials(count: int, truth: str, arm: ArmName, jobs: int, out: Path) -> dict[str, Any]:
     """Return the flat table of `count` trials through the served cell."""
     asked = [
         {"species": ("tomato", "pepper")[i % 2], "seed": FIRST + i // 2, "truth": truth, "preset": "full"}
+        | ({} if arm == "sawyer" else {"arm": arm})
         for i in range(count)
     ]
     rows = swept(served, asked, out, jobs, lambda reason: {"held": False, "unharmed": False, "message": reason})
@@ -153,6 +155,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="2 trials, 3 kills and 5 s instead of 20, 20 and 60 s")
     parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--arm", choices=("sawyer", "fr3"), default="sawyer", help="fr3: trials alone, by libfranka")
     parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time, a core each")
     parser.add_argument("--out", type=Path, default=Path("runs/through_ros"))
@@ -162,8 +165,9 @@ def main() -> None:
     if args.drive:
         drive(args.drive, args.seconds)
         return
-    metrics = trials(2 if args.quick else args.trials, args.truth, args.jobs, args.out)
-    metrics |= measure(3, 5.0) if args.quick else measure(20, args.seconds)
+    metrics = trials(2 if args.quick else args.trials, args.truth, args.arm, args.jobs, args.out)
+    if args.arm == "sawyer":
+        metrics |= measure(3, 5.0) if args.quick else measure(20, args.seconds)
     print(json.dumps(metrics, indent=2))
     if args.json:
         write_json(args.json, metrics)

@@ -1,9 +1,11 @@
-"""MuJoCo's cell served as machines: a Sawyer over ROS 1, a Robotiq over Modbus, cameras that `cells/served.py` shows
-as RealSense. As a program it serves one plant until its input ends, and judges what was done to it.
+"""MuJoCo's cell served as machines: a Sawyer over ROS 1 or a Franka over libfranka's protocol, a Robotiq over Modbus,
+cameras that `cells/served.py` shows as RealSense. As a program it serves one plant until its input ends, and judges
+what was done to it.
 
-    python tests/served_cell.py FOLDER MASTER SPECIES SEED [--truth wide]
+    python tests/served_cell.py FOLDER MASTER SPECIES SEED [--truth wide] [--arm fr3]
 
-FOLDER gets the cell file that `anther trial --cell` takes, and the world that all share.
+MASTER is the ROS master's address, or that at which the Franka answers. FOLDER gets the cell file that
+`anther trial --cell` takes, and the world that all share.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
@@ -27,10 +30,15 @@ import numpy as np
 from fake_robotiq import FakeRobotiq
 from fake_sawyer import FakeSawyer
 from made_realsense import UNIT
+from scipy.interpolate import CubicHermiteSpline
+from served_franka import ServedFranka
 from served_world import World
 
+from anther.arm import ArmName
+from anther.arm.arms import in_simulated_cell
+from anther.arm.model import ArmModel
 from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
-from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
+from anther.commands.simulated_cell import grow, layout, usual_distance
 from anther.shake import Crop
 from anther.sim import arm_model, cell
 from anther.sim._motor import contact_vector
@@ -39,11 +47,12 @@ from anther.sim.judge import judge
 from anther.sim.robot import robot_of
 from anther.sim.truth import NOMINAL, Truth, draw
 
-TEMPLATE = Path(__file__).parent / "cells" / "sawyer_ros1.toml"
+FILES: dict[ArmName, str] = {"sawyer": "sawyer_ros1.toml", "fr3": "franka.toml"}
+CELLS = Path(__file__).parent / "cells"
 RENDERED = 0.05  # of the wall's time: in which one core renders 30 frames a second and decides in 0.3 s
-BATCH = 2  # steps of the world at once, of 1 ms
-TOLD = 10  # steps between two readings that the arm tells
 FOLLOWS = 100.0  # rad/s: how fast the arm's controller follows what it is told; a guess
+CATCHES_UP = 0.3  # of the arm's accelerations, with which it does so: what planned motions leave; a guess
+BEHIND = 0.013  # s by which a Sawyer's controller is: it goes between commands 10 ms apart, the newer of which is there
 FORCE = 20.0  # N: the least a Robotiq 2F-85 can be set to
 STROKE = 0.085  # m, of a 2F-85; the fingers of this cell open `SAWYER.tool.stroke`
 
@@ -55,21 +64,50 @@ class Plant:
     species: Crop
     seed: int
     truth: str
+    arm: ArmName = "sawyer"
+
+    @property
+    def model(self) -> ArmModel:
+        return in_simulated_cell(self.arm)
+
+    @property
+    def distance(self) -> float:
+        return usual_distance(self.model)
 
     def drawn(self) -> Truth:
         return draw(self.seed) if self.truth == "wide" else NOMINAL
 
     def world(self) -> cell.Cell:
         truth = self.drawn()
-        params = cell.Params(arm=arm_model.Params(grip_force=FORCE))
-        return cell.Cell(grow(self.species, self.seed, 0.0, USUAL_DISTANCE, truth), SAWYER.waiting, params, truth)
+        params, arm = cell.Params(arm=arm_model.Params(grip_force=FORCE)), self.model
+        return cell.Cell(grow(self.species, self.seed, 0.0, self.distance, truth), arm.waiting, params, truth, arm)
+
+
+def catching_up(off: np.ndarray, rate_off: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    """Return accelerations (J,) with which a controller comes to where it should be, `off` (J,) [rad] from it and
+    `rate_off` (J,) [rad/s] slower, and stops there."""
+    most = CATCHES_UP * acceleration
+    rate = np.sign(off) * np.minimum(FOLLOWS * np.abs(off), np.sqrt(most * np.abs(off)))
+    return np.clip(FOLLOWS * (rate + rate_off), -most, most)
+
+
+def between(commands: list[Any], when: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return joints, rates, accelerations (J,) at a time [s] among commands: cubic in between, straight on after."""
+    for (t0, _, q0, v0), (t1, _, q1, v1) in pairwise(commands):
+        if t0 <= when < t1:
+            curve = CubicHermiteSpline([t0, t1], [q0, q1], [v0, v1])
+            return curve(when), curve(when, 1), curve(when, 2)
+    t, _, q, v = commands[0] if when < commands[0][0] else commands[-1]
+    return q + v * (when - t), v, np.zeros_like(v)
 
 
 class ServedSawyer(FakeSawyer):
     """The fake Sawyer's topics, with MuJoCo's arm behind them. It has no thread: `references` and `tell` are called.
 
-    Its controller follows what it was told as a spring and a damper would, within the arm's accelerations.
+    Its controller goes from command to command, smoothly, and catches up where one came late.
     """
+
+    batch, told_every = 2, 10  # steps of the world, of 1 ms
 
     def __init__(self, master: str, world: cell.Cell, shared: World) -> None:
         self._world, self._shared = world, shared
@@ -77,6 +115,9 @@ class ServedSawyer(FakeSawyer):
 
     def _run(self) -> None:
         pass
+
+    def close(self) -> None:
+        self.node.close()
 
     def references(self, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return joints, rates and accelerations (steps, 7) of the next steps of the world."""
@@ -92,26 +133,26 @@ class ServedSawyer(FakeSawyer):
 
     def _command(self, message: Any) -> None:
         order = [message.names.index(name) for name in SAWYER.joints]
-        streamed = (message.velocity[order], message.acceleration[order]) if message.mode == 4 else np.zeros((2, 7))
+        rate = message.velocity[order] if message.mode == 4 else np.zeros(7)
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         told = self._shared.clock() - (time.time() - stamp) * self._shared.rate  # threads may have kept it waiting
-        self._target = (told, message.mode, message.position[order], *streamed)
+        new = (told, message.mode, message.position[order], rate)
+        self._target = (*(self._target or ())[-4:], new)
 
     def _wanted(self, now: float, dt: float) -> np.ndarray:
-        target = self._target  # another thread may put a new one into its place
-        if target is None or not self.enabled:
+        commands = self._target  # another thread may put new ones into its place
+        if commands is None or not self.enabled:
             return -self.v / dt
-        told, mode, q, rate, push = target
+        told, mode, q, _ = commands[-1]
         if mode == 1:
             way = q - self.q
             least = np.minimum(FOLLOWS * np.abs(way), np.sqrt(ACCELERATION * np.abs(way)))
             rate = np.sign(way) * np.minimum(least, self.ratio * VELOCITY)
             return FOLLOWS * (rate - self.v)
-        ahead = now - told
-        if ahead > self.timeout:
+        if now - told > self.timeout:
             return -self.v / dt
-        there, rate = q + rate * ahead + push * ahead**2 / 2, rate + push * ahead
-        return push + 2 * FOLLOWS * (rate - self.v) + FOLLOWS**2 * (there - self.q)
+        there, rate, push = between([c for c in commands if c[1] == mode], now - BEHIND)
+        return push + catching_up(there - self.q, rate - self.v, ACCELERATION)
 
     def tell(self) -> None:
         """Publish what its encoders read, and the force at its flange."""
@@ -162,7 +203,7 @@ def show(plant: Plant, which: str, path: str, pipe: Connection) -> None:
     """Render what one camera sees of the shared world, as often as somebody asks: a process of its own."""
     threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
     place, world, truth = plant.world(), World(path), plant.drawn()
-    T_side = layout(USUAL_DISTANCE).T_world_side_camera
+    T_side = layout(plant.distance).T_world_side_camera
     robot = robot_of(place, errors=camera_errors(truth), T_world_side_camera=T_side, seed=plant.seed)
     camera: Any = robot.side_camera if which == "side" else robot.wrist_camera
     if which == "wrist":
@@ -206,7 +247,12 @@ class Served:
         self.place, self._rate = plant.world(), rate
         self._shared = World(folder / "world", count=self.place.model.nq)
         self._share()
-        self._arm, self._gripper = ServedSawyer(master, self.place, self._shared), ServedRobotiq(self.place)
+        self._arm: ServedSawyer | ServedFranka = (
+            ServedSawyer(master, self.place, self._shared)
+            if plant.arm == "sawyer"
+            else ServedFranka(master, self.place, self._shared, catching_up)
+        )
+        self._gripper = ServedRobotiq(self.place)
         self._renderers, self._pipes = [], dict[str, Connection]()
         for which in ("wrist", "side"):
             ours, theirs = get_context("spawn").Pipe()
@@ -216,9 +262,14 @@ class Served:
             self._renderers.append(process)
             theirs.close()
             self._pipes[which] = ours
-        told = {"MASTER": master, "GRIPPER": f"tcp://127.0.0.1:{self._gripper.port}", "WORLD": str(folder / "world")}
+        told = {
+            "MASTER": master,
+            "ROBOT": master,
+            "GRIPPER": f"tcp://127.0.0.1:{self._gripper.port}",
+            "WORLD": str(folder / "world"),
+        }
         told |= {which.upper(): pipe.recv()[1] for which, pipe in self._pipes.items()}
-        text = TEMPLATE.read_text()
+        text = (CELLS / FILES[plant.arm]).read_text()
         for word, value in told.items():
             text = text.replace(f'"{word}"', json.dumps(value))
         self.file = folder / "cell.toml"
@@ -228,22 +279,22 @@ class Served:
     def close(self) -> None:
         for process in self._renderers:
             process.kill()
-        self._arm.node.close()
+        self._arm.close()
         self._gripper.close()
 
     def go_on(self) -> None:
         """Advance the world by a batch of steps, no faster than its rate."""
-        place, dt = self.place, self.place.timestep
-        q, v, a = self._arm.references(BATCH)
-        openings = np.empty(BATCH)
-        for i in range(BATCH):
+        place, dt, batch = self.place, self.place.timestep, self._arm.batch
+        q, v, a = self._arm.references(batch)
+        openings = np.empty(batch)
+        for i in range(batch):
             self._gripper.step(dt)
             openings[i] = self._gripper.command
         place.run(q, v, openings, a)
         self._share()
-        if round(place.time / dt) % TOLD < BATCH:
+        if round(place.time / dt) % self._arm.told_every < batch:
             self._arm.tell()
-        self._due += BATCH * dt / self._now
+        self._due += batch * dt / self._now
         time.sleep(max(self._due - time.monotonic(), 0.0))
         self._due = max(self._due, time.monotonic())  # what was lost is not made up for
 
@@ -272,8 +323,9 @@ def main() -> None:
     parser.add_argument("species", choices=("tomato", "pepper"))
     parser.add_argument("seed", type=int)
     parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
+    parser.add_argument("--arm", choices=tuple(FILES), default="sawyer")
     args = parser.parse_args()
-    plant = Plant(args.species, args.seed, args.truth)
+    plant = Plant(args.species, args.seed, args.truth, args.arm)
     with closing(Served(plant, args.folder, args.master)) as served:
         print(served.file, flush=True)
         asked = serve(served, lambda: json.loads(sys.stdin.readline() or "null"))

@@ -5,9 +5,13 @@ The cameras' frames come over a socket and are handed to the SDK's `software_dev
 
 from __future__ import annotations
 
+import importlib
+import os
+import subprocess
 import sys
 import threading
-from multiprocessing.connection import Client
+from multiprocessing import Pipe
+from multiprocessing.connection import Client, Connection
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +19,11 @@ sys.path.append(str(Path(__file__).parents[1]))
 from made_realsense import SoftwareCamera
 from served_world import World
 
-from anther.devices import Frame
+from anther.arm.model import ArmModel
+from anther.devices import DeviceError, Frame
 from anther.drivers import free_running, realsense
+from anther.drivers._franka_loop import Loop, connect
+from anther.drivers.franka import Franka
 from anther.drivers.intera import types
 from anther.drivers.robotiq import Robotiq2F, open_line
 from anther.drivers.ros1 import Node
@@ -32,6 +39,31 @@ def arm(master: str, *, world: str, speed_ratio: float) -> Sawyer:
     time = World(world)
     node = Node(master, "/anther", types())
     return Sawyer(node, mode="trajectory", speed_ratio=speed_ratio, clock=time.clock, sleep=time.sleep)
+
+
+def franka(host: str, *, world: str, arm_model: ArmModel) -> Franka:
+    """As `drivers.franka.open_franka`, but for the clock of driver and loop."""
+    time, (here, there) = World(world), Pipe()
+    words = [sys.executable, "-c", "import served; served.command()", str(there.fileno()), host, world]
+    where = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    loop = subprocess.Popen(words, pass_fds=(there.fileno(),), env=where, stdin=subprocess.DEVNULL)
+    there.close()
+    here.send(arm_model.acceleration)
+    why = here.recv()
+    if why:
+        raise DeviceError(why)
+    return Franka(here, names=arm_model.joints, clock=time.clock, sleep=time.sleep, gone=loop.wait)
+
+
+def command() -> None:
+    """Be the process with the loop."""
+    number, host, world = sys.argv[1:]
+    pipe, sdk = Connection(int(number)), importlib.import_module("pylibfranka")
+    acceleration = pipe.recv()
+    robot, why = connect(sdk, host, realtime=False)
+    pipe.send(why)
+    if robot is not None:
+        Loop(pipe, sdk, robot, acceleration, World(world).clock).serve()
 
 
 def gripper(port: str, *, world: str, counts: tuple[int, int]) -> Robotiq2F:

@@ -1,0 +1,145 @@
+"""The arm of a served cell behind libfranka's own protocol: franka-sim's server, with MuJoCo's cell as its arm.
+
+franka-sim is installed without what it needs (its server wants numpy alone): `pip install --no-deps
+franka-sim==1.1.7`. All its times go by the cell's clock, and the cell waits for each of its cycles.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from served_world import World
+
+from anther.sim import cell
+from anther.sim._motor import contact_vector
+
+NO_SERVER = "no franka-sim; run: pip install --no-deps franka-sim==1.1.7"
+CYCLE = 1e-3  # s
+PATIENCE = 0.5  # s of the wall in which a cycle is told; else the cell goes on without
+TIMED = ("state_stream", "motion_session", "set_commands")
+"""Modules of the server that look at a clock."""
+
+
+def has_server() -> bool:
+    return find_spec("franka_sim") is not None
+
+
+class ServedFranka:
+    """What the server takes for its arm. `references` and `tell` are called by who serves the cell.
+
+    Its controller goes with the joints that it is told every millisecond, and catches up; without being told it goes
+    on, as the server does, for 20 cycles.
+
+    Attributes: `batch`, `told_every`, in steps of the world.
+    """
+
+    batch = told_every = 1
+    enable_vis = False
+
+    def __init__(self, host: str, world: cell.Cell, shared: World, catching_up: Callable[..., np.ndarray]) -> None:
+        self._world, self._shared, self._catching_up = world, shared, catching_up
+        self.q, self.v = world.joints, np.zeros(7)
+        self._told = [(0.0, self.q.copy())] * 3
+        self._over, self._base = threading.Event(), (0, 0.0)
+        self._snapshot: dict[str, Any] = {}
+        self.tell()
+        clock = SimpleNamespace(
+            sleep=shared.sleep, **dict.fromkeys(("time", "perf_counter", "monotonic"), shared.clock)
+        )
+        for name in TIMED:
+            vars(import_module(f"franka_sim.server.{name}"))["time"] = clock
+        server = import_module("franka_sim.franka_sim_server").FrankaSimServer
+        self._server = server(
+            host=host, physics_sim=self, enable_gripper=False, enforce_comm_constraints=True, enforce_motion_limits=True
+        )
+        threading.Thread(target=self._server.start, daemon=True).start()
+
+    def close(self) -> None:
+        self._over.set()
+        self._server.stop()
+
+    def references(self, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return joints, rates and accelerations (steps, 7) of the next steps of the world."""
+        self._keep_up()
+        dt, now, rows = self._world.timestep, self._world.time, []
+        for step in range(1, steps + 1):
+            there, rate, push = self._wanted(now + step * dt)
+            most = self._world.arm.acceleration
+            push = np.clip(push + self._catching_up(there - self.q, rate - self.v, most), -most, most)
+            self.v = self.v + push * dt
+            self.q = self.q + self.v * dt
+            rows.append((self.q, self.v, push))
+        q, v, a = (np.array(part) for part in zip(*rows, strict=True))
+        return q, v, a
+
+    def tell(self) -> None:
+        """Put down what the server is to say of the arm."""
+        world = self._world
+        q, v = world.joints, world.data.qvel[world._arm_dofs].copy()
+        force = contact_vector(world)
+        self._snapshot = {
+            "q": q,
+            "dq": v,
+            "ddq": np.zeros(7),
+            "q_d": self._told[-1][1],
+            "dq_d": v,
+            "ddq_d": np.zeros(7),
+            "tau_J": np.zeros(7),
+            "O_T_EE": world.arm.forward(q).T.flatten(),
+            "O_dP_EE": np.zeros(3),
+            "O_J_EE": world.arm.jacobian(q),
+            "O_F_ext_hat_K": [*force, 0.0, 0.0, 0.0],
+            "self_collision": None,
+        }
+
+    # What the server asks of its physics.
+
+    def initialize_simulation(self) -> None: ...
+
+    def start(self) -> None:
+        self._over.wait()
+
+    def stop(self) -> None: ...
+
+    def set_control_mode(self, mode: Any) -> None: ...
+
+    def update_torques(self, torques: Any) -> None: ...
+
+    def update_joint_velocities(self, velocities: Any) -> None:
+        raise NotImplementedError("the served arm is told joints")
+
+    def update_joint_positions(self, positions: Any) -> None:
+        now, q = self._shared.clock(), np.array(positions, dtype=float)
+        self._told = [*self._told[1:], (now, q)]
+
+    def get_robot_state(self) -> dict[str, Any]:
+        return self._snapshot
+
+    def _wanted(self, now: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return joints, rates and accelerations (7,): the last that were told, and on from there for a few cycles."""
+        (_, first), (_, before), (when, q) = self._told
+        if now - when > 20 * CYCLE:
+            return q, np.zeros(7), np.zeros(7)
+        rate, push = (q - before) / CYCLE, (q - 2 * before + first) / CYCLE**2
+        ahead = now - when
+        return q + rate * ahead, rate, push
+
+    def _keep_up(self) -> None:
+        """Wait until the server has told of the world's present cycle, as far as it tells anybody."""
+        server, until = self._server, time.monotonic() + PATIENCE
+        sent, begun = self._base
+        if not server.transmitting_state or server.states_sent < sent:
+            self._base = server.states_sent, self._world.time
+            return
+        while time.monotonic() < until and server.transmitting_state:
+            if server.states_sent - sent >= (self._world.time - begun) / CYCLE - 2:
+                return
+            time.sleep(1e-4)
+        self._base = server.states_sent, self._world.time
