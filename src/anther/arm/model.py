@@ -165,6 +165,8 @@ class ArmModel:
         riders: what sits on links.
         wrist: of the link before the last, what lies on the flange's axis whatever the joints, in the flange's frame;
             None where there is no such thing. It saves planning time.
+        slows: (J, 2) where the robot allows less speed near the ends of its range, else None: by how much less
+            [rad/s], and the deceleration to stop there with [rad/s^2].
         local: (J, 4, 4) pose of each link in the one before, at joint angle 0; follows from `links`.
     """
 
@@ -191,6 +193,7 @@ class ArmModel:
     base_solids: tuple[Solid, ...] = ()
     riders: tuple[Rider, ...] = ()
     wrist: Capsule | None = None
+    slows: Array | None = None
     local: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -224,6 +227,15 @@ class ArmModel:
             base_solids=tuple(replace(s, center=up(s.center)) for s in self.base_solids),
             shoulder=self.shoulder + np.array([0, 0, height]),
         )
+
+    def fastest(self, q: ArrayLike, *, down: bool = False) -> Array:
+        """Return the greatest speeds (..., J) [rad/s] with which joints (..., J) [rad] may turn up, or down."""
+        q = np.asarray(q, dtype=np.float64)
+        if self.slows is None:
+            return np.broadcast_to(self.velocity, q.shape)
+        left = np.maximum(q - self.lower if down else self.upper - q, 0.0)
+        offset, deceleration = self.slows.T
+        return np.clip(np.sqrt(2 * deceleration * left) - offset, 0.0, self.velocity)
 
     @property
     def count(self) -> int:

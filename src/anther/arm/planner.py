@@ -168,7 +168,7 @@ class Planner:
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
         length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _kinematics.angle(here, target)
         motion = timing.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
-        return timing.check_effort(self.arm, motion)
+        return timing.check_effort(self.arm, timing.within_speed(self.arm, motion))
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
         """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
@@ -253,7 +253,8 @@ class Planner:
         parts = [] if leave is None else [leave]
         if np.abs(end - begin).max() > 1e-9 or (leave is None and enter is None):
             parts.append(self._free_motion(begin, end))
-        return timing.check_effort(self.arm, timing.joined(parts if enter is None else [*parts, enter.backwards()]))
+        motion = timing.joined(parts if enter is None else [*parts, enter.backwards()])
+        return timing.check_effort(self.arm, timing.within_speed(self.arm, motion))
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the straight joint line if it is free, else the quickest way around that was found."""

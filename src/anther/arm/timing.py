@@ -31,6 +31,10 @@ USABLE = 0.9
 """Share of each effort limit that weight and inertia may take. The rest is for friction, of which nothing is published
 for the robot: the numbers in Rethink's Gazebo model (facts: sawyer 1) calm a simulation, and with them the wrist could
 not reach the SDK's own speed limit. An estimate."""
+LESS = 1e-3
+"""No speed [rad/s]."""
+NEARLY = 0.95
+"""Share that is used of the speed allowed near the end of a joint's range: between two samples it changes."""
 SLOWER = (1.0, 1.02, 1.05, 1.1, 1.2)
 """Factors of time tried for a motion that needs more."""
 
@@ -68,6 +72,17 @@ def within_effort(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory
     """Return the motion, slowed down evenly by up to a fifth where the motors are not strong enough for it."""
     motions = (JointTrajectory(trajectory.times * k, trajectory.positions, trajectory.velocities / k) for k in SLOWER)
     return next((motion for motion in motions if effort_share(arm, motion).max() <= USABLE), trajectory)
+
+
+def within_speed(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
+    """Return the motion, slowed down evenly where it is too fast for an arm that `slows` near the ends of its range."""
+    if arm.slows is None:
+        return trajectory
+    q, v = trajectory.positions, trajectory.velocities
+    most = np.where(v > 0, arm.fastest(q), arm.fastest(q, down=True))
+    moves = np.abs(v) > LESS
+    factor = max(1.0, float((np.abs(v[moves]) / np.maximum(most[moves], LESS)).max(initial=0.0)) / NEARLY)
+    return JointTrajectory(trajectory.times * factor, q, v / factor)
 
 
 def shake_amplitude(arm: ArmModel, q: Array, rates: Array, frequencies: ArrayLike) -> Array:
