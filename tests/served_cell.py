@@ -51,8 +51,8 @@ FILES: dict[ArmName, str] = {"sawyer": "sawyer_ros1.toml", "fr3": "franka.toml"}
 CELLS = Path(__file__).parent / "cells"
 RENDERED = 0.05  # of the wall's time: in which one core renders 30 frames a second and decides in 0.3 s
 FOLLOWS = 100.0  # rad/s: how fast the arm's controller follows what it is told; a guess
-CATCHES_UP = 0.3  # of the arm's accelerations, with which it does so: what planned motions leave; a guess
-BEHIND = 0.013  # s by which a Sawyer's controller is: it goes between commands 10 ms apart, the newer of which is there
+CATCHES_UP = 0.15  # of the arm's accelerations, with which it does so: planned motions leave 0.3; a guess
+BEHIND = 0.025  # s by which a Sawyer's controller is: it goes between commands 10 ms apart, which may come that late
 FORCE = 20.0  # N: the least a Robotiq 2F-85 can be set to
 STROKE = 0.085  # m, of a 2F-85; the fingers of this cell open `SAWYER.tool.stroke`
 

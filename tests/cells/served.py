@@ -23,6 +23,7 @@ from anther.arm.model import ArmModel
 from anther.devices import DeviceError, Frame
 from anther.drivers import free_running, realsense
 from anther.drivers._franka_loop import Loop, connect
+from anther.drivers._priority import served_first
 from anther.drivers.franka import Franka
 from anther.drivers.intera import types
 from anther.drivers.robotiq import Robotiq2F, open_line
@@ -63,7 +64,8 @@ def command() -> None:
     robot, why = connect(sdk, host, realtime=False)
     pipe.send(why)
     if robot is not None:
-        Loop(pipe, sdk, robot, acceleration, World(world).clock).serve()
+        with served_first():
+            Loop(pipe, sdk, robot, acceleration, World(world).clock).serve()
 
 
 def gripper(port: str, *, world: str, counts: tuple[int, int]) -> Robotiq2F:
