@@ -238,9 +238,11 @@ def test_an_arm_turns_no_faster_than_it_may_near_the_end_of_its_range() -> None:
         curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
         t = np.arange(0, motion.duration, 1e-3)
         v = curve(t, 1)
-        shares.append(np.abs(v / np.where(v > 0, arm.fastest(curve(t)), arm.fastest(curve(t), down=True))).max())
+        shares.append(
+            np.abs(v / np.where(v > 0, arm.speed_limit(curve(t)), arm.speed_limit(curve(t), down=True))).max()
+        )
     assert max(shares) <= 1
-    assert np.all(arm.fastest(arm.upper) == 0)
-    assert np.all(arm.fastest(0.5 * (arm.lower + arm.upper)) > 1.0)
+    assert np.all(arm.speed_limit(arm.upper) == 0)
+    assert np.all(arm.speed_limit(0.5 * (arm.lower + arm.upper)) > 1.0)
     sawyer = in_simulated_cell("sawyer")
-    assert np.array_equal(sawyer.fastest(sawyer.upper), sawyer.velocity)
+    assert np.array_equal(sawyer.speed_limit(sawyer.upper), sawyer.velocity)

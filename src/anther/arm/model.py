@@ -228,7 +228,7 @@ class ArmModel:
             shoulder=self.shoulder + np.array([0, 0, height]),
         )
 
-    def fastest(self, q: ArrayLike, *, down: bool = False) -> Array:
+    def speed_limit(self, q: ArrayLike, *, down: bool = False) -> Array:
         """Return the greatest speeds (..., J) [rad/s] with which joints (..., J) [rad] may turn up, or down."""
         q = np.asarray(q, dtype=np.float64)
         if self.slows is None:

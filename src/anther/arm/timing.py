@@ -79,7 +79,7 @@ def within_speed(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
     if arm.slows is None:
         return trajectory
     q, v = trajectory.positions, trajectory.velocities
-    most = np.where(v > 0, arm.fastest(q), arm.fastest(q, down=True))
+    most = np.where(v > 0, arm.speed_limit(q), arm.speed_limit(q, down=True))
     moves = np.abs(v) > LESS
     factor = max(1.0, float((np.abs(v[moves]) / np.maximum(most[moves], LESS)).max(initial=0.0)) / NEARLY)
     return JointTrajectory(trajectory.times * factor, q, v / factor)
