@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -40,7 +41,7 @@ def asked(arm: ArmName) -> Iterator[str]:
         pytest.importorskip("pylibfranka", reason="no pylibfranka; run: pip install 'anther[franka]'")
         if not has_server():
             pytest.skip(NO_SERVER)
-        yield "127.0.0.1"
+        yield f"127.0.1.{1 + os.getpid() % 250}"  # libfranka's port is always the same
 
 
 @pytest.fixture(scope="module", params=["sawyer", "fr3"])
