@@ -35,10 +35,11 @@ def to_the_stem(back: float = 0.0, last: float = 1.0) -> Array:
 
 
 CASE = Case(0, "joints silent", "shake", 0.5)
+STRUCK = 1.0  # s
 
 
 def test_an_arm_that_stands_before_the_plant_with_open_pads_is_safe() -> None:
-    assert unsafe(machines(to_the_stem(back=0.2)), plan(), CASE) == ""
+    assert unsafe(machines(to_the_stem(back=0.2)), plan(), CASE, STRUCK) == ""
 
 
 @pytest.mark.parametrize(
@@ -53,14 +54,25 @@ def test_an_arm_that_stands_before_the_plant_with_open_pads_is_safe() -> None:
     ],
 )
 def test_what_is_not_safe_is_seen(joints: Array, opening: float, case: Case, why: str) -> None:
-    assert why in unsafe(machines(joints, opening), plan(), case)
+    assert why in unsafe(machines(joints, opening), plan(), case, STRUCK)
 
 
 def test_pads_that_nothing_could_open_are_safe_while_the_arm_is_where_it_took_the_stem() -> None:
     held = machines(to_the_stem(), 0.008)
     for kind in ("kill -9", "gripper silent"):
-        assert unsafe(held, plan(), replace(CASE, kind=kind)) == ""
-        assert unsafe(machines(to_the_stem(back=0.2), 0.008), plan(), replace(CASE, kind=kind)) == "torn"
+        assert unsafe(held, plan(), replace(CASE, kind=kind), STRUCK) == ""
+        torn = machines(to_the_stem(back=0.2), 0.008)
+        assert unsafe(torn, plan(), replace(CASE, kind=kind), STRUCK) == "torn"
+
+
+def test_what_a_node_told_before_it_died_says_nothing_of_the_end() -> None:
+    dead, died = machines(to_the_stem()[:150]), 1.49
+    assert unsafe(dead, plan(), replace(CASE, kind="the robot's node dies"), died) == ""
+
+
+def test_a_command_that_comes_late_is_no_speed() -> None:
+    fast = STEM + (to_the_stem(back=0.1) - STEM) * 10.0  # 1.5 rad/s, of the 1.7 that the slowest joint may
+    assert "joint speed" not in unsafe(machines(np.delete(fast, 100, axis=0)), plan(), CASE, STRUCK)
 
 
 def test_the_time_to_rest_is_that_of_the_motion_that_was_struck() -> None:
