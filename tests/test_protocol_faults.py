@@ -71,7 +71,7 @@ def test_what_a_node_told_before_it_died_says_nothing_of_the_end() -> None:
 
 
 def test_a_command_that_comes_late_is_no_speed() -> None:
-    fast = STEM + (to_the_stem(back=0.1) - STEM) * 10.0  # 1.5 rad/s, of the 1.7 that the slowest joint may
+    fast = STEM + (to_the_stem(back=0.1) - STEM) * 7.0  # 1.05 rad/s, of the 1.33 that the slowest joint may
     assert "joint speed" not in unsafe(machines(np.delete(fast, 100, axis=0)), plan(), CASE, STRUCK)
 
 
