@@ -108,9 +108,8 @@ def test_the_cameras_see_the_plant_where_it_is(machines: tuple[Served, CellFile,
     assert robot.side_camera is not None
     camera, T_world_cam = robot.side_camera.intrinsics, file.T_world_side_camera
     frame: Any = robot.side_camera.read()
-    mount = np.array(
-        [0, 0, file.model.shoulder[2] - served.place.arm.shoulder[2]]
-    )  # the file's world is the arm's base
+    # the file counts from the arm's base, which stands on a mount
+    mount = np.array([0, 0, file.model.shoulder[2] - served.place.arm.shoulder[2]])
     flowers = served.place.plant.flower_position + mount
     inside = np.linalg.inv(T_world_cam) @ np.column_stack([flowers, np.ones(len(flowers))]).T
     u, v = camera.fx * inside[0] / inside[2] + camera.cx, camera.fy * inside[1] / inside[2] + camera.cy
