@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
-from itertools import pairwise
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, Listener
 from pathlib import Path
@@ -30,7 +29,7 @@ import numpy as np
 from fake_robotiq import FakeRobotiq
 from fake_sawyer import FakeSawyer
 from made_realsense import UNIT
-from scipy.interpolate import CubicHermiteSpline
+from served_controller import Aim, along, catching_up, references
 from served_franka import ServedFranka
 from served_world import World
 
@@ -50,8 +49,6 @@ from anther.sim.truth import NOMINAL, Truth, draw
 FILES: dict[ArmName, str] = {"sawyer": "sawyer_ros1.toml", "fr3": "franka.toml"}
 CELLS = Path(__file__).parent / "cells"
 RENDERED = 0.05  # of the wall's time: in which one core renders 30 frames a second and decides in 0.3 s
-FOLLOWS = 100.0  # rad/s: how fast the arm's controller follows what it is told; a guess
-CATCHES_UP = 0.15  # of the arm's accelerations, with which it does so: planned motions leave 0.3; a guess
 BEHIND = 0.025  # s by which a Sawyer's controller is: it goes between commands 10 ms apart, which may come that late
 FORCE = 20.0  # N: the least a Robotiq 2F-85 can be set to
 STROKE = 0.085  # m, of a 2F-85; the fingers of this cell open `SAWYER.tool.stroke`
@@ -83,34 +80,17 @@ class Plant:
         return cell.Cell(grow(self.species, self.seed, 0.0, self.distance, truth), arm.waiting, params, truth, arm)
 
 
-def catching_up(off: np.ndarray, rate_off: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-    """Return accelerations (J,) with which a controller comes to where it should be, `off` (J,) [rad] from it and
-    `rate_off` (J,) [rad/s] slower, and stops there."""
-    most = CATCHES_UP * acceleration
-    rate = np.sign(off) * np.minimum(FOLLOWS * np.abs(off), np.sqrt(most * np.abs(off)))
-    return np.clip(FOLLOWS * (rate + rate_off), -most, most)
-
-
-def between(commands: list[Any], when: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return joints, rates, accelerations (J,) at a time [s] among commands: cubic in between, straight on after."""
-    for (t0, _, q0, v0), (t1, _, q1, v1) in pairwise(commands):
-        if t0 <= when < t1:
-            curve = CubicHermiteSpline([t0, t1], [q0, q1], [v0, v1])
-            return curve(when), curve(when, 1), curve(when, 2)
-    t, _, q, v = commands[0] if when < commands[0][0] else commands[-1]
-    return q + v * (when - t), v, np.zeros_like(v)
-
-
 class ServedSawyer(FakeSawyer):
     """The fake Sawyer's topics, with MuJoCo's arm behind them. It has no thread: `references` and `tell` are called.
 
-    Its controller goes from command to command, smoothly, and catches up where one came late.
+    Its controller goes from command to command, each at the time that it says by the cell's clock
+    (`cells/served.py`), and catches up where one came late.
     """
 
     batch, told_every = 2, 10  # steps of the world, of 1 ms
 
-    def __init__(self, master: str, world: cell.Cell, shared: World) -> None:
-        self._world, self._shared = world, shared
+    def __init__(self, master: str, world: cell.Cell) -> None:
+        self._world, self._commands = world, list[tuple[int, Aim]]()
         super().__init__(master, joints=world.joints, clock=lambda: world.time)
 
     def _run(self) -> None:
@@ -121,38 +101,18 @@ class ServedSawyer(FakeSawyer):
 
     def references(self, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return joints, rates and accelerations (steps, 7) of the next steps of the world."""
-        dt, now = self._world.timestep, self._world.time
-        rows = []
-        for step in range(1, steps + 1):
-            push = np.clip(self._wanted(now + step * dt, dt), -ACCELERATION, ACCELERATION)
-            self.v = self.v + push * dt
-            self.q = self.q + self.v * dt
-            rows.append((self.q, self.v, push))
-        q, v, a = (np.array(part) for part in zip(*rows, strict=True))
-        return q, v, a
+        return references(self, self._world, steps)
 
-    def _command(self, message: Any) -> None:
-        order = [message.names.index(name) for name in SAWYER.joints]
-        rate = message.velocity[order] if message.mode == 4 else np.zeros(7)
-        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        told = self._shared.clock() - (time.time() - stamp) * self._shared.rate  # threads may have kept it waiting
-        new = (told, message.mode, message.position[order], rate)
-        self._target = (*(self._target or ())[-4:], new)
-
-    def _wanted(self, now: float, dt: float) -> np.ndarray:
-        commands = self._target  # another thread may put new ones into its place
-        if commands is None or not self.enabled:
+    def push(self, when: float, dt: float) -> np.ndarray:
+        commands = self._commands  # another thread may put new ones into its place
+        if not commands or not self.enabled:
             return -self.v / dt
-        told, mode, q, _ = commands[-1]
+        mode, (told, q, _) = commands[-1]
         if mode == 1:
-            way = q - self.q
-            least = np.minimum(FOLLOWS * np.abs(way), np.sqrt(ACCELERATION * np.abs(way)))
-            rate = np.sign(way) * np.minimum(least, self.ratio * VELOCITY)
-            return FOLLOWS * (rate - self.v)
-        if now - told > self.timeout:
+            return catching_up(q - self.q, -self.v, ACCELERATION, self.ratio * VELOCITY)
+        if when - told > self.timeout:
             return -self.v / dt
-        there, rate, push = between([c for c in commands if c[1] == mode], now - BEHIND)
-        return push + catching_up(there - self.q, rate - self.v, ACCELERATION)
+        return along(self, [aim for of, aim in commands if of == mode], when - BEHIND, ACCELERATION)
 
     def tell(self) -> None:
         """Publish what its encoders read, and the force at its flange."""
@@ -160,6 +120,16 @@ class ServedSawyer(FakeSawyer):
         self.force = float(np.linalg.norm(contact_vector(self._world)))
         self._tell()
         self.q = reference
+
+    def _command(self, message: Any) -> None:
+        order = [message.names.index(name) for name in SAWYER.joints]
+        rate = message.velocity[order] if message.mode == 4 else np.zeros(7)
+        told = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self._commands = [*self._commands[-4:], (message.mode, (told, message.position[order], rate))]
+
+    def _enable(self, message: Any) -> None:
+        super()._enable(message)
+        self._commands = []
 
 
 class ServedRobotiq(FakeRobotiq):
@@ -248,9 +218,9 @@ class Served:
         self._shared = World(folder / "world", count=self.place.model.nq)
         self._share()
         self._arm: ServedSawyer | ServedFranka = (
-            ServedSawyer(master, self.place, self._shared)
+            ServedSawyer(master, self.place)
             if plant.arm == "sawyer"
-            else ServedFranka(master, self.place, self._shared, catching_up)
+            else ServedFranka(master, self.place, self._shared)
         )
         self._gripper = ServedRobotiq(self.place)
         self._renderers, self._pipes = [], dict[str, Connection]()

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from served_controller import along, references
 from served_world import World
 
 from anther.sim import cell
@@ -22,6 +23,8 @@ from anther.sim._motor import contact_vector
 
 NO_SERVER = "no franka-sim; run: pip install --no-deps franka-sim==1.1.7"
 CYCLE = 1e-3  # s
+BEHIND = 0.008  # s by which the controller is: commands come up to a few cycles late
+LEAST, KEPT = 3, 20  # commands
 PATIENCE = 0.5  # s of the wall in which a cycle is told; else the cell goes on without
 TIMED = ("state_stream", "motion_session", "set_commands")
 """Modules of the server that look at a clock."""
@@ -34,8 +37,7 @@ def has_server() -> bool:
 class ServedFranka:
     """What the server takes for its arm. `references` and `tell` are called by who serves the cell.
 
-    Its controller goes with the joints that it is told every millisecond, and catches up; without being told it goes
-    on, as the server does, for 20 cycles.
+    Its controller goes with the joints that the server is told, or goes on with, in every cycle of a millisecond.
 
     Attributes: `batch`, `told_every`, in steps of the world.
     """
@@ -43,10 +45,9 @@ class ServedFranka:
     batch = told_every = 1
     enable_vis = False
 
-    def __init__(self, host: str, world: cell.Cell, shared: World, catching_up: Callable[..., np.ndarray]) -> None:
-        self._world, self._shared, self._catching_up = world, shared, catching_up
-        self.q, self.v = world.joints, np.zeros(7)
-        self._told = [(0.0, self.q.copy())] * 3
+    def __init__(self, host: str, world: cell.Cell, shared: World) -> None:
+        self._world, self.q, self.v = world, world.joints, np.zeros(7)
+        self._commands, self._zero = [(0.0, self.q.copy())], 0.0
         self._over, self._base = threading.Event(), (0, 0.0)
         self._snapshot: dict[str, Any] = {}
         self.tell()
@@ -55,8 +56,7 @@ class ServedFranka:
         )
         for name in TIMED:
             vars(import_module(f"franka_sim.server.{name}"))["time"] = clock
-        server = import_module("franka_sim.franka_sim_server").FrankaSimServer
-        self._server = server(
+        self._server = _server(self)(
             host=host, physics_sim=self, enable_gripper=False, enforce_comm_constraints=True, enforce_motion_limits=True
         )
         threading.Thread(target=self._server.start, daemon=True).start()
@@ -68,16 +68,24 @@ class ServedFranka:
     def references(self, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return joints, rates and accelerations (steps, 7) of the next steps of the world."""
         self._keep_up()
-        dt, now, rows = self._world.timestep, self._world.time, []
-        for step in range(1, steps + 1):
-            there, rate, push = self._wanted(now + step * dt)
-            most = self._world.arm.acceleration
-            push = np.clip(push + self._catching_up(there - self.q, rate - self.v, most), -most, most)
-            self.v = self.v + push * dt
-            self.q = self.q + self.v * dt
-            rows.append((self.q, self.v, push))
-        q, v, a = (np.array(part) for part in zip(*rows, strict=True))
-        return q, v, a
+        return references(self, self._world, steps)
+
+    def push(self, when: float, dt: float) -> np.ndarray:
+        told, q = zip(*self._commands, strict=True)
+        if len(told) < LEAST or when - told[-1] > 20 * CYCLE:
+            aims = [(told[-1], q[-1], np.zeros(7))]
+        else:
+            aims = list(zip(told, q, np.gradient(q, told, axis=0), strict=True))
+        return along(self, aims, when - BEHIND, self._world.arm.acceleration)
+
+    def command(self, cycle: int, q: Sequence[float]) -> None:
+        """Take the joints (7,) that were told in a cycle of the server."""
+        now = self._world.time
+        if abs(self._zero + cycle * CYCLE - now) > BEHIND:
+            self._zero = now - cycle * CYCLE
+        told = self._zero + cycle * CYCLE
+        before = [command for command in self._commands if command[0] < told - 0.5 * CYCLE]
+        self._commands = [*before[-KEPT:], (told, np.array(q, dtype=float))]
 
     def tell(self) -> None:
         """Put down what the server is to say of the arm."""
@@ -88,7 +96,7 @@ class ServedFranka:
             "q": q,
             "dq": v,
             "ddq": np.zeros(7),
-            "q_d": self._told[-1][1],
+            "q_d": self._commands[-1][1],
             "dq_d": v,
             "ddq_d": np.zeros(7),
             "tau_J": np.zeros(7),
@@ -115,21 +123,10 @@ class ServedFranka:
     def update_joint_velocities(self, velocities: Any) -> None:
         raise NotImplementedError("the served arm is told joints")
 
-    def update_joint_positions(self, positions: Any) -> None:
-        now, q = self._shared.clock(), np.array(positions, dtype=float)
-        self._told = [*self._told[1:], (now, q)]
+    def update_joint_positions(self, positions: Any) -> None: ...  # `command` was told them, and when
 
     def get_robot_state(self) -> dict[str, Any]:
         return self._snapshot
-
-    def _wanted(self, now: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return joints, rates and accelerations (7,): the last that were told, and on from there for a few cycles."""
-        (_, first), (_, before), (when, q) = self._told
-        if now - when > 20 * CYCLE:
-            return q, np.zeros(7), np.zeros(7)
-        rate, push = (q - before) / CYCLE, (q - 2 * before + first) / CYCLE**2
-        ahead = now - when
-        return q + rate * ahead, rate, push
 
     def _keep_up(self) -> None:
         """Wait until the server has told of the world's present cycle, as far as it tells anybody."""
@@ -143,3 +140,15 @@ class ServedFranka:
                 return
             time.sleep(1e-4)
         self._base = server.states_sent, self._world.time
+
+
+def _server(arm: ServedFranka) -> Any:
+    """Return the server's class, which says in which cycle a command belongs."""
+    base = import_module("franka_sim.franka_sim_server").FrankaSimServer
+
+    class Server(base):  # type: ignore[misc,valid-type]
+        def _dispatch_control_command(self, command: dict[str, Any], **words: Any) -> None:
+            arm.command(command["message_id"], command["q_c"])
+            super()._dispatch_control_command(command, **words)
+
+    return Server

@@ -76,7 +76,7 @@ def test_the_arm_goes_where_it_is_told(machines: tuple[Served, CellFile, Robot])
     lag = np.abs(record.commanded - record.measured).max()
     assert lag < file.safety_limits().tracking
     share = np.abs(served.place.log().torques).max(axis=0) / served.place.arm.effort
-    assert share.max() < 0.9  # what the served controller makes of commands is no burden of its own
+    assert share.max() < 0.6  # 0.5 is the motion's own: what the served controller makes of commands is no burden
 
 
 def test_a_shake_goes_as_far_as_it_is_told(machines: tuple[Served, CellFile, Robot]) -> None:

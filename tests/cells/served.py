@@ -5,13 +5,9 @@ The cameras' frames come over a socket and are handed to the SDK's `software_dev
 
 from __future__ import annotations
 
-import importlib
-import os
-import subprocess
 import sys
 import threading
-from multiprocessing import Pipe
-from multiprocessing.connection import Client, Connection
+from multiprocessing.connection import Client
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +16,10 @@ from made_realsense import SoftwareCamera
 from served_world import World
 
 from anther.arm.model import ArmModel
-from anther.devices import DeviceError, Frame
-from anther.drivers import free_running, realsense
-from anther.drivers._franka_loop import Loop, connect
-from anther.drivers._priority import served_first
-from anther.drivers.franka import Franka
+from anther.devices import Frame
+from anther.drivers import _franka_loop, free_running, realsense
+from anther.drivers._reference import Reference
+from anther.drivers.franka import Franka, open_franka
 from anther.drivers.intera import types
 from anther.drivers.robotiq import Robotiq2F, open_line
 from anther.drivers.ros1 import Node
@@ -39,33 +34,37 @@ free_running.STALLED = realsense.STALLED = 30.0  # s of the wall: the cell is sl
 def arm(master: str, *, world: str, speed_ratio: float) -> Sawyer:
     time = World(world)
     node = Node(master, "/anther", types())
-    return Sawyer(node, mode="trajectory", speed_ratio=speed_ratio, clock=time.clock, sleep=time.sleep)
+    return TimedSawyer(node, mode="trajectory", speed_ratio=speed_ratio, clock=time.clock, sleep=time.sleep)
+
+
+class TimedSawyer(Sawyer):
+    """A command says by the cell's clock for when it is: the served controller goes by that."""
+
+    _motion: Reference | None = None
+    _begin, _when = 0.0, None
+
+    def _aim(self, reference: Reference, t: float) -> None:
+        if reference is not self._motion:
+            self._motion, self._begin = reference, self._clock() - t
+        self._when = self._begin + t
+        super()._aim(reference, t)
+        self._when = None
+
+    def _message(self, *aims: Any) -> Any:
+        message, when = super()._message(*aims), self._clock() if self._when is None else self._when
+        message.header.stamp = self._make("builtin_interfaces/msg/Time", int(when), int(when % 1 * 1e9))
+        return message
 
 
 def franka(host: str, *, world: str, arm_model: ArmModel) -> Franka:
-    """As `drivers.franka.open_franka`, but for the clock of driver and loop."""
-    time, (here, there) = World(world), Pipe()
-    words = [sys.executable, "-c", "import served; served.command()", str(there.fileno()), host, world]
-    where = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    loop = subprocess.Popen(words, pass_fds=(there.fileno(),), env=where, stdin=subprocess.DEVNULL)
-    there.close()
-    here.send(arm_model.acceleration)
-    why = here.recv()
-    if why:
-        raise DeviceError(why)
-    return Franka(here, names=arm_model.joints, clock=time.clock, sleep=time.sleep, gone=loop.wait)
+    time, what = World(world), {"names": arm_model.joints, "acceleration": arm_model.acceleration}
+    begins = f"import served; served.franka_loop({world!r})"
+    return open_franka(host, **what, realtime=False, begins=begins, clock=time.clock, sleep=time.sleep)
 
 
-def command() -> None:
-    """Be the process with the loop."""
-    number, host, world = sys.argv[1:]
-    pipe, sdk = Connection(int(number)), importlib.import_module("pylibfranka")
-    acceleration = pipe.recv()
-    robot, why = connect(sdk, host, realtime=False)
-    pipe.send(why)
-    if robot is not None:
-        with served_first():
-            Loop(pipe, sdk, robot, acceleration, World(world).clock).serve()
+def franka_loop(world: str) -> None:
+    """Be the process with a Franka's loop."""
+    _franka_loop.main(World(world).clock)
 
 
 def gripper(port: str, *, world: str, counts: tuple[int, int]) -> Robotiq2F:

@@ -263,8 +263,8 @@ def connect(sdk: Any, host: str, realtime: bool) -> tuple[Any, str]:
     return robot, ""
 
 
-def main() -> None:
-    """Serve the driver behind the inherited file descriptor that is named on the command line."""
+def main(clock: Callable[[], float] = time.monotonic) -> None:
+    """Serve the driver behind the inherited file descriptor that is named on the command line; clock: [s], its own."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the driver too: it asks for the stop
     pipe = Connection(int(sys.argv[1]))
     host, acceleration, realtime = pipe.recv()
@@ -276,4 +276,4 @@ def main() -> None:
         gc.freeze()
         gc.disable()  # nothing here makes cycles, and collecting takes milliseconds
         with served_first():
-            Loop(pipe, sdk, robot, acceleration).serve()
+            Loop(pipe, sdk, robot, acceleration, clock).serve()

@@ -257,7 +257,16 @@ class Franka:
             raise DeviceError(f"{GONE}.") from error
 
 
-def open_franka(host: str, *, names: Sequence[str], acceleration: Array, realtime: bool = True) -> Franka:
+def open_franka(
+    host: str,
+    *,
+    names: Sequence[str],
+    acceleration: Array,
+    realtime: bool = True,
+    begins: str = BEGINS,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> Franka:
     """Return the arm at an address, with a loop in a process of its own.
 
     Args:
@@ -265,6 +274,8 @@ def open_franka(host: str, *, names: Sequence[str], acceleration: Array, realtim
         names: (7,) of the joints, from the base.
         acceleration: (7,) with which it brakes [rad/s^2].
         realtime: ask for a real-time kernel, as libfranka does by default.
+        begins: what the loop's process runs: `_franka_loop.main`, with this clock.
+        clock, sleep: [s]; the clock that readings are told on.
 
     Raises:
         MissingExtra: pylibfranka is not installed.
@@ -275,7 +286,7 @@ def open_franka(host: str, *, names: Sequence[str], acceleration: Array, realtim
     except ImportError as error:
         raise MissingExtra(f"arm: no pylibfranka ({error}). Install it with: pip install 'anther[franka]'.") from error
     here, there = Pipe()
-    words = [sys.executable, "-c", BEGINS, str(there.fileno())]
+    words = [sys.executable, "-c", begins, str(there.fileno())]
     where = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     loop = subprocess.Popen(
         words, pass_fds=(there.fileno(),), env=where, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL
@@ -290,7 +301,7 @@ def open_franka(host: str, *, names: Sequence[str], acceleration: Array, realtim
         here.close()
         _wait(loop)
         raise DeviceError(f"{why}.")
-    return Franka(here, names=names, gone=lambda: _wait(loop))
+    return Franka(here, names=names, clock=clock, sleep=sleep, gone=lambda: _wait(loop))
 
 
 def _wait(loop: subprocess.Popen[bytes]) -> None:
