@@ -10,7 +10,7 @@ from grasping_table import interval
 from rich.table import Table
 from wide_truth import markdown
 
-from anther.sim.judge import MOVED
+from anther.response import MOVED
 
 Row = dict[str, Any]
 

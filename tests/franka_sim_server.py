@@ -1,51 +1,50 @@
-"""Serves franka-sim's arm, which speaks libfranka's protocol, and writes down where it was. Run by its own Python.
+"""Serves an arm without a body behind franka-sim's server, and writes down where it was.
 
-franka-sim fetches its model by git; here it is made from the URDF that comes with it. That has no rotor inertia,
-without which the arm shakes itself apart: a little is added. How it moves is therefore not an FR3's; the protocol is.
+    python tests/franka_sim_server.py FOLDER HOST
+
+The arm is where its controller leads it. FOLDER gets the log and the world that all share.
 """
 
 from __future__ import annotations
 
-import logging
-import os
-import re
 import sys
-import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
-JOINT = 'damping="0.003" frictionloss="0.2"', 'damping="1" armature="0.2"'
+from served_franka import CYCLE, FrankaServer
+from served_world import World
+
+from anther.arm.arms import named
+from anther.arm.model import ArmModel
+
+RATE = 0.25  # of the wall's clock: a busy machine serves a thousand cycles in four seconds
 
 
-def main(folder: Path) -> None:
-    import franka_sim  # noqa: PLC0415  # pyright: ignore[reportMissingImports]
-    import mujoco  # noqa: PLC0415
+@dataclass
+class Nowhere:
+    """A world with nothing in it but the time [s]."""
 
-    urdf = (Path(franka_sim.__file__).parent / "models" / "fr3.urdf").read_text()
-    spec = mujoco.MjSpec.from_string(re.sub(r"<(visual|collision)\b.*?</\1>", "", urdf, flags=re.S))
-    spec.compile()
-    (folder / "fr3.xml").write_text(spec.to_xml().replace(*JOINT))
-    os.environ["FR3_MJCF"] = str(folder / "fr3.xml")
-    from franka_sim.franka_sim_server import FrankaSimServer  # noqa: PLC0415  # pyright: ignore[reportMissingImports]
+    arm: ArmModel
+    time: float = 0.0
+    timestep: float = CYCLE
 
-    server = FrankaSimServer(
-        host="127.0.0.1", enable_gripper=False, enforce_comm_constraints=True, enforce_motion_limits=True
-    )
 
-    def write() -> None:
-        with (folder / "log").open("w") as log:
-            while True:
-                sim = server.physics_sim
-                mode = int(server.robot_state.state["robot_mode"])
-                numbers = (time.monotonic(), sim.data.time, mode, *sim.get_robot_state()["q"])
-                log.write(" ".join(map(str, numbers)) + "\n")
-                log.flush()
-                time.sleep(2e-3)
-
-    logging.basicConfig(level=logging.INFO)  # "Server ready for new client" is waited for
-    threading.Thread(target=write, daemon=True).start()
-    server.start()
+def main(folder: Path, host: str) -> None:
+    world, shared = Nowhere(named("fr3")), World(folder / "world", count=7)
+    shared.step(world.time, world.arm.neutral, RATE)
+    arm, due = FrankaServer(host, world, shared, world.arm.neutral), time.monotonic()
+    with (folder / "log").open("w") as log:
+        while True:
+            arm.references(1)
+            world.time += CYCLE
+            arm.tell()
+            shared.step(world.time, arm.q, RATE)
+            log.write(" ".join(map(str, (time.monotonic(), world.time, *arm.q))) + "\n")
+            log.flush()
+            due = max(due + CYCLE / RATE, time.monotonic())
+            time.sleep(max(due - time.monotonic(), 0.0))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2])

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.sim import cell
+from anther.arm.model import ArmModel
 
 FOLLOWS = 100.0  # rad/s: how fast the arm's controller follows what it is told; a guess
 CATCHES_UP = 0.15  # of the arm's accelerations, with which it comes back to its way: planned motions leave 0.3; a guess
@@ -29,7 +29,18 @@ class Controlled(Protocol):
         ...
 
 
-def references(arm: Controlled, world: cell.Cell, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+class Timed(Protocol):
+    """A world with an arm, at a time [s], in steps of `timestep` [s]."""
+
+    @property
+    def time(self) -> float: ...
+    @property
+    def timestep(self) -> float: ...
+    @property
+    def arm(self) -> ArmModel: ...
+
+
+def references(arm: Controlled, world: Timed, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return joints, rates and accelerations (steps, J) of the next steps of the world; the arm is led along them."""
     dt, now, most, rows = world.timestep, world.time, world.arm.acceleration, []
     for step in range(1, steps + 1):

@@ -1,7 +1,7 @@
-"""The arm of a served cell behind libfranka's own protocol: franka-sim's server, with MuJoCo's cell as its arm.
+"""An arm behind libfranka's own protocol: franka-sim's server, with an arm of ours.
 
 franka-sim is installed without what it needs (its server wants numpy alone): `pip install --no-deps
-franka-sim==1.1.7`. All its times go by the cell's clock, and the cell waits for each of its cycles.
+franka-sim==1.1.7`. All its times go by the clock that is shared, and the world waits for each of its cycles.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from served_controller import along, references
+from served_controller import Timed, along, references
 from served_world import World
 
 from anther.sim import cell
@@ -25,6 +25,7 @@ NO_SERVER = "no franka-sim; run: pip install --no-deps franka-sim==1.1.7"
 CYCLE = 1e-3  # s
 BEHIND = 0.008  # s by which the controller is: commands come up to a few cycles late
 LEAST, KEPT = 3, 20  # commands
+SILENCE = 0.02  # s without a command, after which it brakes, as hard as it may
 PATIENCE = 0.5  # s of the wall in which a cycle is told; else the cell goes on without
 TIMED = ("state_stream", "motion_session", "set_commands")
 """Modules of the server that look at a clock."""
@@ -34,20 +35,20 @@ def has_server() -> bool:
     return find_spec("franka_sim") is not None
 
 
-class ServedFranka:
-    """What the server takes for its arm. `references` and `tell` are called by who serves the cell.
+class FrankaServer:
+    """Serves an arm: what the server takes for its physics. `references` and `tell` are called for every cycle.
 
     Its controller goes with the joints that the server is told, or goes on with, in every cycle of a millisecond.
 
-    Attributes: `batch`, `told_every`, in steps of the world.
+    Attributes: `q`, `v`, where its controller leads the arm; `batch`, `told_every`, in steps of the world.
     """
 
     batch = told_every = 1
     enable_vis = False
 
-    def __init__(self, host: str, world: cell.Cell, shared: World) -> None:
-        self._world, self.q, self.v = world, world.joints, np.zeros(7)
-        self._commands, self._zero = [(0.0, self.q.copy())], 0.0
+    def __init__(self, host: str, world: Timed, shared: World, q: np.ndarray) -> None:
+        self._world, self.q, self.v = world, q, np.zeros(7)
+        self._commands, self._zero = [(0.0, q.copy())], 0.0
         self._over, self._base = threading.Event(), (0, 0.0)
         self._snapshot: dict[str, Any] = {}
         self.tell()
@@ -61,6 +62,10 @@ class ServedFranka:
         )
         threading.Thread(target=self._server.start, daemon=True).start()
 
+    def seen(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return where the arm is: joints and rates (7,), and the force on its hand (3,) [N]."""
+        return self.q, self.v, np.zeros(3)
+
     def close(self) -> None:
         self._over.set()
         self._server.stop()
@@ -72,10 +77,9 @@ class ServedFranka:
 
     def push(self, when: float, dt: float) -> np.ndarray:
         told, q = zip(*self._commands, strict=True)
-        if len(told) < LEAST or when - told[-1] > 20 * CYCLE:
-            aims = [(told[-1], q[-1], np.zeros(7))]
-        else:
-            aims = list(zip(told, q, np.gradient(q, told, axis=0), strict=True))
+        if len(told) < LEAST or when - told[-1] > SILENCE:
+            return -self.v / dt
+        aims = list(zip(told, q, np.gradient(q, told, axis=0), strict=True))
         return along(self, aims, when - BEHIND, self._world.arm.acceleration)
 
     def command(self, cycle: int, q: Sequence[float]) -> None:
@@ -89,9 +93,8 @@ class ServedFranka:
 
     def tell(self) -> None:
         """Put down what the server is to say of the arm."""
-        world = self._world
-        q, v = world.joints, world.data.qvel[world._arm_dofs].copy()
-        force = contact_vector(world)
+        q, v, force = self.seen()
+        arm = self._world.arm
         self._snapshot = {
             "q": q,
             "dq": v,
@@ -100,9 +103,9 @@ class ServedFranka:
             "dq_d": v,
             "ddq_d": np.zeros(7),
             "tau_J": np.zeros(7),
-            "O_T_EE": world.arm.forward(q).T.flatten(),
+            "O_T_EE": arm.forward(q).T.flatten(),
             "O_dP_EE": np.zeros(3),
-            "O_J_EE": world.arm.jacobian(q),
+            "O_J_EE": arm.jacobian(q),
             "O_F_ext_hat_K": [*force, 0.0, 0.0, 0.0],
             "self_collision": None,
         }
@@ -142,7 +145,19 @@ class ServedFranka:
         self._base = server.states_sent, self._world.time
 
 
-def _server(arm: ServedFranka) -> Any:
+class ServedFranka(FrankaServer):
+    """MuJoCo's arm, served."""
+
+    def __init__(self, host: str, world: cell.Cell, shared: World) -> None:
+        self._cell = world
+        super().__init__(host, world, shared, world.joints)
+
+    def seen(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        place = self._cell
+        return place.joints, place.data.qvel[place._arm_dofs].copy(), contact_vector(place)
+
+
+def _server(arm: FrankaServer) -> Any:
     """Return the server's class, which says in which cycle a command belongs."""
     base = import_module("franka_sim.franka_sim_server").FrankaSimServer
 

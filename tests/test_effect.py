@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, fields
 from datetime import UTC, datetime
 from html import escape
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.pipeline import Params
 from anther.report import write_report
+from anther.response import Response
 from anther.results import RunResults
 from anther.shake import PRESETS
 from anther.sim.judge import Harm, Verdict, pollen_freed
@@ -158,6 +159,44 @@ def test_the_report_begins_with_the_three_answers(
     assert all(f">{escape(answer.said)}</b><span>{escape(answer.why)}</span>" in first for answer in results.answers())
     assert summary["message"] in first
     assert ("simulated" in first) == (summary["unharmed"] is not None), "whose truth it is"
+
+
+def response_of(after: tuple[float, ...], at_most: tuple[float, ...]) -> Response:
+    """What a camera measured after a shake: acceleration [m/s2], or the amplitude [m] that a flower stayed below."""
+    count = len(after)
+    numbers = {f.name: np.full(count, np.nan) for f in fields(Response) if f.name not in ("notes", "stem")}
+    numbers |= {"times": np.zeros(1), "tracks": np.zeros((1, count, 3)), "direction": np.zeros((count, 3))}
+    numbers |= {"acceleration_peak": np.array(after), "at_most": np.array(at_most)}
+    return Response(**numbers | {"visible": np.isfinite(after)})  # type: ignore[arg-type]
+
+
+UNSEEN = (np.nan, np.nan, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("after", "step", "at_most", "moved"),
+    [
+        ((4.0, 6.0, 12.0), None, UNSEEN, (True, 6.0, 3)),
+        ((1.0, 2.0, 12.0), None, UNSEEN, (False, 2.0, 3)),
+        ((np.nan, 2.0, np.nan), (9.0, 9.0, 9.0), UNSEEN, (True, 9.0, 3)),
+        ((12.0, np.nan, np.nan), None, (np.nan, 1e-4, 1e-4), (False, 0.0, 3)),
+        (UNSEEN, None, UNSEEN, (None, None, 0)),
+    ],
+    ids=["moved", "hardly", "seen during the shake", "too little to tell", "nothing seen"],
+)
+def test_of_a_real_plant_the_side_camera_tells_whether_flowers_moved(after, step, at_most, moved, tmp_path) -> None:
+    gripped = np.array([[0.004, 20.0, 1.0], [0.004, 20.0, 1.0]])
+    steps = [] if step is None else [SimpleNamespace(flowers=step)]
+    trial = SimpleNamespace(finished=True, failure=None, stop_reason="finished", gripper=gripped, steps=steps)
+    summary = _verdict(cast(Any, SimpleNamespace(trial=trial, response=response_of(after, at_most))), None, None)
+    felt = (summary["flowers_moved"], summary["felt_flower_acceleration_median_ms2"], summary["felt_flowers"])
+    assert felt == moved
+    assert summary["success"] == (moved[0] is not False), "it was held, and whether it was harmed nobody knows"
+    said = {True: "yes", False: "hardly", None: "not known"}[moved[0]]
+    results = RunResults(folder=tmp_path, summary=summary)
+    assert [answer.said for answer in results.answers()] == ["yes", "not known", said]
+    assert results.headline == ("success" if summary["success"] else "failed: the flowers hardly moved")
+    assert not any("simulated" in answer.why for answer in results.answers())
 
 
 def test_a_report_of_an_older_run_has_no_answers(tmp_path) -> None:

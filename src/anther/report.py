@@ -216,7 +216,7 @@ def _motion(results: RunResults) -> str:
     if shake is None or response is None:
         return ""
     picture = _image(lambda: figures.motion(shake, response), "predicted and measured flower motion")
-    measured = _felt(results, response)
+    measured = response.felt(results.trial.steps[-1].flowers if results.trial and results.trial.steps else None)
     rows = [
         [
             f"Flower {i + 1}",
@@ -236,13 +236,6 @@ def _motion(results: RunResults) -> str:
     text += _beside(results, measured)
     header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
     return text + picture + _film(results) + _table(header, rows)
-
-
-def _felt(results: RunResults, response: Response) -> Array:
-    """Return (F,) the acceleration measured after the shake, or else in its last step [m/s2]; NaN where in neither."""
-    steps = () if results.trial is None else results.trial.steps
-    last = np.array(steps[-1].flowers) if steps else np.full(len(response.visible), np.nan)
-    return np.where(response.visible, response.acceleration_peak, last)
 
 
 def _beside(results: RunResults, measured: Array) -> str:

@@ -31,7 +31,7 @@ EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
 
 
 class Finding(NamedTuple):
-    """One of the three questions about a trial, as its truth answers it.
+    """One of the three questions about a trial, and its answer.
 
     Attributes:
         question: in words.
@@ -126,12 +126,15 @@ class RunResults:
         return f"failed: {failure or unmoved}"
 
     def answers(self) -> tuple[Finding, ...]:
-        """Return what the simulator's truth says: held? harmed? did the flowers move? None of it in older runs."""
+        """Return whether it was held, harmed, and whether the flowers moved; nothing for older runs.
+
+        In simulation the truth says it; of a real plant gripper and side camera do, as far as they can.
+        """
         s = self.summary or {}
         if "held" not in s:
             return ()
         organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
-        between = "" if s["unharmed"] is None else f"simulated: {organ} between the pads, {_slip(s)}"
+        between = _gripped(s) if s["unharmed"] is None else f"simulated: {organ} between the pads, {_slip(s)}"
         return (
             Finding("Was the main stem held?", s["held"], "yes" if s["held"] else "no", between),
             Finding("Was the plant harmed?", s["unharmed"], *_harm(s)),
@@ -166,6 +169,13 @@ class RunResults:
         return [*stem, *(note for grasp in self.grasps[:1] for note in doubt(grasp.confidence, "best grasp"))]
 
 
+def _gripped(s: dict[str, Any]) -> str:
+    opening, force = s.get("grip_opening_m"), s.get("grip_force_n")
+    return (
+        "" if opening is None or force is None else f"the pads stood {1000 * opening:.1f} mm apart, with {force:.0f} N"
+    )
+
+
 def _slip(s: dict[str, Any]) -> str:
     slip = s.get("true_slip_m")
     return "not shaken" if slip is None or not np.isfinite(slip) else f"it slipped {1000 * slip:.1f} mm"
@@ -181,6 +191,11 @@ def _harm(s: dict[str, Any]) -> tuple[str, str]:
 
 
 def _moved(s: dict[str, Any]) -> tuple[str, str]:
+    measured = s.get("felt_flower_acceleration_median_ms2")
+    if measured is not None:
+        count = s["felt_flowers"]
+        why = f"measured by the side camera: median {measured:.1f} m/s² over {count} flower{'s' * (count != 1)}"
+        return "yes" if s["flowers_moved"] else "hardly", why
     felt, least = (s.get(f"true_flower_acceleration_{which}_ms2") for which in ("median", "least"))
     if felt is None or least is None:
         return "not known" if s["flowers_moved"] is None else "no", ""

@@ -13,6 +13,7 @@ from anther.devices import GripperState
 from anther.escalation import SHORTEST
 from anther.execution import Step
 from anther.geometry import Array
+from anther.response import MOVED
 from anther.results import watched_words
 from anther.safety import stem_stress
 
@@ -35,7 +36,8 @@ def summarise(
     """Return trial.json: flat but for the steps, units in the names, null for what was not reached or measured.
 
     The verdict has three parts, all by the simulator's truth: held, unharmed, flowers_moved; success is all three. Of a
-    real plant only the first is known, by what the gripper felt before and after the shake.
+    real plant nobody knows whether it was harmed; held is what the gripper felt before and after the shake,
+    flowers_moved what the side camera measured, null if nothing, and success that neither failed.
     """
     return {
         **_verdict(done, verdict, failure),
@@ -66,8 +68,11 @@ def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure |
     if done is not None and verdict is None and failure is None:
         trial = done.trial
         held = trial.finished and bool(len(trial.gripper) > 1 and trial.gripper[:2, 2].all())
-        parts = {"success": held, "held": held, "unharmed": None, "flowers_moved": None, "organ_grasped": None}
-        return parts | {"failure": trial.failure, "message": trial.stop_reason}
+        felt = _felt(done)
+        moved = bool(np.median(felt) >= MOVED) if len(felt) else None
+        parts = {"success": held and moved is not False, "held": held, "unharmed": None, "flowers_moved": moved}
+        parts |= {"felt_flowers": len(felt), "felt_flower_acceleration_median_ms2": _median(felt)}
+        return parts | {"failure": trial.failure, "message": trial.stop_reason, "organ_grasped": None}
     if done is None or verdict is None:
         kind, message = (None, None) if failure is None else (failure.kind, str(failure))
         parts = {"success": False, "held": False, "unharmed": None, "flowers_moved": None}
@@ -82,6 +87,14 @@ def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure |
         "message": done.trial.stop_reason if stopped else verdict.reason,
         "organ_grasped": verdict.organ_grasped or None,
     }
+
+
+def _felt(done: Done) -> Array:
+    """Return what the side camera measured of the flowers that it saw [m/s2]."""
+    if done.response is None:
+        return np.zeros(0)
+    felt = done.response.felt(done.trial.steps[-1].flowers if done.trial.steps else None)
+    return felt[np.isfinite(felt)]
 
 
 def _planned(done: Done | None) -> dict[str, Any]:
@@ -191,7 +204,7 @@ def _true(verdict: Verdict | None) -> dict[str, Any]:
     """The judge's own figures, by the simulator's truth."""
     if verdict is None:
         return {}
-    from anther.sim.judge import MOVED, MUCH, pollen_freed
+    from anther.sim.judge import MUCH, pollen_freed
 
     felt = verdict.flower_acceleration_peak[np.isfinite(verdict.flower_acceleration_peak)]
     low, middle, high = pollen_freed(felt)
@@ -241,11 +254,12 @@ def _rows(results: RunResults) -> list[tuple[str, str]]:
     rows = [("verdict", results.headline), ("", s["message"] or "")]
     rows += [(answer.question, f"{answer.said}; {answer.why}".removesuffix("; ")) for answer in results.answers()]
     if "grasp_pose7" in s:
-        held = s["organ_grasped"] or "nothing"
+        organ = s["organ_grasped"] or ("" if s["unharmed"] is None else "nothing")
         height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
         confidence = s.get("grasp_confidence")
         sure = "" if confidence is None else f"; the main stem with a probability of {confidence:.0%}"
-        rows.append(("grasped", f"{held}, {height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"))
+        where = f"{height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"
+        rows.append(("grasped", f"{organ}, {where}".removeprefix(", ")))
         along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
         amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
         seconds = s.get("shaking_seconds", s["shake_duration_s"])

@@ -33,6 +33,9 @@ from anther.response.thresholds import (
 __all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
 SCHEMA = 4
+MOVED = 5.0
+"""Median peak acceleration from which on flowers count as moved [m/s2]: an ordinary breeze of 2-4 m/s, which lets open
+fields set fruit, gives them 4-24 (facts: pollination 6)."""
 BLURRED = 0.5
 """A shutter open for a larger share of the period shows less than 0.64 of the swing: too little to make up for."""
 
@@ -84,6 +87,16 @@ class Response:
         for name in _NUMBERS:
             object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
         object.__setattr__(self, "visible", check_array("visible", self.visible, (flowers,), dtype="bool"))
+
+    def felt(self, last: Sequence[float] | None = None) -> Array:
+        """Return (F,) the peak acceleration of each flower [m/s2]; NaN where nothing tells.
+
+        It is what was measured after the shake; else during it, in its `last` step (F,) [m/s2]; else 0 where the
+        flower was followed, but moved less than can be told.
+        """
+        unmoved = np.where(np.isfinite(self.at_most), 0.0, np.nan)
+        during = np.full(len(self.visible), np.nan) if last is None else np.array(last, dtype=float)
+        return np.where(self.visible, self.acceleration_peak, np.where(np.isfinite(during), during, unmoved))
 
     def save(self, path: Path | str) -> None:
         """Write the response to an .npz."""

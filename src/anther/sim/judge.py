@@ -18,13 +18,11 @@ from anther.checks import check_array
 from anther.errors import FailureKind
 from anther.geometry import Array, inverse
 from anther.oscillation import find_frequency, fit_swing
+from anther.response import MOVED
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, HALF_DOSE, TOLERANCE, tolerances
 
-MOVED = 5.0
-"""Median peak acceleration from which on flowers count as moved [m/s2]: an ordinary breeze of 2-4 m/s, which lets open
-fields set fruit, gives them 4-24 (facts: pollination 6)."""
 MUCH = 10.0
 """Another threshold to count flowers by [m/s2]: the middle of what that breeze gives."""
 BEARERS = {
@@ -170,7 +168,7 @@ class Verdict:
 
     @property
     def flowers_moved(self) -> bool:
-        """Whether half of the flowers or more felt what a breeze gives them, `effect.MOVED`, or more."""
+        """Whether half of the flowers or more felt what a breeze gives them, `response.MOVED`, or more."""
         felt = self.flower_acceleration_peak[np.isfinite(self.flower_acceleration_peak)]
         return bool(len(felt)) and float(np.median(felt)) >= MOVED
 
