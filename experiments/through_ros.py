@@ -5,7 +5,7 @@
 **Trials**: `anther trial --cell` grasps and shakes plants of MuJoCo's cell, which is served as machines
 (`tests/served_cell.py`): a Sawyer behind a ROS 1 master or, with --arm fr3, a Franka behind franka-sim's server; a
 Robotiq over Modbus TCP; cameras of the RealSense SDK. The cell's time goes slower than the wall's, and a trial has one
-core. Each is kept in --out and is not run again.
+core. A success was held and unharmed by truth, and ended by itself. Each is kept in --out and is not run again.
 
 **A fake Sawyer**: the driver runs in a process of its own, which also writes a trial's log, and follows a joint swing
 at 1.9 Hz, as a shake does, in trajectory mode at 100 commands a second. The fake notes when each command arrives. Then,
@@ -46,6 +46,7 @@ from anther.drivers.sawyer_ros1 import Sawyer
 from anther.files import write_json
 from anther.geometry import Array
 from anther.log import Log
+from anther.response import MOVED
 
 FIRST = 9800
 """The first of the plants, tomatoes and peppers in turn; in no other table."""
@@ -143,8 +144,9 @@ def trials(count: int, truth: str, arm: ArmName, jobs: int, out: Path) -> dict[s
     done = [row for row in rows if row.get("robot_s")]
     return {
         "trials": count,
-        "success_20": sum(bool(row["held"] and row["unharmed"]) for row in rows),
+        "success_20": sum(bool(row["held"] and row["unharmed"] and not row.get("failure")) for row in rows),
         "held": sum(bool(row["held"]) for row in rows),
+        "moved": sum(bool(row.get("peaks")) and float(np.median(row["peaks"])) >= MOVED for row in rows),
         "robot_s": float(np.median([row["robot_s"] for row in done])) if done else float("nan"),
     }
 

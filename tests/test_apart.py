@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -9,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
+from multiprocessing import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +24,7 @@ from small_planner import SmallPlanner
 
 from anther.arm import sawyer
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory
+from anther.drivers import apart
 from anther.drivers.apart import ArmApart
 from anther.errors import StageFailure
 
@@ -81,6 +84,21 @@ def test_the_guard_is_there_too(arm: ArmApart) -> None:
     assert arm.joints() == pytest.approx(start)
 
 
+def test_readings_that_come_late_were_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(apart, "UNSEEN", 0.2)
+    ours, theirs = Pipe()
+    server, sample = apart._Server(theirs, os.getppid()), ArmSample(0.0, np.zeros(7), np.zeros(7), 0.0)
+    for _ in range(2):
+        server._watch(sample)
+        ours.send(("seen", 0.0))
+        time.sleep(0.3)
+    server._watch(sample)
+    server._watch(sample)
+    time.sleep(0.3)
+    with pytest.raises(DeviceError, match="nobody looked"):
+        server._watch(sample)
+
+
 def test_a_watcher_that_hangs_ends_the_motion(arm: ArmApart) -> None:
     start, hangs = arm.joints(), iter([3.0])  # the motion lasts 1.8 s at least
     with pytest.raises(DeviceError, match="nobody looked"):
@@ -105,6 +123,7 @@ import sys; sys.path[:0] = [{here!r}]
 from fake_robot import LIMITS
 from small_planner import SmallPlanner
 from slow_arms import slow_sawyer
+from anther.drivers import apart
 from anther.drivers.apart import ArmApart
 if __name__ == "__main__":
     arm = ArmApart(slow_sawyer, {{"master": sys.argv[1]}}, LIMITS)

@@ -154,7 +154,7 @@ class _Server:
     def __init__(self, pipe: Connection, parent: int) -> None:
         self._pipe, self._parent, self._why = pipe, parent, ""
         self._nexts, self._asks = queue.SimpleQueue[Any](), queue.SimpleQueue[tuple[Any, ...] | None]()
-        self._seen = 0.0
+        self._unseen: float | None = None  # since when a reading waits for somebody to look [s]
         threading.Thread(target=self._read, daemon=True).start()
 
     def serve(self, arm: Any, guarded: GuardedArm) -> None:
@@ -171,7 +171,7 @@ class _Server:
                 self._say("failed", _told(error))
 
     def _follow(self, arm: GuardedArm, trajectory: JointTrajectory, goes_on: bool) -> ArmRecord:
-        self._why, self._seen = self._why if self._why == GONE else "", time.monotonic()
+        self._why, self._unseen = self._why if self._why == GONE else "", None
         nexts = self._nexts = queue.SimpleQueue[Any]()
 
         def more() -> JointTrajectory | None:
@@ -188,10 +188,12 @@ class _Server:
             self._why = GONE
         if self._why:
             raise _Stopped(f"the motion was called off: {self._why}.")
-        if time.monotonic() - self._seen > UNSEEN:
+        now, unseen = time.monotonic(), self._unseen
+        if unseen is not None and now - unseen > UNSEEN:
             raise _Stopped(
                 f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine."
             )
+        self._unseen = now if unseen is None else unseen
         self._say("sample", sample)
 
     def _read(self) -> None:
@@ -202,7 +204,7 @@ class _Server:
                     case ("stop",):
                         self._why = "asked to stop"
                     case ("seen", _):
-                        self._seen = time.monotonic()
+                        self._unseen = None
                     case ("next", motion):
                         self._nexts.put(motion)
                     case _:

@@ -48,6 +48,8 @@ OFF_BY = 0.002
 ROOT_STRAIN = 0.01
 """Bending strain a stem bears (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2."""
 
+SPACING, DIRECTIONS = 0.005, 24
+"""Of the stations along the stem [m], and approach directions at each; with an arm, those that lead away from it."""
 STRAIGHT = 0.014
 """Half length of the stem piece that gives its direction [m]: little more than the pads hold. With 30 mm the pads bent
 stems that change direction at a node nearly twice as much (measured)."""
@@ -226,8 +228,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     candidates = candidates_along(
         stem,
         skeleton,
-        directions=params.directions,
-        spacing=max(params.spacing, length / 60),
+        directions=DIRECTIONS,
+        spacing=max(SPACING, length / 60),
         window=min(STRAIGHT, length / 8),
         ends=(min(params.base_margin, length / 4), min(TOP_MARGIN, length / 4)),
         depth=gripper.depth + TOWARD_TIPS,

@@ -21,8 +21,6 @@ class Params:
         gripper: its geometry.
         fit_gripper: True refuses what this gripper cannot do. False gives the best place on the stem whatever its size:
             the plant is looked at as if shrunk until its stem fits, and a collision only lowers the score.
-        spacing: of the stations along the stem [m].
-        directions: approach directions tried at each; with an arm, only those that lead away from its base.
         base_margin: stem left out at its root [m]; at most a quarter of the stem.
         obstacle_clearance: least distance of gripper from pot, soil and bench [m].
         wanted: how many grasps the arm must confirm.
@@ -30,14 +28,10 @@ class Params:
 
     gripper: GripperShape = field(default_factory=GripperShape)
     fit_gripper: bool = True
-    spacing: float = 0.005
-    directions: int = 24
     base_margin: float = 0.065
     obstacle_clearance: float = 0.015
     wanted: int = 3
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        check_range("spacing", self.spacing, 1e-4, 1, "m")
-        check_range("directions", self.directions, 1, 360)
         check_range("wanted grasps", self.wanted, 1, 1000)

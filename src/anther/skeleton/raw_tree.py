@@ -70,10 +70,14 @@ def edge_lengths(nodes: Array, parent: Parents) -> Array:
     return length
 
 
-def path_gain(nodes: Array, parent: Parents, radius: Array, *, alpha: float, v_bias: float) -> Array:
+ALPHA, V_BIAS = 2.0, 1.0
+"""Exponent of the mean radius, and weight of verticality, in the path score S (paper P10)."""
+
+
+def path_gain(nodes: Array, parent: Parents, radius: Array) -> Array:
     """Return (J,) what the edge above each node adds to the path score S (paper P10).
 
-    S = sum over edges of L_e * r_e^alpha * (1 + v_bias * dz_e / L_e), with r_e relative to the thickest node, so that
+    S = sum over edges of L_e * r_e^ALPHA * (1 + V_BIAS * dz_e / L_e), with r_e relative to the thickest node, so that
     S does not depend on units. The paper has |dz_e|; there a drooping leaf counts as upright, so here falling edges
     lose what rising ones gain.
     """
@@ -81,7 +85,7 @@ def path_gain(nodes: Array, parent: Parents, radius: Array, *, alpha: float, v_b
     above = np.maximum(parent, 0)
     mean_radius = (radius + radius[above]) / 2 / radius.max()
     rise = nodes[:, 2] - nodes[above, 2]
-    return length * mean_radius**alpha * np.maximum(1 + v_bias * rise / np.maximum(length, 1e-12), 0)
+    return length * mean_radius**ALPHA * np.maximum(1 + V_BIAS * rise / np.maximum(length, 1e-12), 0)
 
 
 def subtree_best(parent: Parents, gain: Array) -> Array:

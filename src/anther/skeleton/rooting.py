@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.geometry import Array
-from anther.skeleton.raw_tree import RawTree, edge_lengths, path_gain, rerooted
+from anther.skeleton.raw_tree import ALPHA, RawTree, edge_lengths, path_gain, rerooted
 from anther.skeleton.support import probability
 
-_ALPHA, _V_BIAS = 2.0, 1.0
 _LOW = 0.5
 _SAME = 0.1
 """Tips so near to each other through the tree are the same base, per plant's extent."""
@@ -26,7 +25,7 @@ base is in the cloud at all: `python experiments/fit_confidence.py`."""
 
 def stem_gain(tree: RawTree) -> Array:
     """Return (J,) the path gain (P10) by inscribed radius and roundness: a blade is thin however wide it is."""
-    gain = path_gain(tree.nodes, tree.parent, tree.thickness, alpha=_ALPHA, v_bias=_V_BIAS)
+    gain = path_gain(tree.nodes, tree.parent, tree.thickness)
     return gain * _roundness(tree)
 
 
@@ -80,7 +79,7 @@ def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Ar
     low = np.count_nonzero(z[tips] <= z.min() + _LOW * np.ptp(z))
     tips = tips[: min(max(low, 1), candidates)]  # what hangs in an arc has no low tip
     wood = tree.thickness * _roundness(tree)
-    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), _THICK) ** _ALPHA
+    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), _THICK) ** ALPHA
     rising = (z - z[np.maximum(parent, 0)]) * wood  # from another root the way there is walked the other way round
     rise = rising.sum() - 2 * _summed_down(parent, rising)
     return order[tips], np.stack([_mean_way(tree)[tips], rise[tips], z.max() - z[tips]], axis=1) / extent

@@ -74,12 +74,12 @@ def knn_links(nodes: Array, longest: float) -> NDArray[Any]:
     return np.unique(np.sort(np.stack([start[use], other[use]], axis=1), axis=1), axis=0)
 
 
-def link_costs(nodes: Array, radius: Array, links: NDArray[Any], alpha: float = 1.0, v_bias: float = 1.0) -> Array:
-    """Return the cost (E,) of each link: its length, less where it is thick and vertical (P8)."""
+def link_costs(nodes: Array, radius: Array, links: NDArray[Any]) -> Array:
+    """Return the cost (E,) of each link: its length, less where it is thick and vertical (P8, both weights 1)."""
     step = nodes[links[:, 1]] - nodes[links[:, 0]]
     length = np.linalg.norm(step, axis=1)
     mean_radius = radius[links].mean(axis=1) / radius.max()
-    return length / (mean_radius**alpha * (1 + v_bias * np.abs(step[:, 2]) / length))
+    return length / (mean_radius * (1 + np.abs(step[:, 2]) / length))
 
 
 def spanning_tree(count: int, links: NDArray[Any], cost: Array) -> NDArray[Any]:

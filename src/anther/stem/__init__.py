@@ -107,7 +107,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
 
     Args:
         skeleton: one rooted tree.
-        params: one set for every plant.
+        params: what is known better.
         flowers_at: (F, 3) centres of flowers (`flowers.flower_centres`) [m]; without them no node is TRUSS.
 
     Raises:
@@ -117,7 +117,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     params = params or Params()
     size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
     if params.tip is None:
-        path = chains(skeleton.parent, path_score(skeleton, params))[0]
+        path = chains(skeleton.parent, path_score(skeleton))[0]
         node_ids = path[: growth_end(skeleton, path, size)]
     else:
         node_ids = path = skeleton.path_from_root(nearest_node("the main stem's tip", params.tip, skeleton.nodes))

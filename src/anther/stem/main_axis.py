@@ -12,10 +12,7 @@ from anther.geometry import Array
 from anther.skeleton import Skeleton
 from anther.skeleton.raw_tree import edge_lengths, path_gain
 from anther.stem.organs import BRANCH, PLANAR_BLADE, SPUR, longest_way, stem_breadth
-from anther.stem.params import Params
 
-V_BIAS = 1.0
-"""Weight of verticality in the path score S."""
 SHORTEST = 0.05
 """A shorter stem is not believed (share of the plant's size)."""
 _WINDOW = 0.06  # length over which a step is judged (share of the plant's size)
@@ -83,9 +80,9 @@ def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:
     return whole[np.flatnonzero(whole == start)[0] :]
 
 
-def path_score(skeleton: Skeleton, params: Params) -> Array:
+def path_score(skeleton: Skeleton) -> Array:
     """Return what each edge adds to the path score (P10); less on a blade, by how much broader than thick it is."""
-    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius, alpha=params.alpha, v_bias=V_BIAS)
+    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius)
     if skeleton.width is None:
         return gain
     return gain * np.minimum(_ROUND * skeleton.radius / skeleton.width, 1)

@@ -1,4 +1,4 @@
-"""What makes a path the main stem."""
+"""What a person may know better of the main stem."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from anther.checks import check_parameters
 
 @dataclass(frozen=True, slots=True)
 class Params:
-    """What makes a path the main stem (paper P10, P11). What else is judged by stands as constants beside its use.
+    """What a person may know better. What makes a path the main stem stands as constants beside its use.
 
     Attributes:
         tip: where the main stem ends [m], by who knows better; None: it is found.
-        alpha: exponent of the mean radius in the path score S.
     """
 
     tip: tuple[float, float, float] | None = None
-    alpha: float = 2.0
 
     def __post_init__(self) -> None:
         check_parameters(self, places=("tip",))
