@@ -91,6 +91,10 @@ class FrankaServer:
         before = [command for command in self._commands if command[0] < told - 0.5 * CYCLE]
         self._commands = [*before[-KEPT:], (told, np.array(q, dtype=float))]
 
+    def rest(self) -> None:
+        """Brake: the server's motion is over."""
+        self._commands = self._commands[-1:]
+
     def tell(self) -> None:
         """Put down what the server is to say of the arm."""
         q, v, force = self.seen()
@@ -158,12 +162,16 @@ class ServedFranka(FrankaServer):
 
 
 def _server(arm: FrankaServer) -> Any:
-    """Return the server's class, which says in which cycle a command belongs."""
+    """Return the server's class, which says in which cycle a command belongs, and when a motion is over."""
     base = import_module("franka_sim.franka_sim_server").FrankaSimServer
 
     class Server(base):  # type: ignore[misc,valid-type]
         def _dispatch_control_command(self, command: dict[str, Any], **words: Any) -> None:
             arm.command(command["message_id"], command["q_c"])
             super()._dispatch_control_command(command, **words)
+
+        def _switch_to_hold_position(self) -> None:
+            arm.rest()
+            super()._switch_to_hold_position()
 
     return Server

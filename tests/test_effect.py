@@ -199,6 +199,19 @@ def test_of_a_real_plant_the_side_camera_tells_whether_flowers_moved(after, step
     assert not any("simulated" in answer.why for answer in results.answers())
 
 
+@pytest.mark.parametrize(
+    ("openings", "gripping", "held"),
+    [((5.7, 5.3), (1, 1), True), ((5.7, 4.5), (1, 1), False), ((5.7, 5.7), (1, 0), False), ((5.7, 6.5), (1, 1), True)],
+    ids=["a count nearer", "slipped out", "says so itself", "wider"],
+)
+def test_of_a_real_plant_pads_that_close_further_lost_the_stem(openings, gripping, held) -> None:
+    gripper = np.array([(1e-3 * opening, 20.0, grips) for opening, grips in zip(openings, gripping, strict=True)])
+    trial = SimpleNamespace(finished=True, failure=None, stop_reason="finished", gripper=gripper, steps=[])
+    summary = _verdict(cast(Any, SimpleNamespace(trial=trial, response=None)), None, None)
+    assert (summary["held"], summary["success"]) == (held, held)
+    assert summary["failure"] == (None if held else "slipped")
+
+
 def test_a_report_of_an_older_run_has_no_answers(tmp_path) -> None:
     older = RunResults(folder=tmp_path, summary={"success": False, "failure": "slipped", "message": "6 mm"})
     assert (older.answers(), older.headline) == ((), "failed: slipped")
