@@ -47,17 +47,22 @@ class Server:
         lines = self._log.read_text().splitlines()[:-1]
         return np.array([line.split() for line in lines[-1500:]], dtype=float)
 
-    def speeds(self) -> np.ndarray:
-        """Return the greatest speed of any joint between the rows [rad/s], by the arm's time."""
-        rows = self.rows()
-        return np.abs(np.diff(rows[:, 2:], axis=0)).max(axis=1) / np.diff(rows[:, 1])
+    def speed(self) -> float:
+        """Return how fast the fastest joint is now [rad/s]."""
+        return float(np.median(_speeds(self.rows()[-6:])))
 
     def stood_after(self, since: float) -> float:
         """Return how long after `since` [s] the arm went faster than 0.05 rad/s last, by the arm's time [s]."""
         time.sleep(2.0)
-        rows, moves = self.rows(), self.speeds() > 0.05
+        rows = self.rows()
+        moves = _speeds(rows) > 0.05
         assert not moves[-50:].any()
         return float(rows[1:, 1][moves].max() - np.interp(since, rows[:, 0], rows[:, 1]))
+
+
+def _speeds(rows: np.ndarray) -> np.ndarray:
+    """Return the greatest speed of any joint between rows [rad/s], by the arm's time."""
+    return np.abs(np.diff(rows[:, 2:], axis=0)).max(axis=1) / np.diff(rows[:, 1])
 
 
 @pytest.fixture
@@ -116,7 +121,7 @@ def test_an_arm_stands_after_kill_9(server: Server, who: str) -> None:
         assert driver.stdout is not None
         assert driver.stdout.readline() == "ready\n"
         loop = int(Path(f"/proc/{driver.pid}/task/{driver.pid}/children").read_text().split()[0])
-        while (speed := float(np.median(server.speeds()[-5:]))) < 0.4:
+        while (speed := server.speed()) < 0.4:
             assert driver.poll() is None
             time.sleep(0.002)
         os.kill(driver.pid if who == "driver" else loop, signal.SIGKILL)
