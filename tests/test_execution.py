@@ -97,6 +97,30 @@ def test_a_wrong_grip_is_let_go(width: float, kind: str) -> None:
     assert trial.phases[-1] == "retreat"
 
 
+@pytest.mark.parametrize(
+    ("nearer", "grips", "shaken"),
+    [(0.0, True, True), (0.0004, True, True), (0.001, True, False), (0.0, False, False)],
+    ids=["as it was", "a count nearer", "the stem slid out", "says so itself"],
+)
+def test_what_slid_out_of_the_pads_is_not_shaken(nearer: float, grips: bool, shaken: bool) -> None:
+    class Slides(FakeGripper):
+        """What it holds when it has closed slides out before it is looked at again."""
+
+        looked = 0
+
+        def state(self) -> GripperState:
+            state = super().state()
+            self.looked += state.is_gripping
+            later = self.looked > 1 and state.is_gripping
+            return replace(state, opening=state.opening - nearer, is_gripping=grips) if later else state
+
+    gripper = Slides(0.008)
+    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
+    assert ("shake" in trial.phases) == shaken
+    assert trial.failure == (None if shaken else "nothing_grasped")
+    assert gripper.commands[-1] == GRASP.opening
+
+
 class SoftStem(FakeGripper):
     """Presses with 6 N for each millimetre that it is closed further than the stem is wide."""
 

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from anther.devices import GripperState
 from anther.escalation import SHORTEST
-from anther.execution import Step, Trial
+from anther.execution import Step, Trial, lost_grip
 from anther.geometry import Array
 from anther.response import MOVED
 from anther.results import watched_words
@@ -89,21 +89,12 @@ def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure |
     }
 
 
-CLOSED_FURTHER = 0.00075
-"""Pads that stand nearer after the shake by this [m] lost what they held, whatever the gripper says of it: in twenty
-trials through a Robotiq's protocol it was one of its counts (0.38 mm) or none, in the one that lost the stem 1.1 mm."""
-
-
 def _slipped(trial: Trial) -> str:
     """Return how the gripper felt that it lost what it held, or never had it; empty if it did not."""
     if len(trial.gripper) < 2:
         return "nothing was gripped"
-    (before, _, _), (after, _, _) = trial.gripper[:2].tolist()
-    if not trial.gripper[:2, 2].all():
-        return "the pads held nothing" + (" after the shake" if trial.gripper[0, 2] else "")
-    if before - after > CLOSED_FURTHER:
-        return f"the pads stand {1e3 * (before - after):.1f} mm nearer after the shake: what they held slipped"
-    return ""
+    before, after = (GripperState(opening, force, bool(holds)) for opening, force, holds in trial.gripper[:2].tolist())
+    return lost_grip(before, after) if before.is_gripping else "nothing was gripped"
 
 
 def _felt(done: Done) -> Array:

@@ -23,7 +23,7 @@ from anther.devices import (
     Watch,
 )
 from anther.errors import AntherError, FailureKind, InputError, StageFailure
-from anther.execution._closing import close, wait_after
+from anther.execution._closing import close, lost_grip, wait_after
 from anther.execution._params import Params
 from anther.execution._trial import EARLY, PHASES, Step, Trial
 from anther.execution._watched import Deciding, Line, Watched
@@ -35,7 +35,7 @@ from anther.swing import Swing, whole_shake
 
 __all__ = [
     "EARLY", "PHASES", "Line", "Params", "PlannedShake", "Progress", "Step", "TrajectoryPlanner", "Trial", "Watched",
-    "execute",
+    "execute", "lost_grip",
 ]  # fmt: skip
 
 DEFAULTS = Params()
@@ -218,8 +218,11 @@ def _forward(work: _Work) -> None:
         work.in_plant = True
         work.follow(outward.backwards())
     with work.phase("close"):
-        work.grips.append(close(work.robot.gripper, grasp, work.plan.press))
+        closed = close(work.robot.gripper, grasp, work.plan.press)
+        work.grips.append(closed)
         work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
+        if why := lost_grip(closed, work.robot.gripper.state()):
+            raise StageFailure("nothing_grasped", f"{why}. Try the next grasp.")
     with work.phase("shake"):
         first = _first(work, work.watched)
         if work.watched is None or first is None:
