@@ -19,7 +19,7 @@ from anther.execution import Step, Trial
 from anther.files import write_json
 from anther.pictures.report import draw_steps
 from anther.pipeline import Params
-from anther.report import _felt, write_report
+from anther.report import write_report
 from anther.results import RunResults, watched_words
 
 NAN = float("nan")
@@ -165,11 +165,3 @@ def test_the_picture_has_a_line_for_each_tone_and_a_bar_for_each_step() -> None:
     assert list(medians.get_ydata()) == [5.0, 9.0, 8.0]  # type: ignore[arg-type]
     fast = next(line for line in tones.lines if line.get_label() == "8 Hz")
     assert np.nanmax(fast.get_ydata()) == pytest.approx(1.0), "millimetres"  # type: ignore[arg-type]
-
-
-def test_a_flower_counts_as_measured_after_the_shake_or_else_in_its_last_step(tmp_path: Path) -> None:
-    visible = np.array([False, True, False])
-    response: Any = SimpleNamespace(visible=visible, acceleration_peak=np.where(visible, 3.0, NAN))
-    watched, alone = (RunResults(tmp_path, trial=trial_of(*steps)) for steps in (STEPS, ()))
-    assert _felt(watched, response) == pytest.approx([8.0, 3.0, NAN], nan_ok=True)
-    assert _felt(alone, response) == pytest.approx([NAN, 3.0, NAN], nan_ok=True)
