@@ -46,7 +46,7 @@ from anther.drivers.sawyer_ros1 import Sawyer
 from anther.files import write_json
 from anther.geometry import Array
 from anther.log import Log
-from anther.response import MOVED
+from anther.response import moved
 
 FIRST = 9800
 """The first of the plants, tomatoes and peppers in turn; in no other table."""
@@ -146,7 +146,7 @@ def trials(count: int, truth: str, arm: ArmName, jobs: int, out: Path) -> dict[s
         "trials": count,
         "success_20": sum(bool(row["held"] and row["unharmed"] and not row.get("failure")) for row in rows),
         "held": sum(bool(row["held"]) for row in rows),
-        "moved": sum(bool(row.get("peaks")) and float(np.median(row["peaks"])) >= MOVED for row in rows),
+        "moved": sum(bool(moved(row.get("peaks", ()))) for row in rows),
         "robot_s": float(np.median([row["robot_s"] for row in done])) if done else float("nan"),
     }
 

@@ -39,7 +39,7 @@ class Server:
 
     def connected(self) -> Franka:
         """Return the arm as the driver of a served cell has it."""
-        from served import franka  # noqa: PLC0415  # needs the RealSense SDK
+        from served import franka  # noqa: PLC0415  # found on the path above
 
         return franka(HOST, world=str(self.world), arm_model=FR3)
 

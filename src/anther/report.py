@@ -216,7 +216,7 @@ def _motion(results: RunResults) -> str:
     if shake is None or response is None:
         return ""
     picture = _image(lambda: figures.motion(shake, response), "predicted and measured flower motion")
-    measured = response.felt(results.trial.steps[-1].flowers if results.trial and results.trial.steps else None)
+    measured = response.felt(results.trial.steps if results.trial else ())
     rows = [
         [
             f"Flower {i + 1}",

@@ -13,7 +13,7 @@ from anther.devices import GripperState
 from anther.escalation import SHORTEST
 from anther.execution import Step, Trial, lost_grip
 from anther.geometry import Array
-from anther.response import MOVED
+from anther.response import MOVED, moved
 from anther.results import watched_words
 from anther.safety import stem_stress
 
@@ -68,9 +68,12 @@ def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure |
     if done is not None and verdict is None and failure is None:
         trial, slipped = done.trial, _slipped(done.trial)
         held, felt = trial.finished and not slipped, _felt(done)
-        moved = bool(np.median(felt) >= MOVED) if len(felt) else None
-        parts = {"success": held and moved is not False, "held": held, "unharmed": None, "flowers_moved": moved}
-        parts |= {"felt_flowers": len(felt), "felt_flower_acceleration_median_ms2": _median(felt)}
+        parts = {"success": held and moved(felt) is not False, "held": held, "unharmed": None}
+        parts |= {
+            "flowers_moved": moved(felt),
+            "felt_flowers": len(felt),
+            "felt_flower_acceleration_median_ms2": _median(felt),
+        }
         why = ("slipped", slipped) if trial.finished and slipped else (trial.failure, trial.stop_reason)
         return parts | {"failure": why[0], "message": why[1], "organ_grasped": None}
     if done is None or verdict is None:
@@ -101,7 +104,7 @@ def _felt(done: Done) -> Array:
     """Return what the side camera measured of the flowers that it saw [m/s2]."""
     if done.response is None:
         return np.zeros(0)
-    felt = done.response.felt(done.trial.steps[-1].flowers if done.trial.steps else None)
+    felt = done.response.felt(done.trial.steps)
     return felt[np.isfinite(felt)]
 
 

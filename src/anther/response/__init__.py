@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import Frame
 from anther.errors import InputError, bad_input
+from anther.execution import Step
 from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, transform_points
@@ -30,7 +31,7 @@ from anther.response.thresholds import (
     overtones,
 )
 
-__all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
+__all__ = ["Response", "StemMotion", "StemNear", "measure_response", "moved", "stem_near"]
 
 SCHEMA = 4
 MOVED = 5.0
@@ -88,14 +89,14 @@ class Response:
             object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
         object.__setattr__(self, "visible", check_array("visible", self.visible, (flowers,), dtype="bool"))
 
-    def felt(self, last: Sequence[float] | None = None) -> Array:
+    def felt(self, steps: Sequence[Step] = ()) -> Array:
         """Return (F,) the peak acceleration of each flower [m/s2]; NaN where nothing tells.
 
-        It is what was measured after the shake; else during it, in its `last` step (F,) [m/s2]; else 0 where the
-        flower was followed, but moved less than can be told.
+        It is what was measured after the shake; else in the last of its steps; else 0 where the flower was followed,
+        but moved less than can be told.
         """
         unmoved = np.where(np.isfinite(self.at_most), 0.0, np.nan)
-        during = np.full(len(self.visible), np.nan) if last is None else np.array(last, dtype=float)
+        during = np.array(steps[-1].flowers, dtype=float) if steps else np.full(len(self.visible), np.nan)
         return np.where(self.visible, self.acceleration_peak, np.where(np.isfinite(during), during, unmoved))
 
     def save(self, path: Path | str) -> None:
@@ -115,6 +116,14 @@ class Response:
             arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
             stem = StemMotion(**{f.name: arrays.pop(f"stem_{f.name}") for f in fields(StemMotion)})
             return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), stem=stem, **arrays)
+
+
+def moved(felt: ArrayLike) -> bool | None:
+    """Return whether half of the flowers or more felt `MOVED` or more, by what is known of them (F,) [m/s2]; None if
+    nothing is."""
+    felt = np.asarray(felt, dtype=float)
+    felt = felt[np.isfinite(felt)]
+    return bool(np.median(felt) >= MOVED) if len(felt) else None
 
 
 def measure_response(

@@ -18,7 +18,7 @@ from anther.checks import check_array
 from anther.errors import FailureKind
 from anther.geometry import Array, inverse
 from anther.oscillation import find_frequency, fit_swing
-from anther.response import MOVED
+from anther.response import moved
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, HALF_DOSE, TOLERANCE, tolerances
@@ -169,8 +169,7 @@ class Verdict:
     @property
     def flowers_moved(self) -> bool:
         """Whether half of the flowers or more felt what a breeze gives them, `response.MOVED`, or more."""
-        felt = self.flower_acceleration_peak[np.isfinite(self.flower_acceleration_peak)]
-        return bool(len(felt)) and float(np.median(felt)) >= MOVED
+        return bool(moved(self.flower_acceleration_peak))
 
     @property
     def success(self) -> bool:
