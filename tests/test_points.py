@@ -257,7 +257,7 @@ def test_phases_are_on_the_clock_of_the_frames(later: float) -> None:
 # Flowers: small, of their own colour, before leaves that stand still or go another way.
 
 
-def flower_film(path: Path, *, seconds: float = 1.2) -> tuple[Frame, list[Frame]]:
+def flower_film(path: Path, *, seconds: float = 1.2, rate: float = RATE) -> tuple[Frame, list[Frame]]:
     """Return the picture at rest and a film of one yellow flower at HOMES[0], 9 px across, before leaves."""
     rng = np.random.default_rng(8)
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
@@ -274,7 +274,7 @@ def flower_film(path: Path, *, seconds: float = 1.2) -> tuple[Frame, list[Frame]
         depth = np.where(away < 4.5, DEPTH, DEPTH + 0.015).astype(np.float32)
         return Frame(time, np.clip(np.rint(rgb), 0, 255).astype(np.uint8), depth)
 
-    times = 3.1 + np.arange(0, seconds, 1 / RATE)
+    times = 3.1 + np.arange(0, seconds, 1 / rate)
     return frame(0.0, HOMES[0]), [frame(float(t), HOMES[0] + way) for t, way in zip(times, path(times), strict=True)]
 
 
@@ -292,6 +292,17 @@ def test_a_flower_is_followed_though_its_background_stands_still(size: float, wr
     found = swings(at, frames, tones, expected)
     assert off(found, truth).max() < 0.08
     assert np.isfinite(found.std[0]).all()
+
+
+@pytest.mark.parametrize("size", [0.5, 4.0, 9.0])
+@pytest.mark.parametrize("rate", [30.0, 90.0])
+def test_a_flower_found_now_here_now_there_is_not_measured_whatever_is_expected(size: float, rate: float) -> None:
+    tones, rng = np.array([7.4]), np.random.default_rng(3)
+    rest, frames = flower_film(lambda t: rng.uniform(-5, 5, (len(t), 2)), seconds=0.6, rate=rate)
+    place = np.append((HOMES[0] - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, DEPTH)
+    at = sight(rest, CAMERA, np.eye(4), place[None], np.zeros((0, 3)))
+    expected = size * PER_PIXEL * np.array([[[1.0 + 0j, 0.4j, 0.0]]])
+    assert np.isnan(swings(at, frames, tones, expected).std[0]).all()
 
 
 def test_what_a_flowers_depth_does_at_overtones_is_noise() -> None:
