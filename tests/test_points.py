@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from anther.devices import Frame
 from anther.escalation.overtones import sharpened
 from anther.geometry import Array, Intrinsics
-from anther.response.points import Sight, Swings, _basis, _Growth, likeness, sight, swings
+from anther.response.points import Sight, Swings, _basis, _Growth, _middles, likeness, sight, swings
 from anther.shake.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
@@ -303,6 +303,17 @@ def test_a_flower_found_now_here_now_there_is_not_measured_whatever_is_expected(
     at = sight(rest, CAMERA, np.eye(4), place[None], np.zeros((0, 3)))
     expected = size * PER_PIXEL * np.array([[[1.0 + 0j, 0.4j, 0.0]]])
     assert np.isnan(swings(at, frames, tones, expected).std[0]).all()
+
+
+def test_what_is_lost_is_looked_for_as_far_from_home_as_the_others_have_drifted() -> None:
+    rest, _ = film([wave(0 * SWUNG[0])] * 3)
+    at = seen(rest)
+    drift = np.array([[4.0, -9.0], [6.0, -11.0], [np.nan, np.nan]])
+    paths = np.repeat((HOMES + drift)[:, None], 20, axis=1)
+    assert _middles(at, paths) - HOMES == pytest.approx(np.array([[4.0, -9.0], [6.0, -11.0], [5.0, -10.0]]))
+    paths[0, 5:] = np.nan  # too seldom found to tell
+    assert _middles(at, paths)[0] - HOMES[0] == pytest.approx([5.0, -10.0])
+    assert _middles(at, np.full_like(paths, np.nan)) == pytest.approx(HOMES)
 
 
 def test_what_a_flowers_depth_does_at_overtones_is_noise() -> None:

@@ -5,6 +5,7 @@ P points, T frames, K tones. Pixels are (column, row).
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -153,11 +154,11 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         seeing = at.shown[: len(at.flowers)].any()
         images = list(pool.map(_smoothed, frames, gains)) if seeing else []
         paths = np.swapaxes(_paths(at, list(pictures)), 0, 1)
-    for point, around in zip(np.flatnonzero(at.shown), paths, strict=True):
+    for point, around, middle in zip(np.flatnonzero(at.shown), paths, _middles(at, paths), strict=True):
         flower, scale, path = point < len(at.flowers), at.per_pixel[point], around
         guess = None if expected is None or not flower else expected[point]
         if flower:
-            path = _flower_path(at, int(point), images, around, basis, guess)
+            path = _flower_path(at, int(point), images, around, middle, basis, guess)
         across = _fitted(basis, path, LEAST_ERROR)
         known = None if guess is None else guess[: len(tones)]
         away = _away(at, int(point), frames, path, plain, known) if flower and across is not None else None
@@ -246,7 +247,7 @@ def _picture(frame: Frame, gain: float) -> NDArray[np.uint8]:
 
 
 def _flower_path(
-    at: Sight, k: int, images: Sequence[Image], path: Array, basis: Array, expected: ComplexArray | None
+    at: Sight, k: int, images: Sequence[Image], path: Array, middle: Array, basis: Array, expected: ComplexArray | None
 ) -> Array:
     """Return (T, 2) where a flower's own pixels are [px], NaN where they are not found.
 
@@ -255,15 +256,16 @@ def _flower_path(
         k: number of the flower.
         images: T smoothed frames.
         path: (T, 2) where its surroundings were found.
+        middle: (2,) of it, see `_middles`.
         basis: (T, 2K + SLOW) of the tones.
         expected: (K, 3) its phasors [m], or None.
     """
     own = at.flowers[k]
     shift = at.pixels[k] - own.centre
-    ways = [np.where(np.isfinite(path), path, at.pixels[k])]
+    ways = [np.where(np.isfinite(path), path, middle)]
     if expected is not None:
         swing = _swung(basis, expected)[:, :2] / at.per_pixel[k]
-        ways = [at.pixels[k] + scale * swing for scale in SCALES] + ways
+        ways = [middle + scale * swing for scale in SCALES] + ways
     best, worth = np.full_like(path, np.nan), 0.0
     for way in ways:
         found = seek(images, own, way - shift, SEEK, OWN_LIKENESS) + shift
@@ -319,6 +321,20 @@ def _paths(at: Sight, pictures: Sequence[NDArray[np.uint8]]) -> Array:
         out[i] = np.where(lost[:, None], np.nan, found[:, 0])
         before, place = np.where(lost[:, None, None], found, place), found
     return out
+
+
+def _middles(at: Sight, paths: Array) -> Array:
+    """Return (S, 2) about which the paths (S, T, 2) of the points in sight go [px]: a plant drifts while it is shaken.
+
+    One that was lost in half of the frames is looked for as far from its home as the others are from theirs.
+    """
+    home = at.pixels[at.shown]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a point that was never found
+        off = np.nanmedian(paths, axis=1) - home
+        usual = np.nan_to_num(np.nanmedian(off, axis=0))
+    followed = np.isfinite(paths[:, :, 0]).mean(axis=1) > 0.5
+    return home + np.where(followed[:, None], off, usual)
 
 
 def _basis(times: Array, tones: Array) -> Array:
