@@ -160,6 +160,8 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         if flower:
             path = _flower_path(at, int(point), images, around, middle, basis, guess)
         across = _fitted(basis, path, LEAST_ERROR)
+        if flower and across is not None and _rough(path - basis @ across.coefficients):
+            across = None
         known = None if guess is None else guess[: len(tones)]
         away = _away(at, int(point), frames, path, plain, known) if flower and across is not None else None
         if across is not None:
@@ -278,19 +280,16 @@ def _flower_path(
             best, worth = found, sure
         if worth > SURE:
             break
-    return np.full_like(best, np.nan) if _rough(best, basis) else best
+    return best
 
 
-def _rough(path: Array, basis: Array) -> bool:
-    """Return whether a path (T, 2) [px] is found now here, now there about the swing that fits it.
+def _rough(off: Array) -> bool:
+    """Return whether a path that is off (T, 2) [px] from the swing that fits it is found now here, now there.
 
-    What is looked for near a swing, and found anywhere there, looks like that swing, however large. A motion that is
-    not in the basis, such as the swing into which the plant was let go, goes on from frame to frame.
+    What is looked for near a swing, and found anywhere there, looks like that swing, however large. A motion that is no
+    tone, such as the swing into which the plant was let go, goes on from frame to frame.
     """
-    fitted = _fitted(basis, path, LEAST_ERROR)
-    if fitted is None:
-        return True
-    steps = np.diff(path - basis @ fitted.coefficients, axis=0)
+    steps = np.diff(off, axis=0)
     steps = steps[np.isfinite(steps).all(axis=1)]
     return len(steps) == 0 or float(np.sqrt(np.mean(np.sum(steps**2, axis=1)) / 2)) > ROUGH
 
