@@ -5,7 +5,6 @@ P points, T frames, K tones. Pixels are (column, row).
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -327,13 +326,13 @@ def _middles(at: Sight, paths: Array) -> Array:
 
     One that was lost in half of the frames is looked for as far from its home as the others are from theirs.
     """
-    home = at.pixels[at.shown]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a point that was never found
-        off = np.nanmedian(paths, axis=1) - home
-        usual = np.nan_to_num(np.nanmedian(off, axis=0))
-    followed = np.isfinite(paths[:, :, 0]).mean(axis=1) > 0.5
-    return home + np.where(followed[:, None], off, usual)
+    home, share = at.pixels[at.shown], np.isfinite(paths[:, :, 0]).mean(axis=1)
+    found = np.nanmedian(paths[share > 0], axis=1)
+    if not len(found):
+        return home
+    middles = home + np.median(found - home[share > 0], axis=0)
+    middles[share > 0.5] = found[share[share > 0] > 0.5]
+    return middles
 
 
 def _basis(times: Array, tones: Array) -> Array:
