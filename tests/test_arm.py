@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from anther.arm import _kinematics, sawyer, shaking, timing
 from anther.arm._collision import CollisionWorld
 from anther.arm._kinematics import newton_step
+from anther.arm.planner import SEARCH_STEP, Planner
 from anther.arm.planner import Params as MotionParams
-from anther.arm.planner import Planner
 from anther.devices import JointTrajectory
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, transform
@@ -236,6 +236,15 @@ def test_move_goes_around_what_is_in_the_straight_way():
     motion = planner.move(a, b)
     assert all(planner.world.free(x) for x in motion.positions[::5])
     assert_within_limits(motion, share=0.6)
+
+
+@pytest.mark.parametrize(("share", "below"), [(0.35, 0.107), (0.65, 0.1), (0.7, 0.084)])
+def test_move_goes_around_what_only_a_finer_check_finds_in_the_straight_way(share, below):
+    a, b = (np.array([turn, -0.6, 0, 1.0, 0, 1.0, 3.0]) for turn in (-0.6, 0.6))
+    planner = Planner(NOTHING, [sawyer.link_poses(a + share * (b - a))[7, :3, 3] - [0, 0, below]])
+    assert planner.world.path_free(np.stack([a, b]), SEARCH_STEP)
+    assert not planner.world.path_free(np.stack([a, b]))
+    assert planner.world.path_free(planner.move(a, b).positions)
 
 
 def test_an_open_gripper_around_the_stem_touches_nothing(planner):

@@ -265,28 +265,39 @@ class Planner:
         )
 
     def _around(self, start: Array, goal: Array) -> JointTrajectory:
-        """Return the quickest of several ways found by RRT-Connect, its waypoints then shifted to save time."""
-        tried = (map(self._timed, paths) for paths in self._detours(start, goal))
+        """Return the quickest of several ways found by RRT-Connect that is free, its waypoints shifted to save time.
+
+        Where none is found, or a finer check finds none of them free, it is asked again in smaller steps.
+        """
+        for step in SEARCH_STEP / 2.0 ** np.arange(SEARCHES):
+            for motion, _ in sorted(self._ways(start, goal, step), key=lambda way: way[0].duration):
+                if self.world.path_free(motion.positions[::4]):
+                    return motion
+        given = f"no free path found to joints {goal.round(2)}, in {SEARCHES} searches"
+        raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
+
+    def _ways(self, start: Array, goal: Array, step: float) -> list[tuple[JointTrajectory, Array]]:
+        """Return motions by the ways found, and the waypoints (N, J) of each; free as far as steps [rad] tell."""
+        tried = (
+            (self._timed(path, step) for path in self._variants(found, step, seed))
+            for found, seed in self._detours(start, goal, step)
+        )
         ways = [way for some in tried if (way := next(filter(None, some), None))]
         rng = np.random.default_rng(self.params.seed)
         for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False) if ways else ():
             quickest, path = min(ways, key=lambda way: way[0].duration)
             shifts = left * self.arm.velocity / self.arm.velocity.mean() * rng.normal(size=path[1:-1].shape)
             moved = np.concatenate([path[:1], np.clip(path[1:-1] + shifts, self.arm.lower, self.arm.upper), path[-1:]])
-            better = self._timed(moved, BLENDS[:1], quickest.duration)
+            better = self._timed(moved, step, BLENDS[:1], quickest.duration)
             ways += [better] if better else []
-        for motion, _ in sorted(ways, key=lambda way: way[0].duration):
-            if self.world.path_free(motion.positions[::4]):
-                return motion
-        given = f"no free path found in {SEARCHES * self.params.search_time:g} s to joints {goal.round(2)}"
-        raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
+        return ways
 
     def _timed(
-        self, path: Array, blends: Sequence[float] = BLENDS, within: float = np.inf
+        self, path: Array, step: float, blends: Sequence[float] = BLENDS, within: float = np.inf
     ) -> tuple[JointTrajectory, Array] | None:
         """Return a motion by way of joints (N, J), and them, if it lasts less than `within` [s]; else None.
 
-        It is free as far as steps of `SEARCH_STEP` tell.
+        It is free as far as steps [rad] tell.
         """
         p = self.params
         if (np.abs(np.diff(path, axis=0)).sum(axis=0) / self.arm.velocity).max() >= within * p.velocity_share:
@@ -300,32 +311,26 @@ class Planner:
                 continue
             kept = timing.limit_share(self.arm, rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
             motion = timing.slowed(self.arm, rounded, p.flange_speed)
-            if kept and motion.duration < within and self._open(motion.positions[::4], motion.positions):
+            if kept and motion.duration < within and self._open(motion.positions[::4], motion.positions, step):
                 return motion, path
         motion = timing.stopping(self.arm, path, p.velocity_share, p.acceleration_share, p.flange_speed)
-        return (motion, path) if motion.duration < within and self._open(path, motion.positions) else None
+        return (motion, path) if motion.duration < within and self._open(path, motion.positions, step) else None
 
-    def _open(self, path: Array, passed: Array, step: float = SEARCH_STEP) -> bool:
+    def _open(self, path: Array, passed: Array, step: float) -> bool:
         """Return whether the flange stays within its space at joints (T, J) passed, and the path (N, J) is free."""
         inside = self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
         return inside and self.world.path_free(path, step)
 
-    def _detours(self, start: Array, goal: Array) -> Iterator[Iterator[Array]]:
-        """Yield for each way found by RRT-Connect its waypoints (N, J) shortened, and as they are.
-
-        There are as many ways as seeds, unless it finds none: then it is asked again in smaller steps.
-        """
-        for attempt in range(SEARCHES):
-            step = SEARCH_STEP / 2**attempt
-            for seed in range(self.params.seed, self.params.seed + SEEDS):
-                found = self._search(start, goal, self.params.search_time, step, seed)
-                if found is None:
-                    break
-                yield self._variants(found, step, seed)
-            else:
+    def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[JointPath, int]]:
+        """Yield the path that RRT-Connect finds with each seed, and the seed, until it finds none."""
+        for seed in range(self.params.seed, self.params.seed + SEEDS):
+            found = self._search(start, goal, self.params.search_time, step, seed)
+            if found is None:
                 return
+            yield found, seed
 
     def _variants(self, found: JointPath, step: float, seed: int) -> Iterator[Array]:
+        """Yield the waypoints (N, J) of a path shortened, and as they are."""
         cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
         yield np.array(PathShortcutter(self.world.scene, cut).shortcut(found).positions)
         yield np.array(found.positions)
