@@ -15,8 +15,8 @@ demo: $(CORE)  ## install and run the main job: a simulated tomato is seen, gras
 test: $(DEV)  ## run the tests
 	$(BIN)/python -m pytest -n 2
 
-slow: $(DEV)  ## run the slow tests as well
-	$(BIN)/python -m pytest -n 2 -m "slow or not slow"
+slow: $(DEV)  ## run the slow tests
+	$(BIN)/python -m pytest -n 2 -m slow
 
 check: $(DEV)  ## format, lint, types, layering
 	$(BIN)/ruff format --check .

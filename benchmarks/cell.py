@@ -23,11 +23,12 @@ from rich.table import Table
 
 from anther.arm import _kinematics, sawyer
 from anther.arm.planner import Planner
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.files import write_json
 from anther.geometry import Array, transform
+from anther.shake import Crop
 from anther.sim.cell import Cell
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm, SimGripper
@@ -79,7 +80,7 @@ def phases(cell: Cell) -> dict[str, Callable[[], object]]:
     }
 
 
-def measure(species: Species, seed: int) -> dict[str, float]:
+def measure(species: Crop, seed: int) -> dict[str, float]:
     """Return seconds of the world per second of processor, of building, each phase and all of them."""
     begun = time.process_time()
     cell = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY)
@@ -115,7 +116,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=10, help="first seed")
     args = parser.parse_args()
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
-    todo = [(species, seed) for species in get_args(Species) for seed in seeds]
+    todo = [(species, seed) for species in get_args(Crop) for seed in seeds]
     rows = {f"{s}_{n}": measure(s, n) for s, n in track(todo, "cells")}
     table = Table("", *rows)
     for what in next(iter(rows.values())):

@@ -31,9 +31,10 @@ from rich.progress import track
 from anther import cloud, flowers, grasp, masks, skeleton, stem
 from anther.arm.views import Params as ViewParams
 from anther.capture import Capture
-from anther.commands.simulated_cell import USUAL_DISTANCE, Species, grow, layout, photograph, views_at
+from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.files import replacing, write_json
 from anther.geometry import Array, Box, transform_points
+from anther.shake import Crop
 from anther.sim.plant import Organ
 
 VIEWS = 30
@@ -42,7 +43,7 @@ STAGES = ("masks", "cloud", "skeleton", "stem", "flowers", "grasps")
 TARGET_S, STRETCH_S, MEMORY_GB = 5.0, 2.0, 2.0
 
 
-def measure(species: Species, seed: int, repeats: int) -> dict[str, float]:
+def measure(species: Crop, seed: int, repeats: int) -> dict[str, float]:
     """Return one plant's times and memory; runs in a process of its own."""
     box = layout(USUAL_DISTANCE).workspace
     capture, true_poses, points = take(species, seed)
@@ -85,7 +86,7 @@ def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Array]:
     return seconds, points.T_world_cam
 
 
-def take(species: Species, seed: int) -> tuple[Capture, Array, list[Array]]:
+def take(species: Crop, seed: int) -> tuple[Capture, Array, list[Array]]:
     """Return the capture of a simulated plant, the true poses, and true plant points per view in its camera frame."""
     joints = views_at(USUAL_DISTANCE, ViewParams(count=VIEWS)).joints
     capture, truth = photograph(grow(species, seed, 0.0, USUAL_DISTANCE), joints, seed)

@@ -24,7 +24,7 @@ from rich.markdown import Markdown
 from skeletons import TEN
 from swept import swept
 
-from anther.arm.arms import Name
+from anther.arm import ArmName
 from anther.files import write_json
 
 CALLED = {"fr3": "panda"}
@@ -78,7 +78,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides")
-    parser.add_argument("--arms", nargs="+", choices=get_args(Name), default=list(get_args(Name)))
+    parser.add_argument("--arms", nargs="+", choices=get_args(ArmName), default=list(get_args(ArmName)))
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/arms"), help="where finished trials are kept")
     parser.add_argument("--page", type=Path, help="write the table into this docs page")

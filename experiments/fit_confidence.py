@@ -34,7 +34,7 @@ import anther.skeleton as skeleton_stage
 from anther.geometry import Array
 from anther.grasp.confidence import place_evidence
 from anther.skeleton.raw_tree import RawTree
-from anther.skeleton.rooting import Base, base_evidence, find_root
+from anther.skeleton.rooting import PlantBase, base_evidence, find_root
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 GROWN, FIRST_GROWN = 48, 300
@@ -63,7 +63,7 @@ class Gathered:
         """Add what Anther makes of a plant whose stem's base (3,) [m] is known."""
         trees: list[RawTree] = []
 
-        def noted(tree: RawTree) -> Base:
+        def noted(tree: RawTree) -> PlantBase:
             trees.append(tree)
             return find_root(tree)
 

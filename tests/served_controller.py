@@ -59,13 +59,16 @@ def along(arm: Controlled, aims: Sequence[Aim], when: float, most: np.ndarray) -
 
 
 def between(aims: Sequence[Aim], when: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return joints, rates, accelerations (J,) at a time [s] among aims: cubic in between, straight on after."""
+    """Return joints, rates, accelerations (J,) at a time [s] among aims: cubic in between, and on after as it went."""
     for (t0, q0, v0), (t1, q1, v1) in pairwise(aims):
         if t0 <= when < t1:
             curve = CubicHermiteSpline([t0, t1], [q0, q1], [v0, v1])
             return curve(when), curve(when, 1), curve(when, 2)
-    t, q, v = aims[0] if when < aims[0][0] else aims[-1]
-    return q + v * (when - t), v, np.zeros_like(v)
+    (t0, q0, v0), (t1, q1, v1) = aims[0], aims[-1]
+    if when < t0:
+        return q0 + v0 * (when - t0), v0, np.zeros_like(v0)
+    push, after = (v1 - aims[-2][2]) / (t1 - aims[-2][0]) if len(aims) > 1 else np.zeros_like(v1), when - t1
+    return q1 + v1 * after + push * after**2 / 2, v1 + push * after, push
 
 
 def catching_up(

@@ -24,7 +24,8 @@ from anther.sim._motor import contact_vector
 NO_SERVER = "no franka-sim; run: pip install --no-deps franka-sim==1.1.7"
 CYCLE = 1e-3  # s
 BEHIND = 0.008  # s by which the controller is: commands come up to a few cycles late
-LEAST, KEPT = 3, 20  # commands
+LEAST, KEPT = 3, 40  # commands
+DRIFT = 1e-3  # by so much the cycles of the server may be longer than those of the world
 SILENCE = 0.02  # s without a command, after which it brakes, as hard as it may
 PATIENCE = 0.5  # s of the wall in which a cycle is told; else the cell goes on without
 TIMED = ("state_stream", "motion_session", "set_commands")
@@ -35,20 +36,52 @@ def has_server() -> bool:
     return find_spec("franka_sim") is not None
 
 
-class FrankaServer:
+class Controller:
+    """Leads an arm along the joints that a server is told, or goes on with, in its cycles of a millisecond.
+
+    Attributes: `q`, `v`, where it leads the arm.
+    """
+
+    def __init__(self, world: Timed, q: np.ndarray) -> None:
+        self._world, self.q, self.v = world, q, np.zeros(7)
+        self._commands, self._zero = [(0.0, q.copy())], 0.0  # by the server's clock, which began then by the world's
+
+    def push(self, when: float, dt: float) -> np.ndarray:
+        told, q = zip(*self._commands, strict=True)
+        at = when - self._zero
+        if len(told) < LEAST or at - told[-1] > SILENCE:
+            return -self.v / dt
+        aims = list(zip(told, q, np.gradient(q, told, axis=0, edge_order=2), strict=True))
+        return along(self, aims, at - BEHIND, self._world.arm.acceleration)
+
+    def command(self, cycle: int, q: Sequence[float]) -> None:
+        """Take the joints (7,) that were told in a cycle of the server.
+
+        When that was by the world's clock, the command that came soonest says: that one waited tells nothing of the
+        motion.
+        """
+        zero, told = self._world.time - cycle * CYCLE, cycle * CYCLE
+        soonest = min(self._zero + DRIFT * CYCLE, zero)
+        self._zero = soonest if zero - soonest < SILENCE else zero
+        before = [command for command in self._commands if command[0] < told - 0.5 * CYCLE]
+        self._commands = [*before[-KEPT:], (told, np.array(q, dtype=float))]
+
+    def rest(self) -> None:
+        """Brake: the server's motion is over."""
+        self._commands = self._commands[-1:]
+
+
+class FrankaServer(Controller):
     """Serves an arm: what the server takes for its physics. `references` and `tell` are called for every cycle.
 
-    Its controller goes with the joints that the server is told, or goes on with, in every cycle of a millisecond.
-
-    Attributes: `q`, `v`, where its controller leads the arm; `batch`, `told_every`, in steps of the world.
+    Attributes: `batch`, `told_every`, in steps of the world.
     """
 
     batch = told_every = 1
     enable_vis = False
 
     def __init__(self, host: str, world: Timed, shared: World, q: np.ndarray) -> None:
-        self._world, self.q, self.v = world, q, np.zeros(7)
-        self._commands, self._zero = [(0.0, q.copy())], 0.0
+        super().__init__(world, q)
         self._over, self._base = threading.Event(), (0, 0.0)
         self._snapshot: dict[str, Any] = {}
         self.tell()
@@ -74,26 +107,6 @@ class FrankaServer:
         """Return joints, rates and accelerations (steps, 7) of the next steps of the world."""
         self._keep_up()
         return references(self, self._world, steps)
-
-    def push(self, when: float, dt: float) -> np.ndarray:
-        told, q = zip(*self._commands, strict=True)
-        if len(told) < LEAST or when - told[-1] > SILENCE:
-            return -self.v / dt
-        aims = list(zip(told, q, np.gradient(q, told, axis=0), strict=True))
-        return along(self, aims, when - BEHIND, self._world.arm.acceleration)
-
-    def command(self, cycle: int, q: Sequence[float]) -> None:
-        """Take the joints (7,) that were told in a cycle of the server."""
-        now = self._world.time
-        if abs(self._zero + cycle * CYCLE - now) > BEHIND:
-            self._zero = now - cycle * CYCLE
-        told = self._zero + cycle * CYCLE
-        before = [command for command in self._commands if command[0] < told - 0.5 * CYCLE]
-        self._commands = [*before[-KEPT:], (told, np.array(q, dtype=float))]
-
-    def rest(self) -> None:
-        """Brake: the server's motion is over."""
-        self._commands = self._commands[-1:]
 
     def tell(self) -> None:
         """Put down what the server is to say of the arm."""

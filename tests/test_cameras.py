@@ -256,6 +256,7 @@ def test_a_preset_is_chosen_by_its_name(rs: Any) -> None:
     assert chosen == {rs.option.visual_preset: 3.0}
 
 
+@pytest.mark.slow
 def test_a_recording_is_played_as_a_camera(rs: Any, tmp_path: Path) -> None:
     made_realsense.record(rs, tmp_path / "a.db3", frames=120)  # 4 s: the reads of a busy machine come before the end
     camera = FreeRunningCamera(RealSense(devices=played(str(tmp_path / "a.db3"))), warm_up=1)

@@ -161,6 +161,7 @@ def shaken(truth: Truth, seed: int = 0, rest: int = 500) -> tuple[float, float, 
     return a, b, float(np.ptp(true[after], axis=0).max())
 
 
+@pytest.mark.slow
 def test_stiffer_and_stiffer_joints_are_rigid_ones() -> None:
     rigid = shaken(NOMINAL)
     assert rigid[1] == pytest.approx(0.001, rel=0.01)
@@ -169,6 +170,7 @@ def test_stiffer_and_stiffer_joints_are_rigid_ones() -> None:
     assert errors[-1] < 0.01 * rigid[1]
 
 
+@pytest.mark.slow
 def test_ten_drawn_arms_follow_a_shake_and_come_to_rest() -> None:
     """Servos and loads that the arm does not know cost 10 %; what joints as soft as Baxter's add, no encoder sees.
 

@@ -109,6 +109,7 @@ def test_it_goes_where_it_is_told_and_says_so(arm: Franka, fr3: FakeFranka) -> N
     assert arm.follow(far(arm, -0.05)).times[0] >= record.times[-1]
 
 
+@pytest.mark.slow
 def test_motions_join_without_a_stop_while_the_next_is_thought_about(arm: Franka, fr3: FakeFranka) -> None:
     begin, middle, end = three_pieces(arm.joints())
     left = iter([middle, end, None])

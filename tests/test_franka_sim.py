@@ -10,10 +10,12 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from served_franka import NO_SERVER, has_server
+from served_controller import references
+from served_franka import NO_SERVER, Controller, has_server
 from slow_clock import AGAIN_IF_HELD_UP
 from small_planner import SmallPlanner
 
@@ -79,6 +81,7 @@ def server(tmp_path: Path) -> Iterator[Server]:
         process.kill()
 
 
+@pytest.mark.slow
 def test_it_moves_within_the_limits_that_the_simulator_enforces(server: Server) -> None:
     with closing(server.connected()) as arm:
         assert "ready to move" in arm.seen()
@@ -113,6 +116,7 @@ arm.follow(path)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("who", ["driver", "loop"])
 def test_an_arm_stands_after_kill_9(server: Server, who: str) -> None:
     with subprocess.Popen(
@@ -131,3 +135,22 @@ def test_an_arm_stands_after_kill_9(server: Server, who: str) -> None:
     after = server.stood_after(killed)
     print(f"{who} killed at {speed:.2f} rad/s: the arm stood after {1e3 * after:.0f} ms")
     assert after < 0.12  # a little more than from 0.6 rad/s: it may have been faster
+
+
+@pytest.mark.parametrize("late", [0.0, 0.006, 0.018])
+def test_the_served_arm_goes_as_told_however_late_it_hears(late: float) -> None:
+    """Commands wait for up to 18 ms, which the robot allows: the arm is never further behind than at its best."""
+    world, rng = SimpleNamespace(time=100.0, timestep=0.001, arm=FR3), np.random.default_rng(0)
+    arm, heard, until = Controller(world, np.zeros(7)), 0, 0.0
+    for cycle in range(6000):
+        if world.time >= until:
+            for told in range(heard, cycle + 1):
+                arm.command(told, np.full(7, _to_and_fro(told)))
+            heard, until = cycle + 1, world.time + rng.uniform(0, late)
+        references(arm, world, 1)
+        world.time += 0.001
+        assert np.abs(arm.q - _to_and_fro(cycle + 1)).max() < 0.0115  # 8 ms at 1.3 rad/s
+
+
+def _to_and_fro(cycle: int) -> float:
+    return 0.5 * (1 - np.cos(2 * np.pi * cycle / 2400))

@@ -81,6 +81,7 @@ def test_many_counts_find_what_made_them() -> None:
     assert learned.added(25)[1] < 0.55 * 0.7 * 0.5 < learned.added(25)[2]
 
 
+@pytest.mark.slow
 def test_intervals_hold_as_often_as_they_say() -> None:
     """Truths drawn from the prior, 16 plants each: nine in ten of the 90 % intervals hold."""
     rng, inside = np.random.default_rng(2), np.zeros(3)
@@ -95,6 +96,7 @@ def test_intervals_hold_as_often_as_they_say() -> None:
     assert inside.sum() <= 89
 
 
+@pytest.mark.slow
 def test_the_grid_is_fine_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     counts = drawn(np.random.default_rng(1), 0.4, 0.8, 20.0, 0.1, plants=40)
     coarse = fit(counts)

@@ -116,6 +116,7 @@ def unlucky(row, folder):
     return {"ours": {"success": True}}
 
 
+@pytest.mark.slow
 def test_finished_trials_are_read_back_and_crashes_are_tried_again(tmp_path):
     (tmp_path / "there").mkdir()
     luck = tmp_path / "there" / "luck"

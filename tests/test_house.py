@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 
-SOURCE = Path(__file__).parents[1] / "src" / "anther"
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "anther"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
 BASE = {"errors", "checks", "files", "geometry", "images", "style", "__init__"}
@@ -55,6 +57,10 @@ def imported(path: Path) -> set[str]:
 def room(path: Path) -> str:
     """The first-level module or package a file belongs to."""
     return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+
+
+def is_module(path: Path) -> bool:
+    return path.is_dir() or path.with_suffix(".py").is_file()
 
 
 def complaints(rule: Callable[[Path], Iterator[str]]) -> list[str]:
@@ -122,3 +128,18 @@ def test_modules_say_what_they_are() -> None:
             yield "no docstring"
 
     assert not complaints(rule)
+
+
+def test_what_scripts_import_of_anther_is_there() -> None:
+    """Experiments are run rarely, and the type checker reads `src` alone."""
+    missing = [
+        f"{path.relative_to(ROOT)}: {node.module}.{alias.name}"
+        for where in ("experiments", "benchmarks", "examples", "tools")
+        for path in sorted((ROOT / where).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "anther"
+        for alias in node.names
+        if not hasattr(import_module(node.module), alias.name)
+        and not is_module(SOURCE.parent / node.module.replace(".", "/") / alias.name)
+    ]
+    assert not missing

@@ -107,6 +107,7 @@ CORE = [
 NEEDY = {"trial --plant tomato": "cell", "view seen --html scene.html": "view"}
 
 
+@pytest.mark.slow
 def test_the_core_works_without_extras_and_names_the_one_that_is_missing(tmp_path: Path) -> None:
     program = f"""
 import importlib.metadata, json, sys

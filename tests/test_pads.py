@@ -67,6 +67,7 @@ def miss(plant: PlantModel, truth: Pads, belief: Refinement, frequencies: list[f
     return float(np.abs(np.log(told / true)).mean())
 
 
+@pytest.mark.slow
 def test_shakes_of_soft_pads_teach_how_they_turn_and_better_predictions(plant: PlantModel) -> None:
     """Truth from dense matrices. A fit that takes the pads to be firm puts their give into the plant."""
     truth, probes = replace(PADS, turning=0.15), (3.0, 6.0, 10.0)
@@ -78,6 +79,7 @@ def test_shakes_of_soft_pads_teach_how_they_turn_and_better_predictions(plant: P
     assert abs(np.log(soft.material.youngs / plant.material.youngs)) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("source", "turning_within"), [("stem", 1.6), ("force", 2.0)])
 def test_the_grips_force_or_the_stem_beside_it_tell_both_stiffnesses(
     plant: PlantModel, source: str, turning_within: float

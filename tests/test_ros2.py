@@ -149,6 +149,7 @@ def test_nothing_is_said_before_anything_moves(arm: ros2.JointTrajectoryArm, rob
     assert any("contact is not felt" in line for line in arm.seen())
 
 
+@pytest.mark.slow
 @BOTH
 def test_motions_join_without_a_stop_while_the_next_is_thought_about(
     arm: ros2.JointTrajectoryArm, robot: FakeController
@@ -226,6 +227,7 @@ def test_it_stops_when_its_joints_become_stale(arm: ros2.JointTrajectoryArm, rob
     assert stopped_after(robot, since[0]) < 0.05 + longest_stop(np.abs(path.velocities).max())
 
 
+@pytest.mark.slow
 def test_when_the_network_comes_back_the_way_to_rest_does_not_begin_anew(
     wire: FakeNode, arm: ros2.JointTrajectoryArm, robot: FakeController
 ) -> None:
@@ -329,6 +331,7 @@ def test_a_wrench_is_felt_and_must_not_fall_silent(wire: FakeNode, robot: FakeCo
             arm.follow(path)
 
 
+@pytest.mark.slow
 def test_behind_the_guard_an_arm_that_does_not_follow_is_held_where_it_is(
     arm: ros2.JointTrajectoryArm, robot: FakeController
 ) -> None:

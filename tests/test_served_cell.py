@@ -25,7 +25,7 @@ from anther.cells import CellFile, read_cell
 from anther.commands.hardware_cell import connected
 from anther.devices import JointTrajectory, Robot
 
-pytestmark = AGAIN_IF_HELD_UP
+pytestmark = [AGAIN_IF_HELD_UP, pytest.mark.slow]
 sys.path.append(str(Path(__file__).parent / "cells"))
 
 

@@ -192,6 +192,7 @@ def test_a_store_keeps_the_files_and_tells_what_it_refuses(rows, here: None, tmp
         _working.perform(asked, Job("b", rows[3]))
 
 
+@pytest.mark.slow
 def test_s3(rows, scheduler: str, tmp_path: Path) -> None:
     """A real S3 client in client and worker processes, and moto's server."""
     for name in ("s3fs", "boto3", "moto", "flask"):

@@ -91,6 +91,7 @@ def test_every_motion_has_its_own_program_and_watchdog_and_none_is_left_armed(ar
     assert not ur.protective
 
 
+@pytest.mark.slow
 def test_motions_join_without_a_stop_while_the_next_is_thought_about(arm: UniversalRobot, ur: FakeUR) -> None:
     begin, middle, end = three_pieces(arm.joints())
     record = arm.follow(begin, None, thought_about(middle, end))
@@ -294,6 +295,7 @@ arm.follow(SmallPlanner(ur5e).move(arm.joints(), arm.joints() + 0.8))
 """
 
 
+@pytest.mark.slow
 def test_a_driver_that_is_killed_leaves_an_arm_at_rest(ur: FakeUR) -> None:
     """kill -9 in full motion."""
 

@@ -140,6 +140,7 @@ def pink(page: Any, time: float) -> Any:
     raise AssertionError(f"no flower stays in the picture: {seen}")
 
 
+@pytest.mark.slow
 def test_the_page_plays_in_a_browser_and_flowers_move_by_the_right_number_of_pixels(tmp_path: Path) -> None:
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     chromium = next((p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), None)

@@ -10,10 +10,11 @@ from typing import Any, cast
 import numpy as np
 from PIL import Image
 
-from anther.commands.simulated_cell import PRESETS, Species, build
+from anther.commands.simulated_cell import PRESETS, build
 from anther.pipeline import Params, pollinate
 from anther.plant import PEPPER, TOMATO
 from anther.runs import Run
+from anther.shake import Crop
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out
 
@@ -32,7 +33,7 @@ class Quiet(Run):
 
 def main(out: str, species: str = "tomato", seed: str = "0") -> None:
     """Run the trial and write the film of its last, held shake."""
-    cell = build(cast(Species, species), int(seed), 0.0, PRESETS["fast"])
+    cell = build(cast(Crop, species), int(seed), 0.0, PRESETS["fast"])
     done = pollinate(cell.robot_side, PEPPER if species == "pepper" else TOMATO, Quiet(Path(), quiet=True), Params())
     log, side, period = cell.world.log(), cell.robot_side.robot, 1 / done.shake.frequency
     end = done.trial.steady[1]

@@ -188,7 +188,7 @@ def coverage(area: str) -> dict[str, list[Any]]:
 def watch(tests: list[str], kept: str) -> None:
     """Run tests and write what each enters."""
     plugin = Entered()
-    if pytest.main(["-q", "-p", "no:cacheprovider", *tests], plugins=[plugin]) != 0:
+    if pytest.main(["-q", "-m", "", "-p", "no:cacheprovider", *tests], plugins=[plugin]) != 0:
         sys.exit("the tests fail without any mutant")
     found = {test: [sorted(names), plugin.seconds[test]] for test, names in plugin.functions.items()}
     Path(kept).write_text(json.dumps(found))
@@ -218,7 +218,7 @@ def survives(tried: Mutant, tests: list[str], seconds: float) -> bool:
         return True
     place = COPY / tried.file
     place.write_text(tried.text)
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-m", "", "-p", "no:cacheprovider", *tests]
     try:
         return not subprocess.run(
             command, cwd=ROOT, env=_environment(), capture_output=True, timeout=SLOWER * seconds + 120, check=False
