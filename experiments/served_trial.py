@@ -24,7 +24,7 @@ from anther.execution import Trial
 from anther.shake import ShakePlan
 
 TESTS = Path(__file__).parents[1] / "tests"
-LONGEST = 1200.0  # s of a trial
+LONGEST = 1800.0  # s of a trial
 KEPT = ("failure", "message", "shaking_seconds", "shake_ended_by", "plan_alone_because", "seconds", "log_error")
 
 
