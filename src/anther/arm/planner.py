@@ -278,10 +278,7 @@ class Planner:
 
     def _ways(self, start: Array, goal: Array, step: float) -> list[tuple[JointTrajectory, Array]]:
         """Return motions by the ways found, and the waypoints (N, J) of each; free as far as steps [rad] tell."""
-        tried = (
-            (self._timed(path, step) for path in self._variants(found, step, seed))
-            for found, seed in self._detours(start, goal, step)
-        )
+        tried = ((self._timed(path, step) for path in paths) for paths in self._detours(start, goal, step))
         ways = [way for some in tried if (way := next(filter(None, some), None))]
         rng = np.random.default_rng(self.params.seed)
         for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False) if ways else ():
@@ -321,13 +318,13 @@ class Planner:
         inside = self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
         return inside and self.world.path_free(path, step)
 
-    def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[JointPath, int]]:
-        """Yield the path that RRT-Connect finds with each seed, and the seed, until it finds none."""
+    def _detours(self, start: Array, goal: Array, step: float) -> Iterator[Iterator[Array]]:
+        """Yield for each way that RRT-Connect finds, one a seed until it finds none, its `_variants`."""
         for seed in range(self.params.seed, self.params.seed + SEEDS):
             found = self._search(start, goal, self.params.search_time, step, seed)
             if found is None:
                 return
-            yield found, seed
+            yield self._variants(found, step, seed)
 
     def _variants(self, found: JointPath, step: float, seed: int) -> Iterator[Array]:
         """Yield the waypoints (N, J) of a path shortened, and as they are."""
