@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import numpy as np
@@ -206,6 +207,18 @@ def test_joints_that_are_stale_are_not_moved(arm: Franka, fr3: FakeFranka) -> No
     with pytest.raises(DeviceError, match="ms old; allowed: 50 ms"):
         arm.joints()
     assert fr3.calls == []
+
+
+def test_a_moments_delay_at_rest_is_waited_for(arm: Franka, fr3: FakeFranka) -> None:
+    fr3.lag = 0.2
+    fr3.sleep(0.05)
+    with ThreadPoolExecutor(1) as pool:
+        waits = pool.submit(arm.joints)
+        fr3.sleep(0.1)
+        assert not waits.done()
+        fr3.lag = 0.0
+        assert waits.result() == pytest.approx(READY - fr3.sag)
+    arm.follow(far(arm, 0.02))
 
 
 def test_it_stops_when_its_joints_become_stale(arm: Franka, fr3: FakeFranka) -> None:

@@ -36,6 +36,8 @@ BEGIN, ANSWER = 60.0, 2.0
 """The loop is connected within the first, and answers within the second [s]; libfranka gives a network up before."""
 RECOVERS = 5.0
 """After `enable` the robot is ready within this [s]."""
+PATIENCE = 0.5
+"""At rest, joints that come too late are asked for again for so long [s]: nothing moves meanwhile."""
 GONE = "the loop that commands the arm is gone; the robot stops by itself. Look at it, and start anew"
 MODES = {
     "Idle": "",
@@ -91,9 +93,9 @@ class Franka:
         """Return the measured joint angles (J,) [rad].
 
         Raises:
-            DeviceError: they are stale, or no numbers.
+            DeviceError: they stay stale, or are no numbers.
         """
-        return self._believed(self._read()).joints
+        return self._read_fresh().joints
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow a trajectory as `anther.devices.Arm` says; the loop goes on while `more` is thought about.
@@ -133,7 +135,7 @@ class Franka:
 
     def seen(self) -> list[str]:
         """Return in words what is heard of the robot."""
-        told = self._believed(self._read())
+        told = self._read_fresh()
         why, off = _reason(told), 1e3 * float(np.abs(told.joints - told.aim).max())
         return [
             f"mode {told.mode}; the newest joints are {1e3 * self._age(told):.0f} ms old, {off:.1f} mrad off the order",
@@ -167,7 +169,7 @@ class Franka:
             self._gone()
 
     def _check_start(self, trajectory: JointTrajectory) -> None:
-        told = self._believed(self._read())
+        told = self._read_fresh()
         if why := _reason(told):
             raise DeviceError(f"the arm cannot move: {why}.")
         if trajectory.positions.shape[1] != JOINTS:
@@ -218,6 +220,12 @@ class Franka:
         told = self._ask("read")
         self._robot.hear(told.stamp, told.arrival)
         return told
+
+    def _read_fresh(self) -> Told:
+        until = self._clock() + PATIENCE
+        while self._age(told := self._read()) > STALE and self._clock() < until:
+            pass
+        return self._believed(told)
 
     def _age(self, told: Told) -> float:
         return self._clock() - told.stamp - self._robot.offset
