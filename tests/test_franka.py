@@ -217,7 +217,7 @@ def test_a_moments_delay_at_rest_is_waited_for(arm: Franka, fr3: FakeFranka) -> 
         fr3.sleep(0.1)
         assert not waits.done()
         fr3.lag = 0.0
-        assert waits.result() == pytest.approx(READY - fr3.sag)
+        assert waits.result() == pytest.approx(np.array(READY) - fr3.sag)
     arm.follow(far(arm, 0.02))
 
 
