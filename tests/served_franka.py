@@ -6,9 +6,10 @@ franka-sim==1.1.7`. All its times go by the clock that is shared, and the world 
 
 from __future__ import annotations
 
+import select
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from types import SimpleNamespace
@@ -28,8 +29,7 @@ LEAST, KEPT = 3, 40  # commands
 DRIFT = 1e-3  # by so much the cycles of the server may be longer than those of the world
 SILENCE = 0.02  # s without a command, after which it brakes, as hard as it may
 PATIENCE = 0.5  # s of the wall in which a cycle is told; else the cell goes on without
-TIMED = ("state_stream", "motion_session", "set_commands")
-"""Modules of the server that look at a clock."""
+SAME = 1e-5  # s: what rounding leaves between times that are one
 
 
 def has_server() -> bool:
@@ -82,14 +82,14 @@ class FrankaServer(Controller):
 
     def __init__(self, host: str, world: Timed, shared: World, q: np.ndarray) -> None:
         super().__init__(world, q)
-        self._over, self._base = threading.Event(), (0, 0.0)
+        self._over, self._turn, self._told = threading.Event(), threading.Condition(), 0.0
         self._snapshot: dict[str, Any] = {}
         self.tell()
-        clock = SimpleNamespace(
-            sleep=shared.sleep, **dict.fromkeys(("time", "perf_counter", "monotonic"), shared.clock)
-        )
-        for name in TIMED:
-            vars(import_module(f"franka_sim.server.{name}"))["time"] = clock
+        # The thread that tells states counts the world's steps. It also gives turns to the thread that takes commands,
+        # and those are of the wall; whether it has waited for a whole cycle then is no matter of rounding.
+        _set_clock("state_stream", lambda: world.time, self._wait)
+        _set_clock("motion_session", lambda: world.time + SAME, time.sleep)
+        _set_clock("set_commands", shared.clock, shared.sleep)
         self._server = _server(self)(
             host=host, physics_sim=self, enable_gripper=False, enforce_comm_constraints=True, enforce_motion_limits=True
         )
@@ -148,18 +148,24 @@ class FrankaServer(Controller):
     def get_robot_state(self) -> dict[str, Any]:
         return self._snapshot
 
+    def _wait(self, seconds: float) -> None:
+        """Let the world go on for so long [s]."""
+        with self._turn:
+            self._told = self._world.time + seconds
+            self._turn.notify_all()
+            while self._world.time < self._told - SAME and not self._over.is_set():
+                self._turn.wait(0.1)
+
     def _keep_up(self) -> None:
-        """Wait until the server has told of the world's present cycle, as far as it tells anybody."""
+        """Wait until the server has told the world's present cycle, and has taken in what it was commanded."""
         server, until = self._server, time.monotonic() + PATIENCE
-        sent, begun = self._base
-        if not server.transmitting_state or server.states_sent < sent:
-            self._base = server.states_sent, self._world.time
-            return
-        while time.monotonic() < until and server.transmitting_state:
-            if server.states_sent - sent >= (self._world.time - begun) / CYCLE - 2:
-                return
-            time.sleep(1e-4)
-        self._base = server.states_sent, self._world.time
+        with self._turn:
+            self._turn.notify_all()
+            while server.transmitting_state and time.monotonic() < until:
+                told = self._world.time < self._told - SAME
+                if told and not server._commands_in_flight and not _unread(server.udp_socket):
+                    return
+                self._turn.wait(2e-4)
 
 
 class ServedFranka(FrankaServer):
@@ -172,6 +178,19 @@ class ServedFranka(FrankaServer):
     def seen(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         place = self._cell
         return place.joints, place.data.qvel[place._arm_dofs].copy(), contact_vector(place)
+
+
+def _set_clock(module: str, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:
+    """Let a module of the server go by a clock [s]."""
+    words = dict.fromkeys(("time", "perf_counter", "monotonic"), clock)
+    vars(import_module(f"franka_sim.server.{module}"))["time"] = SimpleNamespace(sleep=sleep, **words)
+
+
+def _unread(socket: Any) -> bool:
+    try:
+        return socket is not None and bool(select.select([socket], [], [], 0)[0])
+    except (OSError, ValueError):  # it was closed meanwhile
+        return False
 
 
 def _server(arm: FrankaServer) -> Any:
