@@ -1,7 +1,7 @@
 """An arm behind libfranka's own protocol: franka-sim's server, with an arm of ours.
 
 franka-sim is installed without what it needs (its server wants numpy alone): `pip install --no-deps
-franka-sim==1.1.7`. All its times go by the clock that is shared, and the world waits for each of its cycles.
+franka-sim==1.1.7`. Its states count the steps of the world, which waits until each is told.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ class FrankaServer(Controller):
         self._over, self._turn, self._told = threading.Event(), threading.Condition(), 0.0
         self._snapshot: dict[str, Any] = {}
         self.tell()
-        # The thread that tells states counts the world's steps. It also gives turns to the thread that takes commands,
-        # and those are of the wall; whether it has waited for a whole cycle then is no matter of rounding.
+        # The thread that tells states goes by the world's steps. While it waits for commands to be taken in, the world
+        # stands, so those sleeps are of the wall; SAME, lest rounding make it wait for a cycle that is over.
         _set_clock("state_stream", lambda: world.time, self._wait)
         _set_clock("motion_session", lambda: world.time + SAME, time.sleep)
         _set_clock("set_commands", shared.clock, shared.sleep)
