@@ -21,7 +21,7 @@ import re
 import shutil
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -116,22 +116,12 @@ def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
         run, views = folder / "run", case.phase == "views"
         anthers = Anther(folder, base, views=views)
         began = anthers.waits_for(case.phase)
+        at, moving, other = time.monotonic(), 0.0, ""
         if began:
             time.sleep(case.share * PHASES[case.phase])
-        at, other = time.monotonic(), ""
-        moving = speed_at(machines, at)
-        match case.kind:
-            case "Ctrl-C":
-                os.kill(anthers.pid, signal.SIGINT)
-            case "kill -9":
-                os.kill(anthers.pid, signal.SIGKILL)
-            case "the arm's process killed":
-                os.kill(anthers.arms_process(), signal.SIGKILL)
-            case "a second process":
-                second = Anther(folder, base)
-                other = "" if second.end() and "commanded by another process" in second.errors else "was let in"
-            case kind:
-                machines.strike(kind)
+            at = time.monotonic()
+            moving = speed_at(machines, at)
+            other = strike(case, machines, anthers, partial(Anther, folder, base))
         code = anthers.end()
         time.sleep(0.6)
         row: dict[str, Any] = {"moving": moving, "code": code}
@@ -143,15 +133,33 @@ def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
         again = Anther(folder, base, views=views and not (run / "01_capture").exists(), again=True)
         again.end()
         row["continued"] = "" if finished(run) else said_in(run) or again.errors[-300:]
-        return row | {"held_up": held_up(case, row["record"] + said_in(run), row["continued"]), "said": said_in(run)}
+        before = row["record"] + said_in(run)
+        return row | {"held_up": held_up(case, began, before, row["continued"]), "said": said_in(run)}
     finally:
         machines.close()
 
 
-def held_up(case: Case, before: str, after: str) -> bool:
+def strike(case: Case, machines: Machines, anthers: Anther, another: Callable[[], Anther]) -> str:
+    """Let the fault befall whom it befalls; return what went wrong when `another` process was begun, or ""."""
+    match case.kind:
+        case "Ctrl-C":
+            os.kill(anthers.pid, signal.SIGINT)
+        case "kill -9":
+            os.kill(anthers.pid, signal.SIGKILL)
+        case "the arm's process killed":
+            os.kill(anthers.arms_process(), signal.SIGKILL)
+        case "a second process":
+            second = another()
+            return "" if second.end() and "commanded by another process" in second.errors else "was let in"
+        case kind:
+            machines.strike(kind)
+    return ""
+
+
+def held_up(case: Case, began: bool, before: str, after: str) -> bool:
     """Whether the machine itself was too slow, by what was told of the fault and, all put right, of going on: joints
-    came late though nobody had made them."""
-    stale = STALE in after or (STALE in before and STALE not in EXPECTED[case.kind])
+    came late though nobody had made them, as before the phase of the fault `began`."""
+    stale = STALE in after or (STALE in before and not (began and STALE in EXPECTED[case.kind]))
     return stale or re.search(HELD_UP, before + after) is not None
 
 

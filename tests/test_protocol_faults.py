@@ -99,16 +99,17 @@ def test_a_trial_may_finish_only_where_what_failed_is_needed_no_more() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "before", "after", "again"),
+    ("kind", "began", "before", "after", "again"),
     [
-        ("pushed", "joints are 51 ms old", "", True),
-        ("joints silent", "joints are 51 ms old", "", False),
-        ("joints silent", "joints are 51 ms old", "joints are 51 ms old", True),
-        ("pushed", "contact force 60 N", "", False),
-        ("Ctrl-C", "Let nothing else run", "", True),
+        ("pushed", True, "joints are 51 ms old", "", True),
+        ("joints silent", True, "joints are 51 ms old", "", False),
+        ("joints silent", False, "joints are 51 ms old", "", True),
+        ("joints silent", True, "joints are 51 ms old", "joints are 51 ms old", True),
+        ("pushed", True, "contact force 60 N", "", False),
+        ("Ctrl-C", True, "Let nothing else run", "", True),
     ],
 )
 def test_a_case_begins_again_where_joints_came_late_by_themselves(
-    kind: str, before: str, after: str, again: bool
+    kind: str, began: bool, before: str, after: str, again: bool
 ) -> None:
-    assert held_up(replace(CASE, kind=kind), before, after) == again
+    assert held_up(replace(CASE, kind=kind), began, before, after) == again

@@ -276,6 +276,16 @@ def test_a_camera_is_not_blamed_for_a_shake_that_did_not_begin() -> None:
     assert "camera returned no frame" in execute(PLANNER, Plan(), robot, LIMITS, watched=Scripted()).stop_reason
 
 
+@pytest.mark.parametrize(("before", "said"), [(0.4, "finished"), (0.6, "no frame of the shake's last 0.6 s")])
+def test_a_camera_that_fell_silent_before_the_shake_ended_is_told(before: float, said: str) -> None:
+    arm = FakeArm()
+    robot = replace(fake_robot(arm), side_camera=FakeCamera(lambda: arm.clock - before))
+    trial = execute(PLANNER, Plan(), robot, LIMITS, watched=Scripted())
+    assert said in trial.stop_reason
+    assert trial.phases == PHASES
+    assert len(trial.frames) > 0
+
+
 def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
     arm, gripper = FakeArm(), FakeGripper()
     watched = Scripted(pieces=[(0.0008, 0.0006)] * 40)

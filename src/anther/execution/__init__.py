@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from anther.devices import (
+    STALLED,
     ArmRecord,
     ArmSample,
     DeviceError,
@@ -321,6 +322,8 @@ def _filmed(work: _Work) -> Iterator[None]:
             work.frames = tuple(camera.stop())
             if shaken and not work.frames:
                 raise DeviceError("the side camera returned no frame of the shake.")
+            if shaken and (unseen := work.shaken.times[-1] - work.frames[-1].time) > STALLED:
+                raise DeviceError(f"the side camera returned no frame of the shake's last {unseen:.1f} s.")
         except DeviceError as error:
             work.fail(error)
 
