@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.arm import sawyer, sharpness, timing
-from anther.arm.timing import USABLE
+from anther.arm.effort import USABLE
 from anther.arm.views import SEEN, Views, capture_time, cylinder_points
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, views_at
 from anther.devices import JointTrajectory

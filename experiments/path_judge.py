@@ -14,9 +14,9 @@ import mujoco as mujoco_module
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from anther.arm.effort import torques
 from anther.arm.model import CAMERA, FLANGE, GRIPPER, ArmModel
 from anther.arm.sawyer import SAWYER
-from anther.arm.timing import torques
 from anther.devices import JointTrajectory
 from anther.geometry import Array, Box
 from anther.sim import arm_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anther.arm import _kinematics, sawyer, shaking, timing
+from anther.arm import _kinematics, effort, sawyer, shaking, timing
 from anther.arm.planner import Planner
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -33,7 +33,7 @@ def test_torque_at_rest_is_the_slope_of_the_weights_energy():
     step = 1e-5
     for q in np.random.default_rng(0).uniform(sawyer.LOWER, sawyer.UPPER, (5, 7)):
         slope = [(weight_energy(q + step * e) - weight_energy(q - step * e)) / (2 * step) for e in np.eye(7)]
-        np.testing.assert_allclose(timing.torques(sawyer.SAWYER, q, STILL, STILL)[0], slope, atol=1e-5)
+        np.testing.assert_allclose(effort.torques(sawyer.SAWYER, q, STILL, STILL)[0], slope, atol=1e-5)
 
 
 def test_the_power_put_in_is_the_energy_gained():
@@ -41,7 +41,7 @@ def test_the_power_put_in_is_the_energy_gained():
     path = np.linspace(sawyer.NEUTRAL, np.add(sawyer.NEUTRAL, [0.3, 0.2, -0.3, 0.2, 0.4, -0.3, 0.5]), 9)
     motion = timing.along_line(sawyer.SAWYER, path, 0.3, 0.3)
     acceleration = np.gradient(motion.velocities, motion.times, axis=0)
-    power = (timing.torques(sawyer.SAWYER, motion.positions, motion.velocities, acceleration) * motion.velocities).sum(
+    power = (effort.torques(sawyer.SAWYER, motion.positions, motion.velocities, acceleration) * motion.velocities).sum(
         axis=1
     )
     gained = weight_energy(motion.positions[-1]) - weight_energy(motion.positions[0])
@@ -49,7 +49,7 @@ def test_the_power_put_in_is_the_energy_gained():
 
 
 def test_a_spun_joint_feels_its_rotor_and_what_it_carries():
-    about_the_vertical = timing.torques(sawyer.SAWYER, sawyer.NEUTRAL, STILL, np.eye(7)[0])[0, 0]
+    about_the_vertical = effort.torques(sawyer.SAWYER, sawyer.NEUTRAL, STILL, np.eye(7)[0])[0, 0]
     assert sawyer.ROTOR_INERTIA[0] + 1.0 < about_the_vertical < sawyer.ROTOR_INERTIA[0] + 10.0
 
 
@@ -59,7 +59,7 @@ def test_a_motion_too_hard_for_a_motor_is_refused():
     rate[:, 6] = 12.0 * np.sin(np.pi * times / 0.2) ** 2
     wrist = JointTrajectory(times, sawyer.NEUTRAL + np.cumsum(rate, axis=0) * 0.01, rate)
     with pytest.raises(StageFailure, match=r"of joint 6; allowed: <= 8\.1") as failure:
-        timing.check_effort(sawyer.SAWYER, wrist)
+        effort.check_effort(sawyer.SAWYER, wrist)
     assert failure.value.kind == "limits_exceeded"
 
 
@@ -68,13 +68,13 @@ def test_the_amplitude_promised_is_within_the_motors_limits_and_near_them(freque
     """A shake at the promised amplitude needs at most all, and most of, the torque there is."""
     q = _kinematics.inverse(sawyer.SAWYER, GRASP)[0]
     rates = shaking.joint_rates(sawyer.SAWYER, q, [0, 1, 0], [frequency])
-    amplitude = timing.shake_amplitude(sawyer.SAWYER, q, rates, [frequency])[0]
+    amplitude = effort.shake_amplitude(sawyer.SAWYER, q, rates, [frequency])[0]
     t = np.linspace(0, 1 / frequency, 400)
     omega = 2 * np.pi * frequency
     swing = amplitude * rates[0] * np.sin(omega * t)[:, None]
     moving = amplitude * omega * rates[0] * np.cos(omega * t)[:, None]
-    share = np.abs(timing.torques(sawyer.SAWYER, q + swing, moving, -(omega**2) * swing) / sawyer.EFFORT).max()
-    assert share == pytest.approx(timing.USABLE, rel=0.2)
+    share = np.abs(effort.torques(sawyer.SAWYER, q + swing, moving, -(omega**2) * swing) / sawyer.EFFORT).max()
+    assert share == pytest.approx(effort.USABLE, rel=0.2)
 
 
 def test_the_planner_s_motions_are_within_the_motors_limits():
@@ -87,4 +87,4 @@ def test_the_planner_s_motions_are_within_the_motors_limits():
         planner.move(sawyer.READY, q),
         timing.along_line(sawyer.SAWYER, np.linspace(q, q + 0.02, 9), 0.02, 0.05),
     ):
-        assert timing.effort_share(sawyer.SAWYER, motion).max() <= timing.USABLE
+        assert effort.effort_share(sawyer.SAWYER, motion).max() <= effort.USABLE

@@ -33,7 +33,7 @@ from anther.history import (
     record_trial,
     starting_material,
 )
-from anther.history._database import Plant
+from anther.history._tables import Plant
 from anther.plant import TOMATO
 
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)

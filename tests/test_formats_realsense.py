@@ -20,9 +20,9 @@ from made_realsense import COLOR, DEPTH, LENS, PERIOD, SHIFT, START, TURN, UNIT
 from anther.capture import Capture
 from anther.cli import main
 from anther.errors import InputError
-from anther.formats import _bag_images
+from anther.formats import _realsense_bag
 from anther.formats._bag_file import BagFile
-from anther.formats._bag_images import colour_image
+from anther.formats._realsense_bag import colour_image
 from anther.formats.alignment import laid_over, straightened, straightening
 from anther.formats.bags import BagOptions, BagViews, read_bag
 from anther.geometry import Array, Intrinsics, pose7, small_transform
@@ -245,7 +245,7 @@ def test_truncated_recordings_are_refused_in_words(tmp_path: Path, name: str, sh
 )
 def test_extrinsics_of_no_sense_are_refused(text: str) -> None:
     with pytest.raises(InputError, match="9 finite numbers"):
-        _bag_images.extrinsics("/tf/ref_1", text)
+        _realsense_bag.extrinsics("/tf/ref_1", text)
 
 
 def test_a_recording_has_no_poses_of_its_own(written: Path) -> None:

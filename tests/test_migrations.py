@@ -16,7 +16,7 @@ from sqlalchemy import create_engine, inspect, text
 import anther.history.migrations as versions
 from anther.errors import InputError
 from anther.history import TrialRecord, read_trials, record_trial
-from anther.history._database import Base
+from anther.history._tables import Base
 from anther.history.migrations import HEAD
 
 VISIT = TrialRecord("tomato", "a", True)

@@ -36,7 +36,7 @@ from anther.history import (
     record_outcome,
     record_trial,
 )
-from anther.history.overview import State
+from anther.history._jobs import State
 from anther.plant import TOMATO
 from anther.serve import make_app
 from anther.serve._app import charts

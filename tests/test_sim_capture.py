@@ -17,13 +17,13 @@ from anther.errors import InputError
 from anther.geometry import Array, inverse, look_at, small_transform, transform
 from anther.sim.capture import (
     CameraErrors,
-    DepthNoise,
     capture_from_poses,
     capture_views,
     noisy_rgb,
     orbit_poses,
     perturbed_hand_eye,
 )
+from anther.sim.depth_noise import DepthNoise
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455

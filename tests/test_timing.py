@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.arm import sawyer, timing
+from anther.arm import effort, sawyer, timing
 from anther.devices import JointTrajectory
 
 JOINTS = st.integers(0, 10_000).map(
@@ -55,7 +55,7 @@ def test_a_motion_too_strong_for_the_motors_is_slowed_until_they_bear_it() -> No
     stretched, lifted = np.array([0, 0.6, 0, 0.1, 0, 0.1, 0]), np.array([0, 0.1, 0, 0.1, 0, 0.1, 0])
     motion = timing.straight(sawyer.SAWYER, stretched, lifted, 1.0, 1.0, 10.0)
     hasty = JointTrajectory(motion.times / 1.1, motion.positions, 1.1 * motion.velocities)
-    assert timing.effort_share(sawyer.SAWYER, hasty).max() > timing.USABLE
-    calm = timing.within_effort(sawyer.SAWYER, hasty)
-    assert timing.effort_share(sawyer.SAWYER, calm).max() <= timing.USABLE
+    assert effort.effort_share(sawyer.SAWYER, hasty).max() > effort.USABLE
+    calm = effort.within_effort(sawyer.SAWYER, hasty)
+    assert effort.effort_share(sawyer.SAWYER, calm).max() <= effort.USABLE
     assert hasty.duration < calm.duration <= 1.2 * hasty.duration

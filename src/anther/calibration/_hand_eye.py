@@ -1,8 +1,6 @@
-"""The result: where the camera sits on the flange, and how far it can be trusted. V views.
+"""Where the camera sits on the flange (AX = XB): closed forms, what odd views do not spoil, and how far to trust it.
 
-AX = XB in closed form: four solvers, and one estimate that wrong views do not spoil. V views.
-
-How well each view is predicted from all others: the honest error of a calibration, for every method. V views.
+V views. The honest error of a calibration is how well each view is predicted from all the others, for every method.
 """
 
 from __future__ import annotations

@@ -21,14 +21,8 @@ from anther.capture import Capture, viewed_box
 from anther.checks import check_array, check_parameters, check_range, check_transform
 from anther.cloud import _registration
 from anther.cloud._clusters import GAP, attached_points
-from anther.cloud._disagreement import (
-    cloud_doubts,
-    coverage_doubts,
-    disagreement,
-    likely_cause,
-    refuse_ground,
-    view_doubts,
-)
+from anther.cloud._disagreement import disagreement, likely_cause
+from anther.cloud._doubts import cloud_doubts, coverage_doubts, refuse_ground, view_doubts
 from anther.cloud._fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
 from anther.cloud._pixels import pixel_normals, supported_pixels
 from anther.cloud.ply import read_ply, write_ply

@@ -9,10 +9,11 @@ from anther.elastic_rod._equilibrium import equilibrium, least_stiffness, standi
 from anther.elastic_rod._grip import RIGID, Rocking, Springs
 from anther.elastic_rod._linear import Modes, natural_frequencies
 from anther.elastic_rod._motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive, unit_direction
-from anther.elastic_rod._observed import Observed, joints, observed_response, strain_changes
+from anther.elastic_rod._observed import Observed, observed_response
 from anther.elastic_rod._response import base_response, frequency_response, response_map, steady_motion
 from anther.elastic_rod._rods import GRAVITY, Array, Discretisation, NaturalShape, Rods
 from anther.elastic_rod._simulation import Trajectory, simulate
+from anther.elastic_rod._strains import joints, strain_changes
 from anther.elastic_rod._vectors import compiled
 
 __all__ = [

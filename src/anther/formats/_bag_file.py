@@ -16,7 +16,7 @@ from typing import Any
 
 from anther.errors import InputError, MissingExtra, bad_input
 from anther.files import existing
-from anther.formats._bag_images import shared_extrinsics, stream_of, units_of, unpacked, without_unit
+from anther.formats._realsense_bag import shared_extrinsics, stream_of, units_of, unpacked, without_unit
 
 INSTALL = "pip install 'anther[bags]'"
 _TFMESSAGE = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")

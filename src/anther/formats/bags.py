@@ -15,7 +15,7 @@ import numpy as np
 from anther.capture import Capture
 from anther.checks import check_range
 from anther.errors import bad_input
-from anther.formats import _bag_images
+from anther.formats import _realsense_bag
 from anther.formats._bag_file import BagFile, Recorded, Topics, find_topics
 from anther.formats._bag_images import BagCamera, camera_of, colour_image, depth_image
 from anther.formats._bag_poses import (
@@ -178,13 +178,13 @@ def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> N
 def _keep_text(held: _Contents, topic: str, text: str, topics: Topics) -> None:
     """Keep what RealSense says in its own words (.db3)."""
     if topic in (topics.color_info, topics.depth_info):
-        held.infos.setdefault(topic, camera_of(topic, _bag_images.camera_info(topic, text)))
+        held.infos.setdefault(topic, camera_of(topic, _realsense_bag.camera_info(topic, text)))
     elif topic in (topics.color_extrinsics, topics.depth_extrinsics):
-        held.extrinsics[topic] = _bag_images.extrinsics(topic, text)
+        held.extrinsics[topic] = _realsense_bag.extrinsics(topic, text)
     elif topic in (topics.color_times, topics.depth_times):
-        held.times.setdefault(topic, []).append(_bag_images.frame_time(topic, text))
+        held.times.setdefault(topic, []).append(_realsense_bag.frame_time(topic, text))
     elif topic == topics.unit:
-        held.unit = _bag_images.number(topic, text)
+        held.unit = _realsense_bag.number(topic, text)
 
 
 def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, BagCamera, Array | None]:
@@ -205,7 +205,7 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
     else:
         T_color_depth = held.frames.between(color.frame, depth.frame)
     if T_color_depth is None:
-        beside = f"{_bag_images.stream_of(topics.depth)}/tf/N and the colour's" if topics.by_sdk else "/tf_static"
+        beside = f"{_realsense_bag.stream_of(topics.depth)}/tf/N and the colour's" if topics.by_sdk else "/tf_static"
         raise bad_input(
             path,
             given=f"depth in frame '{depth.frame}', colour in '{color.frame}', and no fixed transform between them",

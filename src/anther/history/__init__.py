@@ -7,7 +7,9 @@ shaken: its own last belief, else the facts; `earlier_shake` with which shake to
 
 from anther.history._beliefs import Belief, earlier_shake, facts_prior, starting_material
 from anther.history._database import DEFAULT, PATIENCE, reading, shown
-from anther.history._export import TABLES, Merged, export, merge
+from anther.history._export import TABLES, export
+from anther.history._jobs import Job, add_jobs, note_jobs, read_jobs
+from anther.history._merge import Merged, merge
 from anther.history._records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
 from anther.history._trials import (
     add_missing,
@@ -21,7 +23,6 @@ from anther.history._trials import (
     record_outcome,
     record_trial,
 )
-from anther.history.overview import Job, add_jobs, note_jobs, read_jobs
 
 __all__ = [
     "DEFAULT",

@@ -10,8 +10,9 @@ from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
 
 from anther.checks import check_array
-from anther.history._database import DEFAULT, GraspRow, Plant, ResponseRow, ShakeRow, Visit, reading
+from anther.history._database import DEFAULT, reading
 from anther.history._records import material_of
+from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, Visit
 from anther.plant import PEPPER, TOMATO, Material
 from anther.shake import EarlierShake
 

@@ -1,12 +1,4 @@
-"""Where the history lives: one SQLite file, or a PostgreSQL server; how it is opened, locked, and what can go wrong.
-
-The tables of the trial history, for SQLAlchemy. Units are in the names of the columns.
-
-One plant has many visits; a visit has at most one grasp and one shake, a response of every flower, and links to its run
-folder; outcomes belong to a plant, and to one of its visits where the grower says so. A sweep has many jobs, which
-have no visits. The tables themselves are made by `migrations`, which a test holds equal to these classes. Visits,
-responses, outcomes and notes are never changed.
-"""
+"""Where the history lives: one SQLite file, or a PostgreSQL server; how it is opened, locked, and what can go wrong."""
 
 from __future__ import annotations
 
@@ -14,196 +6,24 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from datetime import UTC, date, datetime
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import (
-    JSON,
     URL,
-    DateTime,
-    Double,
     Engine,
-    ForeignKey,
-    Index,
-    Text,
-    TypeDecorator,
-    UniqueConstraint,
     create_engine,
     event,
-    false,
     make_url,
 )
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
-from sqlalchemy.orm import DeclarativeBase, Mapped, Session, mapped_column, relationship
+from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 
 from anther.errors import AntherError, InputError, MissingExtra, bad_input
 from anther.files import understood
 from anther.history.migrations import HEAD, migrate, version
-
-
-class Utc(TypeDecorator[datetime]):
-    """A moment: timestamptz in PostgreSQL; UTC without its zone in SQLite, which has no zones."""
-
-    impl = DateTime(timezone=True)
-    cache_ok = True
-
-    def process_bind_param(self, value: datetime | None, dialect: Any) -> datetime | None:
-        """Return the moment as the database takes it."""
-        if value is None:
-            return None
-        moment = value.astimezone(UTC)
-        return moment.replace(tzinfo=None) if dialect.name == "sqlite" else moment
-
-    def process_result_value(self, value: datetime | None, dialect: Any) -> datetime | None:
-        """Return the moment in UTC."""
-        if value is None:
-            return None
-        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-
-
-class Base(DeclarativeBase):
-    """Common base of the tables."""
-
-    type_annotation_map = {float: Double, str: Text, datetime: Utc, Any: JSON(none_as_null=True)}  # noqa: RUF012
-
-
-class Plant(Base):
-    """A plant, known by its species and label."""
-
-    __tablename__ = "plants"
-    __table_args__ = (UniqueConstraint("species", "label"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    species: Mapped[str]
-    label: Mapped[str]
-
-
-class Visit(Base):
-    """One trial at a plant. The materials are `plant.Material` as JSON, so that a new property needs no new column.
-
-    Plant, time (by the robot's own clock) and robot name a visit in every history it is in.
-    """
-
-    __tablename__ = "visits"
-    __table_args__ = (
-        Index("ix_visits_plant", "plant_id", "time", "robot", unique=True),
-        # trends read this index alone
-        Index("ix_visits_time", "time", "robot", "held_unharmed", "failure", "acceleration_ms2"),
-    )
-    id: Mapped[int] = mapped_column(primary_key=True)
-    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
-    robot: Mapped[str] = mapped_column(server_default="")
-    time: Mapped[datetime]
-    held_unharmed: Mapped[bool]
-    taught: Mapped[bool] = mapped_column(server_default=false())
-    acceleration_ms2: Mapped[float | None]
-    failure: Mapped[str | None]
-    run: Mapped[str | None]
-    material_before: Mapped[Any] = mapped_column(nullable=True)
-    material_after: Mapped[Any] = mapped_column(nullable=True)
-    plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
-    grasp: Mapped[GraspRow | None] = relationship(lazy="selectin", uselist=False)
-    shake: Mapped[ShakeRow | None] = relationship(lazy="selectin", uselist=False)
-    responses: Mapped[list[ResponseRow]] = relationship(lazy="selectin", order_by="ResponseRow.flower")
-
-
-class GraspRow(Base):
-    """Where the plant was held."""
-
-    __tablename__ = "grasps"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), unique=True)
-    arc_length_m: Mapped[float | None]
-    stem_diameter_m: Mapped[float | None]
-    confidence: Mapped[float | None]
-    organ: Mapped[str | None]
-    pose7: Mapped[Any] = mapped_column(nullable=True)
-
-
-class ShakeRow(Base):
-    """How it was shaken."""
-
-    __tablename__ = "shakes"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), unique=True)
-    frequency_hz: Mapped[float]
-    amplitude_m: Mapped[float]
-    duration_s: Mapped[float | None]
-    waveform: Mapped[str | None]
-    direction: Mapped[Any] = mapped_column(nullable=True)
-
-
-class ResponseRow(Base):
-    """How one flower answered; null where it was not predicted or not measurable."""
-
-    __tablename__ = "responses"
-    __table_args__ = (UniqueConstraint("visit_id", "flower"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"))
-    flower: Mapped[int]
-    predicted_amplitude_m: Mapped[float | None]
-    measured_amplitude_m: Mapped[float | None]
-    measured_amplitude_std_m: Mapped[float | None]
-    predicted_acceleration_ms2: Mapped[float | None]
-    measured_acceleration_ms2: Mapped[float | None]
-
-
-class FruitSetRow(Base):
-    """How many flowers of a plant set fruit, as the grower counted; nothing is ever overwritten."""
-
-    __tablename__ = "outcomes"
-    __table_args__ = (Index("ix_outcomes_plant", "plant_id", "recorded"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
-    visit_id: Mapped[int | None] = mapped_column(ForeignKey("visits.id"))
-    date: Mapped[date]
-    flowers: Mapped[int]
-    fruit: Mapped[int]
-    note: Mapped[str]
-    recorded: Mapped[datetime]
-    plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
-
-
-class Sweep(Base):
-    """Many runs of one function over the rows of a table (`anther.sweep`); `uid` is kept in its folder too."""
-
-    __tablename__ = "sweeps"
-    id: Mapped[int] = mapped_column(primary_key=True)
-    uid: Mapped[str] = mapped_column(unique=True)
-    folder: Mapped[str]
-    function: Mapped[str]
-    began: Mapped[datetime]
-
-
-class SweepJob(Base):
-    """One row of a sweep's table and what became of it; `row` and `result` are JSON objects."""
-
-    __tablename__ = "sweep_jobs"
-    __table_args__ = (UniqueConstraint("sweep_id", "key"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweeps.id"))
-    key: Mapped[str]
-    row: Mapped[Any]
-    state: Mapped[str]
-    tries: Mapped[int]
-    reason: Mapped[str | None]
-    result: Mapped[Any] = mapped_column(nullable=True)
-    seconds: Mapped[float | None]
-    ended: Mapped[datetime | None]
-
-
-class Note(Base):
-    """What somebody wrote about a visit afterwards."""
-
-    __tablename__ = "notes"
-    __table_args__ = (Index("ix_notes_visit", "visit_id", "recorded"),)
-    id: Mapped[int] = mapped_column(primary_key=True)
-    visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"))
-    recorded: Mapped[datetime]
-    text: Mapped[str]
-
 
 DEFAULT = Path("runs/history.sqlite")
 PATIENCE = 30.0

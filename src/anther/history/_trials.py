@@ -14,19 +14,9 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from anther.errors import bad_input
-from anther.history._database import (
-    DEFAULT,
-    FruitSetRow,
-    GraspRow,
-    Note,
-    Plant,
-    ResponseRow,
-    ShakeRow,
-    Visit,
-    reading,
-    writing,
-)
+from anther.history._database import DEFAULT, reading, writing
 from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of
+from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, Visit
 
 _COLUMNS = {name: f"{name}_{'ms2' if name.endswith('acceleration') else 'm'}" for name in MOTIONS}
 

@@ -13,18 +13,15 @@ from anther.identification._clamped_stem import (
     youngs_from_deflection,
     youngs_from_first_mode,
 )
+from anther.identification._estimates import Quantity, combine, disagreement, propagate
 from anther.identification._free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification._material_test import (
     Density,
     Identification,
     InstrumentErrors,
     MaterialTest,
-    Quantity,
-    combine,
     density_from_samples,
-    disagreement,
     identify,
-    propagate,
     read_material,
     write_material,
 )

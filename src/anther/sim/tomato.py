@@ -12,18 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from anther.geometry import Array
-from anther.sim._growth import (
-    AREAL_DENSITY,
-    FLOWER_RESONANCE,
-    PEDICEL_YOUNGS,
-    Growth,
-    arc,
-    blade_colours,
-    draw_youngs,
-    pedicel_radius,
-    ripple,
-)
+from anther.sim._growth import AREAL_DENSITY, Growth, arc, blade_colours, ripple
 from anther.sim._mesh import blade, star, tube, unit
+from anther.sim._stiffness import FLOWER_RESONANCE, PEDICEL_YOUNGS, draw_youngs, pedicel_radius
 from anther.sim.plant import POT_AXIS, SOIL_Z, Organ, SimPlant
 
 GOLDEN_ANGLE = np.radians(137.5)
