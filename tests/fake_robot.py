@@ -113,7 +113,7 @@ class FakeCamera:
 
     def stop(self) -> list[Frame]:
         count = int(self.asked[-1]) if self.asked else 0
-        return [self._frame(self.clock() - i / count) for i in reversed(range(count))]
+        return [self._frame(self.clock() - 1 + i / count) for i in range(count)]
 
     def _frame(self, time: float) -> Frame:
         return Frame(time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))

@@ -28,7 +28,7 @@ from anther.calibration import (
     camera_moved,
     flange_motions,
 )
-from anther.calibration._proposals import candidates, sees_board, spread
+from anther.calibration.proposals import candidates, sees_board, spread
 from anther.calibration.taken import MOST, Taken, is_steady, lacks, read_record, taken_before
 from anther.cells import read_cell
 from anther.cells.rewriting import point_to_calibration

@@ -276,7 +276,7 @@ def test_a_camera_is_not_blamed_for_a_shake_that_did_not_begin() -> None:
     assert "camera returned no frame" in execute(PLANNER, Plan(), robot, LIMITS, watched=Scripted()).stop_reason
 
 
-@pytest.mark.parametrize(("before", "said"), [(0.4, "finished"), (0.6, "no frame of the shake's last 0.6 s")])
+@pytest.mark.parametrize(("before", "said"), [(0.4, "finished"), (0.6, "no frame of the shake's last 0.7 s")])
 def test_a_camera_that_fell_silent_before_the_shake_ended_is_told(before: float, said: str) -> None:
     arm = FakeArm()
     robot = replace(fake_robot(arm), side_camera=FakeCamera(lambda: arm.clock - before))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from anther.arm.board_views import board_planner, first_reached
 from anther.arm.planner import Planner
 from anther.calibration import BoardViews, HandEye, Params, parse_board, read_intrinsics, why_unseen
-from anther.calibration._proposals import candidates, least_alike
+from anther.calibration.proposals import candidates, least_alike
 from anther.calibration.taken import ENOUGH, MOST, RESULT, Taken, is_steady, lacks, taken_before
 from anther.cells import CellFile, read_cell
 from anther.cells.rewriting import point_to_calibration
