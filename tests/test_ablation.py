@@ -17,6 +17,7 @@ from anther.sim import _plant_mechanics
 from anther.sim.tomato import grow_tomato
 
 BENDING = _plant_mechanics.Params(twisting=())
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,6 @@ def test_every_node_is_in_one_organ_and_the_stem_is_one(plant: Model) -> None:
         assert np.all(plant.rods.parent[chain[1:]] == chain[:-1])
 
 
-@pytest.mark.slow
 def test_a_bar_that_lacks_a_feature_does_not_miss_it(bar: Model) -> None:
     """Even, straight, on the grid, without leaves, bent in one plane."""
     full = gain(bar)

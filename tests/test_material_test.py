@@ -259,6 +259,7 @@ def misses(found: Identification) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 def test_the_truth_lies_within_the_stated_errors_as_often_as_it_should() -> None:
     """40 simulated tests: misses in standard errors have about unit spread, and few exceed two."""
     rng = np.random.default_rng(0)

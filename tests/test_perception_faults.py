@@ -167,7 +167,7 @@ def together(one: SimPlant, two: SimPlant) -> Scene:
     )
 
 
-@pytest.mark.parametrize("apart", [0.18, 0.36])
+@pytest.mark.parametrize("apart", [0.18, pytest.param(0.36, marks=pytest.mark.slow)])
 def test_two_plants_in_view(plant: SimPlant, apart: float) -> None:
     """Their leaves mingle at 0.18 m; at 0.36 m they hardly touch."""
     two = grow_tomato(12, axis=(0.72, apart))
