@@ -89,15 +89,14 @@ class FakeGripper:
 
 
 class FakeCamera:
-    """Sees nothing, at the rate asked for; of a recording it keeps the last second."""
+    """Sees nothing, at the rate asked for, for a second."""
 
     intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
     rates = (15.0, 30.0, 60.0, 90.0)
 
-    def __init__(self, clock: Callable[[], float] = lambda: 1.0) -> None:
+    def __init__(self) -> None:
         self.asked: list[float] = []
         self.reads = 0
-        self.clock = clock
 
     def read(self) -> Frame:
         self.reads += 1
@@ -112,16 +111,14 @@ class FakeCamera:
         return [self._frame(since + i / self.asked[-1]) for i in range(int(self.asked[-1] / 2))]
 
     def stop(self) -> list[Frame]:
-        count = int(self.asked[-1]) if self.asked else 0
-        return [self._frame(self.clock() - 1 + i / count) for i in range(count)]
+        return [self._frame(i / self.asked[-1]) for i in range(int(self.asked[-1]))] if self.asked else []
 
     def _frame(self, time: float) -> Frame:
         return Frame(time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
 
 
 def fake_robot(arm: FakeArm | None = None, gripper: FakeGripper | None = None) -> Robot:
-    arm = arm or FakeArm()
-    return Robot(arm, gripper or FakeGripper(), FakeCamera(), FakeCamera(lambda: arm.clock), np.eye(4))
+    return Robot(arm or FakeArm(), gripper or FakeGripper(), FakeCamera(), FakeCamera(), np.eye(4))
 
 
 def horizontal_grasp(point: Array, joints: Array, *, diameter: float = 0.008) -> Grasp:

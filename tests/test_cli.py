@@ -23,6 +23,7 @@ from anther.cli import COMMANDS, main
 from anther.cloud import Cloud
 from anther.commands.run_folder import WRITTEN, open_run
 from anther.errors import InputError, StageFailure
+from anther.execution import Trial
 from anther.geometry import Intrinsics, look_at
 
 
@@ -352,6 +353,7 @@ def test_a_trial_end_to_end(tmp_path, capsys) -> None:
     assert code == (0 if summary["success"] else 1)
     assert summary["success"] == (summary["held"] and summary["unharmed"] and summary["flowers_moved"])
     assert (summary["failure"] is None) == (summary["held"] and summary["unharmed"])
+    assert Trial.load(out / "09_trial.npz").stop_reason == "finished"
     assert 0 <= summary["harm_probability"] <= 1
     assert summary["true_flower_acceleration_least_ms2"] <= summary["true_flower_acceleration_median_ms2"]
     assert summary["pollen_freed_low"] < summary["pollen_freed_median"] < summary["pollen_freed_high"]

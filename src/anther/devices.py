@@ -188,10 +188,6 @@ class Gripper(Protocol):
         ...
 
 
-STALLED = 0.5
-"""A camera that gave no frame for so long has stopped [s]: 15 frames at 30 Hz."""
-
-
 class Camera(Protocol):
     """An RGB-D camera, depth aligned to colour."""
 

@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_range
-from anther.devices import STALLED, DeviceError, Frame
+from anther.devices import DeviceError, Frame
 from anther.geometry import Intrinsics
 
+STALLED = 0.5
+"""A camera that gave no frame for so long has stopped [s]: 15 frames at 30 Hz."""
 AGAIN = 1.0
 """Between two tries to open a camera that stopped [s]."""
 MOST_BYTES = 1e9

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.devices import STALLED, DeviceError
-from anther.drivers.free_running import FreeRunningCamera, Shot
+from anther.devices import DeviceError
+from anther.drivers.free_running import STALLED, FreeRunningCamera, Shot
 from anther.errors import MissingExtra
 from anther.formats.alignment import laid_over, straightened, straightening
 from anther.geometry import Intrinsics, transform
