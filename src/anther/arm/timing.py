@@ -16,8 +16,6 @@ LESS = 1e-3
 """No speed [rad/s]."""
 NEARLY = 0.95
 """Share that is used of the speed allowed near the end of a joint's range: between two samples it changes."""
-
-
 PERIOD = 0.004  # s between samples
 LEAST = 20  # samples of a line, however short: of fewer its acceleration cannot be told
 BLEND = 0.01  # rad, how far a rounded corner may leave the waypoint where nothing else is said

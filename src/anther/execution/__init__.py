@@ -319,9 +319,9 @@ def _filmed(work: _Work) -> Iterator[None]:
     finally:
         try:
             work.frames = tuple(camera.stop())
-            if shaken and not work.frames:
-                raise DeviceError("the side camera returned no frame of the shake.")
             if shaken:
+                if not work.frames:
+                    raise DeviceError("the side camera returned no frame of the shake.")
                 camera.read()  # a camera that failed after the last look would go unnoticed
         except DeviceError as error:
             work.fail(error)
