@@ -39,6 +39,7 @@ from anther.geometry import (
 )
 
 KIND, SCHEMA = "calibration-views", 1
+_POSES = ("T_base_flange", "T_cam_board")
 VIEWS, POSES, INTRINSICS, RESULT = "views.json", "poses.csv", "intrinsics.json", "calibration.json"
 LEAST_CORNERS = 8
 UNLIKE = 3.0
@@ -248,9 +249,6 @@ def taken_before(folder: Path, board: str) -> Taken | None:
             joints = check_array("joints", row["joints"], (None,))
             taken.take(view, joints, transform_from_pose7(row["T_base_flange"]), name)
     return taken
-
-
-_POSES = ("T_base_flange", "T_cam_board")
 
 
 def _read_views(folder: Path) -> tuple[str, dict[str, Any]]:

@@ -24,6 +24,12 @@ from anther.identification._estimates import DISAGREEMENT, Quantity, combine, di
 from anther.identification._free_vibration import FreeVibration, mean_vibration
 from anther.plant import TOMATO, Material
 
+SCHEMA = 1
+LEAST_EXPLAINED = 0.7
+"""A fit that explains less of a trace's variance while it decays is warned about [-]."""
+LARGE_DROOP = 0.2
+"""A horizontal stem that hangs lower than this share of its length is warned about [-]."""
+
 
 @dataclass(frozen=True, slots=True)
 class Density:
@@ -56,13 +62,6 @@ def density_from_samples(mass: ArrayLike, radius: ArrayLike, length: ArrayLike) 
     each = m / (np.pi * r**2 * h)
     sd = float(np.std(each, ddof=1)) if len(each) > 1 else float("nan")
     return Density(float(each.mean()), sd, sd / float(np.sqrt(len(each))))
-
-
-SCHEMA = 1
-LEAST_EXPLAINED = 0.7
-"""A fit that explains less of a trace's variance while it decays is warned about [-]."""
-LARGE_DROOP = 0.2
-"""A horizontal stem that hangs lower than this share of its length is warned about [-]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,11 @@ from anther.sim.plant import POT_HEIGHT, Organ, Pot, SimPlant
 
 AREAL_DENSITY = 0.25
 """Mass of a fresh blade per area [kg/m2]: 0.25 mm of tissue that is mostly water (an estimate)."""
+LONGEST = 0.05
+"""Longest segment [m]: `sim.plant_mechanics` bends a plant between its segments only."""
+SOIL_COLOUR = (58, 43, 33)
+POT_COLOURS = ((178, 98, 66), (42, 42, 45), (160, 88, 60))
+"""Terracotta, black plastic, darker terracotta."""
 
 
 def arc(base: Array, azimuth: float, length: float, elevation: tuple[float, float], count: int) -> Array:
@@ -50,13 +55,6 @@ def blade_colours(rng: np.random.Generator, colour: ArrayLike, rows: int) -> NDA
     level = shade + midrib
     tinted = np.stack([level + warm, level, 0.6 * level], axis=-1) + np.asarray(colour)
     return np.clip(tinted, 0, 255).astype(np.uint8).reshape(-1, 3)
-
-
-LONGEST = 0.05
-"""Longest segment [m]: `sim.plant_mechanics` bends a plant between its segments only."""
-SOIL_COLOUR = (58, 43, 33)
-POT_COLOURS = ((178, 98, 66), (42, 42, 45), (160, 88, 60))
-"""Terracotta, black plastic, darker terracotta."""
 
 
 def varied(colour: ArrayLike, count: int, rng: np.random.Generator, spread: float = 5.0) -> NDArray[np.uint8]:
