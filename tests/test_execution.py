@@ -55,6 +55,15 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert len(trial.frames) == len(trial.frame_times) > 8
 
 
+@pytest.mark.parametrize("joint", range(7))
+def test_an_arm_with_one_joint_elsewhere_reaches_before_it_approaches(joint: int) -> None:
+    assert GRASP.joints is not None
+    before = PLANNER.line(GRASP.joints, GRASP.pregrasp(STAND_OFF), Params().approach_speed).positions[-1]
+    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(before + 0.1 * (np.arange(7) == joint))), LIMITS)
+    assert trial.finished
+    assert np.ptp(trial.phase_times[PHASES.index("reach")]) > 0.1
+
+
 @pytest.mark.parametrize(
     ("squeezed", "wait"),
     [(0.0, Params().settle), (0.0019, Params().settle), (0.004, CALM), (None, CALM)],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from threading import Event, Timer
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from anther.arm import sawyer
 from anther.devices import LEAD, ArmSample, DeviceError, Frame, Robot
 from anther.errors import InputError
 from anther.execution import PHASES, Line, Step, Trial, execute
+from anther.execution._watched import LONGER, PATIENCE, Deciding
 from anther.grasp import STAND_OFF
 from anther.swing import Swing
 
@@ -117,6 +119,32 @@ def test_each_piece_is_decided_in_time_by_what_was_seen_of_the_one_before() -> N
         piece, begin = watched.pieces[i], samples[0].time
         assert samples[-1].time - begin == pytest.approx(piece.begin + piece.seconds - LEAD, abs=0.06)
         assert frames[0].time == pytest.approx(begin + piece.begin + 0.5, abs=1e-6)
+
+
+def test_only_by_the_arms_clock_is_a_decision_late() -> None:
+    """While the arm's time stands still it is waited for; where time goes on the piece goes on, and then it follows."""
+    first, decided = Swing.first(TONES, (0.002, 0.0), 1.5, 0.4), Event()
+    wanted = first.then((0.003, 0.0), 1.2, 0.4)
+
+    def decide() -> Swing:
+        decided.wait()
+        return wanted
+
+    felt = [ArmSample(0.0, np.zeros(7), np.zeros(7), 0.0)]
+    deciding = Deciding(felt)
+    Timer(0.1, decided.set).start()
+    assert deciding.after(first, decide).amplitudes == pytest.approx(wanted.amplitudes)
+    decided.clear()
+    Timer(0.05, lambda: felt.append(replace(felt[0], time=2 * PATIENCE))).start()
+    longer = deciding.after(first, decide)
+    assert deciding.under_way
+    assert longer.amplitudes == pytest.approx(first.amplitudes)
+    assert longer.seconds == LONGER
+    decided.set()
+    late = deciding.after(longer, decide)
+    assert late.begin == longer.begin + longer.seconds
+    assert late.amplitudes == pytest.approx(wanted.amplitudes)
+    deciding.close()
 
 
 def test_a_trial_keeps_its_steps_on_disk(tmp_path: Path) -> None:
