@@ -388,6 +388,42 @@ def test_toward_the_base_every_place_below_the_fork_is_tried_and_few_above_it():
     assert few.outward().min() > 0
 
 
+def test_views_that_see_through_each_other_make_every_place_less_sure():
+    stem, skeleton, cloud = make_plant(branches=())
+    skeleton = replace(skeleton, confidence=np.full(len(skeleton.nodes), 0.8))
+    agree, differ = (
+        _rank(stem, skeleton, replace(cloud, seen_through=share), Params(), toward_base=False).confidence
+        for share in (0.0, 0.25)
+    )
+    assert agree.min() > 0.5
+    assert differ == pytest.approx(0.75 * agree)
+
+
+def test_half_open_costs_and_wide_open_does_not():
+    ranking = _rank(*make_plant(branches=()), Params(), toward_base=False)
+    half = ranking.candidates.opening < GripperShape().stroke
+    assert half.any()
+    assert not half.all()
+    np.testing.assert_array_equal(ranking.costs["half open"] > 0, half)
+
+
+def test_a_stem_twice_as_thick_is_strained_an_eighth_by_what_is_pushed_aside():
+    stem, skeleton, cloud = make_plant(branches=((0.2, 0.0), (0.35, 2.0)))
+    thin, thick = (
+        _rank(
+            stem,
+            replace(skeleton, radius=np.where(stem.organ == STEM, radius, 0.001)),
+            cloud,
+            Params(),
+            toward_base=False,
+        ).costs["pushes a petiole"]
+        for radius in (0.003, 0.006)
+    )
+    known = (thin > 0) & (thin < 6)  # the cost's most
+    assert known.sum() > 10
+    assert thick[known] == pytest.approx(thin[known] / 8)
+
+
 @pytest.mark.parametrize(("less", "refused"), [(0.5, True), (1.5, False)])
 def test_a_stem_needs_the_margin_between_the_open_pads(less, refused):
     radius = (GripperShape().stroke - less * STROKE_MARGIN) / 2
