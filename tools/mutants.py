@@ -45,7 +45,7 @@ AREAS = {
         ["shake", "escalation"],
         [
             "test_shake_choice.py", "test_plan_shake.py", "test_escalation.py", "test_foresight.py", "test_pads.py",
-            "test_breeze.py", "test_expectation.py", "test_overtones.py",
+            "test_breeze.py", "test_expectation.py", "test_overtones.py", "test_pressing.py",
         ],
     ),
     "response": (
