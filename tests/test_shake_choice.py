@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from sample_plants import branched, grasps_on, stem_along, straight_stem
 
+from anther import shake
 from anther.elastic_rod import Clamp, Drive, Rods
 from anther.elastic_rod._response import driven_response
 from anther.errors import InputError, StageFailure
@@ -26,11 +28,12 @@ from anther.shake import (
     PlantLimits,
     ShakePlan,
     VibratingGripper,
+    _Checked,
     plan_shake,
     with_preset,
 )
 from anther.shake.actuators import RAMPS
-from anther.shake.choice import PRESS, _worth, plant_limits
+from anther.shake.choice import PRESS, Search, _worth, plant_limits
 from anther.shake.limits import sawyer_limit
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
@@ -217,6 +220,24 @@ def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: Plant
     strains = true_over_modelled * np.array([strain_of_pedicels(one, plan) for one in drawn])
     assert len(drawn) > 50
     assert np.mean(strains > QUICK.plant.pedicel_strain) <= QUICK.risk
+
+
+def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the solver halves is worth half, and so is the next tone; another tone and another grip are as they were."""
+    frequencies, score = np.array([5.0, 5.2, 9.0]), np.array([1.0, 0.9, 0.7])[:, None, None] * [[1.0], [0.5]]
+    found = Search(frequencies, np.ones(3), np.full((3, 2, 1), 4e-3), score, {}, {})
+
+    def halved_below_6_hz(*given: Any) -> _Checked:
+        at = given[4]
+        kept = 0.5 if frequencies[at[0]] < 6 else 1.0
+        shake = Drive(0, np.array([1.0, 0, 0]), kept * found.amplitude[at], frequencies[at[0]], 0)
+        return _Checked(shake, np.zeros(1), np.zeros(1), np.zeros((1, 2)), [], ())
+
+    monkeypatch.setattr(shake, "_check", halved_below_6_hz)
+    left, at, _ = shake._best_that_holds(*cast(Any, (None, None, None)), found, 2, 1e-4, QUICK)
+    assert at == (2, 0, 0)
+    assert left.score[:, 0, 0] == pytest.approx([0.5, 0.45, 0.7])
+    assert left.score[:, 1, 0] == pytest.approx(score[:, 1, 0])
 
 
 def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:
