@@ -13,7 +13,9 @@ from anther.devices import Frame
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.identification import Felt, ObservedShake
+from anther.oscillation import fit_swing
 from anther.response import Response, StemNear, measure_response, stem_near
+from anther.response.beside import _swing
 from anther.shake import ShakePlan
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
@@ -67,6 +69,17 @@ def measured(frames: list[Frame]) -> Response:
 
 def arc_of(points: Array) -> Array:
     return (points - ROOT) @ WAY
+
+
+def test_noise_is_no_outlier_and_a_leap_is() -> None:
+    rng, times = np.random.default_rng(2), np.arange(120) / 60
+    noisy = 1e-3 * np.sin(2 * np.pi * F * times) + rng.normal(0, 1e-4, 120)
+    every = fit_swing(times, np.outer(noisy, [1, 0, 0]), F).coefficients[:2, 0]
+    phasor, _ = _swing(times, noisy, F, 1e-3) or (0j, 0.0)
+    assert [phasor.imag, phasor.real] == pytest.approx(every), "all frames count"
+    noisy[60] += 5e-3
+    leapt, _ = _swing(times, noisy, F, 1e-3) or (0j, 0.0)
+    assert leapt == pytest.approx(phasor, abs=1e-5)
 
 
 @pytest.mark.parametrize("size", [0.5e-3, 2e-3, 6e-3])

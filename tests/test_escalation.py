@@ -269,6 +269,20 @@ def test_a_shake_that_is_lost_from_sight_ends(shaken: Shaken, look: int) -> None
     assert f"Only 0 of {FLOWERS + POINTS} points are still followed" in watched.steps[-1].decided
 
 
+@pytest.mark.parametrize(("lines", "look"), [(1, 1), (1, 3), (2, 1)], ids=["first step", "later", "second probe"])
+@pytest.mark.parametrize("fewer", [False, True])
+def test_only_a_shake_of_which_less_than_half_is_followed_is_lost(
+    shaken: Shaken, lines: int, look: int, fewer: bool
+) -> None:
+    half = np.arange(FLOWERS + POINTS) < (FLOWERS + POINTS + 1) // 2 - fewer
+    foresight = made_foresight(1)
+    plan = made_plan((0.0005,) * 3, lines=lines)
+    world = World(foresight, foresight.vectors[4], plan=plan, shown=[*[SIGHTED] * look, half])
+    steps = shaken(world).steps
+    assert any("points are still followed" in step.decided for step in steps) == fewer
+    assert (len(world.pieces) == look + 2) == fewer, "it ends with the look that shows so few"
+
+
 @pytest.mark.parametrize("count", [1, FLOWERS - 1])
 def test_a_shake_that_loses_a_flower_that_may_swing_far_goes_back_to_where_it_was_seen(
     shaken: Shaken, count: int

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import signal
@@ -136,6 +137,7 @@ def test_outcomes(where: str) -> None:
 
 def test_a_record_survives_as_json_and_is_added_once(where: str) -> None:
     again = TrialRecord.of(full().plain())
+    assert json.dumps(again.plain()) == json.dumps(full().plain())
     assert (again.grasp, again.shake, again.material, again.time) == (
         full().grasp, full().shake, full().material, full().time,
     )  # fmt: skip
@@ -267,7 +269,16 @@ def test_locked_and_full_are_told_apart(tmp_path: Path, monkeypatch: pytest.Monk
     assert all(t.flowers == 2 for t in read_trials(path))
 
 
-@pytest.mark.parametrize("address", ["mysql://a@b/c", "postgresql://[", "postgresql://u:secret@127.0.0.1:1/none"])
+@pytest.mark.parametrize(
+    "address",
+    [
+        "mysql://a@b/c",
+        "my sql://u:secret@b/c",
+        "postgresql://[",
+        "postgresql://u:secret@b:port/c",
+        "postgresql://u:secret@127.0.0.1:1/none",
+    ],
+)
 def test_addresses_that_cannot_serve(address: str) -> None:
     if address.startswith("postgresql"):
         pytest.importorskip("psycopg")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from anther.devices import Frame
 from anther.escalation.overtones import sharpened
 from anther.geometry import Array, Intrinsics
-from anther.response.points import Sight, Swings, _basis, _Growth, _middles, likeness, sight, swings
+from anther.response.points import SLOW, SPARE, Sight, Swings, _basis, _Growth, _middles, likeness, sight, swings
 from anther.shake.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
@@ -126,6 +126,13 @@ def test_tones_above_half_the_frame_rate_are_measured_where_no_two_seem_alike() 
 def test_tones_that_frames_cannot_tell_apart_look_alike(tones: list[float], why: str) -> None:
     assert likeness(30.0, 0.7, np.array(tones)) > 3, why
     assert 1 <= likeness(61.0, 2.5, np.array(tones)) < 2
+
+
+@pytest.mark.parametrize("tones", [[4.0], [3.0, 5.0, 7.5], [2.0, 3.5, 5.0, 6.5, 8.0]])
+def test_tones_are_told_only_by_more_frames_than_there_are_numbers_to_fit(tones: list[float]) -> None:
+    fitted = 2 * len(tones) + SLOW
+    assert likeness(30.0, (fitted + SPARE - 0.5) / 30, np.array(tones)) == np.inf
+    assert likeness(30.0, (fitted + SPARE + 0.5) / 30, np.array(tones)) < np.inf
 
 
 @pytest.mark.parametrize("rate", [1.6, 0.0, -1.6])

@@ -15,7 +15,7 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.oscillation import choose_rate, find_frequency, fit_swing, swing_basis
+from anther.oscillation import _slow_terms, choose_rate, find_frequency, fit_swing, swing_basis
 from anther.response import Response, measure_response
 from anther.response.depth import depth_along
 from anther.response.petals import Patch, petal_weight
@@ -326,6 +326,20 @@ def test_the_stated_deviation_is_honest() -> None:
     clean = np.outer(0.002 * np.sin(2 * np.pi * 5 * times), [1.0, 0, 0])
     swings = [fit_swing(times, clean + rng.normal(0, 0.0005, clean.shape), 5.0) for _ in range(200)]
     assert np.std([s.amplitude for s in swings]) == pytest.approx(np.mean([s.amplitude_std for s in swings]), rel=0.2)
+
+
+def test_the_stated_deviation_is_of_that_phase_which_the_frames_tell_worse() -> None:
+    """At nearly half the frame rate they tell the cosine well and the sine hardly, or the other way about."""
+    rng, times = np.random.default_rng(1), np.arange(40) / 60
+    swings = [fit_swing(times, rng.normal(0, 1e-4, (40, 3)), 29.8) for _ in range(300)]
+    cosine, sine = np.std([s.coefficients[:2, 0] for s in swings], axis=0)
+    assert max(cosine, sine) > 1.5 * min(cosine, sine)
+    assert np.mean([s.axis_std[0] for s in swings]) == pytest.approx(max(cosine, sine), rel=0.15)
+
+
+@given(st.integers(8, 200), st.floats(0.5, 100), st.floats(5, 120))
+def test_slow_terms_are_at_most_a_quarter_of_the_frames_and_two(count: int, frequency: float, rate: float) -> None:
+    assert 2 <= _slow_terms(np.arange(count) / rate, frequency) <= 2 + count / 4
 
 
 def test_frequency_is_found_near_the_hint() -> None:

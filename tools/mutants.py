@@ -20,6 +20,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,7 +55,10 @@ AREAS = {
     ),
     "history": (
         ["history", "fruit_set.py"],
-        ["test_history.py", "test_beliefs.py", "test_fleet.py", "test_fruit_set.py", "test_serve.py"],
+        [
+            "test_history.py", "test_history_command.py", "test_beliefs.py", "test_fleet.py", "test_fruit_set.py",
+            "test_serve.py",
+        ],
     ),
 }  # fmt: skip
 """Area -> its sources under src/anther, and the tests that state its rules."""
@@ -148,7 +152,7 @@ def _change(node: ast.AST) -> None:
 
 
 class Entered:
-    """A pytest plugin: which functions of the copy each test enters, and how long it takes [s]."""
+    """A pytest plugin: which functions of the copy each test enters, in any thread, and how long it takes [s]."""
 
     def __init__(self) -> None:
         self.functions: dict[str, set[str]] = {}
@@ -163,8 +167,10 @@ class Entered:
             entered.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
 
         sys.settrace(watch)
+        threading.settrace(watch)
         yield
         sys.settrace(None)
+        threading.settrace(None)  # type: ignore[arg-type]
         here = f"{COPY}/"
         self.functions[item.nodeid] = {f"{f.removeprefix(here)}:{n}" for f, n in entered if f.startswith(here)}
 

@@ -74,7 +74,7 @@ def _url(where: Path | str) -> URL:
         return _file(URL.create("sqlite", database=str(where)))
     try:
         url = make_url(where)
-    except ArgumentError as error:
+    except (ArgumentError, ValueError) as error:  # ValueError: a port that is no number
         raise _refused("history", where.split(":")[0] + "://...", "Check the address.") from error
     if url.get_backend_name() not in ("postgresql", "postgres", "sqlite"):
         raise _refused("history", url.render_as_string(), "Other databases were never tested.")
