@@ -4,7 +4,7 @@
 
 Simulated Sawyers whose truth is drawn wide (`anther.sim.truth.WIDE`) hold nothing and move their grip along a line, at
 all of `TONES` at once, with 1 m/s2 each. On these were set `ARM_MODE`, `ARM_ERROR`, `ARM_FOLLOWS` and `ARM_ASIDE` of
-`anther.escalation.gripper`.
+`anther.escalation._gripper`.
 
 Keys of --json, each for a tone <hz>: error_<hz>, error_75_<hz> and error_90_<hz>, quantiles of what is wrong in the
 readings over what was commanded; beyond_<hz>, what the gripper does over what is read, median; follows_<hz> and
@@ -26,7 +26,7 @@ from rich.table import Table
 from anther.arm.sawyer import READY, SAWYER
 from anther.commands.simulated_cell import grow
 from anther.devices import ArmSample
-from anther.escalation.gripper import ARM_ERROR, ARM_MODE, gripper_motion
+from anther.escalation._gripper import ARM_ERROR, ARM_MODE, gripper_motion
 from anther.files import write_json
 from anther.geometry import Array
 from anther.shake.observables import ComplexArray

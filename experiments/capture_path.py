@@ -22,8 +22,9 @@ from path_judge import SIGHT, Surroundings, judge_path
 from rich.console import Console
 from rich.table import Table
 
-from anther.arm import sawyer, sharpness, timing
-from anther.arm.effort import USABLE
+from anther.arm import _timing as timing
+from anther.arm import sawyer, sharpness
+from anther.arm._effort import USABLE
 from anther.arm.views import SEEN, Views, capture_time, cylinder_points
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, views_at
 from anther.devices import JointTrajectory

@@ -33,7 +33,7 @@ from anther import sweep
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow
 from anther.files import write_json
 from anther.geometry import Array
-from anther.shake.actuators import VibratingGripper
+from anther.shake._actuators import VibratingGripper
 from anther.shake.observables import semi_major
 from anther.sim.plant import Organ
 from anther.sim.truth import TOLERANCE

@@ -2,7 +2,7 @@
 
     python experiments/fit_confidence.py
 
-Prints the constants of skeleton/rooting.py and grasp/confidence.py. Development plants: 48 grown (`real/grown.py`),
+Prints the constants of skeleton/_rooting.py and grasp/_confidence.py. Development plants: 48 grown (`real/grown.py`),
 five of the ten seedlings of trackplant3d_tomato1a (every third scan), gavriel_maize_28.2.23_8; each disturbed once in
 every way (`real/strict.py`), and for the grasp some development captures of confidence.py as well. None of them is
 among the plants that disturbed_plants.py reports. The root: a conditional logit among low tips, nested in whether the
@@ -32,9 +32,9 @@ from scipy.optimize import minimize
 
 import anther.skeleton as skeleton_stage
 from anther.geometry import Array
-from anther.grasp.confidence import place_evidence
+from anther.grasp._confidence import place_evidence
+from anther.skeleton._rooting import PlantBase, base_evidence, find_root
 from anther.skeleton.raw_tree import RawTree
-from anther.skeleton.rooting import PlantBase, base_evidence, find_root
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 GROWN, FIRST_GROWN = 48, 300
@@ -114,13 +114,13 @@ def main() -> None:
         for other, base in {kind: case for kind, *case in reversed([*disturbed(plant)])}.values():
             found.add(other, base)
     weights, seen = fit_root(found.choices)
-    _say(console, "skeleton/rooting.py: FITTED", weights)
-    _say(console, "skeleton/rooting.py: SEEN", seen)
+    _say(console, "skeleton/_rooting.py: FITTED", weights)
+    _say(console, "skeleton/_rooting.py: SEEN", seen)
     for s in [] if args.quick else samples(CAPTURED, 4, 7, args.clouds):
         if s is not None and len(s.arcs):
             found.evidence += list(place_evidence(s.stem, s.skeleton, s.arcs[::SPARSE]))
             found.right += s.place_right[::SPARSE].tolist()
-    _say(console, "grasp/confidence.py: FITTED", logistic(np.array(found.evidence), np.array(found.right)))
+    _say(console, "grasp/_confidence.py: FITTED", logistic(np.array(found.evidence), np.array(found.right)))
 
 
 def _say(console: Console, name: str, numbers: Array) -> None:

@@ -5,7 +5,7 @@ r"""What the margins of the plant's loads promise: how many pass them, by the mo
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at two
 places and shaken a little at fourteen tones. The truth is MuJoCo's linear equations. The camera sees the nodes that
 are in sight at rest, each with an error of 12 % and 0.03 px. `shake.params.load_error` and
-`escalation.knowledge.seen_error` were set on the plants of --development; others check them: 5 % of the loads should
+`escalation._knowledge.seen_error` were set on the plants of --development; others check them: 5 % of the loads should
 pass a margin of 5 %.
 
 Keys of --json: `past_model_<load>`, `past_seen_<load>` (shares), `factor_...` (median of the margin over what is said),
@@ -38,8 +38,8 @@ from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
 from anther.devices import Frame
 from anther.errors import StageFailure
 from anther.escalation import Foresight, foresee, watch_points
-from anther.escalation.foresight import narrowed
-from anther.escalation.knowledge import Answer, known, seen_error
+from anther.escalation._foresight import narrowed
+from anther.escalation._knowledge import Answer, known, seen_error
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.response.points import Sight, sight

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
 from anther.grasp import STAND_OFF, Grasp, Params, Reach
-from anther.grasp.candidates import directions_across, flange_pose
+from anther.grasp._candidates import directions_across, flange_pose
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 

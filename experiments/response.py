@@ -41,8 +41,8 @@ from anther.geometry import Array, inverse, transform_points
 from anther.oscillation import choose_rate, fit_swing
 from anther.response import measure_response
 from anther.shake import Crop
+from anther.sim._depth_noise import noisy_depth
 from anther.sim.capture import CameraErrors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import RATES, cut_out

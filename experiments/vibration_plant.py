@@ -28,12 +28,12 @@ from anther.identification import Felt, ObservedShake, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
 from anther.shake import Crop, ShakePlan
-from anther.shake.limits import sawyer_limit
+from anther.shake._limits import sawyer_limit
+from anther.shake._verification import steadily_shaken
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes
-from anther.shake.verification import steadily_shaken
+from anther.sim._depth_noise import noisy_depth
 from anther.sim.capture import CameraErrors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out

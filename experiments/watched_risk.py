@@ -40,7 +40,8 @@ from anther import escalation, pipeline
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, build
 from anther.devices import LEAD, ArmSample, Frame
 from anther.errors import StageFailure
-from anther.escalation import Escalation, knowledge
+from anther.escalation import Escalation
+from anther.escalation import _knowledge as knowledge
 from anther.execution import Step
 from anther.files import write_json
 from anther.geometry import Array

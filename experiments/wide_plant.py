@@ -37,8 +37,8 @@ from anther.shake import Crop, ShakePlan
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes
 from anther.shake.search import Version, flower_motion
+from anther.sim._depth_noise import noisy_depth
 from anther.sim.capture import camera_errors, noisy_rgb
-from anther.sim.depth_noise import noisy_depth
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out

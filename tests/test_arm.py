@@ -7,7 +7,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from anther.arm import _kinematics, sawyer, shaking, timing
+from anther.arm import _kinematics, sawyer, shaking
+from anther.arm import _timing as timing
 from anther.arm._collision import CollisionWorld
 from anther.arm._kinematics import newton_step
 from anther.arm.planner import SEARCH_STEP, Planner

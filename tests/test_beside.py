@@ -15,7 +15,7 @@ from anther.geometry import Array, Intrinsics, inverse, look_at, transform_point
 from anther.identification import Felt, ObservedShake
 from anther.oscillation import fit_swing
 from anther.response import Response, StemNear, measure_response, stem_near
-from anther.response.beside import _swing
+from anther.response._beside import _swing
 from anther.shake import ShakePlan
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)

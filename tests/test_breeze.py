@@ -11,8 +11,8 @@ from sample_plants import branched, grasps_on
 from anther.errors import InputError
 from anther.plant import TOMATO, build_plant
 from anther.shake import PRESETS, Crop, Params, like_breeze, plan_shake
-from anther.shake.breeze import BREEZE, WIND, breeze
-from anther.shake.verification import PEAKS
+from anther.shake._breeze import BREEZE, WIND, breeze
+from anther.shake._verification import PEAKS
 
 CROPS: tuple[Crop, Crop] = ("tomato", "pepper")
 ROWS = [(name, crop) for name in BREEZE for crop in CROPS]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anther.arm import _kinematics, effort, sawyer, shaking, timing
+from anther.arm import _effort as effort
+from anther.arm import _kinematics, sawyer, shaking
+from anther.arm import _timing as timing
 from anther.arm.planner import Planner
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure

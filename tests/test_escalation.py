@@ -17,9 +17,9 @@ from scipy.stats import norm
 from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
-from anther.escalation import foresight as foresight_module
-from anther.escalation.knowledge import DAMPING, JUMP, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
-from anther.escalation.option import SLOW
+from anther.escalation import _foresight as foresight_module
+from anther.escalation._knowledge import DAMPING, JUMP, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
+from anther.escalation._option import SLOW
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
 from anther.shake import PlantLimits, plant_limits

@@ -11,11 +11,11 @@ from sample_plants import branched
 from scipy.stats import norm
 
 from anther.devices import ArmSample
-from anther.escalation import foresight as foresight_module
-from anther.escalation import knowledge
-from anther.escalation.foresight import LOADS, Foresight, foresee, misfit, narrowed
-from anther.escalation.gripper import ARM_FOLLOWS, gripper_motion, links
-from anther.escalation.knowledge import Answer, Known, Look, answered, known, lateness, summed
+from anther.escalation import _foresight as foresight_module
+from anther.escalation import _knowledge as knowledge
+from anther.escalation._foresight import LOADS, Foresight, foresee, misfit, narrowed
+from anther.escalation._gripper import ARM_FOLLOWS, gripper_motion, links
+from anther.escalation._knowledge import Answer, Known, Look, answered, known, lateness, summed
 from anther.plant import TOMATO, build_plant
 from anther.shake.observables import observables, semi_major
 from anther.shake.plant_limits import FAST

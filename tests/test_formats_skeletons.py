@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from anther.cli import main
 from anther.commands.skeletonize import main_stem, read_source
 from anther.errors import InputError
-from anther.formats import gltf
-from anther.formats.mtg import successors
+from anther.formats import _gltf as gltf
+from anther.formats._mtg import successors
 from anther.formats.skeleton_file import rooted, supposed_radius
 from anther.formats.skeletons import READS, WRITES, read_skeleton, write_skeleton
 from anther.runs import FILES

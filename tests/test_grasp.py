@@ -27,7 +27,7 @@ from anther.grasp import (
     plan_grasps,
     save_grasps,
 )
-from anther.grasp.candidates import candidates_along, directions_across, flange_pose
+from anther.grasp._candidates import candidates_along, directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
 from anther.grasp.clearance import FAR, KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
 from anther.grasp.clearance import STEM as STEM_BALL

@@ -203,9 +203,9 @@ def test_missing_extra_says_how_to_install(models: Path, monkeypatch: pytest.Mon
 def stand_in(monkeypatch: pytest.MonkeyPatch, networks: Any) -> list[Any]:
     """Let `networks` be what is loaded from the weights; return the list of loadings."""
     loaded = []
-    module = type(sys)("anther.masks.grounded_sam2")
+    module = type(sys)("anther.masks._grounded_sam2")
     module.GroundedSam2 = type("Loader", (), {"load": lambda *a, **k: loaded.append(k) or networks})  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "anther.masks.grounded_sam2", module)
+    monkeypatch.setitem(sys.modules, "anther.masks._grounded_sam2", module)
     return loaded
 
 

@@ -23,10 +23,10 @@ from anther.capture import Capture  # noqa: E402
 from anther.errors import InputError  # noqa: E402
 from anther.geometry import Intrinsics, look_at  # noqa: E402
 from anther.masks import FLOWER, PLANT  # noqa: E402
+from anther.masks._grounded_sam2 import SAM2_MEAN, SAM2_STD, GroundedSam2, chosen_boxes, words_of_tokens  # noqa: E402
+from anther.masks._networks import full_size, normalised  # noqa: E402
+from anther.masks._sam3 import SAM3_MEAN, TEXT_LENGTH, Sam3  # noqa: E402
 from anther.masks.by_words import Params, segment  # noqa: E402
-from anther.masks.grounded_sam2 import SAM2_MEAN, SAM2_STD, GroundedSam2, chosen_boxes, words_of_tokens  # noqa: E402
-from anther.masks.networks import full_size, normalised  # noqa: E402
-from anther.masks.sam3 import SAM3_MEAN, TEXT_LENGTH, Sam3  # noqa: E402
 from anther.masks.weights import find_models  # noqa: E402
 
 CPU = torch.device("cpu")

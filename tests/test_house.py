@@ -54,6 +54,12 @@ def imported(path: Path) -> set[str]:
     return names - {"__version__"}
 
 
+def modules_imported(path: Path) -> set[str]:
+    """Whole names of what a file imports: `anther.room.module`, or of a name in it."""
+    nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom) and node.module]
+    return {node.module for node in nodes} | {f"{node.module}.{alias.name}" for node in nodes for alias in node.names}
+
+
 def room(path: Path) -> str:
     """The first-level module or package a file belongs to."""
     return path.relative_to(SOURCE).parts[0].removesuffix(".py")
@@ -94,6 +100,28 @@ def test_what_is_private_to_a_package_stays_in_it() -> None:
                 private = [name for name in names if name.startswith("_")]
                 if private and names[1] != room(path):
                     yield f"imports {private} of {names[1]}"
+
+    assert not complaints(rule)
+
+
+def test_packages_say_what_is_public() -> None:
+    """By `__all__`; a module that only its own package uses is private, but for those that docs/ give to users."""
+    told = "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
+    used = {path: modules_imported(path) for path in MODULES}
+
+    def rule(path: Path) -> Iterator[str]:
+        here = path.relative_to(SOURCE).with_suffix("").parts
+        if len(here) < 2 or here[0] in {"commands", "drivers"} or "migrations" in here:
+            return  # each command and driver is one that users name
+        module = ".".join(("anther", *here))
+        if here[-1] == "__init__":
+            defines = any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in ast.parse(path.read_text()).body)
+            if defines and "__all__" not in path.read_text():
+                yield "does not say what is public"
+        elif not here[-1].startswith("_") and module not in told:
+            elsewhere = (names for other, names in used.items() if room(other) != here[0])
+            if all(module not in names for names in elsewhere):
+                yield "only its own package uses it: its name begins with _"
 
     assert not complaints(rule)
 

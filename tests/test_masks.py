@@ -11,7 +11,7 @@ from anther.commands.convert_kinect import read_kinect
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, Intrinsics, look_at, transform_points
 from anther.masks import BACKGROUND, FLOWER, PLANT, Masks, Params, segment
-from anther.masks.ground import ground_cells
+from anther.masks._ground import ground_cells
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ

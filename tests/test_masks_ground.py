@@ -12,7 +12,7 @@ from anther.capture import Capture
 from anther.errors import InputError
 from anther.geometry import Box
 from anther.masks import Masks, without_ground
-from anther.masks.ground import foot_cells
+from anther.masks._ground import foot_cells
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SOIL_Z, Organ

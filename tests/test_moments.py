@@ -16,10 +16,10 @@ from anther.elastic_rod._linear import dense, linearise
 from anther.elastic_rod._model import build_model
 from anther.geometry import Array
 from anther.plant import TOMATO, PlantModel, build_plant
+from anther.shake._verification import steadily_shaken
 from anther.shake.observables import observables
 from anther.shake.pads import Pads
 from anther.shake.search import Version, gains
-from anther.shake.verification import steadily_shaken
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
 FIRM = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0, turning_spread=0)

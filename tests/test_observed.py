@@ -22,9 +22,9 @@ from anther.elastic_rod import (
 )
 from anther.elastic_rod._response import driven_response
 from anther.plant import TOMATO, PlantModel, build_plant
+from anther.shake._verification import steadily_shaken
 from anther.shake.observables import observables, semi_major
 from anther.shake.pads import pad_nodes
-from anther.shake.verification import steadily_shaken
 
 WAY = np.array([0.8, 0.6, 0.0])
 SOFT = Springs(5e3, 0.3)

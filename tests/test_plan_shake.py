@@ -27,9 +27,9 @@ from anther.shake import (
     plan_shake,
     sawyer_limit,
 )
+from anther.shake._verification import steadily_shaken
 from anther.shake.observables import observables, semi_major
 from anther.shake.params import MOST_DURATION
-from anther.shake.verification import steadily_shaken
 
 QUICK = Params(frequencies=12, directions=4, heights=4, draws=3)
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.devices import Frame
-from anther.escalation.overtones import sharpened
+from anther.escalation._overtones import sharpened
 from anther.geometry import Array, Intrinsics
 from anther.response.points import SLOW, SPARE, Sight, Swings, _basis, _Growth, _middles, likeness, sight, swings
 from anther.shake.observables import ComplexArray

@@ -17,8 +17,8 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.oscillation import _slow_terms, choose_rate, find_frequency, fit_swing, swing_basis
 from anther.response import Response, measure_response
-from anther.response.depth import depth_along
-from anther.response.petals import Patch, petal_weight
+from anther.response._depth import depth_along
+from anther.response._petals import Patch, petal_weight
 from anther.response.thresholds import LARGE
 from anther.sim.robot import RATES
 

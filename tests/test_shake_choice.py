@@ -13,7 +13,7 @@ from anther import shake
 from anther.elastic_rod import Clamp, Drive, Rods
 from anther.elastic_rod._response import driven_response
 from anther.errors import InputError, StageFailure
-from anther.escalation.knowledge import limits_of
+from anther.escalation._knowledge import limits_of
 from anther.flowers import Flowers
 from anther.grasp import Grasp
 from anther.plant import TOMATO, PlantModel, build_plant
@@ -32,14 +32,14 @@ from anther.shake import (
     plan_shake,
     with_preset,
 )
-from anther.shake.actuators import RAMPS
+from anther.shake._actuators import RAMPS
+from anther.shake._limits import sawyer_limit
+from anther.shake._verification import steadily_shaken, verified
 from anther.shake.choice import PRESS, Search, _worth, plant_limits
-from anther.shake.limits import sawyer_limit
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
 from anther.shake.plant_limits import FAST, GUSTS
 from anther.shake.search import Version, gains, scenarios
-from anther.shake.verification import steadily_shaken, verified
 
 QUICK = Params(frequencies=12, directions=4, heights=0, draws=3)
 

@@ -15,6 +15,7 @@ from anther.arm.views import Views
 from anther.commands.simulated_cell import in_wind
 from anther.errors import InputError
 from anther.geometry import Array, inverse, look_at, small_transform, transform
+from anther.sim._depth_noise import DepthNoise
 from anther.sim.capture import (
     CameraErrors,
     capture_from_poses,
@@ -23,7 +24,6 @@ from anther.sim.capture import (
     orbit_poses,
     perturbed_hand_eye,
 )
-from anther.sim.depth_noise import DepthNoise
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455

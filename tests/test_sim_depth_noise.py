@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.errors import InputError
-from anther.sim.depth_noise import DepthNoise, noisy_depth
+from anther.sim._depth_noise import DepthNoise, noisy_depth
 from anther.sim.render import d455
 
 CAMERA = d455(640, 360)

@@ -8,12 +8,12 @@ from made_plants import blade, segment_distance, simple_plant, tube
 
 from anther.cloud import Cloud
 from anther.skeleton import Params, skeletonize
-from anther.skeleton.cross_sections import cross_sections
-from anther.skeleton.geodesics import LevelSets, covering_paths, geodesic_tree, level_sets, shortest_paths
-from anther.skeleton.midribs import middled
+from anther.skeleton._cross_sections import cross_sections
+from anther.skeleton._geodesics import LevelSets, covering_paths, geodesic_tree, level_sets, shortest_paths
+from anther.skeleton._midribs import middled
+from anther.skeleton._rooting import distance_to_soil
+from anther.skeleton._surroundings import surroundings
 from anther.skeleton.raw_tree import RawTree, parted
-from anther.skeleton.rooting import distance_to_soil
-from anther.skeleton.surroundings import surroundings
 from anther.skeleton.voxel_solid import Voxels, VoxelSolid, neighbour_edges
 
 

@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.arm import effort, sawyer, timing
+from anther.arm import _effort as effort
+from anther.arm import _timing as timing
+from anther.arm import sawyer
 from anther.devices import JointTrajectory
 
 JOINTS = st.integers(0, 10_000).map(

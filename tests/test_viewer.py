@@ -27,8 +27,8 @@ from anther.response import Response
 from anther.results import RunResults
 from anther.shake import Pads
 from anther.viewer import write_html
-from anther.viewer.motion import RATE, motion_of
-from anther.viewer.scene import VIEW_FROM, build_scene
+from anther.viewer._motion import RATE, motion_of
+from anther.viewer._scene import VIEW_FROM, build_scene
 
 FREQUENCY, SECONDS, SWING = 4.0, 2.0, 0.01
 FIRM = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0.0, turning_spread=0.0)

@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 
-from anther.arm import ArmName, xarm7
+from anther.arm import ArmName, _xarm7
 from anther.arm.model import ArmModel
 from anther.arm.sawyer import SAWYER
 from anther.arm.urdf import from_urdf
@@ -33,7 +33,7 @@ def named(name: str) -> ArmModel:
         case "fr3":
             return _fr3()
         case "xarm7":
-            return xarm7.described()
+            return _xarm7.described()
         case _:
             raise bad_input("arm", given=f"{name!r}", allowed=", ".join(get_args(ArmName)), do="Choose one.")
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from anther.devices import LEAD, ArmSample, Frame
-from anther.escalation.foresight import Foresight, foresee, watch_points
-from anther.escalation.gripper import gripper_motion, links
-from anther.escalation.knowledge import (
+from anther.escalation._foresight import Foresight, foresee, watch_points
+from anther.escalation._gripper import gripper_motion, links
+from anther.escalation._knowledge import (
     Allowed,
     Answer,
     Known,
@@ -28,9 +28,9 @@ from anther.escalation.knowledge import (
     settled,
     summed,
 )
-from anther.escalation.option import Option
-from anther.escalation.params import SHORTEST, Params
-from anther.escalation.record import carried_out, noted, shares
+from anther.escalation._option import Option
+from anther.escalation._params import SHORTEST, Params
+from anther.escalation._record import carried_out, noted, shares
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.response.points import likeness, sight, swings
@@ -81,7 +81,7 @@ class Escalation:
     """One watched shake at the grip of a plan; it satisfies `execution.Watched`.
 
     A gentle mixture of tones is watched first, along the plan's line and then across it: what it does to flowers, stem
-    and leaves corrects what the model says of each tone at this grip (`foresight.narrowed`), and along any other line
+    and leaves corrects what the model says of each tone at this grip (`_foresight.narrowed`), and along any other line
     the plant does the sum of both. The tone and line are taken with which the flowers can be moved most, and raised in
     steps, each watched, until they feel `Params.target` or a limit is near. Where the camera sees nothing, the plan is
     done as it is.

@@ -10,8 +10,8 @@ import numpy as np
 from anther.cloud import Cloud
 from anther.errors import bad_input
 from anther.files import existing
+from anther.formats._up_axis import TO_Z_UP, axis_notes
 from anther.formats.points import Axis, RawPoints, Units, read_npz_points, read_pcd, read_ply, read_text
-from anther.formats.up_axis import TO_Z_UP, axis_notes
 
 _METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
 _FEWEST = 50
@@ -31,7 +31,7 @@ def read_cloud(
         path: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz.
         units: of the file; None takes what the file states, else metres, with a note.
         up: axis that points up in the file; None takes what the file states, else z, with a note, which names another
-            axis where its stem is the better one (`up_axis.py`, 0.2 s).
+            axis where its stem is the better one (`_up_axis`, 0.2 s).
         plant: which plant of an .npz that holds several; None: it must hold one.
 
     Raises:

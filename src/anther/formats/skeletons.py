@@ -18,7 +18,7 @@ from anther.checks import check_array
 from anther.cloud.ply import read_elements
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, read_lines, replacing, understood, whole_file, write_text
-from anther.formats.mtg import read_mtg, write_mtg
+from anther.formats._mtg import read_mtg, write_mtg
 from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
 from anther.geometry import Array
 from anther.skeleton import Skeleton
@@ -211,7 +211,7 @@ def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] |
 
 
 def _write_glb(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
-    from anther.formats.gltf import write_glb  # noqa: PLC0415  # trimesh takes half a second
+    from anther.formats._gltf import write_glb  # noqa: PLC0415  # trimesh takes half a second
 
     write_glb(path, skeleton, labels)
 

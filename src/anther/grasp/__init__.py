@@ -18,7 +18,9 @@ from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_object, understood, write_json
 from anther.geometry import Array, inverse, pose7, transform, transform_from_pose7
-from anther.grasp.candidates import Candidates, candidates_along
+from anther.grasp._candidates import Candidates, candidates_along
+from anther.grasp._confidence import place_confidence
+from anther.grasp._params import STAND_OFF, STROKE_MARGIN, Params
 from anther.grasp.clearance import (
     BRANCH,
     FLOWER_POINT,
@@ -30,8 +32,6 @@ from anther.grasp.clearance import (
     clearance,
     surroundings_of,
 )
-from anther.grasp.confidence import place_confidence
-from anther.grasp.params import STAND_OFF, STROKE_MARGIN, Params
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem

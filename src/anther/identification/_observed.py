@@ -141,7 +141,7 @@ SIGNIFICANCE = 3.0
 
 def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> Felt:
     """Return what the arm did and felt; nothing above `FAST`, where its links do not go as its motors, which it reads
-    (`escalation.gripper.ARM_ERROR`), and where a motor in the gripper shakes.
+    (`escalation._gripper.ARM_ERROR`), and where a motor in the gripper shakes.
 
     The gripper's motion follows from the measured joints. Of the force an arm tells the size alone, in which the stem's
     constant pull is mixed. But of its square, |F0 + Im(F exp(i w t))|^2, only the motion's force F has a part at twice

@@ -1,7 +1,7 @@
 """Masks: which pixels show the plant and its flowers. Dimensions: V views, H x W pixels.
 
 The default needs no weights. Every depth pixel in the workspace votes, with its colour, in a voxel grid that all
-views share. There the ground (bench, soil, pot) is found by geometry (`ground.py`), brown stem parts are kept because
+views share. There the ground (bench, soil, pot) is found by geometry (`_ground.py`), brown stem parts are kept because
 they join green ones, and flowers are small yellow or white blobs at the plant. The decision is carried back to the
 pixels. Without colour, whatever stands above the ground is plant.
 """
@@ -21,11 +21,13 @@ from anther.checks import check_array, check_parameters, check_range
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
-from anther.masks.cells import kinds
-from anther.masks.images import COLOURFUL, labels_of_image
-from anther.masks.light import GREEN, GREEN_NO_DEPTH, Light, green_rule
-from anther.masks.survey import VOXEL, each_view, survey
-from anther.masks.voting import EMPTY, GROUND, RIM, clear, read_back, vote
+from anther.masks._cells import kinds
+from anther.masks._images import COLOURFUL, labels_of_image
+from anther.masks._light import GREEN, GREEN_NO_DEPTH, Light, green_rule
+from anther.masks._survey import VOXEL, each_view, survey
+from anther.masks._voting import EMPTY, GROUND, RIM, clear, read_back, vote
+
+__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "segment_images", "without_ground"]
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
 

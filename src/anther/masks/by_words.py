@@ -154,9 +154,9 @@ def load_networks(method: Method, folders: Sequence[Path], params: Params) -> Ne
         InputError: weights are not usable, or there is no such device.
     """
     if method == "sam3":
-        from anther.masks.sam3 import Sam3 as Chosen  # noqa: PLC0415
+        from anther.masks._sam3 import Sam3 as Chosen  # noqa: PLC0415
     else:
-        from anther.masks.grounded_sam2 import GroundedSam2 as Chosen  # noqa: PLC0415
+        from anther.masks._grounded_sam2 import GroundedSam2 as Chosen  # noqa: PLC0415
     return Chosen.load(folders, device=params.device, score=params.score, most=params.most)
 
 

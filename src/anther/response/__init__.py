@@ -19,8 +19,8 @@ from anther.files import read_npz, understood, write_npz
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import find_frequency, fit_swing
-from anther.response.beside import StemMotion, StemNear, measure_stem, stem_near
-from anther.response.following import Followed, Remarks, follow_flowers, without_outliers
+from anther.response._beside import StemMotion, StemNear, measure_stem, stem_near
+from anther.response._following import Followed, Remarks, follow_flowers, without_outliers
 from anther.response.thresholds import (
     FEWEST_FRAMES,
     LEAST_SPREAD,

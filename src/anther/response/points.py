@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import MUCH_ALIKE
-from anther.response.depth import depth_along
-from anther.response.following import NEAR_SWING, OWN_DEPTH, OWN_LIKENESS, placed
-from anther.response.petals import Image, Patch, seek, smoothed
+from anther.response._depth import depth_along
+from anther.response._following import NEAR_SWING, OWN_DEPTH, OWN_LIKENESS, placed
+from anther.response._petals import Image, Patch, seek, smoothed
 from anther.response.thresholds import DEPTH_GATE, LEAST_COVER, OUTLIER, overtones
 from anther.shake.observables import ComplexArray
 

@@ -9,6 +9,8 @@ from pathlib import Path
 from anther.errors import bad_input
 from anther.files import made_folder, written
 
+__all__ = ["SAMPLES", "write_samples"]
+
 SAMPLES = {
     "capture": "six RGB-D views of a tomato, with poses",
     "plant.ply": "its point cloud",

@@ -16,8 +16,11 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
-from anther.shake.actuators import Actuator, ActuatorName, ArmShaker, VibratingGripper
-from anther.shake.breeze import Crop, like_breeze
+from anther.shake._actuators import Actuator, ActuatorName, ArmShaker, VibratingGripper
+from anther.shake._breeze import Crop, like_breeze
+from anther.shake._limits import sawyer_limit
+from anther.shake._plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
+from anther.shake._verification import Shaken, verified
 from anther.shake.choice import (
     Grips,
     Place,
@@ -32,13 +35,10 @@ from anther.shake.choice import (
     search,
     tones_at,
 )
-from anther.shake.limits import sawyer_limit
 from anther.shake.pads import PADS, Pads
 from anther.shake.params import FLOWER_SPREAD, MOST_DURATION, Objective, Params, Preset, with_preset
-from anther.shake.plan import EarlierShake, LimitRow, ResponseMap, RunnerUp, ShakePlan
 from anther.shake.plant_limits import PRESETS, PlantLimits
 from anther.shake.search import Gains, gains, scenarios
-from anther.shake.verification import Shaken, verified
 
 __all__ = [
     "PADS", "PRESETS", "Actuator", "ActuatorName", "ArmShaker", "Crop", "EarlierShake", "Objective", "Pads", "Params",

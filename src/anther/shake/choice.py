@@ -16,13 +16,13 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
 from anther.pressing import PRESSING, Pressing
-from anther.shake.actuators import Actuator
-from anther.shake.breeze import FLOWERS
+from anther.shake._actuators import Actuator
+from anther.shake._breeze import FLOWERS
+from anther.shake._plan import EarlierShake, Tones
+from anther.shake._verification import PEAKS
 from anther.shake.pads import grip_rows, pad_nodes
 from anther.shake.params import LOAD_ERROR, MOST_DURATION, Params, load_error
-from anther.shake.plan import EarlierShake, Tones
 from anther.shake.search import Gains
-from anther.shake.verification import PEAKS
 
 Place = tuple[int, int, int]
 """(q, g, d): one shake of the search."""

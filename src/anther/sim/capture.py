@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.capture import Capture
 from anther.checks import check_array, check_range, check_transform
 from anther.geometry import Array, Intrinsics, look_at, small_transform
-from anther.sim.depth_noise import DepthNoise, noisy_depth
+from anther.sim._depth_noise import DepthNoise, noisy_depth
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.truth import Truth

@@ -26,10 +26,10 @@ from anther.devices import (
     Watch,
 )
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
+from anther.sim._depth_noise import noisy_depth
 from anther.sim._motor import CYCLE, SimMotor, contact_force
 from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.cell import Cell, CellLog
-from anther.sim.depth_noise import noisy_depth
 from anther.sim.render import Scene, Still, d455
 
 LEAST_REACH = 6.0  # px around the plant in a still that are rendered again in each frame of a film

@@ -16,19 +16,21 @@ from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.masks import FLOWER
-from anther.skeleton.bridging import bridges, without_specks
-from anther.skeleton.centreline import beginning, centred, extended, resample
-from anther.skeleton.geodesics import LevelSets, geodesic_tree, level_sets
-from anther.skeleton.midribs import middled
-from anther.skeleton.nearby import nearest
+from anther.skeleton._bridging import bridges, without_specks
+from anther.skeleton._centreline import beginning, centred, extended, resample
+from anther.skeleton._geodesics import LevelSets, geodesic_tree, level_sets
+from anther.skeleton._midribs import middled
+from anther.skeleton._nearby import nearest
+from anther.skeleton._rooting import PlantBase, distance_to_soil, find_root, stem_gain
+from anther.skeleton._surroundings import surroundings
 from anther.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
-from anther.skeleton.rooting import PlantBase, distance_to_soil, find_root, stem_gain
 from anther.skeleton.support import node_confidence
-from anther.skeleton.surroundings import surroundings
 from anther.skeleton.thinning import thinned_tree
 from anther.skeleton.voxel_solid import Voxels, VoxelSolid, components, neighbour_edges, point_spacing, solidify
 
 _KIND, _SCHEMA = "skeleton", 2
+__all__ = ["Params", "Skeleton", "nearest_node", "skeletonize"]
+
 _FEWEST_POINTS = 50
 _MANY_POINTS = 80_000
 _ENOUGH_POINTS = 80_000  # cross-sections of more are not better (measured on ten simulated captures)

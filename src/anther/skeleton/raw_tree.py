@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import KDTree
 
 from anther.geometry import Array
-from anther.skeleton.nearby import nearest
+from anther.skeleton._nearby import nearest
 from anther.skeleton.voxel_solid import Voxels
 
 Parents = NDArray[Any]

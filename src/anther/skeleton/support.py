@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.geometry import Array
-from anther.skeleton.nearby import nearest
+from anther.skeleton._nearby import nearest
 from anther.skeleton.raw_tree import along_tree
 
 _ENOUGH = 40_000  # more points than this make the node statistics no better

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from skimage.morphology import skeletonize as thin
 
 from anther.geometry import Array
-from anther.skeleton.bridging import bridges
+from anther.skeleton._bridging import bridges
 from anther.skeleton.raw_tree import RawTree, rooted, with_extents
 from anther.skeleton.voxel_solid import Voxels, components
 

@@ -15,10 +15,10 @@ from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.skeleton import Skeleton, nearest_node
 from anther.skeleton.raw_tree import chains, edge_lengths
+from anther.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
+from anther.stem._params import Params
 from anther.stem.confidence import doubt, rise_share, second_stem, stem_confidence
-from anther.stem.main_axis import SHORTEST, fork_at, growth_end, path_score
 from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, SPUR, STEM, TRUSS, classify, longest_way, stem_breadth
-from anther.stem.params import Params
 
 __all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
 

@@ -12,9 +12,9 @@ import viser
 
 from anther.files import write_text
 from anther.results import RunResults
-from anther.viewer.motion import RATE, motion_of
-from anther.viewer.player import Player, add_controls
-from anther.viewer.scene import POINTS_IN_FILE, build_scene
+from anther.viewer._motion import RATE, motion_of
+from anther.viewer._player import Player, add_controls
+from anther.viewer._scene import POINTS_IN_FILE, build_scene
 
 __all__ = ["build_scene", "serve", "write_html"]
 

@@ -14,8 +14,8 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.geometry import Array, Intrinsics
 from anther.oscillation import fit_swing, swing_basis
-from anther.response.depth import depth_along
-from anther.response.petals import (
+from anther.response._depth import depth_along
+from anther.response._petals import (
     Image,
     Patch,
     back_projected,

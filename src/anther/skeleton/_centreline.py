@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
 from anther.geometry import Array
-from anther.skeleton.cross_sections import CrossSections, cross_sections
-from anther.skeleton.nearby import nearest
+from anther.skeleton._cross_sections import CrossSections, cross_sections
+from anther.skeleton._nearby import nearest
 from anther.skeleton.raw_tree import RawTree, chains
 
 

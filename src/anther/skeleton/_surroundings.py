@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.geometry import Array
-from anther.skeleton.nearby import blocks
+from anther.skeleton._nearby import blocks
 
 _COARSER = 2
 """The scatter is taken over cells of so many voxels: an eighth of the work, and no less sharp (measured)."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from anther.checks import check_range
 from anther.geometry import Array
-from anther.shake.verification import PEAKS
+from anther.shake._verification import PEAKS
 
 Crop = Literal["tomato", "pepper"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.geometry import Array, Box, Intrinsics
-from anther.masks.light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, YELLOW, ColourRule
+from anther.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, YELLOW, ColourRule
 
 EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, BESIDE_FLOWER = range(7)
 """What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.geometry import Array
-from anther.skeleton.nearby import nearest
+from anther.skeleton._nearby import nearest
 
 _ENOUGH = 200
 """More points than this do not make a cross-section better."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.masks.components import cells_of, dilated
+from anther.masks._components import cells_of, dilated
 
 LENGTH = 0.20
 """Least length of a stake [m]."""

@@ -14,7 +14,7 @@ import torch
 import transformers
 from numpy.typing import NDArray
 
-from anther.masks.networks import (
+from anther.masks._networks import (
     chosen_device,
     full_size,
     load_network,

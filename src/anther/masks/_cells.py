@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.capture import Capture
-from anther.masks.components import components, dilated
-from anther.masks.light import GREEN, WHITE, YELLOW
-from anther.masks.stakes import stake_cells
-from anther.masks.survey import Survey
-from anther.masks.voting import (
+from anther.masks._components import components, dilated
+from anther.masks._light import GREEN, WHITE, YELLOW
+from anther.masks._stakes import stake_cells
+from anther.masks._survey import Survey
+from anther.masks._voting import (
     BESIDE_FLOWER,
     BROWN_CELL,
     EMPTY,

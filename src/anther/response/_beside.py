@@ -18,7 +18,7 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import fit_swing
-from anther.response.petals import smoothed
+from anther.response._petals import smoothed
 from anther.response.thresholds import (
     DEPTH_GATE,
     DEPTH_REACH,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from anther.escalation.knowledge import JUMP, Allowed, Known, remembered
+from anther.escalation._knowledge import JUMP, Allowed, Known, remembered
 from anther.geometry import Array
 
 SLOW, SLOW_KEPT = 5.0, 0.6

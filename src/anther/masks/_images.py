@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.masks.light import GREEN, WHITE, YELLOW, ColourRule, Light, saturation
+from anther.masks._light import GREEN, WHITE, YELLOW, ColourRule, Light, saturation
 
 _BESIDE = 5  # how close to green a petal comes [px]
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from anther.geometry import Array
-from anther.skeleton.geodesics import LevelSets
-from anther.skeleton.nearby import nearest
+from anther.skeleton._geodesics import LevelSets
+from anther.skeleton._nearby import nearest
 from anther.skeleton.raw_tree import RawTree, chains, with_extents
 from anther.skeleton.voxel_solid import Voxels
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.escalation.foresight import LOADS, Foresight, misfit, narrowed
-from anther.escalation.gripper import drawn_errors
-from anther.escalation.overtones import SIGNIFICANCE, sharpened
-from anther.escalation.params import Params
+from anther.escalation._foresight import LOADS, Foresight, misfit, narrowed
+from anther.escalation._gripper import drawn_errors
+from anther.escalation._overtones import SIGNIFICANCE, sharpened
+from anther.escalation._params import Params
 from anther.geometry import Array
 from anther.response.points import Swings
 from anther.shake import Params as Limits
@@ -150,7 +150,7 @@ class Answer(NamedTuple):
         flowers: (F, 3) motion that the camera measured, along `axes`; NaN where it did not.
         std: (F, 3) its standard deviation.
         axes: (F, 3, 3) see `response.points.Sight`.
-        peak: (F,) see `overtones.sharpened`.
+        peak: (F,) see `_overtones.sharpened`.
     """
 
     members: ComplexArray

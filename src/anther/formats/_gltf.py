@@ -17,7 +17,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from anther.files import replacing
-from anther.formats.mtg import successors
+from anther.formats._mtg import successors
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from anther.devices import Frame
 from anther.geometry import Array
-from anther.response.petals import Patch
+from anther.response._petals import Patch
 
 POWERS = tuple((i, j) for i in range(4) for j in range(4 - i) if i + j)
 """Of a cubic in the two offsets from a flower's middle; without a constant, which is the flower's own depth."""

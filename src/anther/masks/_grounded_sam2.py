@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from anther.errors import bad_input
-from anther.masks.networks import (
+from anther.masks._networks import (
     chosen_device,
     full_size,
     load_network,

@@ -11,8 +11,8 @@ import trimesh
 from anther.arm.model import ArmModel, Capsule, Solid
 from anther.geometry import Array
 from anther.results import RunResults
-from anther.viewer.motion import Replay
-from anther.viewer.scene import FLOWER_RADIUS, Handles, placed
+from anther.viewer._motion import Replay
+from anther.viewer._scene import FLOWER_RADIUS, Handles, placed
 
 GREY, DARK = (165, 168, 175), (70, 72, 80)
 

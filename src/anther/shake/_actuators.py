@@ -10,7 +10,7 @@ import numpy as np
 from anther.checks import check_range
 from anther.elastic_rod import Array
 from anther.grasp import Grasp
-from anther.shake.limits import ArmLimit, sawyer_limit
+from anther.shake._limits import ArmLimit, sawyer_limit
 
 RAMPS = 0.97
 """Share of a motor's limits that a steady shake may take: a ramp over half a second adds 1 % at 10 Hz."""

@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from anther.escalation.foresight import Foresight
-from anther.escalation.knowledge import WORDS, Known, Look
+from anther.escalation._foresight import Foresight
+from anther.escalation._knowledge import WORDS, Known, Look
 from anther.execution import Step
 from anther.geometry import Array
 from anther.shake import ShakePlan

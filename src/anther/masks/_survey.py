@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from anther.capture import Capture, viewed_box
 from anther.geometry import Array, Box, Intrinsics
-from anther.masks.ground import foot_cells, ground_cells
-from anther.masks.light import GREEN, ColourRule, Light, green_rule, learned_rule
-from anther.masks.voting import BROWN_CELL, EMPTY, LAYERS, PETAL_VIEWS, Grid, pixels_to_cells, read_back, vote
+from anther.masks._ground import foot_cells, ground_cells
+from anther.masks._light import GREEN, ColourRule, Light, green_rule, learned_rule
+from anther.masks._voting import BROWN_CELL, EMPTY, LAYERS, PETAL_VIEWS, Grid, pixels_to_cells, read_back, vote
 
 if TYPE_CHECKING:
     from anther.masks import Params
