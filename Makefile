@@ -12,8 +12,8 @@ RUN ?=
 demo: $(CORE)  ## install and run the main job: a simulated tomato is seen, grasped, shaken, measured
 	$(BIN)/anther trial --plant tomato --seed 2 --out runs/demo --overwrite || [ $$? -eq 1 ]  # 1: a part of its verdict failed
 
-test: $(DEV)  ## run the tests
-	$(BIN)/python -m pytest -n 2
+test: $(DEV)  ## run the tests, four at a time: those of drivers mostly wait
+	$(BIN)/python -m pytest -n 4
 
 slow: $(DEV)  ## run the slow tests
 	$(BIN)/python -m pytest -n 2 -m slow

@@ -208,7 +208,7 @@ def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None
     assert watched.steps[-1].median < 29.0
 
 
-@pytest.mark.parametrize("lines", [1, 8])
+@pytest.mark.parametrize("lines", [1, pytest.param(8, marks=pytest.mark.slow)])
 def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None:
     for seed in range(40 if lines == 1 else 15):
         rng = np.random.default_rng(seed)
