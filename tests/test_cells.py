@@ -116,6 +116,46 @@ def test_an_own_driver_is_told_only_what_it_takes(write: Write) -> None:
         read_cell(write(('FakeCamera"\nT_flange', 'FakeCamera"\nserial = "1"\nT_flange')))
 
 
+OWN = Path(__file__).parents[1] / "examples" / "my_arm"
+
+
+def test_an_arm_that_anther_never_saw_is_a_urdf_and_a_driver_of_under_sixty_lines(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`tests/test_devices.py` puts that driver through the conformance test."""
+    file = OWN / "my_cell.toml"
+    cell = read_cell(file)
+    assert (cell.model.name, cell.model.count, cell.model.floor) == ("my_arm", 6, -0.9)
+    assert cell.safety_limits().joint_acceleration == pytest.approx(0.1 * np.full(6, 8.0))
+    assert len((OWN / "my_arm.py").read_text().splitlines()) < 60
+    assert main(["cell", "check", str(file)]) == 0
+    assert "nothing was moved" in capsys.readouterr().out
+    monkeypatch.setattr("builtins.input", lambda _: "yes")
+    assert main(["cell", "jog", str(file), "--joint", "5", "--by", "2"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('tip = "hand"', 'tip = "nose"', "line 6: arm.model: .*tip: got 'nose'; allowed: a link that hangs on 'foot'"),
+        ('base = "foot"\n', "", "arm.model: got no 'base'"),
+        ("[8.0, 8.0, ", "[8.0, ", "my_arm's acceleration"),
+        ("ready = [0.0,", "ready = [", "my_arm's"),
+        ("my_arm.urdf", "none.urdf", "none.urdf"),
+        ("my_arm.urdf", "my_arm.py", "my_arm.py: got no XML"),
+    ],
+)
+def test_what_is_wrong_with_an_arms_own_description_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:
+    for part in OWN.iterdir():
+        if part.is_file():
+            (tmp_path / part.name).write_text(part.read_text())
+    told = (tmp_path / "my_cell.toml").read_text()
+    assert old in told
+    (tmp_path / "my_cell.toml").write_text(told.replace(old, new, 1))
+    with pytest.raises(InputError, match=message):
+        read_cell(tmp_path / "my_cell.toml")
+
+
 HOLDS = """
 import sys, time
 from pathlib import Path

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from inspect import isfunction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,6 +41,8 @@ from anther.safety import GuardedGripper, guard
 from anther.sim.cell import Cell
 from anther.sim.robot import robot_of
 
+EXAMPLE = Path(__file__).parents[1] / "examples" / "my_arm"
+
 
 def simulated() -> Robot:
     return robot_of(Cell(straight_plant()))
@@ -68,6 +73,13 @@ def replayed() -> Camera:
     return ReplayCamera(Capture(depth, Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5), poses, rgb))
 
 
+def of_an_example() -> Robot:
+    sys.path.append(str(EXAMPLE))
+    arm, tools = import_module("my_arm"), import_module("my_tools")
+    sys.path.remove(str(EXAMPLE))
+    return Robot(arm.MyArm("", arm_model=six()), tools.MyGripper(), tools.MyCamera(), tools.MyCamera(), np.eye(4))
+
+
 ROBOTS = {
     "fake": fake_robot,
     "simulated": simulated,
@@ -75,6 +87,7 @@ ROBOTS = {
     "guarded": guarded,
     "logged": logged,
     "not yet faulty": not_yet_faulty,
+    "of an example": of_an_example,
 }
 
 

@@ -27,7 +27,7 @@ from anther.response import Response
 from anther.results import RunResults
 from anther.shake import Pads
 from anther.viewer import write_html
-from anther.viewer._motion import RATE, motion_of
+from anther.viewer._motion import RATE, _arm, motion_of
 from anther.viewer._scene import VIEW_FROM, build_scene
 
 FREQUENCY, SECONDS, SWING = 4.0, 2.0, 0.01
@@ -82,6 +82,13 @@ def test_the_plant_goes_where_the_arm_takes_it(tmp_path: Path) -> None:
     assert np.abs(motion.nodes[:, 0]).max() < 1e-9  # the root stays in the soil
     tips = np.abs(motion.nodes[:, plant.flower_nodes]).max()
     assert 0.2 * np.abs(arm).max() < tips < 50 * np.abs(arm).max()
+
+
+def test_an_arm_of_ones_own_is_read_from_the_runs_cell_file_while_it_is_there(tmp_path: Path) -> None:
+    file = Path(__file__).parents[1] / "examples" / "my_arm" / "my_cell.toml"
+    told = {"arm": "my_arm", "cell": str(file)}
+    assert _arm(RunResults(tmp_path, told)).name == "my_arm"
+    assert motion_of(replace(shaken(tmp_path), params=told | {"cell": str(tmp_path / "gone.toml")})) is None
 
 
 def test_a_fast_shake_is_slowed_until_a_period_has_ten_pictures(tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from scipy.stats import qmc
 from anther.arm.model import ARM_MARGIN, BASE, CAMERA, GRIPPER, ArmModel, Capsule, Link, Tool, of_capsule, of_solid, rpy
 from anther.arm.sawyer import TOOL
 from anther.errors import bad_input
+from anther.files import read_lines
 from anther.geometry import Array, inverse, transform
 
 SURFACE = 3000  # points on a link's shapes, beside their corners
@@ -63,10 +64,13 @@ def from_urdf(
         tool: on the flange.
 
     Raises:
-        InputError: no chain between the links, a joint that slides, or a link without a shape.
+        InputError: no such file, no XML, no chain between the links, a joint that slides, or a link without a shape.
     """
-    text = re.sub(r"\s(?!xmlns:)[a-z]+:(?=\w+=\")", " ", path.read_text())  # prefixes that nothing declares
-    tree = ElementTree.fromstring(re.sub(r"\$\{\w+\}", "", text))
+    text = re.sub(r"\s(?!xmlns:)[a-z]+:(?=\w+=\")", " ", "\n".join(read_lines(path)))  # prefixes that nothing declares
+    try:
+        tree = ElementTree.fromstring(re.sub(r"\$\{\w+\}", "", text))
+    except ElementTree.ParseError as error:
+        raise bad_input(str(path), given=f"no XML ({error})", allowed="a URDF file", do="Export it again.") from error
     robot = next((part for part in tree.iter() if part.find("link") is not None), tree)
     chain, turning, flange = _chain(robot, base, tip)
     frames, links, names = [np.eye(4)], list[Link](), [joint.get("name", "") for joint in turning]
@@ -84,7 +88,7 @@ def from_urdf(
         lower=lower,
         upper=upper,
         velocity=velocity,
-        acceleration=np.broadcast_to(np.asarray(acceleration, dtype=float), lower.shape),
+        acceleration=np.full(len(lower), acceleration) if np.ndim(acceleration) == 0 else np.asarray(acceleration),
         effort=effort,
         rotor_inertia=ROTOR * effort,
         stiffness=SPRING * effort,

@@ -268,8 +268,11 @@ def _part(source: TomlFile, name: str, drivers: dict[str, Callable[..., Any]], b
 
 
 def _model(source: TomlFile) -> ArmModel:
-    with source.located(("arm", "model")):
-        return named(str(source.table["arm"].get("model", "sawyer")))
+    told, keys = source.table["arm"].get("model", "sawyer"), ("arm", "model")
+    if isinstance(told, dict):
+        return built(source, keys, told, _parts.arm_of_urdf)
+    with source.located(keys):
+        return named(str(told))
 
 
 def _hand_eye(source: TomlFile, table: dict[str, Any]) -> Array:

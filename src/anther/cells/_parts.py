@@ -10,7 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from anther.arm.model import ArmModel
+from anther.arm.urdf import from_urdf
+from anther.cells._reading import Pose
 from anther.devices import Arm
 from anther.drivers.franka import Franka, open_franka
 from anther.drivers.free_running import FreeRunningCamera
@@ -27,7 +31,8 @@ from anther.drivers.ur_rtde import UniversalRobot
 from anther.drivers.uvc import open_uvc
 from anther.drivers.voice_coil import VoiceCoil, open_port
 from anther.errors import InputError, bad_input
-from anther.geometry import Intrinsics
+from anther.files import understood
+from anther.geometry import Intrinsics, transform_from_pose7
 
 GIVEN = ("arm", "speed_ratio", "arm_master", "arm_model")
 NAME = "/anther"
@@ -145,6 +150,25 @@ ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2,
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}
+
+
+def arm_of_urdf(
+    urdf: Path,
+    base: str,
+    tip: str,
+    acceleration: list[float],
+    ready: list[float],
+    *,
+    name: str = "",
+    T_tip_flange: Pose | None = None,
+    packages: Path | None = None,
+    floor: float = 0.0,
+) -> ArmModel:
+    """Return an arm by its URDF file, see `anther.arm.urdf.from_urdf`; name: by default the file's."""
+    T = None if T_tip_flange is None else transform_from_pose7(np.array(T_tip_flange))
+    told = {"acceleration": acceleration, "ready": ready, "T_tip_flange": T, "packages": packages, "floor": floor}
+    with understood(urdf, "a URDF of an arm", "docs/arm.md says what it must hold."):
+        return from_urdf(name or urdf.stem, urdf, base=base, tip=tip, **told)
 
 
 def own_driver(name: str, where: str, folder: Path) -> Callable[..., Any]:

@@ -6,13 +6,17 @@ T times, N rod nodes, F flowers.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.arm import ArmName
 from anther.arm.arms import in_simulated_cell, named
 from anther.arm.model import ArmModel
+from anther.cells import read_cell
 from anther.elastic_rod import Drive, steady_motion
+from anther.errors import InputError
 from anther.execution import Trial
 from anther.geometry import Array
 from anther.plant import PlantModel
@@ -54,19 +58,33 @@ class Replay:
 
 
 def motion_of(results: RunResults) -> Replay | None:
-    """Return what moved in a run's shake; None where nothing was shaken or the plant's model is missing."""
+    """Return what moved in a run's shake; None where nothing was shaken, or the plant's or the arm's model is gone."""
     trial, plant, shake = results.trial, results.plant, results.shaken
     if trial is None or plant is None or shake is None or len(trial.shake_times) < 10:
+        return None
+    try:
+        arm = _arm(results)
+    except InputError:
         return None
     begin, end = float(trial.shake_times[0]), float(trial.shake_times[-1])
     frequency = trial.steps[-1].frequencies[0] if trial.steps else shake.frequency
     times = np.arange(begin, end, 1 / max(RATE, PICTURES * frequency))
     joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
-    arm = (in_simulated_cell if results.simulated else named)(results.arm)
     return Replay(
         arm, times - begin, joints, opening, _swayed(arm, plant, shake, trial, times), _filmed(results, times)
     )
+
+
+def _arm(results: RunResults) -> ArmModel:
+    """Return the run's arm; one that Anther does not know by name is in the run's cell file.
+
+    Raises:
+        InputError: that file is gone.
+    """
+    if results.simulated:
+        return in_simulated_cell(results.arm)
+    return named(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model
 
 
 def _swayed(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
