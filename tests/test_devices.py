@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from importlib import import_module
 from inspect import isfunction
-from pathlib import Path
 
 import numpy as np
 import pytest
 from fake_robot import LIMITS, fake_robot
 from faulty_machines import Fault, with_faults
 from live_cameras import Bench, FakeWebcam, realsense, running, webcam
-from made_arm import six
+from made_arm import CELL, six
 from replay_camera import ReplayCamera
 from small_planner import SmallPlanner
 from straight_plant import straight_plant
@@ -23,6 +20,7 @@ from straight_plant import straight_plant
 from anther.arm import sawyer
 from anther.arm.model import outline
 from anther.capture import Capture
+from anther.cells import read_cell
 from anther.devices import (
     Arm,
     ArmSample,
@@ -40,8 +38,6 @@ from anther.log._machines import heard
 from anther.safety import GuardedGripper, guard
 from anther.sim.cell import Cell
 from anther.sim.robot import robot_of
-
-EXAMPLE = Path(__file__).parents[1] / "examples" / "my_arm"
 
 
 def simulated() -> Robot:
@@ -74,10 +70,9 @@ def replayed() -> Camera:
 
 
 def of_an_example() -> Robot:
-    sys.path.append(str(EXAMPLE))
-    arm, tools = import_module("my_arm"), import_module("my_tools")
-    sys.path.remove(str(EXAMPLE))
-    return Robot(arm.MyArm("", arm_model=six()), tools.MyGripper(), tools.MyCamera(), tools.MyCamera(), np.eye(4))
+    cell = read_cell(CELL)
+    arm, gripper, camera = (cell.connect(part) for part in (cell.arm, cell.gripper, cell.wrist_camera))
+    return Robot(arm, gripper, camera, camera, cell.T_flange_cam)
 
 
 ROBOTS = {

@@ -42,22 +42,21 @@ AROUND = [
 """The rooms about the stages, in this order as well."""
 
 
-def imported(path: Path) -> set[str]:
-    """First-level names under `anther` that a file imports."""
-    names: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "anther":
-            parts = node.module.split(".")
-            names |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
-        elif isinstance(node, ast.Import):
-            names |= {a.name.split(".")[1] for a in node.names if a.name.startswith("anther.")}
-    return names - {"__version__"}
-
-
 def modules_imported(path: Path) -> set[str]:
     """Whole names of what a file imports: `anther.room.module`, or of a name in it."""
-    nodes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom) and node.module]
-    return {node.module for node in nodes} | {f"{node.module}.{alias.name}" for node in nodes for alias in node.names}
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return names
+
+
+def imported(path: Path) -> set[str]:
+    """First-level names under `anther` that a file imports."""
+    names = (name.split(".") for name in modules_imported(path))
+    return {parts[1] for parts in names if parts[0] == "anther" and len(parts) > 1} - {"__version__"}
 
 
 def room(path: Path) -> str:

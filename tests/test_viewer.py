@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import viser
 from fake_robot import horizontal_grasp
+from made_arm import CELL
 from made_foresight import made_plan
 from sample_plants import branched
 
@@ -85,8 +86,7 @@ def test_the_plant_goes_where_the_arm_takes_it(tmp_path: Path) -> None:
 
 
 def test_an_arm_of_ones_own_is_read_from_the_runs_cell_file_while_it_is_there(tmp_path: Path) -> None:
-    file = Path(__file__).parents[1] / "examples" / "my_arm" / "my_cell.toml"
-    told = {"arm": "my_arm", "cell": str(file)}
+    told = {"arm": "my_arm", "cell": str(CELL)}
     assert _arm(RunResults(tmp_path, told)).name == "my_arm"
     assert motion_of(replace(shaken(tmp_path), params=told | {"cell": str(tmp_path / "gone.toml")})) is None
 
