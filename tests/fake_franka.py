@@ -233,19 +233,22 @@ class ActiveControlBase:
         with fake.news:
             if not fake.news.wait_for(lambda: fake.cycle > self._seen and not fake.mute and not fake.dead, 3.0):
                 raise NetworkException("libfranka: UDP receive: Timeout")
-            self._aborted()
+            self._check(RobotMode.Move)
             passed, self._first = 0 if self._first else fake.cycle - self._seen, False
             self._seen = fake.cycle
             return fake.state(), Duration(CYCLE * passed)
 
     def writeOnce(self, command: JointPositions) -> None:
         with self._fake.news:
-            self._aborted()
+            self._check(RobotMode.Move)
             self._fake.command = command
             self._fake.news.notify_all()
+            if command.motion_finished:  # libfranka returns when the robot has ended the motion
+                self._fake.news.wait_for(lambda: self._fake.mode is not RobotMode.Move, 3.0)
+                self._check(RobotMode.Idle)
 
-    def _aborted(self) -> None:
-        if self._fake.mode is not RobotMode.Move:
+    def _check(self, wanted: RobotMode) -> None:
+        if self._fake.mode is not wanted:
             raise ControlException("libfranka: Move command aborted: motion aborted by reflex!")
 
 

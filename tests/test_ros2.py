@@ -191,18 +191,19 @@ def test_it_stops_where_its_watcher_raises(
 
 def test_braking_begins_where_the_arm_is_by_then(arm: ros2.JointTrajectoryArm, robot: FakeController) -> None:
     """A watcher that thinks before it raises leaves the last message behind: the stop takes the arm on, not back."""
-    goal = arm.joints() + 0.2
+    goal, thinks, said = arm.joints() + 0.2, 0.025, list[int]()
 
     def watch(sample: ArmSample) -> None:
         if np.all(sample.measured > goal):
-            sleep(0.025)
+            said.append(len(robot.heard))
+            sleep(thinks)
             raise DeviceError("enough")
 
     with pytest.raises(DeviceError, match="enough"):
         arm.follow(far(arm), watch)
-    sleep(0.2)
-    way = np.array([q for _, q in robot.log])
-    assert np.diff(way, axis=0).min() > -5e-3
+    last, stop = (moments(robot.heard[i][1]) for i in (said[0] - 1, said[0]))
+    assert np.all(stop[1][0, 0] > sampled(*last, thinks)[0] - 1e-6)
+    assert np.all(np.diff(stop[1][:, 0], axis=0) > 0)
 
 
 @BOTH
