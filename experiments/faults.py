@@ -42,7 +42,7 @@ from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, build, grow, layout, safety_limits
 from anther.devices import Arm, DeviceError, Robot, SafetyLimits
 from anther.errors import InputError, StageFailure
-from anther.execution import Params, Trial, execute
+from anther.execution import Trial, execute
 from anther.execution.early_reach import early_reach
 from anther.files import read_json, write_json
 from anther.geometry import Array
@@ -149,7 +149,7 @@ def run_once(base: Path, folder: Path, robot: Robot, *, restart_from: str | None
     planner, plan, limits = planned(base)
     with (
         Run(folder, restart_from=restart_from, quiet=True) as run,
-        early_reach(planner, plan.grasp, robot, limits, Params()) as arrive,
+        early_reach(planner, plan.grasp, robot, limits) as arrive,
     ):
         shake = run.stage("shake plan", ShakePlan.load, lambda _: plan)
         return run.stage(

@@ -28,7 +28,7 @@ from anther.cells import CellFile, read_cell
 from anther.commands.hardware_cell import connected, look_around, motion_params
 from anther.devices import Robot
 from anther.errors import AntherError
-from anther.execution import EARLY, Params, Trial, execute
+from anther.execution import EARLY, Trial, execute
 from anther.execution.early_reach import early_reach
 from anther.runs import Run
 from anther.safety import guard
@@ -123,7 +123,7 @@ def _pollinate(mouth: Connection, folder: Path, base: Path, *, views: bool, agai
                 mouth.send("views")
                 run.stage("capture", Capture.load, lambda advance: _seen(file, robot, advance))
             mouth.send(EARLY)
-            with early_reach(planner, plan.grasp, robot, limits, Params()) as arrive:
+            with early_reach(planner, plan.grasp, robot, limits) as arrive:
                 shake = run.stage("shake plan", ShakePlan.load, lambda _: plan)
                 run.stage(
                     "execution",

@@ -24,7 +24,6 @@ from anther.calibration import (
     BoardViews,
     HandEye,
     Method,
-    Params,
     board_views,
     calibrate,
 )
@@ -40,7 +39,7 @@ def test_perfect_poses_give_the_exact_transform(method: Method) -> None:
     flange, board = poses(8, np.random.default_rng(0))
     assert max(errors(closed_form(flange, board, method)[0])) < 1e-3
     views = views_of(board, np.random.default_rng(0), noise=0.0)
-    result = calibrate(flange, views, CAMERA, Params(method=method))
+    result = calibrate(flange, views, CAMERA, method=method)
     assert max(errors(result.T_flange_cam)) < 1e-4
     assert max(errors(result.T_base_board, T_BASE_BOARD)) < 1e-4
     assert result.pixel_residuals.max() < 1e-4
@@ -294,8 +293,9 @@ def test_bad_poses_are_refused(fault: str, where: int) -> None:
 
 
 def test_unknown_method_is_refused() -> None:
+    flange, board = poses(8, np.random.default_rng(0))
     with pytest.raises(InputError, match="tsai, park"):
-        Params(method="andreff")  # type: ignore[arg-type]
+        calibrate(flange, views_of(board, np.random.default_rng(0)), CAMERA, method="andreff")  # type: ignore[arg-type]
 
 
 # Files

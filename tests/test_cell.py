@@ -15,7 +15,7 @@ from anther.arm import sawyer
 from anther.errors import StageFailure
 from anther.sim import _growth, _plant_mechanics
 from anther.sim._blades import blades_of
-from anther.sim.cell import Cell, Params, mujoco
+from anther.sim.cell import LOG_EVERY, Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.tomato import grow_tomato
@@ -52,7 +52,7 @@ def test_free_decay_has_the_frequency_and_damping_ratio_asked_for() -> None:
     x = path[:, np.argmax(np.ptp(path, axis=0)[:2])]
     peaks = find_peaks(x - x.mean())[0]
     height = x[peaks] - x[-200:].mean()
-    frequency = 1 / (np.diff(peaks).mean() * cell.params.log_every * cell.params.timestep)
+    frequency = 1 / (np.diff(peaks).mean() * LOG_EVERY * cell.params.timestep)
     ratio = np.log(height[0] / height[6]) / 6 / (2 * np.pi)
     assert frequency == pytest.approx(cell.mechanics.frequencies[0], rel=5e-3)
     assert ratio == pytest.approx(0.03, rel=0.1)

@@ -15,26 +15,25 @@ from test_execution import POINT, Plan
 
 from anther.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
 from anther.errors import StageFailure
-from anther.execution import EARLY, PHASES, Params, execute
+from anther.execution import APPROACH_SPEED, EARLY, PHASES, execute
 from anther.execution.early_reach import early_reach
 from anther.grasp import STAND_OFF
 
 GRASP = horizontal_grasp(POINT, solve(horizontal_grasp(POINT, np.zeros(7)).T_world_flange))
-PARAMS = Params()
 
 
 def before_the_grasp(arm: FakeArm) -> float:
     """Return how far the arm is from where the straight way in begins [rad]."""
-    begin = SmallPlanner().line(GRASP.joints, GRASP.pregrasp(STAND_OFF), PARAMS.approach_speed).positions[-1]
+    begin = SmallPlanner().line(GRASP.joints, GRASP.pregrasp(STAND_OFF), APPROACH_SPEED).positions[-1]
     return float(np.abs(arm.joints() - begin).max())
 
 
 def test_the_arm_is_there_when_the_block_has_computed_and_the_trial_goes_on_from_there():
     arm, gripper = FakeArm(), FakeGripper()
     robot = fake_robot(arm, gripper)
-    with early_reach(SmallPlanner(), GRASP, robot, LIMITS, PARAMS) as arrive:
+    with early_reach(SmallPlanner(), GRASP, robot, LIMITS) as arrive:
         assert arrive is not None
-        trial = execute(SmallPlanner(), Plan(), robot, LIMITS, PARAMS, arrive=arrive)
+        trial = execute(SmallPlanner(), Plan(), robot, LIMITS, arrive=arrive)
     assert trial.finished
     assert trial.phases == (EARLY, *PHASES)
     spans = dict(zip(trial.phases, trial.phase_times, strict=True))
@@ -45,7 +44,7 @@ def test_the_arm_is_there_when_the_block_has_computed_and_the_trial_goes_on_from
 
 def test_it_moves_while_the_block_runs():
     arm = FakeArm()
-    with early_reach(SmallPlanner(), GRASP, fake_robot(arm), LIMITS, PARAMS) as arrive:
+    with early_reach(SmallPlanner(), GRASP, fake_robot(arm), LIMITS) as arrive:
         assert arrive is not None
         arrive()
         assert before_the_grasp(arm) < 1e-6
@@ -59,7 +58,7 @@ def test_when_the_block_fails_the_arm_stops(error: BaseException):
         arm.moving.wait(5)
         raise error
 
-    with pytest.raises(type(error)), early_reach(SmallPlanner(), GRASP, fake_robot(arm), LIMITS, PARAMS):
+    with pytest.raises(type(error)), early_reach(SmallPlanner(), GRASP, fake_robot(arm), LIMITS):
         compute()
     assert before_the_grasp(arm) > 0.1
     assert arm.held >= 1
@@ -72,8 +71,8 @@ def test_a_fault_on_the_way_is_the_trials():
 
     arm = FakeArm(fault=fault)
     robot = fake_robot(arm)
-    with early_reach(SmallPlanner(), GRASP, robot, LIMITS, PARAMS) as arrive:
-        trial = execute(SmallPlanner(), Plan(), robot, LIMITS, PARAMS, arrive=arrive)
+    with early_reach(SmallPlanner(), GRASP, robot, LIMITS) as arrive:
+        trial = execute(SmallPlanner(), Plan(), robot, LIMITS, arrive=arrive)
     assert (trial.failure, trial.phases) == ("device_fault", (EARLY,))
     assert "lost power" in trial.stop_reason
     assert arm.held >= 1
@@ -85,11 +84,11 @@ def test_ctrl_c_while_waiting_for_the_arm_stops_it(monkeypatch: pytest.MonkeyPat
 
     arm = SlowArm()
     robot = fake_robot(arm)
-    with early_reach(SmallPlanner(), GRASP, robot, LIMITS, PARAMS) as arrive:
+    with early_reach(SmallPlanner(), GRASP, robot, LIMITS) as arrive:
         arm.moving.wait(5)
         with monkeypatch.context() as patched:
             patched.setattr("concurrent.futures.Future.result", ctrl_c)
-            trial = execute(SmallPlanner(), Plan(), robot, LIMITS, PARAMS, arrive=arrive)
+            trial = execute(SmallPlanner(), Plan(), robot, LIMITS, arrive=arrive)
     assert trial.failure == "interrupted"
     assert arm.held >= 1
     assert before_the_grasp(arm) > 0.1
@@ -108,7 +107,7 @@ def test_a_second_ctrl_c_waits_for_the_arm_too(monkeypatch: pytest.MonkeyPatch):
     arm = SlowArm()
 
     def interrupted() -> None:
-        with early_reach(SmallPlanner(), GRASP, fake_robot(arm), LIMITS, PARAMS):
+        with early_reach(SmallPlanner(), GRASP, fake_robot(arm), LIMITS):
             arm.moving.wait(5)
             raise KeyboardInterrupt
 
@@ -126,7 +125,7 @@ def test_where_there_is_no_way_nothing_moves(joints: Any):
     planner: Any = SimpleNamespace(line=SmallPlanner().line, move=refuse)
     arm = FakeArm()
     grasp = horizontal_grasp(POINT, joints)
-    with early_reach(planner, grasp, fake_robot(arm), LIMITS, PARAMS) as arrive:
+    with early_reach(planner, grasp, fake_robot(arm), LIMITS) as arrive:
         assert arrive is None
     assert arm.done == 0
     assert np.array_equal(arm.joints(), FakeArm().joints())

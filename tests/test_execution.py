@@ -16,8 +16,8 @@ from small_planner import SmallPlanner, solve
 from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, More, Watch
 from anther.errors import InputError, StageFailure
-from anther.execution import PHASES, Params, Trial, execute
-from anther.execution._closing import CALM, ENOUGH, STEP
+from anther.execution import APPROACH_SPEED, PHASES, Trial, execute
+from anther.execution._closing import CALM, ENOUGH, SETTLE, STEP
 from anther.geometry import Array
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import alias, choose_rate
@@ -58,7 +58,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
 @pytest.mark.parametrize("joint", range(7))
 def test_an_arm_with_one_joint_elsewhere_reaches_before_it_approaches(joint: int) -> None:
     assert GRASP.joints is not None
-    before = PLANNER.line(GRASP.joints, GRASP.pregrasp(STAND_OFF), Params().approach_speed).positions[-1]
+    before = PLANNER.line(GRASP.joints, GRASP.pregrasp(STAND_OFF), APPROACH_SPEED).positions[-1]
     trial = execute(PLANNER, Plan(), fake_robot(FakeArm(before + 0.1 * (np.arange(7) == joint))), LIMITS)
     assert trial.finished
     assert np.ptp(trial.phase_times[PHASES.index("reach")]) > 0.1
@@ -66,7 +66,7 @@ def test_an_arm_with_one_joint_elsewhere_reaches_before_it_approaches(joint: int
 
 @pytest.mark.parametrize(
     ("squeezed", "wait"),
-    [(0.0, Params().settle), (0.0019, Params().settle), (0.004, CALM), (None, CALM)],
+    [(0.0, SETTLE), (0.0019, SETTLE), (0.004, CALM), (None, CALM)],
 )
 def test_pads_that_press_a_petiole_wait_until_it_is_calm(squeezed: float | None, wait: float) -> None:
     trial = execute(PLANNER, Plan(replace(GRASP, squeezed=squeezed)), fake_robot(), LIMITS)

@@ -16,6 +16,7 @@ from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import (
     APART,
+    OBSTACLE_CLEARANCE,
     STAND_OFF,
     STROKE_MARGIN,
     TOWARD_TIPS,
@@ -115,7 +116,7 @@ def test_a_wall_on_one_side_is_approached_from_the_other():
     wall = np.stack([np.full(y.size, 0.78), y.ravel(), z.ravel()], axis=1)
     for g in plan_grasps(stem, skeleton, add_points(cloud, np.zeros((0, 3)), obstacles=wall)):
         assert g.approach[0] > 0.5
-        assert g.clearance >= Params().obstacle_clearance
+        assert g.clearance >= OBSTACLE_CLEARANCE
 
 
 def test_a_leaf_wall_is_brushed_only_when_there_is_no_other_way():

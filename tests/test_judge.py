@@ -17,7 +17,7 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.sim import judge as judging
 from anther.sim.cell import BENCH, Cell
-from anther.sim.judge import Params, Verdict, judge
+from anther.sim.judge import PUSH, SLIP, Verdict, judge
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper, robot_of
 
@@ -158,7 +158,7 @@ def test_a_stem_too_slippery_to_hold_has_slipped() -> None:
     up = Plan(amplitude=0.01, frequency=2.0, duration=1.5, direction=np.array([0, 0, 1.0]))
     trial, verdict = trial_of(cell, up)
     assert trial.finished, trial.stop_reason
-    assert verdict.slip > Params().slip
+    assert verdict.slip > SLIP
     assert verdict.failure == "slipped"
 
 
@@ -172,7 +172,7 @@ def test_a_leaf_in_the_way_is_felt_but_gives_way() -> None:
     log = cell.log()
     assert log.contact_blade.any()
     assert log.contact_force[log.contact_blade].max() > 0.002
-    assert verdict.push < Params().push
+    assert verdict.push < PUSH
     assert (verdict.organ_grasped, verdict.failure) == ("stem", None)
 
 

@@ -46,7 +46,7 @@ def test_standing_times_leave_a_sharp_span_as_long_as_a_frame_and_no_longer(view
         assert dwell == 0 or span <= CAMERA.span + 4e-3
 
 
-@pytest.mark.parametrize("worse", [{"exposure": 0.02}, {"blur": 0.1}, {"frame_rate": 15.0}, {"jitter": 0.01}])
+@pytest.mark.parametrize("worse", [{"exposure": 0.02}, {"blur": 0.1}, {"frame_rate": 15.0}])
 def test_a_worse_camera_or_clock_makes_the_arm_stand_longer(views: Views, worse: dict[str, float]) -> None:
     longer = sharpness.standing_times(sawyer.SAWYER, views.motions, HAND_EYE, POINTS, replace(CAMERA, **worse))
     assert np.all(longer >= views.dwell - 1e-9)

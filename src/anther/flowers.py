@@ -33,6 +33,8 @@ FEWEST = 8
 """A flower has at least so many points, counted on this grid."""
 SMALLEST = 0.003
 """A flower is at least so large [m], or it is a speck."""
+LARGEST = 0.033
+"""A cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across."""
 FULLNESS = 0.45
 """A flower's points cover at least this share of the disc as wide as it is: specks on a leaf lie scattered."""
 FARTHEST = 0.08
@@ -47,19 +49,16 @@ class Params:
     """What a flower looks like in the cloud.
 
     Attributes:
-        largest: a cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across.
-        reach: radius of the kernel that splits such a cluster [m].
+        reach: radius of the kernel that splits a cluster of several flowers [m].
         pedicel: a truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination).
     """
 
-    largest: float = 0.033
     reach: float = 0.008
     pedicel: float = 0.025
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        for name in ("reach", "largest"):
-            check_range(name, getattr(self, name), 1e-4, 1, "m")
+        check_range("reach", self.reach, 1e-4, 1, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +160,7 @@ def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
 
 def _split(cluster: Array, params: Params) -> list[Array]:
     """Return a cluster too large for a flower as several, by mean shift with a flat kernel."""
-    if _extent(cluster) <= params.largest:
+    if _extent(cluster) <= LARGEST:
         return [cluster]
     tree = KDTree(cluster)
     peaks = cluster[:: -(-len(cluster) // _STARTS)].copy()

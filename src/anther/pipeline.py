@@ -48,7 +48,6 @@ class Params:
     grasp: grasp.Params = field(default_factory=grasp.Params)
     plant: plant.Params = field(default_factory=plant.Params)
     shake: shake.Params = field(default_factory=shake.Params)
-    execution: execution.Params = field(default_factory=execution.Params)
     escalation: escalation.Params = field(default_factory=escalation.Params)
     actuator: ActuatorName = "arm"
     """What shakes the closed pads: the arm, or a motor in the gripper, which is always watched."""
@@ -216,7 +215,7 @@ def pollinate(
     grasps = rank_grasps(seen, planner.reach, run, params)
     with ThreadPoolExecutor(1) as beside:  # the plant is modelled while the early reach is planned
         modelled = beside.submit(model_plant, seen, material, params)
-        with early_reach(planner, grasps[0], cell.robot, cell.limits, params.execution) as arrive:
+        with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
             shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params=params, earlier=earlier)
     answer = _watched(cell, trial, shake, seen, run, params=params)
@@ -296,7 +295,6 @@ def _shaken(
                 shake if watched is None else watched.plan,
                 cell.robot if params.actuator == "gripper" else replace(cell.robot, motor=None),
                 cell.limits,
-                params.execution,
                 progress=_phases_told(run, advance),
                 arrive=arrive,
                 watched=watched,

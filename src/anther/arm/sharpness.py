@@ -25,6 +25,10 @@ WIDE = (
     1.1  # |x / z| and |y / z| of a point beyond this are outside a D455's colour image (90 x 65 deg: facts, sawyer 4)
 )
 SOON = 1e-4  # s in which a point's motion in the image is taken
+JITTER = 0.001
+"""By which the camera's and the arm's clock may differ [s]. Our assumption, for one computer."""
+SHIFT = 2e-4
+"""How far the camera may move within that [m]; a fifth of an image's usual pose error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,22 +41,17 @@ class Params:
         focal: length [px] (D455 at 1280 x 720; facts: perception).
         blur: how far any point of the plant's region may move in the image within an exposure [px]; half a pixel is
             less than the lens blurs.
-        jitter: by which the camera's and the arm's clock may differ [s]. Our assumption, for one computer.
-        shift: how far the camera may move within the jitter [m]; a fifth of an image's usual pose error.
     """
 
     frame_rate: float = 30.0
     exposure: float = 0.005
     focal: float = 640.0
     blur: float = 0.5
-    jitter: float = 0.001
-    shift: float = 2e-4
 
     def __post_init__(self) -> None:
         check_range("frame rate", self.frame_rate, 1, 1000, "Hz")
         check_range("exposure", self.exposure, 1e-5, 0.5, "s")
         check_range("blur", self.blur, 0.01, 10, "px")
-        check_range("clock jitter", self.jitter, 0, 0.1, "s")
 
     @property
     def span(self) -> float:
@@ -87,9 +86,9 @@ def is_sharp(
 ) -> NDArray[np.bool_]:
     """Return (T,) whether a frame then is neither blurred nor taken at a place not known; see `image_speed`."""
     here, soon = (arm.forward(joints) @ T_flange_cam for joints in (q, q + SOON * rates))
-    travel = np.linalg.norm(soon[:, :3, 3] - here[:, :3, 3], axis=1) / SOON * params.jitter
+    travel = np.linalg.norm(soon[:, :3, 3] - here[:, :3, 3], axis=1) / SOON * JITTER
     blur = image_speed(arm, q, rates, T_flange_cam, points, params.focal) * params.exposure
-    return (blur <= params.blur) & (travel <= params.shift)
+    return (blur <= params.blur) & (travel <= SHIFT)
 
 
 def standing_times(

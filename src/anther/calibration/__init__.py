@@ -6,7 +6,6 @@ refinement of camera and board pose together on reprojection errors, without out
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from anther.calibration._hand_eye import (
     HandEye,
     Method,
     MethodError,
-    closed_form,
     compare,
     disagreement,
     left_out_errors,
@@ -44,7 +42,7 @@ from anther.calibration._views import (
     motion_warnings,
     undistorted,
 )
-from anther.checks import check_range, check_transform
+from anther.checks import check_transform
 from anther.errors import bad_input
 from anther.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 
@@ -59,7 +57,6 @@ __all__ = [
     "Method",
     "MethodError",
     "Moved",
-    "Params",
     "board_views",
     "calibrate",
     "camera_moved",
@@ -77,7 +74,11 @@ __all__ = [
 ]
 
 FEW_FOR_NOISE = 6
-"""With fewer views the arm's errors are taken from `Params`, not from the data."""
+"""With fewer views the arm's errors are `ARM_ERRORS`; with more they are where the estimate begins."""
+ARM_ERRORS = float(np.deg2rad(0.1)), 0.001
+"""Of rotation [rad] and translation [m] in one view, per axis."""
+OUTLIER = 4.0
+"""Views less likely than so many standard deviations of a normal distribution are left out."""
 HOPELESS = float(np.deg2rad(4)), 0.04
 """Half of the views disagree by more than one of these [rad], [m]: the poses do not belong to the images."""
 ROUNDS = 8
@@ -88,39 +89,12 @@ LOOSE = 0.002
 """Standard error of the camera's place from which on the views are called too poor [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Params:
-    """How the hand-eye transform is found.
-
-    Attributes:
-        method: closed-form solver of the first estimate.
-        refine: whether to refine it by least squares.
-        rotation_sigma: error of the arm's rotation in one view, per axis [rad]. With six views or more it is only where
-            to begin, and estimated.
-        translation_sigma: the same for its translation [m].
-        outlier: views less likely than this many standard deviations of a normal distribution are left out.
-    """
-
-    method: Method = "tsai"
-    refine: bool = True
-    rotation_sigma: float = float(np.deg2rad(0.1))
-    translation_sigma: float = 0.001
-    outlier: float = 4.0
-
-    def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise bad_input("hand-eye method", given=self.method, allowed=", ".join(METHODS), do="Choose one of these.")
-        check_range("rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
-        check_range("translation sigma", self.translation_sigma, 1e-6, 1, "m")
-        check_range("outlier threshold", self.outlier, 1, 8)
-
-
 def calibrate(
     T_base_flange: Any,
     views: BoardViews,
     intrinsics: Intrinsics,
-    params: Params | None = None,
     *,
+    method: Method = "tsai",
     free_intrinsics: bool = False,
     images: tuple[str, ...] | None = None,
     distortion: Array | None = None,
@@ -131,7 +105,7 @@ def calibrate(
         T_base_flange: (V, 4, 4) flange poses of the views, V >= 3.
         views: of the board from them (`detect_board`).
         intrinsics: of the camera.
-        params: see `Params`.
+        method: closed-form solver of the first estimate.
         free_intrinsics: whether focal lengths and principal point are sought too, from where they are given: for
             `estimate_intrinsics`, which does not know how the camera moved.
         images: names of the views, for messages and the result; by default their numbers.
@@ -139,26 +113,23 @@ def calibrate(
 
     Raises:
         InputError: fewer than three views, motions that do not determine the transform, or poses that do not belong
-            to the images.
+            to the images; an unknown method.
     """
-    params = params or Params()
+    if method not in METHODS:
+        raise bad_input("hand-eye method", given=method, allowed=", ".join(METHODS), do="Choose one of these.")
     board = check_transform("T_cam_board", views.T_cam_board, len(views.images))
     flange = check_transform("T_base_flange", T_base_flange, len(board))
     names = images or tuple(str(number) for number in views.images)
     check_motions(flange, LEAST_TURN)
     centre = np.concatenate(views.corners.points).mean(axis=0)
-    sigmas = params.rotation_sigma, params.translation_sigma
-    X, Z, misfit = robust_estimate(flange, board, centre, sigmas, params.method)
-    _refuse_strangers(flange, board, centre, X, Z, params)
+    X, Z, misfit = robust_estimate(flange, board, centre, ARM_ERRORS, method)
+    _refuse_strangers(flange, board, centre, X, Z)
     used = misfit <= 5 * max(float(np.median(misfit)), 1.0)
-    problem = Problem.of(flange, views, intrinsics, free_intrinsics and params.refine)
-    fit, noise, used = _without_outliers(problem, X, Z, used, pixel_noise(views), params)
-    if not params.refine:
-        X, Z = closed_form(flange[used], board[used], params.method)
-        fit = Fit(X, Z, intrinsics, fit.covariance)
+    problem = Problem.of(flange, views, intrinsics, free_intrinsics)
+    fit, noise, used = _without_outliers(problem, X, Z, used, pixel_noise(views))
     problem, board = problem.at(fit.intrinsics), board_views(views.corners, fit.intrinsics).T_cam_board
     turn, shift = disagreement(predicted_board(flange, fit.T_flange_cam, fit.T_base_board), board, centre)
-    left_out = left_out_errors(problem, board, centre, fit, noise, used, None if params.refine else params.method)
+    left_out = left_out_errors(problem, board, centre, fit, noise, used)
     spread = np.sqrt([np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1] for i in (0, 3)])
     return HandEye(
         T_flange_cam=fit.T_flange_cam,
@@ -177,19 +148,19 @@ def calibrate(
         arm_rotation_error=noise.rotation,
         arm_translation_error=noise.translation,
         methods=compare(problem, board, centre, fit, noise, used, left_out),
-        method=f"{params.method}{' + nonlinear refinement' if params.refine else ''}",
+        method=f"{method} + nonlinear refinement",
         notes=_notes(flange, used, names, float(spread[1])),
     )
 
 
 def _without_outliers(
-    problem: Problem, X: Array, Z: Array, used: NDArray[Any], own_noise: Array, params: Params
+    problem: Problem, X: Array, Z: Array, used: NDArray[Any], own_noise: Array
 ) -> tuple[Fit, Noise, NDArray[Any]]:
     """Refine, estimate the noise and judge all views by it, until the same views stay."""
     flange = problem.T_base_flange
     pixel = float(np.median(own_noise))
-    noise = Noise(pixel, params.rotation_sigma, params.translation_sigma)
-    limit = float(np.sqrt(chi2.isf(2 * norm.sf(params.outlier), 6)))
+    noise = Noise(pixel, *ARM_ERRORS)
+    limit = float(np.sqrt(chi2.isf(2 * norm.sf(OUTLIER), 6)))
     rounds = 0
     while True:
         check_motions(flange[used], LEAST_TURN)
@@ -217,7 +188,7 @@ def _notes(flange: Array, used: NDArray[Any], names: tuple[str, ...], spread: fl
     return tuple(notes)
 
 
-def _refuse_strangers(flange: Array, board: Array, centre: Array, X: Array, Z: Array, params: Params) -> None:
+def _refuse_strangers(flange: Array, board: Array, centre: Array, X: Array, Z: Array) -> None:
     """Refuse poses that no hand-eye transform explains, and say which mix-up of conventions would explain them."""
     if not _hopeless(flange, board, centre, X, Z):
         return
@@ -228,8 +199,7 @@ def _refuse_strangers(flange: Array, board: Array, centre: Array, X: Array, Z: A
     }
     advice = "Check that image names, poses and units (m, quaternion x y z w) belong together."
     for text, other in guesses.items():
-        sigmas = params.rotation_sigma, params.translation_sigma
-        if not _hopeless(other, board, centre, *robust_estimate(other, board, centre, sigmas, "park")[:2]):
+        if not _hopeless(other, board, centre, *robust_estimate(other, board, centre, ARM_ERRORS, "park")[:2]):
             advice = text
     turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
     raise bad_input(

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.calibration import LOOSE, HandEye, Params, calibrate
+from anther.calibration import LOOSE, HandEye, calibrate
 from anther.calibration._boards import Board, parse_board
 from anther.calibration._pose_file import COLUMNS, read_intrinsics
 from anther.calibration._views import (
@@ -129,7 +129,7 @@ class Taken:
         corners = BoardCorners(np.arange(len(self)), points, pixels)
         return BoardViews(corners, self.T_cam_board, np.concatenate([v.reprojection for v in self.views]))
 
-    def solved(self, params: Params | None = None) -> HandEye | None:
+    def solved(self) -> HandEye | None:
         """Return the hand-eye transform, or None while the views do not determine it."""
         if len(self) < 3:
             return None
@@ -138,7 +138,6 @@ class Taken:
                 self.flange,
                 self.all_views(),
                 self.intrinsics,
-                params,
                 images=tuple(self.names),
                 distortion=self.distortion,
             )

@@ -6,13 +6,13 @@ With --live the arm of a cell takes the images; with --check it looks whether th
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from anther.calibration import HandEye, Params
+from anther.calibration import HandEye, Method
 from anther.errors import InputError, bad_input
 from anther.geometry import Array, Intrinsics
 
@@ -55,8 +55,8 @@ class Args:
     """With --live: a person moves the arm."""
     yes: bool = False
     """Move without being asked."""
-    params: Params = field(default_factory=Params)
-    """Parameters of the solution."""
+    method: Method = "tsai"
+    """Closed-form solver of the first estimate. The result is refined from there, and compared with all of them."""
 
 
 def run(args: Args) -> int:
@@ -82,13 +82,12 @@ def run(args: Args) -> int:
         intrinsics=args.intrinsics,
         by_hand=args.by_hand,
         yes=args.yes,
-        params=args.params,
     )
 
 
 WAYS = {
-    "images": ("images", "poses", "board", "intrinsics", "estimate_intrinsics", "out", "json", "params"),
-    "live": ("live", "cell", "board", "intrinsics", "out", "by_hand", "yes", "params"),
+    "images": ("images", "poses", "board", "intrinsics", "estimate_intrinsics", "out", "json", "method"),
+    "live": ("live", "cell", "board", "intrinsics", "out", "by_hand", "yes"),
     "check": ("check", "cell", "yes"),
 }
 """Which options go together."""
@@ -149,7 +148,7 @@ def _from_files(args: Args) -> None:
         flange,
         views,
         intrinsics,
-        args.params,
+        method=args.method,
         free_intrinsics=args.estimate_intrinsics,
         images=seen,
         distortion=distortion,

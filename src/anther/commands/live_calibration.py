@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from anther.arm.board_views import board_planner, first_reached
 from anther.arm.planner import Planner
-from anther.calibration import BoardViews, HandEye, Params, parse_board, read_intrinsics, why_unseen
+from anther.calibration import BoardViews, HandEye, parse_board, read_intrinsics, why_unseen
 from anther.calibration.proposals import candidates, least_alike
 from anther.calibration.taken import ENOUGH, MOST, RESULT, Taken, is_steady, lacks, taken_before
 from anther.cells import CellFile, read_cell
@@ -124,7 +124,6 @@ def live(
     intrinsics: Path | None = None,
     by_hand: bool = False,
     yes: bool = False,
-    params: Params | None = None,
 ) -> int:
     """Take views, tell what they give, write the result into the cell file; return 0, or 1 where they lack something.
 
@@ -135,7 +134,6 @@ def live(
         intrinsics: of the camera, instead of its own.
         by_hand: a person moves the arm.
         yes: nobody is asked before a motion.
-        params: of the solution.
 
     Raises:
         AntherError: a bad file or option, no board, or a machine that refuses. Views that were taken are kept.
@@ -150,7 +148,7 @@ def live(
         _check_size(taken, camera)
         try:
             first_look(eye, taken, ask)
-            found = gather(eye, taken, ask, by_hand=by_hand, params=params)
+            found = gather(eye, taken, ask, by_hand=by_hand)
         except BaseException:
             with suppress(AntherError):  # what went wrong first is what is reported
                 arm.hold()
@@ -181,9 +179,7 @@ def first_look(eye: Eye, taken: Taken, ask: Asking) -> None:
             raise InputError(why)
 
 
-def gather(
-    eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False, params: Params | None = None
-) -> HandEye | None:
+def gather(eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False) -> HandEye | None:
     """Take views until they are enough and the error of a left-out view is steady; return what they give.
 
     It ends also when a person says so, when no further view can be reached, and after `MOST`.
@@ -191,7 +187,7 @@ def gather(
     Raises:
         StageFailure: the arm refuses, or the board is not seen where it was expected.
     """
-    found = taken.solved(params)
+    found = taken.solved()
     history, missed, in_a_row = [found], list[Array](), 0
     _tell(taken, found)
     while len(taken) < MOST:
@@ -213,7 +209,7 @@ def gather(
             continue
         in_a_row = 0
         _keep(eye, taken, image, view, joints)
-        found = taken.solved(params)
+        found = taken.solved()
         history.append(found)
         _tell(taken, found)
     return found

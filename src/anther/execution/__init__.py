@@ -24,7 +24,6 @@ from anther.devices import (
 )
 from anther.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.execution._closing import close, lost_grip, wait_after
-from anther.execution._params import Params
 from anther.execution._trial import EARLY, PHASES, Step, Trial
 from anther.execution._watched import Deciding, Line, Watched
 from anther.geometry import Array
@@ -34,12 +33,13 @@ from anther.safety import check_shake, guard
 from anther.swing import Swing, whole_shake
 
 __all__ = [
-    "EARLY", "PHASES", "Line", "Params", "PlannedShake", "Progress", "Step", "TrajectoryPlanner", "Trial", "Watched",
-    "execute", "lost_grip",
+    "APPROACH_SPEED", "EARLY", "PHASES", "Line", "PlannedShake", "Progress", "Step", "TrajectoryPlanner", "Trial",
+    "Watched", "execute", "lost_grip",
 ]  # fmt: skip
 
-DEFAULTS = Params()
 Progress = Callable[[int, int, str], None]  # called with (phases done, phases in all, the phase that begins)
+APPROACH_SPEED = 0.12
+"""Of the flange on the straight way in and out [m/s]."""
 THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
@@ -88,7 +88,6 @@ def execute(
     shake: PlannedShake,
     robot: Robot,
     limits: SafetyLimits,
-    params: Params = DEFAULTS,
     *,
     progress: Progress | None = None,
     arrive: Callable[[], ArmRecord] | None = None,
@@ -106,14 +105,13 @@ def execute(
         shake: the plan; `shake.grasp` must hold arm joints.
         robot: the machines.
         limits: every command is checked against them.
-        params: of the approach and the grip.
         progress: called before each phase.
         arrive: waits for a motion of the arm that was begun before (`early_reach`), as the phase "early reach".
         watched: decides the shake's pieces on the way, at the grasp of `shake`; None, or
             without a side camera: as planned.
     """
     watched = None if robot.side_camera is None else watched
-    work = _Work(planner, shake, guard(robot, limits), limits, params, progress, watched)
+    work = _Work(planner, shake, guard(robot, limits), limits, progress, watched)
     try:
         if arrive is not None:
             with work.phase(EARLY):
@@ -136,7 +134,6 @@ class _Work:
     plan: PlannedShake
     robot: Robot
     limits: SafetyLimits
-    params: Params
     progress: Progress | None
     watched: Watched | None = None
     marks: list[tuple[str, float, float]] = field(default_factory=list)
@@ -201,11 +198,11 @@ class _Work:
 
 def _forward(work: _Work) -> None:
     """From wherever the arm is to the end of the shake."""
-    grasp, params, arm = work.plan.grasp, work.params, work.robot.arm
+    grasp, arm = work.plan.grasp, work.robot.arm
     if grasp.joints is None:
         raise StageFailure("unreachable", "the grasp has no arm joints. Plan it with the arm's reach.")
     with work.phase("open"):  # whatever cannot be done at this grasp is refused before anything moves to it
-        p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(STAND_OFF), params.approach_speed)
+        p, outward = work.plan, work.planner.line(grasp.joints, grasp.pregrasp(STAND_OFF), APPROACH_SPEED)
         shake = JointTrajectory.standstill(grasp.joints, 1.0)
         if work.robot.motor is None:
             pieces = whole_shake(p.amplitude, p.frequency, p.duration)
@@ -220,7 +217,7 @@ def _forward(work: _Work) -> None:
     with work.phase("close"):
         closed = close(work.robot.gripper, grasp, work.plan.press)
         work.grips.append(closed)
-        work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp, params)))
+        work.follow(JointTrajectory.standstill(arm.joints(), wait_after(grasp)))
         if why := lost_grip(closed, work.robot.gripper.state()):
             raise StageFailure("nothing_grasped", f"{why}. Try the next grasp.")
     with work.phase("shake"):
@@ -337,7 +334,7 @@ def _back(work: _Work) -> None:
         work.grips.append(work.robot.gripper.move(work.plan.grasp.opening))
     with work.phase("retreat"):
         back = work.plan.grasp.pregrasp(STAND_OFF)
-        work.follow(work.planner.line(work.robot.arm.joints(), back, work.params.approach_speed))
+        work.follow(work.planner.line(work.robot.arm.joints(), back, APPROACH_SPEED))
     work.in_plant = False
 
 

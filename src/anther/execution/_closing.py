@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from anther.devices import Gripper, GripperState
 from anther.errors import StageFailure
-from anther.execution._params import Params
 from anther.grasp import Grasp
 
 LOOSE = 0.0005
@@ -25,6 +24,8 @@ through a Robotiq's protocol it was one of its counts (0.38 mm) or none, in the 
 BESIDE = 0.002
 """The pads meet a petiole beside the stem where it is expected to reach so far beyond it (`Grasp.squeezed`) [m], or
 nobody knows."""
+SETTLE = 0.6
+"""Leaves that the gripper touched calm down for so long before the shake [s]."""
 CALM = 2.0
 """A petiole that the pads meet swings for so long [s]."""
 
@@ -61,10 +62,10 @@ def lost_grip(before: GripperState, after: GripperState) -> str:
     return f"the pads came {1e3 * nearer:.1f} mm nearer: what they held slipped out" if nearer > SLID else ""
 
 
-def wait_after(grasp: Grasp, params: Params) -> float:
+def wait_after(grasp: Grasp) -> float:
     """Return how long what the gripper touched swings after closing [s]: a petiole between the pads for longer."""
     free = grasp.squeezed is not None and grasp.squeezed < BESIDE
-    return params.settle if free else max(params.settle, CALM)
+    return SETTLE if free else CALM
 
 
 def _press(gripper: Gripper, width: float, press: float) -> GripperState:

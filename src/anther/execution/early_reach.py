@@ -9,7 +9,7 @@ from threading import Event
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, Robot, SafetyLimits
 from anther.errors import StageFailure
-from anther.execution import Params, TrajectoryPlanner
+from anther.execution import APPROACH_SPEED, TrajectoryPlanner
 from anther.grasp import STAND_OFF, Grasp
 from anther.safety import guard
 
@@ -19,7 +19,7 @@ Arrive = Callable[[], ArmRecord]
 
 @contextmanager
 def early_reach(
-    planner: TrajectoryPlanner, grasp: Grasp, robot: Robot, limits: SafetyLimits, params: Params
+    planner: TrajectoryPlanner, grasp: Grasp, robot: Robot, limits: SafetyLimits
 ) -> Iterator[Arrive | None]:
     """Open the gripper and go before a grasp while the block computes; it is given a function that waits for the arm.
 
@@ -31,7 +31,6 @@ def early_reach(
         grasp: the one most likely to be taken.
         robot: the machines; nobody else may command them before the arm was waited for.
         limits: every command is checked against them.
-        params: of the approach: where its straight line begins.
     """
     safe, called_off = guard(robot, limits), Event()
 
@@ -42,7 +41,7 @@ def early_reach(
     try:
         if grasp.joints is None:
             raise StageFailure("unreachable", "the grasp has no arm joints.")
-        outward = planner.line(grasp.joints, grasp.pregrasp(STAND_OFF), params.approach_speed)
+        outward = planner.line(grasp.joints, grasp.pregrasp(STAND_OFF), APPROACH_SPEED)
         motion = planner.move(safe.arm.joints(), outward.positions[-1])
     except (StageFailure, DeviceError):  # the trial meets it again, and says so
         yield None

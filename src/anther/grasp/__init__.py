@@ -53,8 +53,8 @@ SPACING, DIRECTIONS = 0.005, 24
 STRAIGHT = 0.014
 """Half length of the stem piece that gives its direction [m]: little more than the pads hold. With 30 mm the pads bent
 stems that change direction at a node nearly twice as much (measured)."""
-TOP_MARGIN = 0.05
-"""Stem left out at its tip [m]; at most a quarter of the stem."""
+ROOT_MARGIN, TOP_MARGIN = 0.065, 0.05
+"""Stem left out at its root and its tip [m]; each at most a quarter of the stem."""
 TOWARD_TIPS = 0.006
 """The stem stands this far from the pads' middle towards their tips [m], so that less of them reaches into the petioles
 behind it. With 8 mm closing strained the stem by 0.65 instead of 0.72 % in the mean (61 grasps of eight dense peppers,
@@ -231,7 +231,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         directions=DIRECTIONS,
         spacing=max(SPACING, length / 60),
         window=min(STRAIGHT, length / 8),
-        ends=(min(params.base_margin, length / 4), min(TOP_MARGIN, length / 4)),
+        ends=(min(ROOT_MARGIN, length / 4), min(TOP_MARGIN, length / 4)),
         depth=gripper.depth + TOWARD_TIPS,
     )
     if toward_base:
@@ -264,8 +264,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     return _Ranking(candidates, met, costs, order, fell, confidence, _squeezed(candidates, met))
 
 
-STEM_CLEARANCE = 0.003
-"""Least distance of the open fingers from the stem's surface [m]."""
+STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
+"""Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
 APART = 0.012
 """Along the stem, so that the next grasp differs when one fails [m]; at most a twentieth of the stem."""
 SLACK = 0.6
@@ -279,7 +279,7 @@ def _refusals(c: Candidates, met: Clearance, confidence: Array | None, params: P
     return {
         DOUBTED: doubtful,
         "thicker than the stroke": 2 * c.radius > params.gripper.stroke - STROKE_MARGIN,
-        "would hit pot or bench": met.distance[:, OBSTACLE] < params.obstacle_clearance,
+        "would hit pot or bench": met.distance[:, OBSTACLE] < OBSTACLE_CLEARANCE,
         "would hit the stem": met.distance[:, STEM] < STEM_CLEARANCE,
     }
 

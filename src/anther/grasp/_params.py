@@ -21,15 +21,11 @@ class Params:
         gripper: its geometry.
         fit_gripper: True refuses what this gripper cannot do. False gives the best place on the stem whatever its size:
             the plant is looked at as if shrunk until its stem fits, and a collision only lowers the score.
-        base_margin: stem left out at its root [m]; at most a quarter of the stem.
-        obstacle_clearance: least distance of gripper from pot, soil and bench [m].
         wanted: how many grasps the arm must confirm.
     """
 
     gripper: GripperShape = field(default_factory=GripperShape)
     fit_gripper: bool = True
-    base_margin: float = 0.065
-    obstacle_clearance: float = 0.015
     wanted: int = 3
 
     def __post_init__(self) -> None:

@@ -19,6 +19,10 @@ from anther.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
 from anther.shake.params import FLOWER_SPREAD, LOAD_ERROR
 from anther.shake.search import Version, deviates, drawn_version, flower_motion, gains
 
+CLOCK_ERROR = 0.02
+"""Standard deviation of the camera's clock against the gripper's [s]; frames are stamped on arrival, up to a frame
+late at 30 Hz. It is learned with the plant."""
+
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -36,8 +40,6 @@ class Params:
         grip_error: standard deviation of ln of the modelled force in the grip, and of the modelled motion of the stem
             beside the pads relative to itself [-]; a guess, below that of flowers since no branch lies between.
         likeness: correlation of these errors between flowers of one branch [-], measured by us likewise.
-        clock_error: standard deviation of the camera's clock against the gripper's [s]; frames are stamped on arrival,
-            up to a frame late at 30 Hz. It is learned with the plant.
         seed: of the draws.
     """
 
@@ -48,7 +50,6 @@ class Params:
     phase_error: float = 0.3
     grip_error: float = 0.25
     likeness: float = 0.5
-    clock_error: float = 0.02
     seed: int = 1
 
     def __post_init__(self) -> None:
@@ -59,7 +60,6 @@ class Params:
         check_range("phase_error", self.phase_error, 0.01, 100)
         check_range("grip_error", self.grip_error, 0.01, 10)
         check_range("likeness", self.likeness, 0, 1)
-        check_range("clock_error", self.clock_error, 0, 1, "s")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,7 +151,7 @@ def refine(
     first, z = _standing(believed, np.concatenate([drawn, rng.normal(size=(len(drawn), 1))], axis=1), params)
     members, errors = first, Errors(params.model_error, params.phase_error, params.grip_error)
     for _ in range(params.steps if useful else 0):
-        wrong = misses(plant, told(believed, members, useful), useful, params.clock_error * z[:, -1], errors)
+        wrong = misses(plant, told(believed, members, useful), useful, CLOCK_ERROR * z[:, -1], errors)
         members, z = _standing(believed, z + _update(z, wrong, params, rng), params)
     before, after = ([m.plant.material for m in ms] for ms in (first, members))
     held_before, held_after = ([m.pads for m in ms] for ms in (first, members))

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
 from anther.errors import bad_input
 from anther.geometry import Array
-from anther.sim import arm_model
+from anther.sim import arm_model, carriage
 from anther.sim.cell import Cell
 from anther.swing import Swing
 
@@ -114,17 +114,17 @@ class SimMotor:
         Raises:
             DeviceError: beyond what the motor has.
         """
-        dt, machine = self.cell.timestep, self._machine
+        dt = self.cell.timestep
         first, end = (int(np.ceil(t / dt - 1e-6)) for t in (piece.begin, piece.begin + piece.seconds))
         times = dt * np.arange(first, end + 1) - piece.begin
         place, rate = piece.motion(times)
         place += rate * np.maximum(times - piece.seconds, 0)  # on into the piece that follows
         speed = np.diff(place) / dt
         acceleration = np.diff(speed, prepend=self.cell.motor_command[1]) / dt
-        force = machine.load(arm_model.FINGER_MASS, place[:-1], speed, acceleration)
+        force = self._machine.load(arm_model.FINGER_MASS, place[:-1], speed, acceleration)
         for what, value, most, unit in (
-            ("place", np.abs(place).max(), machine.stop, "m"),
-            ("force without a stem", np.abs(force).max(), machine.force, "N"),
+            ("place", np.abs(place).max(), carriage.STOP, "m"),
+            ("force without a stem", np.abs(force).max(), self._machine.force, "N"),
         ):
             if value > most:
                 raise DeviceError(f"motor {what}: got {value:.3g} {unit}; it has {most:.3g}. Swing less or slower.")

@@ -36,6 +36,10 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 GAUSS_AT, GAUSS_WEIGHT = _NODES[:, None] / 2 + 0.5, _WEIGHTS[:, None] / 2
 """Where along a segment integrals are evaluated, and with what weight; shares of its length."""
 
+LEAST = 4
+"""Pieces in an unbranched run at least, where it has that many segments."""
+FLUTTER = 30.0
+"""Frequency at which the hinges alone give `damping_ratio`, and below which they give less [Hz]."""
 FOLDED = 1.2
 """Angle at which a hinge stops [rad]: far beyond what tissue bears, and short of a right angle, where two crossed
 hinges lose a direction and a plant pushed aside would spin without bound."""
@@ -48,12 +52,10 @@ class Params:
     Attributes:
         piece: longest rigid piece of several segments [m]; a cantilever of 20 has its first frequency within 0.5 %.
         bend: a piece ends where the plant turns by more than this [rad].
-        flutter: frequency [Hz] at which the hinges alone give `damping_ratio`, and below which they give less.
         stiffest: hinges carry so much rotor inertia that none swings faster than this [Hz]; a mode at f is slowed by
             f^2 / (2 stiffest^2), 0.5 % at 30 Hz.
         foliage: the same for petioles, rachises and midribs [Hz], 0.5 % at 10 Hz: their pieces are light, and with 300
             Hz a leaf that was jammed in the gripper became unstable.
-        least: pieces in an unbranched run at least, where it has that many segments.
         twisting: organs that twist.
         twist_every: of so many pieces of a run the middle one has a hinge for twist, as soft as all of theirs together.
     """
@@ -62,8 +64,6 @@ class Params:
     bend: float = 0.5
     stiffest: float = 300.0
     foliage: float = 100.0
-    least: int = 4
-    flutter: float = 30.0
     twisting: tuple[Organ, ...] = TWISTING
     twist_every: int = 2
 
@@ -91,7 +91,7 @@ def cut(plant: SimPlant, params: Params) -> Pieces:
     """Cut the plant into rigid pieces and find the stiffness between them."""
     heir, body = _heirs(plant), np.full(len(plant.start), -1)
     chain = _chains(plant, heir)
-    limit = np.minimum(params.piece, np.bincount(chain, plant.length) / params.least)
+    limit = np.minimum(params.piece, np.bincount(chain, plant.length) / LEAST)
     first: list[int] = []
     parent: list[int] = []
     size: list[float] = []
@@ -261,7 +261,7 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
     across = np.cross(along, plant.oval[k] if plant.oval[k].any() else np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     oval = float(np.exp(np.linalg.norm(plant.oval[k]) / 2))
-    beta = float(_beta(plant.damping_ratio[k], params.flutter, dt))
+    beta = float(_beta(plant.damping_ratio[k], FLUTTER, dt))
     fastest = params.foliage if plant.organ[k] in (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF) else params.stiffest
     for axis, stiffness in ((across, bending * oval), (np.cross(along, across), bending / oval), (along, twist)):
         if stiffness == 0:
@@ -299,7 +299,6 @@ class PlantMechanics:
         self._hang(data)
         self.frequencies, self._first = self._modes(data)
         self.mass_damping = self._air_damping(*self._first)
-        self._flutter = params.flutter
         self._rest_origin = plant.start[pieces.first]
 
     def _hang(self, data: Any) -> None:
@@ -311,9 +310,7 @@ class PlantMechanics:
     def damp(self, timestep: float) -> None:
         """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
         ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()]
-        self.model.dof_damping[self.dofs] = (
-            _beta(ratio, self._flutter, timestep) * self.model.jnt_stiffness[self.joints]
-        )
+        self.model.dof_damping[self.dofs] = _beta(ratio, FLUTTER, timestep) * self.model.jnt_stiffness[self.joints]
         self.mass_damping = self._air_damping(*self._first)
 
     def _modes(self, data: Any) -> tuple[Array, tuple[float, Array]]:

@@ -15,6 +15,12 @@ import numpy as np
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
+SPRING = 2e3
+"""Of the flexures that centre it [N/m]: alone with the fingers it swings at 16 Hz."""
+BANDWIDTH = 100.0
+"""Of its position servo [Hz]."""
+STOP = 2e-3
+"""Either way, where it strikes [m]."""
 KINDS = ("position", "velocity", "force")
 """Of its actuators, in order."""
 
@@ -25,28 +31,22 @@ class Params:
 
     Attributes:
         mass: of coil, slide and the fingers' drive, which ride on it [kg]; the fingers come besides.
-        spring: of the flexures that centre it [N/m]: alone with the fingers it swings at 16 Hz.
         damping: of flexures and slide [N s/m]: 5 % of critical.
         force: of the coil at most [N].
-        bandwidth: of its position servo [Hz].
-        stop: either way, where it strikes [m].
     """
 
     mass: float = 0.12
-    spring: float = 2e3
     damping: float = 2.0
     force: float = 25.0
-    bandwidth: float = 100.0
-    stop: float = 2e-3
 
     def servo(self, fingers: float) -> tuple[float, float]:
         """Return gains in place [N/m] and speed [N s/m], critically damped, with two `fingers` [kg each] on it."""
-        mass, omega = self.mass + 2 * fingers, 2 * np.pi * self.bandwidth
-        return mass * omega**2 - self.spring, 2 * mass * omega - self.damping
+        mass, omega = self.mass + 2 * fingers, 2 * np.pi * BANDWIDTH
+        return mass * omega**2 - SPRING, 2 * mass * omega - self.damping
 
     def load(self, fingers: float, place: Any, speed: Any, acceleration: Any) -> Any:
         """Return the force that a motion asks of the coil [N] with nothing between two `fingers` [kg each]."""
-        return (self.mass + 2 * fingers) * acceleration + self.damping * speed + self.spring * place
+        return (self.mass + 2 * fingers) * acceleration + self.damping * speed + SPRING * place
 
 
 def add_carriage(flange: Any, params: Params) -> Any:
@@ -55,8 +55,8 @@ def add_carriage(flange: Any, params: Params) -> Any:
     body.explicitinertial, body.mass, body.ipos = True, params.mass, [0, 0, 0.05]
     body.inertia = params.mass / 12 * np.array([0.03**2 + 0.02**2, 0.03**2 + 0.02**2, 2 * 0.03**2])  # 30 x 30 x 20 mm
     joint = body.add_joint(name="motor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0])
-    joint.range, joint.limited = [-params.stop, params.stop], 1
-    joint.stiffness, joint.damping = [params.spring, 0, 0], [params.damping, 0, 0]
+    joint.range, joint.limited = [-STOP, STOP], 1
+    joint.stiffness, joint.damping = [SPRING, 0, 0], [params.damping, 0, 0]
     joint.actgravcomp, joint.actfrclimited, joint.actfrcrange = 1, 1, [-params.force, params.force]
     return body
 

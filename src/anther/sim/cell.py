@@ -33,6 +33,8 @@ mujoco: Any = mujoco_module  # its names come from C++ at run time; type checker
 POT, BENCH = -1, -2
 """What a contact's `other` says when it is not a plant segment."""
 PLANT_BIT, ROBOT_BIT, SCENERY_BIT = 1, 2, 4
+LOG_EVERY = 2
+"""One sample is logged every so many steps."""
 BENCH_HALF = (0.35, 0.5, 0.02)  # m, half extents of the bench top under the pot
 
 
@@ -43,12 +45,10 @@ class Params:
     Attributes:
         timestep: of the integrator [s]. With implicitfast every hinge needs damping/stiffness >= 0.7 dt, so the
             timestep bounds the damping of pedicels from below: 3.3 % at 30 Hz with 0.5 ms, 6.6 % with 1 ms.
-        log_every: log one sample every so many steps.
         plant, arm: of the parts.
     """
 
     timestep: float = 1e-3
-    log_every: int = 2
     plant: _plant_mechanics.Params = field(
         default_factory=lambda: _plant_mechanics.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
     )
@@ -247,7 +247,7 @@ class Cell:
         mujoco.mj_step(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")
-        if round(d.time / m.opt.timestep) % (self._parts * self.params.log_every) == 0:
+        if round(d.time / m.opt.timestep) % (self._parts * LOG_EVERY) == 0:
             self._note()
 
     def _coil(self, motor: Array) -> Array:

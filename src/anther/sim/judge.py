@@ -100,23 +100,14 @@ HELD_SHARE = 0.95
 """The pads must hold the stem in at least this share of the samples of the shake."""
 BESIDE_SHARE = 0.2
 """Another organ counts as held with it that a pad presses in at least this share of them."""
+PUSH = 2.0
+"""The robot may press on the plant with this before it closes [N]."""
+SLIP = 0.005
+"""The held point may wander this far between the pads [m]."""
+FIRM = 0.2
+"""A pad touches with at least this [N]."""
 LEAF_BAND = 5.0
 """Up to which a leaf is taken to follow quasi-statically [Hz]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Params:
-    """What counts as what.
-
-    Attributes:
-        push: the robot may press on the plant with this before it closes [N].
-        slip: the held point may wander this far between the pads [m].
-        grip: a pad touches with at least this [N].
-    """
-
-    push: float = 2.0
-    slip: float = 0.005
-    grip: float = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +173,6 @@ def judge(
     shake: tuple[float, float] | None,
     frequency: float,
     steady: tuple[float, float] | None = None,
-    params: Params | None = None,
 ) -> Verdict:
     """Judge what happened since the cell was built.
 
@@ -191,29 +181,28 @@ def judge(
         shake: begin and end of the shake on the cell's clock [s], None if it never shook.
         frequency: of the shake [Hz].
         steady: when it was what it was to become, of which the flowers' motion is told; None: all of it.
-        params: what counts as what.
     """
-    params, log = params or Params(), cell.log()
+    log = cell.log()
     shaking = (log.times >= shake[0]) & (log.times <= shake[1]) if shake else np.zeros(len(log.times), dtype=bool)
     holding = shaking if shake else _closed(log, shake)
-    segment, share = _grasped(log, holding, params)
-    organ, *beside = _organs(cell, log, holding, segment, params)
+    segment, share = _grasped(log, holding)
+    organ, *beside = _organs(cell, log, holding, segment)
     slip, height = _slip(cell, log, shaking, segment)
     push = _push(log, shake)
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
-    leaf = _leaf_acceleration(cell, log.times[shaking], poses, params)
+    leaf = _leaf_acceleration(cell, log.times[shaking], poses)
     harm = Harm(_strain(cell, log, shaking) | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed))
     dosed = slice(*np.searchsorted(log.times[shaking], steady or (-np.inf, np.inf)))
     motion = _flower_motion(cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency)
     effort = np.abs(log.torques / cell.arm.effort).max(axis=0)
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
-        (push > params.push, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
+        (push > PUSH, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
         (bool(effort.max() >= SATURATED), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),
         (segment < 0, "nothing_grasped", "nothing was between the pads"),
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),
-        (not slip <= params.slip, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
+        (not slip <= SLIP, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
         (share < HELD_SHARE, "slipped", f"the stem was held in {share:.0%} of the shake only"),
     ]
     failure: FailureKind | None = "damaged" if harm.passed else None
@@ -242,9 +231,9 @@ def _closed(log: CellLog, shake: tuple[float, float] | None) -> NDArray[np.bool_
     return command < np.minimum(command[last], command[np.where(after > end, last, after)]) - 1e-3
 
 
-def _grasped(log: CellLog, when: NDArray[np.bool_], params: Params) -> tuple[int, float]:
+def _grasped(log: CellLog, when: NDArray[np.bool_]) -> tuple[int, float]:
     """Return the segment both pads press longest, -1 for none, and the share of samples in which both press any."""
-    real = _pressed(log, when, params)
+    real = _pressed(log, when)
     pads = [set(log.contact_sample[real & (log.contact_pad == pad)].tolist()) for pad in (0, 1)]
     both = pads[0] & pads[1]
     if not both:
@@ -254,20 +243,20 @@ def _grasped(log: CellLog, when: NDArray[np.bool_], params: Params) -> tuple[int
     return int(np.argmax(impulse)), len(both) / max(int(when.sum()), 1)
 
 
-def _pressed(log: CellLog, when: NDArray[np.bool_], params: Params) -> NDArray[np.bool_]:
+def _pressed(log: CellLog, when: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(C,) which contacts are a pad's with the plant, firm, and at these (T,) times."""
-    firm = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > params.grip)
+    firm = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > FIRM)
     return firm & when[log.contact_sample]
 
 
-def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int, params: Params) -> list[str]:
+def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int) -> list[str]:
     """Return the name of the organ held, "" if none, and of those pressed between the pads beside it.
 
     What only leans on a pad's outer side or edge is not between them.
     """
     if segment < 0:
         return [""]
-    pressed = np.flatnonzero(_pressed(log, when, params))
+    pressed = np.flatnonzero(_pressed(log, when))
     sample, other, blade = (x[pressed] for x in (log.contact_sample, log.contact_other, log.contact_blade))
     times, row = np.unique(sample, return_inverse=True)
     flange = inverse(cell.flange_pose(log.qpos[times]))[row]
@@ -322,7 +311,7 @@ def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> dict[str, f
     return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}
 
 
-def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None, params: Params) -> float:
+def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:
     plant = cell.plant
     base = np.flatnonzero((plant.organ == Organ.PETIOLE) & (plant.organ[plant.parent] != Organ.PETIOLE))
     if poses is None or len(times) < 20 or len(base) == 0:
