@@ -218,7 +218,7 @@ def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
     shake = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
     robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)
-    trial = execute(planner, shake, robot, cell.robot_side.limits, params.execution)
+    trial = execute(planner, shake, robot, cell.robot_side.limits)
     return Done(shake, trial, None, rods.material)
 
 

@@ -143,7 +143,7 @@ def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     limits = replace(side.limits, contact_force=PAPER_FORCE)
     arm = GuardedArm(side.robot.arm._arm, limits)  # the cell's own guard would stop it
     robot = replace(side.robot, arm=arm, side_camera=None, T_world_side_camera=None)
-    return Done(shake, execute(planner, shake, robot, limits, params.execution), None, rods.material)
+    return Done(shake, execute(planner, shake, robot, limits), None, rods.material)
 
 
 def seen_and_true(cell: SimulatedCell, run: Memory, done: Done, case: Case) -> dict[str, Any]:

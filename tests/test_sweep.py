@@ -272,7 +272,7 @@ def test_parquet_is_read_by_duckdb_in_a_line(tmp_path: Path) -> None:
     [
         ("plant,sead\ntomato,3\n", "column 'sead'"),
         ("plant,out\ntomato,x\n", "column 'out'"),
-        ("plant,params.execution\ntomato,3\n", "column 'params.execution'"),
+        ("plant,params.grasp\ntomato,3\n", "column 'params.grasp'"),
         ("plant,seed\ntomato,3\ntomato,many\n", "row 2, column 'seed'"),
         ("plant,seed\ncucumber,3\n", "allowed: tomato | pepper"),
         ("plant,seed\ntomato,3\npepper,3\ntomato,3\n", "row 3"),
