@@ -448,7 +448,9 @@ def test_where_none_of_the_flowers_is_followed_the_shake_stays_at_what_the_model
     if count < FLOWERS:
         assert others[0].amplitudes[0] > first.amplitudes[0]
     else:
-        assert [step.amplitudes[0] for step in others] == pytest.approx([first.amplitudes[0]] * len(others))
+        assert others[0].amplitudes[0] == pytest.approx(first.amplitudes[0])
+        assert others[-1].amplitudes[0] == pytest.approx(plan.tones.amplitudes.max())
+        assert len({step.frequencies[0] for step in (first, *others)}) == 2
         assert "lost from sight" in others[-2].decided
 
 

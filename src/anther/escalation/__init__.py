@@ -280,14 +280,21 @@ class Escalation:
             return self._raised(now, amplitude, lost=True)
         option.tried = max(option.tried, amplitude)
         told = bool(np.isfinite(option.told.most).any())
+        option.shown |= told
+        blind = [n for n, one in self._options.items() if one.alone and not one.shown]
+        stays = not told and (option.shown or len(blind) == 1)
         if told:  # flowers that are followed and do not seem to move move little
             self._sure = amplitude
-        else:
-            option.may = option.may._replace(flowers=0.0)
+        elif stays:
+            option.may = option.may._replace(flowers=0.0)  # another shake may show them
+        else:  # as two did not, a third would not: what the model allows
+            for n in blind:
+                may = self._allowed(n, self._options[n].told)
+                self._options[n].may = may.within(float(self._planned[n]), OUT_OF_SIGHT)
         best = self._best()
         if self._options[best].promised > BETTER * option.may.flowers and self._fits(best):
             return self._turned_to(best, {now: amplitude})
-        return self._raised(now, amplitude, lost=not told)
+        return self._raised(now, amplitude, lost=stays)
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
         return Next(amplitude * (np.arange(len(self._hertz)) == shake), seconds, self._ramp(shake), words)

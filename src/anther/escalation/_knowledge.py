@@ -115,6 +115,11 @@ class Allowed(NamedTuple):
     flowers: float
     binds: str
 
+    def within(self, amplitude: float, binds: str) -> Allowed:
+        """Return it with no more than another amplitude [m], and what ends it there."""
+        share = amplitude / self.amplitude
+        return self if share >= 1 else Allowed(amplitude, share * self.flowers, binds)
+
 
 class Look(NamedTuple):
     """One look at a shake of K tones along one line; phasors are on the robot's clock.

@@ -24,6 +24,7 @@ class Option:
         may: how far it may be raised.
         tried: how far it was raised [m].
         alone: whether it was watched alone.
+        shown: whether a flower was followed then.
         most: (F,) acceleration above which an earlier look would have measured a flower [m/s2 for each m]; None before.
     """
 
@@ -32,6 +33,7 @@ class Option:
     may: Allowed
     tried: float = 0.0
     alone: bool = False
+    shown: bool = False
     most: Array | None = None
 
     @property
