@@ -51,7 +51,7 @@ class FakeUR:
         self.log, self.heard, self.calls = list[tuple[float, Array]](), list[tuple[float, Array]](), list[str]()
         self.program: FakeControl | None = None
         self.programs = 0
-        self._said = self._past = list[tuple[float, Array]]()
+        self._said, self._past = list[tuple[float, Array]](), list[tuple[float, float, Array]]()
         self._over = False
         self._tell(self.clock())
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -108,10 +108,10 @@ class FakeUR:
         self.q = self.q + self.v * dt
 
     def _tell(self, now: float) -> None:
-        self._past = [*self._past, (now + self.ahead, self.q + self.offset)]
-        ready = [row for row in self._past if row[0] - self.ahead <= now - self.lag]
+        self._past = [*self._past, (now, now + self.ahead, self.q + self.offset)]
+        ready = [row for row in self._past if row[0] <= now - self.lag]
         if ready and not self.mute:
-            self._said, self._past = [ready[-1]], [*self._past[len(ready) :]]
+            self._said, self._past = [ready[-1][1:]], self._past[len(ready) :]
 
     def note(self, name: str) -> None:
         self.calls.append(name)
