@@ -23,6 +23,7 @@ from anther.grasp import (
     Grasp,
     GripperShape,
     Params,
+    _costs,
     _rank,
     load_grasps,
     plan_grasps,
@@ -30,7 +31,7 @@ from anther.grasp import (
 )
 from anther.grasp._candidates import candidates_along, directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
-from anther.grasp.clearance import FAR, KINDS, OBSTACLE, Surroundings, clearance, surroundings_of
+from anther.grasp.clearance import FAR, KINDS, LEAF, OBSTACLE, Surroundings, clearance, surroundings_of, thin_out
 from anther.grasp.clearance import STEM as STEM_BALL
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
@@ -326,6 +327,37 @@ def test_what_is_pushed_aside_pushes_back(depth, stiffness):
     )
     met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing())
     assert met.push[0] == pytest.approx(max(0.002 + depth, 0) * stiffness)
+
+
+@given(aside=st.floats(-0.01, 0.01), thick=st.floats(0.001, 0.01))
+def test_what_is_between_the_pads_spreads_as_far_as_its_farther_side(aside, thick):
+    gripper = GripperShape()
+    balls = Surroundings(np.array([[0, aside, 0.1]]), np.array([thick]), np.array([PETIOLE]), np.zeros(1))
+    met = clearance(np.eye(4)[None], balls, gripper.boxes(0.1), gripper.closing())
+    assert met.enclosed[0, PETIOLE] == 1
+    assert met.spread[0, PETIOLE] == pytest.approx(abs(aside) + thick)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_thinned_points_are_the_means_of_cubes_each_of_which_has_one(seed):
+    points = np.random.default_rng(seed).uniform(-0.1, 0.1, (60, 3))
+    thinned = thin_out(points, 0.03)
+    cubes = np.floor((points - points.min(axis=0)) / 0.03)
+    means = [points[(cubes == cube).all(axis=1)].mean(axis=0) for cube in np.unique(cubes, axis=0)]
+    np.testing.assert_allclose(thinned[np.lexsort(thinned.T)], np.array(means)[np.lexsort(np.array(means).T)])
+
+
+@pytest.mark.parametrize(("kind", "name"), [(LEAF, "leaves between the fingers"), (PETIOLE, "crowded with petioles")])
+def test_the_more_there_is_between_the_fingers_the_more_it_costs(kind, name):
+    stem, skeleton, cloud = make_plant(branches=())
+    ranking = _rank(stem, skeleton, cloud, Params(), toward_base=False)
+
+    def cost(count):
+        enclosed = ranking.met.enclosed.copy()
+        enclosed[:, kind] = count
+        return _costs(ranking.candidates, replace(ranking.met, enclosed=enclosed), cloud, Params(), 0.5)[name][0]
+
+    assert 0 == cost(0) < cost(2) < cost(5) < 1  # 1 is clearly bad
 
 
 def test_every_pose_is_a_rotation_and_each_direction_is_tried_both_ways_up():

@@ -247,6 +247,24 @@ def test_a_swing_may_not_end_in_motion() -> None:
         assert machine.stopped == 1
 
 
+def test_a_swing_that_grows_may_grow() -> None:
+    class Prompt(FakeMotor):
+        def amplitude(self) -> float:
+            return 0.0 if self.done else self.pieces[-1].reach
+
+        def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
+            self.done = False
+            record = super().swing(first, watch, more)
+            self.done = True
+            return record
+
+    small = Swing.first([30.0], [0.1e-3], 0.6, 0.3)
+    large = small.then([1e-3], 0.6, 0.3)
+    machine = Prompt()
+    GuardedMotor(machine, LIMITS).swing(small, None, then(large, large.then([0.0], 0.2, 0.2)))
+    assert len(machine.pieces) == 3
+
+
 def test_a_motor_that_ends_early_moves_too_far_or_goes_on_is_not_believed() -> None:
     class Early(FakeMotor):
         def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:

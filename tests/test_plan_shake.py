@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sample_plants import branched, grasps_on, read_paper_plant, turned
+from scipy.spatial.transform import Rotation
 
 from anther.elastic_rod import Drive, equilibrium, frequency_response
 from anther.errors import InputError, StageFailure
@@ -262,6 +263,17 @@ def test_default_arm_limit_is_the_tabulated_one(grasps: list[Grasp]) -> None:
     approach, lateral = (sawyer_limit(grasps[0], np.array(d), f) for d in ([1.0, 0, 0], [0, 1.0, 0]))
     assert approach == pytest.approx([0.111, 4.4e-3, 1.1e-3, 0.12e-3, 0.03e-3])
     assert lateral == pytest.approx([0.180, 7.2e-3, 1.8e-3, 0.20e-3, 0.05e-3])
+
+
+@given(st.floats(-1.4, 1.4))
+def test_default_arm_limit_turns_with_the_approach(pitch: float) -> None:
+    """The tables are of the approach, the line across it, and what is across both, however steep the approach is."""
+    skeleton, stem, _ = branched()
+    level, f = grasps_on(skeleton, stem, [8])[0], np.array([1.0, 5.0, 30.0])
+    turn = Rotation.from_euler("y", pitch).as_matrix()
+    steep = replace(level, approach=turn @ level.approach)
+    for axis in np.eye(3):
+        assert sawyer_limit(steep, turn @ axis, f) == pytest.approx(sawyer_limit(level, axis, f))
 
 
 @given(st.floats(0, 6.28), st.floats(-1, 1))

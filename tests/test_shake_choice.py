@@ -26,6 +26,7 @@ from anther.shake import (
     Pads,
     Params,
     PlantLimits,
+    Shaken,
     ShakePlan,
     VibratingGripper,
     _Checked,
@@ -238,6 +239,18 @@ def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypat
     assert at == (2, 0, 0)
     assert left.score[:, 0, 0] == pytest.approx([0.5, 0.45, 0.7])
     assert left.score[:, 1, 0] == pytest.approx(score[:, 1, 0])
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.5, True), (0.9, False), (1.2, False), (1.5, True)])
+def test_who_plans_is_told_where_a_flower_moves_otherwise_than_linear_theory_says(
+    plant: PlantModel, monkeypatch: pytest.MonkeyPatch, times: float, told: bool
+) -> None:
+    """Of a shake that was made smaller, linear theory's flowers are so too."""
+    asked, linear = Drive(0, np.array([1.0, 0, 0]), 4e-3, 5.0, 0), Shaken(np.array([2e-3, 3e-3]), np.ones(2), {})
+    done = Shaken(0.5 * linear.amplitude * [1.0, times], np.ones(2), {})
+    monkeypatch.setattr(shake, "verified", lambda *_, **__: (replace(asked, amplitude=2e-3), done, ()))
+    _, _, notes = shake._verified(plant, asked, linear, 1e-4, {}, QUICK)
+    assert [f"by {100 * abs(times - 1):.0f} %" in note for note in notes] == [True] * told
 
 
 def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:

@@ -165,7 +165,7 @@ def plan_grasps(
         StageFailure: "no_grasp_found" (no candidate is clear of pot, bench and stem) or "unreachable" (the arm
             confirmed none); the message counts what fell by which criterion.
     """
-    if len(stem.organ) != len(skeleton.nodes) or stem.node_ids.max() >= len(skeleton.nodes):
+    if len(stem.organ) != len(skeleton.nodes):
         given = f"a stem of {len(stem.organ)} nodes"
         raise bad_input("stem", given=given, allowed=f"of this skeleton ({len(skeleton.nodes)})", do="Find it again.")
     scale = 1.0 if params.fit_gripper else _shrink_factor(stem, skeleton, params)
