@@ -131,7 +131,7 @@ def test_it_stops_where_its_watcher_raises_and_goes_on_after(
     arm: UniversalRobot, ur: FakeUR, error: BaseException
 ) -> None:
     start = arm.joints()
-    with pytest.raises(type(error)):
+    with pytest.raises(type(error), match=str(error) or None):
         arm.follow(far(arm), raising_beyond(start, error))
     there = arm.joints()
     assert np.abs(there - start).max() == pytest.approx(0.1, abs=0.08)
