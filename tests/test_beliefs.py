@@ -47,6 +47,8 @@ def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
     taught = trial("a", TOMATO, Material(youngs=3e8, youngs_spread=0.1))
     record_trial(replace(taught, held_unharmed=False, failure="branch_or_leaf_grasped"), where)
     record_trial(replace(taught, measured_amplitude=(float("nan"),), material=TOMATO), where)
+    record_trial(replace(taught, material=None), where)
+    assert [replace(taught, material=known).taught for known in (None, taught.material)] == [False, True]
     assert starting_material("tomato", "a", where).source == "facts"
 
 

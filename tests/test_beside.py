@@ -82,6 +82,17 @@ def test_noise_is_no_outlier_and_a_leap_is() -> None:
     assert leapt == pytest.approx(phasor, abs=1e-5)
 
 
+def test_a_swing_may_be_missed_by_a_share_of_itself_and_is_seen_in_most_frames() -> None:
+    rng, times = np.random.default_rng(3), np.arange(120) / 60
+    sine, noise = np.sin(2 * np.pi * F * times), rng.standard_normal(120)
+    rough, wild, blinking, gone = 10e-3 * sine + 1e-3 * noise, 10e-3 * sine + 4e-3 * noise, 10e-3 * sine, 10e-3 * sine
+    blinking[::4], gone[::2] = np.nan, np.nan
+    assert _swing(times, rough, F, 1e-3)
+    assert not _swing(times, wild, F, 1e-3)
+    assert _swing(times, blinking, F, 1e-3)
+    assert not _swing(times, gone, F, 1e-3)
+
+
 @pytest.mark.parametrize("size", [0.5e-3, 2e-3, 6e-3])
 def test_the_motion_across_the_stem_is_measured_beside_the_pads(size: float) -> None:
     stem = measured(film(size, began=0.013)).stem

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.special import expit
 
 from anther.errors import InputError
-from anther.fruit_set import GRID, NAMES, PRIORS, Count, counts_of, fit, pollen_dose, worth
+from anther.fruit_set import GRID, NAMES, PRIORS, Count, _quantiles, counts_of, fit, pollen_dose, worth
 from anther.history import Outcome, ShakeRecord, TrialRecord
 from anther.pictures.fruit_set import draw_fruit_set
 
@@ -30,6 +30,15 @@ def drawn(rng: np.random.Generator, p0: float, gain: float, half: float, likenes
         size = 1 / likeness - 1
         counts.append(Count(12, int(rng.binomial(12, rng.beta(p * size, (1 - p) * size))), shakes))
     return counts
+
+
+@given(st.floats(-5, 5), st.integers(2, 100))
+def test_quantiles_of_what_is_symmetric_are_symmetric(middle: float, half: int) -> None:
+    values = middle + np.arange(-half, half + 1)[::-1]
+    median, low, high = _quantiles(values, np.full(len(values), 1 / len(values)))
+    assert median == pytest.approx(middle)
+    assert middle - low == pytest.approx(high - middle)
+    assert high == pytest.approx(min(middle + 0.45 * len(values), values.max()))
 
 
 def test_without_counts_it_is_the_prior_and_says_so() -> None:

@@ -16,7 +16,7 @@ from anther.errors import InputError
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.oscillation import _slow_terms, choose_rate, find_frequency, fit_swing, swing_basis
-from anther.response import Response, measure_response
+from anther.response import SIGNIFICANCE, Response, _without_noisy_depth, measure_response
 from anther.response._depth import depth_along
 from anther.response._petals import Patch, petal_weight
 from anther.response.thresholds import LARGE
@@ -254,6 +254,38 @@ def test_depth_is_followed_through_gaps_slopes_and_other_things_readings() -> No
     assert swing.amplitude / np.sqrt(3) == pytest.approx(0.002, abs=2e-4)
     assert np.mod(swing.phase, np.pi) == pytest.approx(0.7, abs=0.1)
     assert np.isnan(depth_along(frames, patch, path, basis, np.array(0.9), 0.02)).all()  # nothing is there
+    for frame, (x, y) in zip(frames, np.rint(path).astype(int), strict=True):
+        few = frame.depth[y, x - 1 : x + 3].copy()
+        frame.depth[:] = 0.0
+        frame.depth[y, x - 1 : x + 3] = few if frame.time < 0.1 else 0.0
+    assert np.isnan(depth_along(frames, patch, path, basis, np.array(0.502), 0.02)).all()  # too few for what is fitted
+
+
+def test_depth_counts_where_it_swings_by_more_than_its_noise() -> None:
+    rng, times = np.random.default_rng(5), np.arange(90) / 60.0
+    across, noise = 0.004 * np.sin(2 * np.pi * 5 * times), 0.0004 * rng.standard_normal(90)
+    deep, shallow = (
+        np.column_stack([across, 0 * across, 0.5 + z + noise]) for z in (0.002 * np.sin(2 * np.pi * 5 * times + 1), 0.0)
+    )
+    same, nothing = _without_noisy_depth(times, deep, 5.0, True)
+    assert nothing == 0.0
+    np.testing.assert_array_equal(same, deep)
+    flat, unseen = _without_noisy_depth(times, shallow, 5.0, True)
+    assert np.ptp(flat[:, 2]) < 1e-9
+    assert 0 < unseen < SIGNIFICANCE * 0.0004
+    flat, unseen = _without_noisy_depth(times, deep, 5.0, False)  # whose depth nothing tells
+    assert np.ptp(flat[:, 2]) < 1e-9
+    assert unseen > 0.001
+
+
+def test_flowers_far_and_near_are_followed_alike() -> None:
+    apart = REST[[0, 2]] + [[0, -0.12, 0], [0, 0.1, 0]]
+    swing = 0.003 * np.sin(2 * np.pi * 5 * np.arange(45) / 60)
+    rng = np.random.default_rng(0)
+    frames = [draw(apart + np.array([x, 0, 0]), i / 60, rng, (245, 215, 40)) for i, x in enumerate(swing)]
+    response = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(apart), 5.0)
+    assert response.visible.all()
+    assert response.amplitude == pytest.approx([0.003, 0.003], rel=0.15)
 
 
 def test_a_response_survives_the_disk(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ from anther.shake.choice import PRESS, Search, _worth, plant_limits
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
 from anther.shake.plant_limits import FAST, GUSTS
-from anther.shake.search import Version, gains, scenarios
+from anther.shake.search import Version, drawn_material, gains, scenarios
 
 QUICK = Params(frequencies=12, directions=4, heights=0, draws=3)
 
@@ -269,6 +269,17 @@ def test_a_leaf_s_load_binds_up_to_the_pace_of_gusts_and_strain_above(plant: Pla
     assert max(slow_rows, key=lambda name: slow_rows[name]) == "leaf-base load [m/s2]"
     assert "leaf-base load [m/s2]" not in fast_rows
     assert max(fast_rows.values()) == pytest.approx(1, rel=0.05), "another limit binds instead"
+
+
+@pytest.mark.parametrize(
+    ("deviate", "name", "spread"),
+    [(0, "youngs", "youngs_spread"), (1, "damping_ratio", "damping_spread"), (2, "bend_over_twist", "twist_spread"),
+     (4, "radius_scale", "radius_spread"), (5, "response_gain", "response_spread")],
+)  # fmt: skip
+def test_what_is_drawn_a_deviation_higher_is_larger_by_its_spread(deviate: int, name: str, spread: str) -> None:
+    higher, believed = drawn_material(TOMATO, np.eye(6)[deviate], 1e3), drawn_material(TOMATO, np.zeros(6), 1e3)
+    assert getattr(higher, name) == pytest.approx(getattr(believed, name) * np.exp(getattr(TOMATO, spread)))
+    assert getattr(TOMATO, spread) > 0
 
 
 def test_a_margin_is_that_of_the_tone() -> None:
