@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anther.errors import InputError
-from anther.pressing import PRESSING, Pressing
+from anther.pressing import OVERSHOOT, PRESSING, Pressing
 from anther.shake.pads import friction_force
 
 RADIUS, WIDTH = 4e-3, 16e-3
@@ -28,6 +28,12 @@ def test_a_thinner_stem_and_a_harder_pad_are_pressed_less_and_none_is_crushed(
     assert pads.most(diameter * factor) >= most >= Pressing(pad_modulus=modulus * factor, holding=100.0).most(diameter)
     assert pads.stress(most, diameter) < pads.stem_stress
     assert Pressing(pad_modulus=modulus).most(diameter) <= PRESSING.holding
+
+
+@given(st.floats(1e-3, 0.02))
+def test_a_gripper_is_asked_for_the_share_of_what_a_stem_bears(diameter: float) -> None:
+    hard = Pressing(pad_modulus=1e8, holding=100.0)  # so hard that it is the stem that decides
+    assert hard.stress(hard.most(diameter) / OVERSHOOT, diameter) == pytest.approx(hard.stem_stress)
 
 
 def test_hard_pads_are_not_asked_to_hold_a_thin_stem_as_a_thick_one() -> None:

@@ -431,8 +431,9 @@ def test_a_lost_frame_is_asked_for_again(losses: int, lost: bool) -> None:
 def test_half_frames_and_frames_from_the_past_are_dropped() -> None:
     camera = FakeCamera()
     whole = camera.read()
-    half = replace(whole, depth=whole.depth[:2])
-    camera.stop = lambda: [whole, half, whole, replace(whole, time=1.0)]  # type: ignore[method-assign]
+    half = [replace(whole, time=0.7, depth=whole.depth[:2]), replace(whole, time=0.8, rgb=whole.rgb[:2])]
+    nobody_knows_when = replace(whole, time=float("nan"))
+    camera.stop = lambda: [nobody_knows_when, whole, *half, whole, replace(whole, time=1.0)]  # type: ignore[method-assign]
     assert [f.time for f in GuardedCamera(camera).stop()] == [whole.time, 1.0]
 
 
