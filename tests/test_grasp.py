@@ -16,6 +16,7 @@ from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import (
     APART,
+    DOUBT,
     OBSTACLE_CLEARANCE,
     STAND_OFF,
     STROKE_MARGIN,
@@ -31,7 +32,17 @@ from anther.grasp import (
 )
 from anther.grasp._candidates import candidates_along, directions_across, flange_pose
 from anther.grasp.clearance import BRANCH as PETIOLE
-from anther.grasp.clearance import FAR, KINDS, LEAF, OBSTACLE, Surroundings, clearance, surroundings_of, thin_out
+from anther.grasp.clearance import (
+    FAR,
+    KINDS,
+    LEAF,
+    OBSTACLE,
+    Surroundings,
+    _balls_along,
+    clearance,
+    surroundings_of,
+    thin_out,
+)
 from anther.grasp.clearance import STEM as STEM_BALL
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
@@ -176,6 +187,22 @@ def test_too_thick_a_stem_fails_with_counts_unless_the_gripper_may_grow():
     assert best.stem_diameter == pytest.approx(0.06)
     assert "times as large" in best.reason
     np.testing.assert_allclose(best.point[:2], [0.72, 0], atol=1e-9)
+
+
+def test_of_a_plant_twice_as_large_for_any_gripper_the_grasp_is_twice_as_large():
+    small, large = (
+        plan_grasps(
+            *make_plant(
+                height=0.5 * k, radius=0.02 * k, branches=((0.1 * k, 0.0), (0.4 * k, 2.0)), base=(0.72 * k, 0, -0.3 * k)
+            ),
+            Params(fit_gripper=False),
+        )[0]
+        for k in (1, 2)
+    )
+    for name in ("point", "arc_length", "stem_diameter", "clearance", "opening", "squeezed"):
+        np.testing.assert_allclose(getattr(large, name), 2 * np.array(getattr(small, name)), rtol=1e-6, err_msg=name)
+    np.testing.assert_allclose(large.T_world_flange[:3, 3], 2 * small.T_world_flange[:3, 3])
+    assert 0 < small.clearance < np.inf
 
 
 @pytest.mark.parametrize("height", [0.08, 3.0])
@@ -347,17 +374,36 @@ def test_thinned_points_are_the_means_of_cubes_each_of_which_has_one(seed):
     np.testing.assert_allclose(thinned[np.lexsort(thinned.T)], np.array(means)[np.lexsort(np.array(means).T)])
 
 
-@pytest.mark.parametrize(("kind", "name"), [(LEAF, "leaves between the fingers"), (PETIOLE, "crowded with petioles")])
-def test_the_more_there_is_between_the_fingers_the_more_it_costs(kind, name):
+@pytest.mark.parametrize(
+    ("name", "met", "kind", "worse"),
+    [
+        ("leaves between the fingers", "enclosed", LEAF, (0, 2, 5)),
+        ("crowded with petioles", "enclosed", PETIOLE, (0, 2, 5)),
+        ("a branch between the fingers", "spread", PETIOLE, (0.004, 0.0045, 0.0055)),
+        ("near a petiole", "distance", PETIOLE, (DOUBT, 0.5 * DOUBT, 0.1 * DOUBT)),
+    ],
+)
+def test_the_more_is_in_the_way_the_more_it_costs(name, met, kind, worse):
     stem, skeleton, cloud = make_plant(branches=())
     ranking = _rank(stem, skeleton, cloud, Params(), toward_base=False)
 
-    def cost(count):
-        enclosed = ranking.met.enclosed.copy()
-        enclosed[:, kind] = count
-        return _costs(ranking.candidates, replace(ranking.met, enclosed=enclosed), cloud, Params(), 0.5)[name][0]
+    def cost(value):
+        changed = getattr(ranking.met, met).copy()
+        changed[:, kind] = value
+        return _costs(ranking.candidates, replace(ranking.met, **{met: changed}), cloud, Params(), 0.5)[name][0]
 
-    assert 0 == cost(0) < cost(2) < cost(5) < 1  # 1 is clearly bad
+    nothing, some, more = (cost(value) for value in worse)
+    assert nothing == pytest.approx(0)
+    assert nothing < some < more < 1  # which is clearly bad
+    assert more > 0.2
+
+
+def test_every_edge_has_balls_from_its_start_to_its_end():
+    skeleton = Skeleton(np.array([[0, 0, 0], [0, 0, 0.02], [0.011, 0, 0.02]]), np.array([-1, 0, 1]), np.full(3, 0.002))
+    balls = _balls_along(skeleton, np.array([1, 2]), 0.003, np.zeros(3))
+    up, aside = balls[balls[:, 0] == 0], balls[balls[:, 0] > 0]
+    np.testing.assert_allclose(up[:, 2], 0.02 * np.arange(1, 8) / 7)
+    np.testing.assert_allclose(aside[:, 0], 0.011 * np.arange(1, 5) / 4)
 
 
 def test_every_pose_is_a_rotation_and_each_direction_is_tried_both_ways_up():
@@ -381,6 +427,20 @@ def test_a_place_that_seems_thin_is_as_thick_as_the_stem_about_it():
     skeleton = replace(skeleton, radius=np.where(hidden, 0.002, skeleton.radius))
     c = candidates_along(stem, skeleton, directions=1, spacing=0.01, window=0.014, ends=(0.05, 0.05), depth=0.1)
     np.testing.assert_allclose(c.radius, 0.004)
+
+
+def test_a_stem_that_tapers_is_as_thick_as_it_is_there_and_so_far_from_its_petioles():
+    stem, skeleton, _ = make_plant(branches=((0.2, 0.0), (0.35, 2.0)))
+    tapered = np.where(stem.organ == STEM, 0.006, 0.001)
+    tapered[stem.node_ids] -= 0.008 * stem.arc_length
+    c = candidates_along(
+        stem, replace(skeleton, radius=tapered), directions=4, spacing=0.01, window=0.014, ends=(0.05, 0.05), depth=0.1
+    )
+    np.testing.assert_allclose(c.radius, 0.006 - 0.008 * c.arc_length, rtol=0.1)
+    attached = stem.arc_length[stem.attachments]
+    apart = np.abs(c.arc_length[:, None] - attached).min(axis=1)
+    np.testing.assert_allclose(c.attachment_distance, apart)
+    np.testing.assert_allclose(c.outward(), c.approach[:, 0], atol=1e-3)  # the arm stands in its direction -x
 
 
 def test_a_stem_in_waves_between_the_pads_is_clearly_bad_and_a_straight_one_not():
