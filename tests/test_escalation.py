@@ -18,12 +18,14 @@ from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import _foresight as foresight_module
+from anther.escalation._gripper import ARM_ASIDE, drawn_errors
 from anther.escalation._knowledge import DAMPING, JUMP, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
 from anther.escalation._option import SLOW
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
 from anther.shake import PlantLimits, plant_limits
 from anther.shake.observables import semi_major
+from anther.shake.params import FLOWER_SPREAD
 
 WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
 """Limits that nothing reaches."""
@@ -236,6 +238,8 @@ def check_pieces(world: World, watched: Escalation) -> None:
         assert np.all(piece.amplitudes <= tones.reach.ravel() + 1e-12)
         for line in watched.lines:
             assert piece.only(line.tones).reach <= 1.0001 * line.reach
+        changing = (piece.amplitudes > 0) | (piece.before > 0)
+        assert piece.ramp >= 0.5 / piece.frequencies[changing].min() - 1e-9, "half a period of the slowest"
     for piece in pieces[len(tones.probed) :]:
         assert (piece.amplitudes > 0).sum() <= 1
         (tone,) = np.flatnonzero(piece.amplitudes) if not piece.stops else [0]
@@ -509,6 +513,25 @@ def test_a_weak_limit_of_each_kind_ends_the_shake_there(shaken: Shaken) -> None:
     assert 0.85 < watched.steps[-1].used < 1.02
 
 
+@pytest.mark.parametrize("best", [0, 1, 2])
+def test_a_slow_tone_is_left_as_slowly_as_it_is_begun(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, best: int
+) -> None:
+    monkeypatch.setattr(escalation, "RAMP", 0.01)
+    gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
+    foresight = made_foresight(2, gains=gains)
+    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    check_pieces(world, shaken(world))
+
+
+def test_members_differ_in_the_grippers_motion_by_what_is_doubted_and_lines_add_up() -> None:
+    along, across = np.eye(3)[0], np.eye(3)[1]
+    drawn = drawn_errors(4000, along, 2)
+    assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx([1 + ARM_ASIDE**2, ARM_ASIDE**2, ARM_ASIDE**2], rel=0.1)
+    both = drawn_errors(4000, along + across, 2)
+    assert both == pytest.approx(drawn + drawn_errors(4000, across, 2))
+
+
 def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     foresight = made_foresight(1)
     world = World(foresight, foresight.vectors[4])
@@ -521,7 +544,11 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     assert done.predicted_amplitude == pytest.approx(believed)
     assert done.predicted_acceleration == pytest.approx((2 * np.pi * done.frequency) ** 2 * believed)
     low, high = done.predicted_amplitude_interval.T
-    assert np.all(low < high)
+    unknown = np.exp(1.645 * FLOWER_SPREAD)  # of each flower, whatever the members say
+    assert np.all(low <= done.predicted_amplitude / unknown * 1.0001)
+    assert np.all(high >= done.predicted_amplitude * unknown * 0.9999)
+    members = done.amplitude * semi_major(foresight.of(tone, ALONG)[:, :FLOWERS])
+    assert np.all((low <= np.quantile(members, 0.05, axis=0)) & (high >= np.quantile(members, 0.95, axis=0)))
     assert last.decided in done.reason
     assert watched.executed(()) is world.plan
 

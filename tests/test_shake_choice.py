@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -36,7 +37,7 @@ from anther.shake import (
 from anther.shake._actuators import RAMPS
 from anther.shake._limits import sawyer_limit
 from anther.shake._verification import steadily_shaken, verified
-from anther.shake.choice import PRESS, Search, _worth, plant_limits
+from anther.shake.choice import PRESS, Search, _directions, _worth, plant_limits
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
 from anther.shake.plant_limits import FAST, GUSTS
@@ -115,6 +116,25 @@ def test_a_slippery_grip_is_shaken_less(plant: PlantModel, grasps: list[Grasp]) 
     assert used[PRESS] == pytest.approx(1.0)
     assert "against slip" in plan.reason
     assert plan.press == pytest.approx(PRESSING.holding)
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.6, -0.6])
+def test_lines_cross_the_stem_above_those_of_the_compass(lean: float) -> None:
+    nodes = np.outer(np.arange(8), [0.02 * np.sin(lean), 0.0, 0.02 * np.cos(lean)])
+    plant = SimpleNamespace(rods=SimpleNamespace(nodes=nodes, parent=np.arange(8) - 1))
+    (lines,) = _directions(cast(Any, plant), np.array([4]), 8)
+    compass = np.pi * np.arange(8) / 8
+    assert np.linalg.norm(lines, axis=1) == pytest.approx(np.ones(8))
+    assert lines @ [np.sin(lean), 0, np.cos(lean)] == pytest.approx(np.zeros(8), abs=1e-9)
+    flat = np.stack([np.cos(compass), np.sin(compass)], axis=1)
+    assert np.all(np.sum(lines[:, :2] * flat, axis=1) > 0.5)
+
+
+def test_along_a_lying_stem_the_line_stays_level() -> None:
+    nodes = np.outer(np.arange(8), [0.02, 0.0, 0.001])
+    plant = SimpleNamespace(rods=SimpleNamespace(nodes=nodes, parent=np.arange(8) - 1))
+    (lines,) = _directions(cast(Any, plant), np.array([4]), 2)
+    assert lines == pytest.approx(np.eye(3)[:2], abs=1e-9)
 
 
 def test_two_pads_hold_and_the_more_the_better_they_grip() -> None:

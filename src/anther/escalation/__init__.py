@@ -201,7 +201,7 @@ class Escalation:
         tones = self.plan.tones
         alone = np.minimum(tones.amplitudes[:, line], tones.reach[:, line])
         size = PROBED / gentler * alone / np.sqrt(len(alone))
-        size /= max(1.0, size.sum() / tones.reach[:, line].max(), np.sum(size / tones.reach[:, line]))  # peaks add up
+        size /= max(1.0, float(np.sum(size / tones.reach[:, line])))  # peaks add up
         amplitudes = np.where(self._line == line, size[self._tone], 0.0)
         return Next(amplitudes, self._probe, self._ramp(int(self._hertz.argmin())), "Probed across that line as well.")
 
