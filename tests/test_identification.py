@@ -99,7 +99,7 @@ def amplitude_of(truth: PlantModel, plant: PlantModel, plan: ShakePlan) -> np.nd
     return plan.predicted_amplitude * response[1] / response[0]
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.6])
+@pytest.mark.parametrize("factor", [0.7, *(pytest.param(f, marks=pytest.mark.slow) for f in (1.0, 1.6))])
 def test_a_measured_response_improves_prediction_and_belief(plant: PlantModel, plan: ShakePlan, factor: float) -> None:
     truth = plant.with_material(replace(plant.material, youngs=factor * plant.material.youngs))
     measured = amplitude_of(truth, plant, plan)
@@ -119,7 +119,7 @@ def test_an_unmeasurable_response_teaches_nothing(plant: PlantModel, plan: Shake
     assert "no flower" in after.notes[0]
 
 
-@pytest.mark.parametrize("above_least", [3.0, 1.2])
+@pytest.mark.parametrize("above_least", [pytest.param(3.0, marks=pytest.mark.slow), 1.2])
 def test_a_vague_measurement_leaves_the_belief_as_it_was(
     plant: PlantModel, plan: ShakePlan, above_least: float
 ) -> None:

@@ -95,7 +95,10 @@ def test_a_swing_that_is_no_sine_is_measured_with_its_overtones() -> None:
     assert response.acceleration_peak == pytest.approx(sharper * truth * (10 * np.pi) ** 2, rel=0.15)
 
 
-@pytest.mark.parametrize(("frequency", "rate"), [(27.0, 60.0), (27.0, 90.0), (30.0, 90.0)])
+@pytest.mark.parametrize(
+    ("frequency", "rate"),
+    [(27.0, 60.0), *(pytest.param(f, 90.0, marks=pytest.mark.slow) for f in (27.0, 30.0))],
+)
 def test_a_fast_swing_seen_through_an_open_shutter_is_made_up_for(frequency: float, rate: float) -> None:
     """Fewer than four frames a period, and 11 ms of each of them blurred: the frequency is known, the exposure too."""
     rng, exposure, gain = np.random.default_rng(0), 0.011, np.array([1.0, 0.5, 1.5])[:, None]
