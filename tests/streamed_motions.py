@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,15 @@ def thought_about(*pieces: JointTrajectory) -> Callable[[], JointTrajectory | No
         return next(left)
 
     return more
+
+
+def check_kept_up(heard: Sequence[float]) -> None:
+    """Fail where the machine held the driver up, so that the test is made again (`AGAIN_IF_HELD_UP`).
+
+    heard: times of commands [s].
+    """
+    late = float(np.diff(heard).max())
+    assert late < 0.03, f"a command came {1e3 * late:.0f} ms after the one before"
 
 
 def raising_beyond(start: np.ndarray, error: BaseException) -> Watch:

@@ -23,7 +23,7 @@ from fake_ros2 import CLOCK, FakeController, FakeNode, RosNode, moments, refusal
 from made_arm import six
 from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
-from streamed_motions import halfway, raising_beyond, thought_about, three_pieces
+from streamed_motions import check_kept_up, halfway, raising_beyond, thought_about, three_pieces
 
 from anther.arm.model import outline
 from anther.cells import _parts, read_cell
@@ -157,6 +157,7 @@ def test_motions_join_without_a_stop_while_the_next_is_thought_about(
     begin, middle, end = three_pieces(arm.joints())
     record = arm.follow(begin, None, thought_about(middle, end))
     assert record.commanded[-1] == pytest.approx(end.positions[-1], abs=1e-6)
+    check_kept_up([when for when, _ in robot.heard])
     times, speed = robot.speed()
     moving = times[speed > 0.01]
     assert speed[(times > moving[0] + 0.3) & (times < moving[-1] - 0.3)].min() > 0.1
