@@ -9,11 +9,24 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from anther.devices import Frame
 from anther.escalation._overtones import sharpened
 from anther.geometry import Array, Intrinsics
-from anther.response.points import SLOW, SPARE, Sight, Swings, _basis, _Growth, _middles, likeness, sight, swings
+from anther.response.points import (
+    SLOW,
+    SPARE,
+    Sight,
+    Swings,
+    _basis,
+    _fitted,
+    _Growth,
+    _middles,
+    likeness,
+    sight,
+    swings,
+)
 from anther.shake.observables import ComplexArray
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)
@@ -223,6 +236,30 @@ def test_a_point_outside_the_picture_is_not_in_sight(place: list[float]) -> None
     found = swings(at, frames, TONES)
     assert np.isnan(found.std[1]).all()
     assert np.isfinite(found.std[0, :2]).all()
+
+
+def test_axes_say_how_far_a_point_goes_in_the_picture_and_away() -> None:
+    rng, K = np.random.default_rng(1), Intrinsics(320, 240, 300.0, 300.0, 159.5, 119.5)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.random(rng=rng).as_matrix(), [0.3, -0.2, 0.1]
+    rest = np.array([[-0.1, 0.05, 0.6], [0.12, -0.08, 0.9]])
+    points = rest @ T[:3, :3].T + T[:3, 3]
+    blank = Frame(0.0, np.zeros((240, 320, 3), np.uint8), np.zeros((240, 320), np.float32))
+    at = sight(blank, K, T, np.zeros((0, 3)), points)
+    move = 1e-5 * rng.standard_normal(3)
+    seen = move @ T[:3, :3] + rest
+    for p, axes in enumerate(at.axes):
+        across, down = (K.project(seen) - K.project(rest))[p] * at.per_pixel[p]
+        np.testing.assert_allclose(move @ axes, [across, down, (seen - rest)[p, 2]], atol=1e-8)
+
+
+def test_a_path_is_as_unsure_as_it_is_along_its_noisier_axis() -> None:
+    rng, times = np.random.default_rng(2), np.arange(90) / 60
+    basis, noise = _basis(times, np.array([5.0])), rng.standard_normal((90, 2))
+    quiet, noisy = (_fitted(basis, noise * [1e-3, size], 1e-4) for size in (1e-3, 1e-2))
+    assert quiet is not None
+    assert noisy is not None
+    assert noisy.std == pytest.approx(10 * quiet.std, rel=0.3)
 
 
 def test_a_point_behind_something_or_behind_the_camera_is_not_in_sight() -> None:

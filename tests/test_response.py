@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from anther.devices import Frame
 from anther.errors import InputError
@@ -18,7 +19,7 @@ from anther.geometry import Array, Intrinsics, inverse, look_at, transform_point
 from anther.oscillation import _slow_terms, choose_rate, find_frequency, fit_swing, swing_basis
 from anther.response import SIGNIFICANCE, Response, _without_noisy_depth, measure_response
 from anther.response._depth import depth_along
-from anther.response._petals import Patch, petal_weight
+from anther.response._petals import Patch, centre_of_petals, common_shift, follow, petal_weight
 from anther.response.thresholds import LARGE
 from anther.sim.robot import RATES
 
@@ -207,6 +208,45 @@ def test_white_petals_are_told_from_the_bright_gaps_around_a_plant() -> None:
     assert weight[60:120, :90].max() < 0.2
 
 
+def test_a_yellow_green_leaf_is_no_petal() -> None:
+    frame = Frame(0.0, np.full((20, 40, 3), (150, 200, 60), np.uint8), np.full((20, 40), 0.5, np.float32))
+    frame.rgb[:, 20:] = (245, 215, 40)
+    weight = petal_weight(frame, 0.4, 0.7)
+    assert weight[:, :20].max() < 0.1
+    assert weight[:, 20:].min() > 0.9
+
+
+def disc(u: float, v: float, radius: float = 6.0) -> NDArray[np.float32]:
+    """Return the weight (60, 80) of a flower's petals."""
+    rows, columns = np.mgrid[:60, :80]
+    return (np.hypot(columns - u, rows - v) < radius).astype(np.float32)
+
+
+def test_where_flowers_stand_is_found_by_the_shift_that_fits_them_all() -> None:
+    expected = np.array([[20.0, 20.0], [50.0, 33.0]])
+    fit, shift = common_shift(np.maximum(disc(25, 17), disc(55, 30)), expected, 10)
+    np.testing.assert_allclose(shift, [5, -3], atol=1)  # of two that fit as well the nearer counts
+    assert fit > 0.5
+
+
+def test_petals_have_their_centre_where_they_are_and_few_have_none() -> None:
+    found = centre_of_petals(disc(40, 30), np.array([42.0, 31.0]), 6.0)
+    assert found == pytest.approx([40, 30], abs=0.05)
+    assert centre_of_petals(disc(40, 30), np.array([70.0, 30.0]), 6.0) is None
+
+
+def test_what_goes_on_as_it_went_is_followed_beyond_the_reach_of_one_look() -> None:
+    """It speeds up to 9 px a frame; from where it was it is looked for within 6."""
+    rng = np.random.default_rng(0)
+    wall, texture = rng.uniform(0, 80, (40, 160, 3)).astype(np.float32), rng.uniform(100, 250, (11, 11, 3))
+    places = 15 + np.cumsum([0, 3, 6, 9, 9, 9, 9, 9, 9])
+    images = [wall.copy() for _ in places]
+    for image, u in zip(images, places, strict=True):
+        image[15:26, u - 5 : u + 6] = texture
+    patch = Patch(texture.astype(np.float32), np.ones((11, 11), np.float32), np.array([15, 20]), 5.0)
+    np.testing.assert_allclose(follow(images, patch, reach=6, worst=0.6)[:, 0], places, atol=0.5)
+
+
 def test_flowers_behind_the_camera_and_no_flowers_at_all() -> None:
     frames = record(0.002, 5.0, count=10)
     behind = measure_response(frames, CAMERA, T_WORLD_CAM, flowers(REST - [0, 2.0, 0]), 5.0)
@@ -375,6 +415,12 @@ def test_the_stated_deviation_is_of_that_phase_which_the_frames_tell_worse() -> 
 @given(st.integers(8, 200), st.floats(0.5, 100), st.floats(5, 120))
 def test_slow_terms_are_at_most_a_quarter_of_the_frames_and_two(count: int, frequency: float, rate: float) -> None:
     assert 2 <= _slow_terms(np.arange(count) / rate, frequency) <= 2 + count / 4
+
+
+@pytest.mark.parametrize(("frequency", "terms"), [(0.5, 2), (3.0, 5), (57.0, 5), (20.0, 2 + 61 // 4)])
+def test_slow_terms_are_slower_than_what_the_frames_show(frequency: float, terms: int) -> None:
+    """57 Hz at 60 frames a second look like 3."""
+    assert _slow_terms(np.arange(61) / 60, frequency) == terms
 
 
 def test_frequency_is_found_near_the_hint() -> None:
