@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from postgresql_server import Server
-from sqlalchemy import insert
+from sqlalchemy import insert, select
 from sqlalchemy.exc import SQLAlchemyError
 from test_history import numbers_of, writer
 
@@ -29,11 +29,12 @@ from anther.history import (
     read_outcomes,
     read_trials,
     reading,
+    record_note,
     record_outcome,
     record_trial,
     starting_material,
 )
-from anther.history._tables import Plant
+from anther.history._tables import Note, Plant, Visit
 from anther.plant import TOMATO
 
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
@@ -133,6 +134,21 @@ def test_a_merge_that_was_cut_off_is_done_again(tmp_path: Path, monkeypatch: pyt
     assert count_trials(where) == 2
     assert merge(offline, where) == (5, 2)
     assert names(where) == names(offline)
+
+
+def test_notes_go_over_once_each_with_its_visit_though_written_at_once(tmp_path: Path) -> None:
+    offline, where = str(tmp_path / "robot.sqlite"), str(tmp_path / "fleet.sqlite")
+    record_trial(visit("b", "s", 1), where)  # so that visits have other numbers there
+    for minutes in (0, 5):
+        record_note(record_trial(visit("a", "r", minutes), offline), f"after {minutes}", offline)
+    with sqlite3.connect(offline) as connection:
+        connection.execute("UPDATE notes SET recorded = (SELECT min(recorded) FROM notes)")
+    assert merge(offline, where) == (4, 0)
+    assert merge(offline, where) == (0, 4)
+    with reading(where) as session:
+        assert session is not None
+        rows = session.execute(select(Visit.time, Note.text).join(Note, Note.visit_id == Visit.id).order_by(Visit.time))
+        assert [tuple(row) for row in rows] == [(NOON + timedelta(minutes=m), f"after {m}") for m in (0, 5)]
 
 
 def test_merge_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
