@@ -15,7 +15,7 @@ from anther.geometry import Array, Intrinsics, inverse, look_at, transform_point
 from anther.identification import Felt, ObservedShake
 from anther.oscillation import fit_swing
 from anther.response import Response, StemNear, measure_response, stem_near
-from anther.response._beside import _swing
+from anther.response._beside import _Strip, _swing
 from anther.shake import ShakePlan
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
@@ -91,6 +91,18 @@ def test_a_swing_may_be_missed_by_a_share_of_itself_and_is_seen_in_most_frames()
     assert not _swing(times, wild, F, 1e-3)
     assert _swing(times, blinking, F, 1e-3)
     assert not _swing(times, gone, F, 1e-3)
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.7, -1.2])
+def test_a_strip_is_cut_across_the_stem_however_it_leans(turned: float) -> None:
+    rows, columns = np.mgrid[:180, :240].astype(np.float32)
+    u = np.array([np.cos(turned), np.sin(turned)])
+    strip = _Strip(np.array([120.0, 90.0]), u, (12, 5), 1e-3, 0.5, 4.0, np.zeros(3))
+    along = np.array([-u[1], u[0]])
+    m, n = np.mgrid[-5:6, -12:13]
+    places = strip.centre + (n[..., None] + 7.0) * u + m[..., None] * along
+    for image, expected in ((columns, places[..., 0]), (rows, places[..., 1])):
+        np.testing.assert_allclose(strip.cut(image, 7.0), expected, atol=0.05)  # OpenCV rounds to 1/32 pixel
 
 
 @pytest.mark.parametrize("size", [0.5e-3, 2e-3, 6e-3])

@@ -443,6 +443,15 @@ def test_a_stem_that_tapers_is_as_thick_as_it_is_there_and_so_far_from_its_petio
     np.testing.assert_allclose(c.outward(), c.approach[:, 0], atol=1e-3)  # the arm stands in its direction -x
 
 
+def test_the_farther_from_behind_the_plant_the_arm_comes_the_more_it_costs():
+    ranking = _rank(*make_plant(branches=()), Params(), toward_base=True)
+    behind, cost = -ranking.candidates.approach[:, 0], ranking.costs["comes from behind the plant"]
+    order = np.argsort(behind)
+    assert np.all(np.diff(cost[order]) >= -1e-3)
+    assert cost[order[0]] == pytest.approx(0, abs=1e-3)
+    assert 0.2 < cost[order[-1]] < 1
+
+
 def test_a_stem_in_waves_between_the_pads_is_clearly_bad_and_a_straight_one_not():
     stem, skeleton, cloud = make_plant(branches=())
     waves = replace(skeleton, nodes=skeleton.nodes + np.outer(0.005 * np.sin(stem.arc_length / 0.01), [1, 0, 0]))

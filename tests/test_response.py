@@ -19,7 +19,8 @@ from anther.geometry import Array, Intrinsics, inverse, look_at, transform_point
 from anther.oscillation import _slow_terms, choose_rate, find_frequency, fit_swing, swing_basis
 from anther.response import SIGNIFICANCE, Response, _without_noisy_depth, measure_response
 from anther.response._depth import depth_along
-from anther.response._petals import Patch, centre_of_petals, common_shift, follow, petal_weight
+from anther.response._following import without_outliers
+from anther.response._petals import Patch, centre_of_petals, common_shift, flower_weight, follow, petal_weight
 from anther.response.thresholds import LARGE
 from anther.sim.robot import RATES
 
@@ -235,6 +236,37 @@ def test_petals_have_their_centre_where_they_are_and_few_have_none() -> None:
     assert centre_of_petals(disc(40, 30), np.array([70.0, 30.0]), 6.0) is None
 
 
+def test_a_neighbours_petals_that_touch_do_not_take_a_flower_away() -> None:
+    own, beside = np.array([30.0, 30.0]), np.maximum(0.4 * disc(30, 30), disc(42, 30, 9.0))
+    found = centre_of_petals(beside, own, 6.0)
+    assert found is not None
+    assert 0 < np.linalg.norm(found - own) < 0.7 * 6
+
+
+@pytest.mark.parametrize("edge", [1.0, 58.0])
+def test_flowers_at_the_edge_of_the_picture_shift_as_others_do(edge: float) -> None:
+    _, shift = common_shift(np.maximum(disc(25, 30), disc(55, edge)), np.array([[22.0, 30.0], [52.0, edge]]), 10)
+    np.testing.assert_allclose(shift, [3, 0], atol=1)
+
+
+def test_what_is_not_green_and_as_far_as_flowers_counts_half_as_much_as_a_petal() -> None:
+    rgb, depth = np.full((1, 4, 3), 150, np.uint8), np.array([[0.3, 0.5, 0.5, 0.8]], np.float32)
+    rgb[0, 1], rgb[0, 2] = (150, 155, 150), (60, 130, 40)  # grey as a camera sees it, and a leaf
+    weight = flower_weight(Frame(0.0, rgb, depth), np.zeros((1, 4), np.float32), 0.4, 0.7)
+    np.testing.assert_allclose(weight, [[0, 0.5, 0, 0]])
+    assert flower_weight(Frame(0.0, rgb, depth), np.ones((1, 4), np.float32), 0.4, 0.7).min() == 1
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_sample_that_is_off_along_any_axis_is_left_out(axis: int) -> None:
+    rng, times = np.random.default_rng(4), np.arange(90) / 60
+    track = 0.002 * np.sin(2 * np.pi * 4 * times)[:, None] + 1e-4 * rng.standard_normal((90, 3))
+    track[40, axis] += 0.005
+    left = np.isnan(without_outliers(times, track, 4.0)).all(axis=1)
+    assert left[40]
+    assert left.sum() < 4
+
+
 def test_what_goes_on_as_it_went_is_followed_beyond_the_reach_of_one_look() -> None:
     """It speeds up to 9 px a frame; from where it was it is looked for within 6."""
     rng = np.random.default_rng(0)
@@ -302,6 +334,19 @@ def test_depth_is_followed_through_gaps_slopes_and_other_things_readings() -> No
         frame.depth[:] = 0.0
         frame.depth[y, x - 1 : x + 3] = few if frame.time < 0.1 else 0.0
     assert np.isnan(depth_along(frames, patch, path, basis, np.array(0.502), 0.02)).all()  # too few for what is fitted
+
+
+def test_depth_is_not_read_where_the_flower_leaves_the_picture() -> None:
+    times, size = np.arange(60) / 60.0, 64
+    path = np.column_stack([np.linspace(20, 61, 60), np.full(60, 30.0)])
+    frames = [
+        Frame(float(t), np.zeros((size, size, 3), np.uint8), np.full((size, size), 0.5, np.float32)) for t in times
+    ]
+    patch = Patch(np.zeros((17, 17, 3), np.float32), np.ones((17, 17), np.float32), np.array([20, 30]), 5.5)
+    found = depth_along(frames, patch, path, swing_basis(times, 5.0), np.array(0.502), 0.02)
+    inside = np.rint(path[:, 0]) + 8 < size
+    np.testing.assert_array_equal(np.isfinite(found), inside)
+    np.testing.assert_allclose(found[inside], 0.5, atol=1e-4)
 
 
 def test_depth_counts_where_it_swings_by_more_than_its_noise() -> None:
