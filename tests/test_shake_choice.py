@@ -37,7 +37,8 @@ from anther.shake import (
 from anther.shake._actuators import RAMPS
 from anther.shake._limits import sawyer_limit
 from anther.shake._verification import steadily_shaken, verified
-from anther.shake.choice import PRESS, Search, _directions, _worth, plant_limits
+from anther.shake.choice import APART, PRESS, Search, _directions, _worth, plant_limits, tones_at
+from anther.shake.choice import QUICK as SLOWEST
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
 from anther.shake.plant_limits import FAST, GUSTS
@@ -241,6 +242,27 @@ def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: Plant
     strains = true_over_modelled * np.array([strain_of_pedicels(one, plan) for one in drawn])
     assert len(drawn) > 50
     assert np.mean(strains > QUICK.plant.pedicel_strain) <= QUICK.risk
+
+
+@pytest.mark.parametrize("most", [1, 3, 9])
+def test_tones_are_those_that_move_flowers_most_each_apart_from_the_others(most: int) -> None:
+    hertz = np.array([SLOWEST / 2, *np.geomspace(SLOWEST, 20, 40)])
+    felt = np.exp(-(np.log(hertz / 9) ** 2))  # most at 9 Hz
+    size = 1e-3 * np.linspace(0.2, 4, len(hertz))
+    gain = (felt / size / (2 * np.pi * hertz) ** 2)[None, :, None, None, None] * np.ones((4, 1, 1, 2, 3))
+    amplitude = np.tile(size[:, None, None], (1, 1, 2))
+    found = SimpleNamespace(frequencies=hertz, bounds={"arm": (1e-2, np.ones((len(hertz), 1, 2)))}, amplitude=amplitude)
+    grips, first = SimpleNamespace(directions=np.eye(3)[None, :2]), 30
+    given = cast(Any, (found, grips, SimpleNamespace(flower=gain), (first, 0, 1)))
+    tones = tones_at(*given, 1e-4, most, None)
+    assert tones.frequencies[0] == hertz[first], "the plan's own comes first"
+    assert len(tones.frequencies) <= most
+    assert np.all(np.abs(np.diff(np.log(np.sort(tones.frequencies)))) >= np.log(APART) - 1e-9)
+    assert tones.frequencies.min() >= SLOWEST
+    if most > 1:
+        apart = np.abs(np.log(hertz / hertz[first])) >= np.log(APART)
+        assert tones.frequencies[1] == hertz[int(np.argmax(np.where(apart, felt, 0)))]
+    assert tones.directions == pytest.approx(np.eye(3)[[1, 0]]), "and the plan's line"
 
 
 def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
