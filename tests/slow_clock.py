@@ -9,15 +9,9 @@ import pytest
 SLOWER = 4.0
 AGAIN_IF_HELD_UP = pytest.mark.flaky(
     reruns=3,
-    only_rerun=[
-        r"the newest joints are \d+ ms old",
-        r"a command came \d+ ms",
-        "communication_constraints_violation",
-        r" = stopped_after\(",
-    ],
+    only_rerun=[r"the newest joints are \d+ ms old", r"a command came \d+ ms", "communication_constraints_violation"],
 )
-"""A driver stops when the machine holds it up, as it must, and one that is held up stops later: the test is made again
-then, and for nothing else."""
+"""A driver stops when the machine holds it up, as it must: the test is made again then, and for nothing else."""
 
 
 def clock() -> float:
