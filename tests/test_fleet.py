@@ -118,7 +118,7 @@ def test_a_merge_that_was_cut_off_is_done_again(tmp_path: Path, monkeypatch: pyt
     offline, where = str(tmp_path / "robot.sqlite"), str(tmp_path / "fleet.sqlite")
     for minutes in range(7):
         record_trial(visit("a", "r", minutes), offline)
-    module, calls = sys.modules["anther.history._merge"], []
+    module, calls = sys.modules["anther.history._trials"], []
     monkeypatch.setattr(module, "BATCH", 2)
     add = module.add
 

@@ -9,14 +9,15 @@ from anther.history._beliefs import Belief, earlier_shake, facts_prior, starting
 from anther.history._database import DEFAULT, PATIENCE, reading, shown
 from anther.history._export import TABLES, export
 from anther.history._jobs import Job, add_jobs, note_jobs, read_jobs
-from anther.history._merge import Merged, merge
 from anther.history._records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
 from anther.history._trials import (
+    Merged,
     add_missing,
     count_trials,
     each_trial,
     find_plants,
     find_visit,
+    merge,
     read_outcomes,
     read_trials,
     record_note,

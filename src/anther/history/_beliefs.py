@@ -56,11 +56,11 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     facts = facts_prior(species)
     with reading(where) as session:
         own, count = (None, 0) if session is None else _own(session, species, plant)
-    if own is None or own.material_after is None:
+    if own is None or own.material is None:
         known = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
         return Belief(facts, "facts", f"the facts' prior of {known}; nothing was learned of this plant yet")
     reason = f"{plant}'s own, learned in {_count(count, 'trial')}, the last on {own.time:%Y-%m-%d %H:%M} UTC"
-    last = material_of(own.material_after) or facts
+    last = material_of(own.material) or facts
     material = last.changed(response_gain=facts.response_gain, response_spread=facts.response_spread)
     return Belief(material, "plant", f"{reason} (visit {own.id})")
 
@@ -71,13 +71,13 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
     Raises:
         InputError: the history cannot be read.
     """
-    query = _visits_of(select(GraspRow.arc_length_m, ShakeRow), species, plant)
+    query = _visits_of(select(GraspRow.arc_length, ShakeRow), species, plant)
     query = query.join(GraspRow, GraspRow.visit_id == Visit.id).join(ShakeRow, ShakeRow.visit_id == Visit.id)
     query = query.where(
-        GraspRow.arc_length_m.is_not(None),
+        GraspRow.arc_length.is_not(None),
         ShakeRow.direction.is_not(None),
         ShakeRow.waveform == "sine",
-        exists().where(ResponseRow.visit_id == Visit.id, ResponseRow.measured_amplitude_m.is_not(None)),
+        exists().where(ResponseRow.visit_id == Visit.id, ResponseRow.measured_amplitude.is_not(None)),
     )
     with reading(where) as session:
         found: Any = None if session is None else session.execute(query.limit(1)).first()
@@ -85,7 +85,7 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
             return None
         height, shake = found
         direction = check_array("shake direction", shake.direction, (3,))
-        return EarlierShake(height, direction, shake.frequency_hz, shake.amplitude_m)
+        return EarlierShake(height, direction, shake.frequency, shake.amplitude)
 
 
 def _visits_of(query: Any, species: str, plant: str) -> Any:
@@ -98,7 +98,7 @@ def _visits_of(query: Any, species: str, plant: str) -> Any:
 def _own(session: Session, species: str, plant: str) -> tuple[Any, int]:
     """Return the last visit that taught something of the plant itself, or None, and how many did."""
     number = func.count().over()
-    query = _visits_of(select(Visit.id, Visit.time, Visit.material_after, number), species, plant).where(Visit.taught)
+    query = _visits_of(select(Visit.id, Visit.time, Visit.material, number), species, plant).where(Visit.taught)
     found: Any = session.execute(query.limit(1)).first()
     return (None, 0) if found is None else (found, found[3])
 

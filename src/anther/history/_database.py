@@ -10,20 +10,15 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import (
-    URL,
-    Engine,
-    create_engine,
-    event,
-    make_url,
-)
+from sqlalchemy import URL, Engine, create_engine, event, make_url
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 
 from anther.errors import AntherError, InputError, MissingExtra, bad_input
 from anther.files import understood
-from anther.history.migrations import HEAD, migrate, version
+from anther.history._tables import VERSION, make_tables, version
 
 DEFAULT = Path("runs/history.sqlite")
 PATIENCE = 30.0
@@ -33,7 +28,7 @@ INSTALL = "pip install 'anther[postgresql]'"
 
 @contextmanager
 def reading(where: Path | str) -> Iterator[Session | None]:
-    """Yield a session that reads the history, brought to the newest version; None when there is no such file.
+    """Yield a session that reads the history, with its tables; None when there is no such file.
 
     The database itself refuses it to write. Readers never wait for writers, nor writers for readers.
 
@@ -61,6 +56,11 @@ def writing(where: Path | str) -> Iterator[Session]:
     with _opened(url, write=True) as session:
         yield session
         session.commit()
+
+
+def insert(session: Session, table: Any) -> Any:
+    """Return an INSERT that can pass over what is there already."""
+    return (postgresql if session.get_bind().dialect.name == "postgresql" else sqlite).insert(table)
 
 
 def shown(where: Path | str) -> str:
@@ -103,10 +103,10 @@ def _opened(url: URL, *, write: bool) -> Iterator[Session]:
         engine = _engine(_anchored(url), PATIENCE)
         with Session(engine.execution_options(write=write), expire_on_commit=False) as session:
             with _cells_understood(url):
-                if version(session.connection()) != HEAD:
+                if version(session.connection()) != VERSION:
                     session.rollback()
                     with engine.execution_options(write=True).begin() as connection:
-                        migrate(connection)
+                        make_tables(connection)
             yield session
     except (SQLAlchemyError, OSError) as error:
         if isinstance(error, AntherError):
@@ -183,11 +183,13 @@ def _begin_postgresql(connection: Any) -> None:
 
 def _explained(url: URL, error: Exception) -> InputError:
     cause = " ".join(str(getattr(error, "orig", None) or error).split())
+    held = f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again."
+    space = "Nothing was changed: free some space and try again."
     advice = {
-        "locked": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
-        "lock timeout": f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again.",
-        "full": "Nothing was changed: free some space and try again.",
-        "No space left": "Nothing was changed: free some space and try again.",
+        "locked": held,
+        "lock timeout": held,
+        "full": space,
+        "No space left": space,
         "readonly": "Nothing was changed: ask for the right to write there.",
         "connection": "Is the server running, and does it accept you?",
     }

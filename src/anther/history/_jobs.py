@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sqlalchemy import bindparam, select, update
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
-from anther.history._database import reading, writing
+from anther.history._database import insert, reading, writing
 from anther.history._tables import Sweep, SweepJob
 
 State = Literal["waiting", "done", "poison"]
@@ -49,11 +48,11 @@ def add_jobs(jobs: Iterable[Job], where: Path | str, *, uid: str, folder: str, f
     """
     with writing(where) as session:
         named = {"folder": folder, "function": function, "began": datetime.now(UTC)}
-        session.execute(_insert(session, Sweep).values(uid=uid, **named).on_conflict_do_nothing())
+        session.execute(insert(session, Sweep).values(uid=uid, **named).on_conflict_do_nothing())
         sweep = _sweep(session, uid)
         rows = [{"sweep_id": sweep, "key": job.key, "row": job.row, "state": job.state, "tries": 0} for job in jobs]
         if rows:
-            session.connection().execute(_insert(session, SweepJob).on_conflict_do_nothing(), rows)
+            session.connection().execute(insert(session, SweepJob).on_conflict_do_nothing(), rows)
 
 
 def note_jobs(jobs: Sequence[Job], where: Path | str, *, uid: str) -> None:
@@ -87,8 +86,3 @@ def read_jobs(where: Path | str, uid: str) -> list[Job]:
 
 def _sweep(session: Session, uid: str) -> int:
     return session.execute(select(Sweep.id).where(Sweep.uid == uid)).scalar_one()
-
-
-def _insert(session: Session, table: Any) -> Any:
-    dialect = postgresql if session.get_bind().dialect.name == "postgresql" else sqlite
-    return dialect.insert(table)

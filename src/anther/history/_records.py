@@ -171,7 +171,7 @@ class TrialRecord:
             InputError: it is no such record.
         """
         with understood("record of a trial", "what a trial wrote"):
-            values: dict[str, Any] = dict(plain) | {name: _numbers(plain.get(name) or ()) for name in MOTIONS}
+            values: dict[str, Any] = dict(plain) | {name: numbers(plain.get(name) or ()) for name in MOTIONS}
             values["time"] = datetime.fromisoformat(plain["time"])
             for name, kind in (("grasp", GraspRecord), ("shake", ShakeRecord)):
                 values[name] = None if plain.get(name) is None else kind(**plain[name])
@@ -228,7 +228,8 @@ def material_of(values: dict[str, Any] | None) -> Material | None:
     return None if values is None else Material(**{name: v for name, v in values.items() if name in known})
 
 
-def _numbers(values: Any) -> tuple[float, ...]:
+def numbers(values: Any) -> tuple[float, ...]:
+    """Return stored numbers; NaN where there is none."""
     return tuple(float("nan") if v is None else float(v) for v in values)
 
 

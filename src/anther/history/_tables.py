@@ -2,8 +2,8 @@
 
 One plant has many visits; a visit has at most one grasp and one shake, a response of every flower, and links to its run
 folder; outcomes belong to a plant, and to one of its visits where the grower says so. A sweep has many jobs, which
-have no visits. The tables themselves are made by `migrations`, which a test holds equal to these classes. Visits,
-responses, outcomes and notes are never changed.
+have no visits. Visits, responses, outcomes and notes are never changed. What a record has too (`_records`) is called
+here as there; its column has the unit in its name.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from typing import Any
 
 from sqlalchemy import (
     JSON,
+    CheckConstraint,
+    Connection,
     DateTime,
     Double,
     ForeignKey,
@@ -21,8 +23,51 @@ from sqlalchemy import (
     TypeDecorator,
     UniqueConstraint,
     false,
+    inspect,
+    text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
+
+from anther.errors import bad_input
+
+VERSION = "0005"
+"""Of these tables. It is kept where Alembic keeps one, which takes over once tables of a release have to change."""
+
+_VIEW = (
+    "CREATE VIEW trials AS SELECT v.id, v.time, p.species, p.label AS plant, v.held_unharmed, v.failure, v.run, "
+    "g.arc_length_m, s.frequency_hz, s.amplitude_m FROM visits v JOIN plants p ON p.id = v.plant_id "
+    "LEFT JOIN grasps g ON g.visit_id = v.id LEFT JOIN shakes s ON s.visit_id = v.id"
+)
+"""For people who write SQL."""
+
+_LOCK = 0x616E7468
+"""Key of PostgreSQL's advisory lock: "anth"."""
+
+
+def version(connection: Connection) -> str | None:
+    """Return the version of a database; None for an empty one."""
+    if not inspect(connection).has_table("alembic_version"):
+        return None
+    return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
+
+
+def make_tables(connection: Connection) -> None:
+    """Make the tables in a database that has none; in one transaction, so that of two that begin it at once one does.
+
+    Raises:
+        InputError: the database has a version that is not known.
+    """
+    if connection.dialect.name == "postgresql":
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+    found = version(connection)
+    if found is None:
+        Base.metadata.create_all(connection, checkfirst=False)
+        connection.execute(text(_VIEW))
+        connection.execute(text("CREATE TABLE alembic_version (version_num VARCHAR(32) PRIMARY KEY)"))
+        connection.execute(text("INSERT INTO alembic_version VALUES (:version)"), {"version": VERSION})
+    elif found != VERSION:
+        do = "It was written by another Anther: update this one, or name another history."
+        raise bad_input("trial history", given=f"schema version {found[:40]}", allowed=VERSION, do=do)
 
 
 class Utc(TypeDecorator[datetime]):
@@ -82,8 +127,8 @@ class Visit(Base):
     acceleration_ms2: Mapped[float | None]
     failure: Mapped[str | None]
     run: Mapped[str | None]
-    material_before: Mapped[Any] = mapped_column(nullable=True)
-    material_after: Mapped[Any] = mapped_column(nullable=True)
+    believed: Mapped[Any] = mapped_column("material_before", nullable=True)
+    material: Mapped[Any] = mapped_column("material_after", nullable=True)
     plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
     grasp: Mapped[GraspRow | None] = relationship(lazy="selectin", uselist=False)
     shake: Mapped[ShakeRow | None] = relationship(lazy="selectin", uselist=False)
@@ -96,8 +141,8 @@ class GraspRow(Base):
     __tablename__ = "grasps"
     id: Mapped[int] = mapped_column(primary_key=True)
     visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), unique=True)
-    arc_length_m: Mapped[float | None]
-    stem_diameter_m: Mapped[float | None]
+    arc_length: Mapped[float | None] = mapped_column("arc_length_m")
+    stem_diameter: Mapped[float | None] = mapped_column("stem_diameter_m")
     confidence: Mapped[float | None]
     organ: Mapped[str | None]
     pose7: Mapped[Any] = mapped_column(nullable=True)
@@ -109,9 +154,9 @@ class ShakeRow(Base):
     __tablename__ = "shakes"
     id: Mapped[int] = mapped_column(primary_key=True)
     visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"), unique=True)
-    frequency_hz: Mapped[float]
-    amplitude_m: Mapped[float]
-    duration_s: Mapped[float | None]
+    frequency: Mapped[float] = mapped_column("frequency_hz")
+    amplitude: Mapped[float] = mapped_column("amplitude_m")
+    duration: Mapped[float | None] = mapped_column("duration_s")
     waveform: Mapped[str | None]
     direction: Mapped[Any] = mapped_column(nullable=True)
 
@@ -124,18 +169,21 @@ class ResponseRow(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"))
     flower: Mapped[int]
-    predicted_amplitude_m: Mapped[float | None]
-    measured_amplitude_m: Mapped[float | None]
-    measured_amplitude_std_m: Mapped[float | None]
-    predicted_acceleration_ms2: Mapped[float | None]
-    measured_acceleration_ms2: Mapped[float | None]
+    predicted_amplitude: Mapped[float | None] = mapped_column("predicted_amplitude_m")
+    measured_amplitude: Mapped[float | None] = mapped_column("measured_amplitude_m")
+    measured_amplitude_std: Mapped[float | None] = mapped_column("measured_amplitude_std_m")
+    predicted_acceleration: Mapped[float | None] = mapped_column("predicted_acceleration_ms2")
+    measured_acceleration: Mapped[float | None] = mapped_column("measured_acceleration_ms2")
 
 
 class FruitSetRow(Base):
     """How many flowers of a plant set fruit, as the grower counted; nothing is ever overwritten."""
 
     __tablename__ = "outcomes"
-    __table_args__ = (Index("ix_outcomes_plant", "plant_id", "recorded"),)
+    __table_args__ = (
+        Index("ix_outcomes_plant", "plant_id", "recorded"),
+        CheckConstraint("0 <= fruit AND fruit <= flowers"),
+    )
     id: Mapped[int] = mapped_column(primary_key=True)
     plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
     visit_id: Mapped[int | None] = mapped_column(ForeignKey("visits.id"))

@@ -1,25 +1,26 @@
-"""Writing and reading: trials and outcomes, each in one transaction."""
+"""Writing and reading: trials, outcomes and notes, each in one transaction; and one history into another.
+
+What a robot kept while it was offline goes into the fleet's history once, whatever its clock says: a visit is named by
+its plant, its robot and the time by that robot's own clock; times of different robots are never compared. So a merge
+that was cut off is simply done again, and clocks that disagree neither double nor hide a visit.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields
 from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypedDict, Unpack
 
 import numpy as np
 from sqlalchemy import func, select, tuple_
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from anther.errors import bad_input
-from anther.history._database import DEFAULT, reading, writing
-from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of
+from anther.history._database import DEFAULT, insert, reading, shown, writing
+from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of, numbers
 from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, Visit
-
-_COLUMNS = {name: f"{name}_{'ms2' if name.endswith('acceleration') else 'm'}" for name in MOTIONS}
-
 
 BATCH = 500
 """Visits that are read or written at a time."""
@@ -56,8 +57,8 @@ def add_missing(record: TrialRecord, where: Path | str = DEFAULT) -> int | None:
 
 def add(session: Session, record: TrialRecord) -> tuple[int, bool]:
     """Add a trial within a transaction; return the number of its visit and whether it is new."""
-    plant = plant_of(session, record.species, record.plant)
-    number = visit_of(session, plant.id, record.robot, record.time)
+    plant = _plant_of(session, record.species, record.plant)
+    number = _number_of(session, plant.id, record.robot, record.time)
     if number is not None:
         return number, False
     visit = _visit(record, plant.id)
@@ -66,93 +67,74 @@ def add(session: Session, record: TrialRecord) -> tuple[int, bool]:
     return visit.id, True
 
 
-def visit_of(session: Session, plant: int, robot: str, time: datetime) -> int | None:
+def _number_of(session: Session, plant: int, robot: str, time: datetime) -> int | None:
     """Return the number of a robot's visit to a plant, or None."""
     return session.scalar(select(Visit.id).where(Visit.plant_id == plant, Visit.robot == robot, Visit.time == time))
 
 
-def read_trials(
-    where: Path | str = DEFAULT,
-    *,
-    species: str | None = None,
-    plant: str | None = None,
-    since: date | None = None,
-    until: date | None = None,
-    result: str | None = None,
-    last: int | None = None,
-) -> list[TrialRecord]:
+class Which(TypedDict, total=False):
+    """Only some trials; None: of any.
+
+    Attributes:
+        species, plant: with these labels.
+        since, until: of these days and between them (UTC).
+        result: only "held_unharmed", "failure", or one kind of failure.
+    """
+
+    species: str | None
+    plant: str | None
+    since: date | None
+    until: date | None
+    result: str | None
+
+
+def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which: Unpack[Which]) -> list[TrialRecord]:
     """Return the recorded trials, oldest first; none when the file does not exist.
 
     Args:
         where: a SQLite file, or a PostgreSQL URL.
-        species, plant: only trials with these labels.
-        since, until: only trials of these days and between them (UTC).
-        result: only "held_unharmed", "failure", or one kind of failure.
         last: only so many, the last ones.
+        which: see `Which`.
 
     Raises:
         InputError: no history of Anther's, or it cannot be read.
     """
-    query = chosen(select(Visit).join(Visit.plant), species, plant, since, until, result)
-    query = query.order_by(Visit.time.desc(), Visit.id.desc()).limit(last)
+    query = _chosen(select(Visit), which).order_by(Visit.time.desc(), Visit.id.desc()).limit(last)
     with reading(where) as session:
-        return [] if session is None else [trial_of(visit) for visit in session.scalars(query)][::-1]
+        return [] if session is None else [_trial_of(visit) for visit in session.scalars(query)][::-1]
 
 
-def each_trial(
-    where: Path | str = DEFAULT,
-    *,
-    species: str | None = None,
-    plant: str | None = None,
-    since: date | None = None,
-    until: date | None = None,
-    result: str | None = None,
-) -> Iterator[TrialRecord]:
+def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[TrialRecord]:
     """Yield the trials as `read_trials` returns them, however many there are, `BATCH` at a time.
 
     Every batch is read by itself: nothing is held while whoever asked is busy with the last one.
     """
-    query = chosen(select(Visit).join(Visit.plant), species, plant, since, until, result)
-    query, place = query.order_by(Visit.time, Visit.id).limit(BATCH), None
+    query, place = _chosen(select(Visit), which).order_by(Visit.time, Visit.id).limit(BATCH), None
     while True:
         further = query if place is None else query.where(tuple_(Visit.time, Visit.id) > place)
         with reading(where) as session:
-            batch = [] if session is None else [trial_of(visit) for visit in session.scalars(further)]
+            batch = [] if session is None else [_trial_of(visit) for visit in session.scalars(further)]
         yield from batch
         if len(batch) < BATCH:
             return
         place = batch[-1].time, batch[-1].id
 
 
-def count_trials(
-    where: Path | str = DEFAULT,
-    *,
-    species: str | None = None,
-    plant: str | None = None,
-    since: date | None = None,
-    until: date | None = None,
-    result: str | None = None,
-) -> int:
+def count_trials(where: Path | str = DEFAULT, **which: Unpack[Which]) -> int:
     """Return how many trials `read_trials` would.
 
     Raises:
         InputError: no history of Anther's, or it cannot be read.
     """
-    query = chosen(select(func.count(Visit.id)).join(Visit.plant), species, plant, since, until, result)
+    query = _chosen(select(func.count(Visit.id)), which)
     with reading(where) as session:
         return 0 if session is None else session.scalar(query) or 0
 
 
-def chosen(
-    query: Any,
-    species: str | None = None,
-    plant: str | None = None,
-    since: date | None = None,
-    until: date | None = None,
-    result: str | None = None,
-) -> Any:
-    """Ask a query, which joins visits and plants, only of some visits; see `read_trials`."""
-    query = _of_plant(query, species, plant)
+def _chosen(query: Any, which: Which) -> Any:
+    """Ask a query of visits only of some."""
+    query = _of_plant(query.join(Visit.plant), which.get("species"), which.get("plant"))
+    since, until, result = (which.get(name) for name in ("since", "until", "result"))
     if since is not None:
         query = query.where(Visit.time >= datetime.combine(since, time(), UTC))
     if until is not None:
@@ -174,19 +156,13 @@ def record_outcome(outcome: Outcome, where: Path | str = DEFAULT) -> int:
         InputError: the visit is not one of this plant; or see `record_trial`.
     """
     with writing(where) as session:
-        plant = plant_of(session, outcome.species, outcome.plant).id
+        plant = _plant_of(session, outcome.species, outcome.plant).id
         if outcome.visit is not None:
             visit = session.get(Visit, outcome.visit)
             if visit is None or visit.plant_id != plant:
-                raise bad_input(
-                    "visit",
-                    given=f"{outcome.visit}",
-                    allowed=f"a visit to {outcome.species} '{outcome.plant}'",
-                    do="`anther history` lists them.",
-                )
-        row = asdict(outcome)
-        values = {name: row[name] for name in ("date", "flowers", "fruit", "note", "recorded")}
-        counted = FruitSetRow(plant_id=plant, visit_id=outcome.visit, **values)
+                allowed, do = f"a visit to {outcome.species} '{outcome.plant}'", "`anther history` lists them."
+                raise bad_input("visit", given=f"{outcome.visit}", allowed=allowed, do=do)
+        counted = FruitSetRow(plant_id=plant, visit_id=outcome.visit, **_values(outcome, _COUNTED))
         session.add(counted)
         session.flush()
         return counted.id
@@ -202,9 +178,8 @@ def record_note(visit: int, words: str, where: Path | str = DEFAULT) -> int:
         raise bad_input("note", given=f"{len(words)} characters", allowed="a text of 1 to 2000", do="Say it briefly.")
     with writing(where) as session:
         if session.get(Visit, visit) is None:
-            raise bad_input(
-                "visit", given=f"{visit}", allowed="a visit of the history", do="`anther history` lists them."
-            )
+            do = "`anther history` lists them."
+            raise bad_input("visit", given=f"{visit}", allowed="a visit of the history", do=do)
         note = Note(visit_id=visit, recorded=datetime.now(UTC), text=words.strip())
         session.add(note)
         session.flush()
@@ -224,7 +199,10 @@ def read_outcomes(
     with reading(where) as session:
         rows = [] if session is None else list(session.scalars(query))
         last = {(row.plant_id, row.visit_id, row.date): row for row in rows}
-        return [_outcome(row) for row in last.values()]
+        return [
+            Outcome(species=r.plant.species, plant=r.plant.label, visit=r.visit_id, **_values(r, ("id", *_COUNTED)))
+            for r in last.values()
+        ]
 
 
 def find_plants(label: str, where: Path | str = DEFAULT, *, species: str | None = None) -> list[tuple[str, str]]:
@@ -246,7 +224,7 @@ def find_visit(number: int, where: Path | str = DEFAULT) -> TrialRecord | None:
     """
     with reading(where) as session:
         visit = None if session is None else session.get(Visit, number)
-        return None if visit is None else trial_of(visit)
+        return None if visit is None else _trial_of(visit)
 
 
 def _of_plant(query: Any, species: str | None, plant: str | None) -> Any:
@@ -254,95 +232,131 @@ def _of_plant(query: Any, species: str | None, plant: str | None) -> Any:
     return query if plant is None else query.where(Plant.label == plant)
 
 
-def plant_of(session: Session, species: str, label: str) -> Plant:
+def _plant_of(session: Session, species: str, label: str) -> Plant:
     """Return the plant, locked for this transaction; it is added if it is new, also when two add it at once."""
     query = select(Plant).where(Plant.species == species, Plant.label == label).with_for_update()
     query = query.execution_options(populate_existing=True)
     plant = session.scalar(query)
     if plant is None:
-        dialect = postgresql if session.get_bind().dialect.name == "postgresql" else sqlite
-        new = dialect.insert(Plant).values(species=species, label=label)
+        new = insert(session, Plant).values(species=species, label=label)
         session.execute(new.on_conflict_do_nothing(index_elements=["species", "label"]))
         plant = session.scalars(query).one()
     return plant
 
 
+_OF_VISIT = ("robot", "time", "held_unharmed", "failure", "run")
+_COUNTED = ("date", "flowers", "fruit", "note", "recorded")
+"""What records and rows of visits, and of counts, both have."""
+
+
+def _values(thing: Any, names: Sequence[str]) -> dict[str, Any]:
+    return {name: getattr(thing, name) for name in names}
+
+
 def _visit(record: TrialRecord, plant: int) -> Visit:
-    grasp, shake, felt = record.grasp, record.shake, record.accelerations()
+    felt, motions = record.accelerations(), record.motions()
     return Visit(
         plant_id=plant,
-        robot=record.robot,
-        time=record.time,
         taught=record.taught,
         acceleration_ms2=None if felt is None else float(felt.mean()),
-        held_unharmed=record.held_unharmed,
-        failure=record.failure,
-        run=record.run,
-        material_before=None if record.believed is None else asdict(record.believed),
-        material_after=None if record.material is None else asdict(record.material),
-        grasp=grasp
-        and GraspRow(
-            arc_length_m=grasp.arc_length,
-            stem_diameter_m=grasp.stem_diameter,
-            confidence=grasp.confidence,
-            organ=grasp.organ,
-            pose7=grasp.pose7,
-        ),
-        shake=shake
-        and ShakeRow(
-            frequency_hz=shake.frequency,
-            amplitude_m=shake.amplitude,
-            duration_s=shake.duration,
-            waveform=shake.waveform,
-            direction=shake.direction,
-        ),
+        believed=record.believed and asdict(record.believed),
+        material=record.material and asdict(record.material),
+        grasp=record.grasp and GraspRow(**asdict(record.grasp)),
+        shake=record.shake and ShakeRow(**asdict(record.shake)),
         responses=[
-            ResponseRow(flower=k, **{_COLUMNS[name]: _null(values[k]) for name, values in record.motions().items()})
+            ResponseRow(flower=k, **{name: v[k] if np.isfinite(v[k]) else None for name, v in motions.items()})
             for k in range(record.flowers)
         ],
+        **_values(record, _OF_VISIT),
     )
 
 
-def _null(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def trial_of(visit: Visit) -> TrialRecord:
-    """Return a row of the table as a record."""
+def _trial_of(visit: Visit) -> TrialRecord:
     grasp, shake = visit.grasp, visit.shake
-    record = TrialRecord(
+    return TrialRecord(
         species=visit.plant.species,
         plant=visit.plant.label,
-        held_unharmed=visit.held_unharmed,
-        failure=visit.failure,
-        grasp=grasp
-        and GraspRecord(grasp.arc_length_m, grasp.stem_diameter_m, grasp.confidence, grasp.organ, grasp.pose7),
-        shake=shake
-        and ShakeRecord(shake.frequency_hz, shake.amplitude_m, shake.duration_s, shake.waveform, shake.direction),
-        believed=material_of(visit.material_before),
-        material=material_of(visit.material_after),
-        run=visit.run,
-        robot=visit.robot,
-        time=visit.time,
-        id=visit.id,
+        grasp=grasp and GraspRecord(**_values(grasp, [f.name for f in fields(GraspRecord)])),
+        shake=shake and ShakeRecord(**_values(shake, [f.name for f in fields(ShakeRecord)])),
+        believed=material_of(visit.believed),
+        material=material_of(visit.material),
+        **{name: numbers([getattr(r, name) for r in visit.responses]) for name in MOTIONS},
+        **_values(visit, ("id", *_OF_VISIT)),
     )
-    return replace(record, **{name: _column(visit.responses, column) for name, column in _COLUMNS.items()})
 
 
-def _column(responses: Sequence[ResponseRow], name: str) -> tuple[float, ...]:
-    values = [getattr(response, name) for response in responses]
-    return tuple(float("nan") if v is None else float(v) for v in values)
+class Merged(NamedTuple):
+    """How many visits, counts and notes were new, and how many were there already."""
+
+    new: int
+    known: int
 
 
-def _outcome(row: FruitSetRow) -> Outcome:
-    return Outcome(
-        species=row.plant.species,
-        plant=row.plant.label,
-        flowers=row.flowers,
-        fruit=row.fruit,
-        date=row.date,
-        visit=row.visit_id,
-        note=row.note,
-        recorded=row.recorded,
-        id=row.id,
-    )
+def merge(source: Path | str, where: Path | str = DEFAULT) -> Merged:
+    """Take the visits, counts of fruit set and notes of another history into this one.
+
+    Args:
+        source: the history to take from; nothing of it changes.
+        where: the history to add to.
+
+    Raises:
+        InputError: one of them is no history, cannot be read, or cannot be written. What was taken until then stays.
+    """
+    with reading(source) as session:
+        if session is None:
+            given = f"{shown(source)}, which is not there"
+            raise bad_input("history to merge", given=given, allowed="a history", do="Check the path.")
+    new = total = 0
+    for batch in _batches(source):
+        with writing(where) as session:
+            # in the order of plants, so that two merges at once lock them in the same order
+            ordered = sorted(batch, key=lambda record: (record.species, record.plant, record.time))
+            new += sum(add(session, record)[1] for record in ordered)
+        total += len(batch)
+    with reading(source) as here, writing(where) as there:
+        assert here is not None
+        for added in (*_counts(here, there), *_notes(here, there)):
+            new, total = new + added, total + 1
+    return Merged(new, total - new)
+
+
+def _batches(source: Path | str) -> Iterator[Sequence[TrialRecord]]:
+    last = 0
+    while True:
+        with reading(source) as session:
+            rows = session.scalars(select(Visit).where(Visit.id > last).order_by(Visit.id).limit(BATCH)).all()  # type: ignore[union-attr]
+            batch = [_trial_of(row) for row in rows]
+        if not batch:
+            return
+        yield batch
+        last = rows[-1].id
+
+
+def _counts(here: Session, there: Session) -> Iterator[bool]:
+    """Add each count that is not there; yield whether it was new."""
+    query = select(FruitSetRow).join(FruitSetRow.plant).order_by(Plant.species, Plant.label, FruitSetRow.id)
+    for count in here.scalars(query):
+        plant = _plant_of(there, count.plant.species, count.plant.label).id
+        same = select(FruitSetRow.id).where(FruitSetRow.plant_id == plant, FruitSetRow.recorded == count.recorded)
+        new = there.scalar(same) is None
+        if new:
+            visit = None if count.visit_id is None else _number(here, there, count.visit_id)
+            there.add(FruitSetRow(plant_id=plant, visit_id=visit, **_values(count, _COUNTED)))
+        yield new
+
+
+def _notes(here: Session, there: Session) -> Iterator[bool]:
+    for note in here.scalars(select(Note).order_by(Note.id)):
+        visit = _number(here, there, note.visit_id)
+        same = select(Note.id).where(Note.visit_id == visit, Note.recorded == note.recorded)
+        new = there.scalar(same) is None
+        if new:
+            there.add(Note(visit_id=visit, recorded=note.recorded, text=note.text))
+        yield new
+
+
+def _number(here: Session, there: Session, visit_id: int) -> int | None:
+    """Return the number that a visit has in the other history."""
+    visit = here.get_one(Visit, visit_id)
+    plant = there.scalar(select(Plant.id).where(Plant.species == visit.plant.species, Plant.label == visit.plant.label))
+    return None if plant is None else _number_of(there, plant, visit.robot, visit.time)

@@ -97,8 +97,8 @@ def visits(
 ) -> Sequence[Any]:
     """Return at most PAGE + 1 visits, the last one first: one more than is shown says that there are more.
 
-    Each has id, time, robot, held_unharmed, failure, acceleration_ms2, species, label, plant_id, and amplitude_m,
-    frequency_hz, duration_s of its shake.
+    Each has id, time, robot, held_unharmed, failure, acceleration_ms2, species, label, plant_id, and amplitude,
+    frequency, duration of its shake.
 
     Args:
         session: that reads.
@@ -106,17 +106,9 @@ def visits(
         result: only "held_unharmed" or "failure".
         before: only those before the visit with this number.
     """
-    columns = (
-        Visit.id,
-        Visit.time,
-        Visit.robot,
-        Visit.held_unharmed,
-        Visit.failure,
-        Visit.acceleration_ms2,
-        Visit.plant_id,
-    )
-    shake = ShakeRow.amplitude_m, ShakeRow.frequency_hz, ShakeRow.duration_s
-    query = select(*columns, Plant.species, Plant.label, *shake)
+    of_visit = Visit.id, Visit.time, Visit.robot, Visit.held_unharmed, Visit.failure, Visit.acceleration_ms2
+    shake = ShakeRow.amplitude, ShakeRow.frequency, ShakeRow.duration
+    query = select(*of_visit, Visit.plant_id, Plant.species, Plant.label, *shake)
     query = query.join(Plant, Plant.id == Visit.plant_id).outerjoin(ShakeRow, ShakeRow.visit_id == Visit.id)
     if day is not None:
         query = _between(query, day, day)
