@@ -25,8 +25,7 @@ from rich.console import Console
 from rich.progress import track
 
 from anther.files import write_json
-from anther.formats._up_axis import TO_Z_UP, axis_notes
-from anther.formats.clouds import read_cloud
+from anther.formats.clouds import TO_Z_UP, axis_notes, read_cloud
 from anther.geometry import Array
 from anther.sim.pepper import grow_pepper
 from anther.sim.tomato import grow_tomato

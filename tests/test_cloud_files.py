@@ -14,8 +14,7 @@ from made_plants import simple_plant
 from trimesh.exchange.ply import export_ply
 
 from anther.errors import InputError
-from anther.formats._up_axis import axis_notes
-from anther.formats.clouds import read_cloud
+from anther.formats.clouds import axis_notes, read_cloud
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(0, 0.4, (400, 3)).astype(np.float32)

@@ -14,8 +14,8 @@ from anther.capture import Capture
 from anther.cli import main
 from anther.errors import InputError, MissingExtra
 from anther.formats import _bag_file
-from anther.formats._bag_images import camera_of
-from anther.formats.alignment import laid_over
+from anther.formats._bag_messages import camera_of
+from anther.formats.alignment import laid_over, straightened
 from anther.formats.bags import BagOptions, read_bag
 from anther.geometry import Intrinsics, inverse, look_at, pose7, small_transform, transform_points
 
@@ -198,7 +198,8 @@ def test_lens_distortion_is_taken_out(model: str) -> None:
     bent = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, D)[0].reshape(-1, 2)
     u, v = np.meshgrid(np.arange(320), np.arange(240))
     spots = sum(np.exp(-((u - x) ** 2 + (v - y) ** 2) / 8) for x, y in bent)
-    image = camera_of("/info", maker.messages[0][3]).straighten(np.asarray(spots, np.float32), nearest=False)
+    maps = camera_of("/info", maker.messages[0][3]).maps
+    image = straightened(np.asarray(spots, np.float32), maps, nearest=False)
     assert np.abs(bent[:2] - straight[:2]).max() > 1.5
     for x, y in straight:
         near = (np.abs(u - x) < 8) & (np.abs(v - y) < 8)

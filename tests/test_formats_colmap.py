@@ -16,8 +16,16 @@ from anther.capture import Capture
 from anther.cli import main
 from anther.cloud import Cloud
 from anther.errors import InputError
-from anther.formats._colmap_model import MODELS, read_cameras, read_depth_map, read_images, read_points
-from anther.formats.colmap import read_colmap_capture, read_colmap_cloud, scale_and_up
+from anther.formats.colmap import (
+    MODELS,
+    read_cameras,
+    read_colmap_capture,
+    read_colmap_cloud,
+    read_depth_map,
+    read_images,
+    read_points,
+    scale_and_up,
+)
 from anther.geometry import Intrinsics, inverse, look_at, transform_points
 
 CAMERA = Intrinsics(32, 24, 30.0, 31.0, 15.5, 11.25)

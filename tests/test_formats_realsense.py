@@ -22,7 +22,7 @@ from anther.cli import main
 from anther.errors import InputError
 from anther.formats import _realsense_bag
 from anther.formats._bag_file import BagFile
-from anther.formats._bag_images import colour_image
+from anther.formats._bag_messages import colour_image
 from anther.formats.alignment import laid_over, straightened, straightening
 from anther.formats.bags import BagOptions, BagViews, read_bag
 from anther.geometry import Array, Intrinsics, pose7, small_transform

@@ -16,7 +16,7 @@ from anther.calibration import read_poses
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.errors import InputError
-from anther.formats._bag_poses import read_trajectory
+from anther.formats._bag_messages import read_trajectory
 from anther.formats.clouds import read_cloud
 from anther.formats.skeletons import read_skeleton, write_skeleton
 from anther.geometry import Intrinsics, look_at

@@ -1,38 +1,32 @@
 """Open a ROS 1 bag, a ROS 2 bag folder or its .db3 alone (RealSense's recordings), or an MCAP file, in one way.
 
-Needs the extra `anther[bags]`: rosbags reads bags and decodes messages, mcap reads MCAP files. Message types are the
-standard ones of ROS; definitions that a bag carries are not needed, which RealSense's own types would only spoil.
+Needs the extra `anther[bags]`: rosbags reads bags and decodes messages, mcap reads MCAP files, those of ROS 1 too.
+Message types are the standard ones of ROS; definitions that a bag carries are not needed, which RealSense's own types
+would only spoil.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 from anther.errors import InputError, MissingExtra, bad_input
 from anther.files import existing
 from anther.formats._realsense_bag import shared_extrinsics, stream_of, units_of, unpacked, without_unit
 
 INSTALL = "pip install 'anther[bags]'"
-_TFMESSAGE = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """One message as recorded.
+class Recorded(NamedTuple):
+    """One message as recorded, of a kind such as "sensor_msgs/msg/Image", after `index` others of its topic.
 
-    Attributes:
-        topic: its topic.
-        kind: its type, e.g. "sensor_msgs/msg/Image".
-        stamp: time in its header, or when it was recorded if it has none or zero [s].
-        index: how many messages of its topic came before it.
-        data: the serialised message.
-        ros1: whether it is serialised as ROS 1 does, else CDR.
+    Its stamp is the time in its header, or when it was recorded if it has none or zero [s]; `data` is as ROS 1 writes
+    it, else CDR.
     """
 
     topic: str
@@ -66,22 +60,18 @@ class BagFile:
         except ImportError as error:
             raise MissingExtra(f"{path}: bags need rosbags and mcap. Install them with: {INSTALL}") from error
         self._stores = {True: get_typestore(Stores.ROS1_NOETIC), False: get_typestore(Stores.ROS2_HUMBLE)}
-        for name in _TFMESSAGE:
+        for name in _FRAMES:
             self._stores[True].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
         self._stack = ExitStack()
         self._reader: Any = None
         self.topics: dict[str, str] = {}
 
     def __enter__(self) -> BagFile:
-        try:
+        with self._understood():
             if self.path.suffix == ".mcap":
                 self._open_mcap()
             else:
                 self._open_rosbag()
-        except InputError:
-            raise
-        except Exception as error:  # each reader raises errors of its own
-            raise self._unreadable(error) from error
         return self
 
     def __exit__(
@@ -90,34 +80,20 @@ class BagFile:
         self._stack.close()
 
     def messages(self, topics: set[str]) -> Iterator[Recorded]:
-        """Yield the messages of some topics in the order they were recorded.
-
-        Raises:
-            InputError: the bag is damaged.
-        """
+        """Yield the messages of some topics in the order they were recorded."""
         counts = dict.fromkeys(topics, 0)
-        try:
+        with self._understood():
             for topic, kind, time, data, ros1 in self._raw(topics):
                 yield Recorded(topic, kind, _stamp(kind, data, time, ros1), counts[topic], data, ros1)
                 counts[topic] += 1
-        except InputError:
-            raise
-        except Exception as error:
-            raise self._unreadable(error) from error
 
     def decode(self, message: Recorded) -> Any:
-        """Return a message as an object with the fields of its ROS type.
-
-        Raises:
-            InputError: the type is not a standard one, or the data does not fit it.
-        """
+        """Return a message as an object with the fields of its ROS type, which must be a standard one."""
         store = self._stores[message.ros1]
-        try:
+        with self._understood():
             if message.ros1:
                 return store.deserialize_ros1(without_unit(message.topic, message.data), message.kind)
             return store.deserialize_cdr(message.data, message.kind)
-        except Exception as error:
-            raise self._unreadable(error) from error
 
     def _open_rosbag(self) -> None:
         from rosbags.rosbag1 import Reader as Reader1  # noqa: PLC0415
@@ -151,9 +127,16 @@ class BagFile:
         for connection, time, data in self._reader.messages(connections=connections) if connections else ():
             yield connection.topic, _full(connection.msgtype), time, unpacked(bytes(data)), ros1
 
-    def _unreadable(self, error: Exception) -> InputError:
-        do = "Is it truncated, or not closed? `rosbag reindex` or `mcap recover` may repair it."
-        return bad_input(str(self.path), given=f"unreadable ({error})", allowed="a whole bag", do=do)
+    @contextmanager
+    def _understood(self) -> Iterator[None]:
+        """Turn what the readers raise, each errors of its own, into one clear error."""
+        try:
+            yield
+        except InputError:
+            raise
+        except Exception as error:
+            do = "Is it truncated, or not closed? `rosbag reindex` or `mcap recover` may repair it."
+            raise bad_input(str(self.path), given=f"unreadable ({error})", allowed="a whole bag", do=do) from error
 
 
 def _full(kind: str) -> str:
@@ -170,45 +153,41 @@ def _stamp(kind: str, data: bytes, time: int, ros1: bool) -> float:
 
 
 _WITH_HEADER = {"Image", "CompressedImage", "CameraInfo", "PoseStamped", "TransformStamped"}
-
-
 _ALIGNED = ("aligned_depth", "depth_registered", "depth_to_rgb", "depth_to_color")
 _POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
-_FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _TEXT = "std_msgs/msg/String"
 
 
-@dataclass(frozen=True, slots=True)
-class Topics:
+class Stream(NamedTuple):
+    """Topics of a camera: images, CameraInfo; RealSense's transform from a stream that both share and the frames' own
+    times (.db3), or "" each."""
+
+    images: str
+    info: str
+    extrinsics: str
+    times: str
+
+
+class Topics(NamedTuple):
     """The topics that are read.
 
     Attributes:
-        color, depth: images.
-        color_info, depth_info: their CameraInfo; the colour's where aligned depth has none of its own.
-        color_extrinsics, depth_extrinsics: RealSense's transforms from one reference stream, or "".
-        color_times, depth_times: RealSense's texts with the frames' own times (.db3), or "".
-        poses: topics with the poses: one of PoseStamped or TransformStamped, or those of tf.
+        color, depth: of the cameras; aligned depth that has no CameraInfo of its own has the colour's.
+        poses: one of PoseStamped or TransformStamped, and those of tf.
         unit: the depth unit [m], or "".
         by_sdk: whether librealsense's recorder wrote the images: its frame names mean nothing.
     """
 
-    color: str
-    depth: str
-    color_info: str
-    depth_info: str
-    color_extrinsics: str
-    depth_extrinsics: str
-    color_times: str
-    depth_times: str
+    color: Stream
+    depth: Stream
     poses: tuple[str, ...]
     unit: str
     by_sdk: bool
 
     def all(self) -> set[str]:
         """Return every topic that is there."""
-        cameras = {self.color_info, self.depth_info, self.color_extrinsics, self.depth_extrinsics, self.unit}
-        return {self.color, self.depth, self.color_times, self.depth_times, *cameras, *self.poses} - {""}
+        return {*self.color, *self.depth, *self.poses, self.unit} - {""}
 
 
 def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | None) -> Topics:
@@ -219,37 +198,21 @@ def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | 
     """
     images = {t for t, kind in bag.topics.items() if kind in (_IMAGE, _COMPRESSED)}
     deep = {t for t in images if bag.topics[t] == _IMAGE or t.endswith("/compressedDepth")}
-    color = _one(
-        bag,
-        "colour",
-        color,
-        images,
-        lambda t: "depth" not in t and ("color" in t or "rgb" in t),
-        ("rect", "raw", "data"),
-    )
-    depth = _one(bag, "depth", depth, deep, lambda t: "depth" in t, _ALIGNED)
-    color_info = _camera_info(bag, color)
-    if not color_info:
-        raise _missing(bag, f"no camera info beside {color}", "sensor_msgs/CameraInfo", "Record it as well.")
-    depth_info = _camera_info(bag, depth)
-    if not depth_info and not any(word in depth.lower() for word in _ALIGNED):
-        raise _missing(bag, f"no camera info beside {depth}", "sensor_msgs/CameraInfo", "Record it as well.")
-    by_sdk = bool(stream_of(color) or stream_of(depth))
-    unit = units_of(depth)
+    colourful = {t for t in images if "depth" not in t.lower() and ("color" in t.lower() or "rgb" in t.lower())}
+    color = _one(bag, "colour", color, images, colourful, ("rect", "raw", "data"))
+    depth = _one(bag, "depth", depth, deep, {t for t in deep if "depth" in t.lower()}, _ALIGNED)
+    infos = {image: _camera_info(bag, image) for image in (color, depth)}
+    for image, info in infos.items():
+        if not info and (image == color or not any(word in image.lower() for word in _ALIGNED)):
+            raise _missing(bag, f"no camera info beside {image}", "sensor_msgs/CameraInfo", "Record it as well.")
+    by_sdk, unit = bool(stream_of(color) or stream_of(depth)), units_of(depth)
     if stream_of(depth) and unit not in bag.topics:
-        raise _missing(
-            bag, f"no depth unit on {unit}", "RealSense's own recording", "Record it with the SDK's recorder."
-        )
-    color_extrinsics, depth_extrinsics = shared_extrinsics(set(bag.topics), color, depth) if by_sdk else ("", "")
+        do = "Record it with the SDK's recorder."
+        raise _missing(bag, f"no depth unit on {unit}", "RealSense's own recording", do)
+    extrinsics = shared_extrinsics(set(bag.topics), color, depth) if by_sdk else ("", "")
     return Topics(
-        color=color,
-        depth=depth,
-        color_info=color_info,
-        depth_info=depth_info or color_info,
-        color_extrinsics=color_extrinsics,
-        depth_extrinsics=depth_extrinsics,
-        color_times=_times(bag, color),
-        depth_times=_times(bag, depth),
+        Stream(color, infos[color], extrinsics[0], _times(bag, color)),
+        Stream(depth, infos[depth] or infos[color], extrinsics[1], _times(bag, depth)),
         poses=() if by_sdk and pose is None else _pose_topics(bag, pose),
         unit=unit,
         by_sdk=by_sdk,
@@ -257,21 +220,19 @@ def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | 
 
 
 def _one(
-    bag: BagFile, what: str, given: str | None, among: set[str], fits: Callable[[str], bool], better: tuple[str, ...]
+    bag: BagFile, what: str, given: str | None, among: set[str], fitting: set[str], better: tuple[str, ...]
 ) -> str:
     """Return the topic given, else the only one that fits; of several, those with a better word in their name."""
     option = f"--{'color' if what == 'colour' else what}-topic"
     if given is not None:
         if given not in among:
-            raise _missing(
-                bag, f"no {what} images on {given}", " ".join(sorted(among)) or "images", f"Correct {option}."
-            )
+            allowed = " ".join(sorted(among)) or "images"
+            raise _missing(bag, f"no {what} images on {given}", allowed, f"Correct {option}.")
         return given
-    found = sorted(t for t in among if fits(t.lower()))
+    found = sorted(fitting)
     for word in better:
         found = [t for t in found if word in t.lower()] or found
-    uncompressed = [t for t in found if bag.topics[t] == _IMAGE]
-    found = uncompressed or found
+    found = [t for t in found if bag.topics[t] == _IMAGE] or found
     if len(found) != 1:
         told = f"{len(found)} topics with {what} images" + (f" ({', '.join(found)})" if found else "")
         raise _missing(bag, told, f"one of {', '.join(sorted(among)) or 'sensor_msgs/Image'}", f"Name it: {option}.")

@@ -6,9 +6,10 @@ colour is laid over it (`alignment.laid_over`). Topics are found by their names 
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,17 +18,19 @@ from anther.checks import check_range
 from anther.errors import bad_input
 from anther.formats import _realsense_bag
 from anther.formats._bag_file import BagFile, Recorded, Topics, find_topics
-from anther.formats._bag_images import BagCamera, camera_of, colour_image, depth_image
-from anther.formats._bag_poses import (
+from anther.formats._bag_messages import (
+    BagCamera,
     FrameTree,
-    PoseSeries,
     Where,
+    camera_of,
+    colour_image,
+    depth_image,
     nearest,
     pose_matrix,
     read_trajectory,
     sorted_series,
 )
-from anther.formats.alignment import laid_over
+from anther.formats.alignment import laid_over, straightened
 from anther.geometry import Array, inverse, transform_from_pose7
 
 _SAME_CAMERA = 1e-3  # relative difference of intrinsics that counts as one camera
@@ -81,20 +84,18 @@ class BagViews:
 
 @dataclass(slots=True)
 class _Contents:
-    """What the first pass over a bag collects: stamps of the images and every small message."""
+    """What the first pass over a bag collects: every small message, and times by topic, of images those of their stamps
+    or, where RealSense tells them beside, their own."""
 
-    color: list[float] = field(default_factory=list)
-    depth: list[float] = field(default_factory=list)
     infos: dict[str, BagCamera] = field(default_factory=dict)
     poses: list[tuple[float, Array]] = field(default_factory=list)
-    times: dict[str, list[float]] = field(default_factory=dict)
+    times: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     frames: FrameTree = field(default_factory=FrameTree)
     extrinsics: dict[str, Array] = field(default_factory=dict)
     unit: float = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class _FramePair:
+class _FramePair(NamedTuple):
     depth: int
     color: int
     time: float
@@ -118,16 +119,18 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         topics = find_topics(bag, options.color_topic, options.depth_topic, options.pose_topic)
         held = _first_pass(bag, topics)
         camera, depth_camera, T_color_depth = _cameras(str(path), topics, held)
-        views, notes = _matched(str(path), held, _where(str(path), topics, held, options, camera.frame), options)
+        views, notes = _matched(
+            str(path), topics, held, _where(str(path), topics, held, options, camera.frame), options
+        )
         images = _images(bag, topics, held.unit, views)
-    depth = [depth_camera.straighten(image, nearest=True) for image, _ in images]
+    depth = [straightened(image, depth_camera.maps, nearest=True) for image, _ in images]
     if T_color_depth is not None:
         depth = [laid_over(d, depth_camera.intrinsics, camera.intrinsics, T_color_depth) for d in depth]
     capture = Capture(
         depth=np.stack(depth),
         intrinsics=camera.intrinsics,
         T_world_cam=np.stack([view.T_world_cam for view in views]),
-        rgb=np.stack([camera.straighten(image, nearest=False) for _, image in images]),
+        rgb=np.stack([straightened(image, camera.maps, nearest=False) for _, image in images]),
     )
     return BagViews(capture, np.array([view.time for view in views]), notes)
 
@@ -135,25 +138,18 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
 def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
     held = _Contents()
     for message in bag.messages(topics.all()):
-        if message.topic == topics.color:
-            held.color.append(message.stamp)
-        elif message.topic == topics.depth:
-            held.depth.append(message.stamp)
+        if message.topic in (topics.color.images, topics.depth.images):
+            held.times[message.topic].append(message.stamp)
         else:
             _keep(held, message, bag, topics)
-    held.color = _own_times(topics.color, held.color, held.times.get(topics.color_times))
-    held.depth = _own_times(topics.depth, held.depth, held.times.get(topics.depth_times))
+    for stream in (topics.color, topics.depth):
+        if stream.times in held.times:
+            frames, own = len(held.times[stream.images]), held.times[stream.times]
+            if len(own) != frames:
+                given, do = f"{frames} frames and {len(own)} times of frames", "Was it stopped early? Record it anew."
+                raise bad_input(stream.images, given=given, allowed="as many of both", do=do)
+            held.times[stream.images] = own
     return held
-
-
-def _own_times(topic: str, stamps: list[float], times: list[float] | None) -> list[float]:
-    """Return the times of a topic's frames as RealSense tells them beside the images; else their stamps."""
-    if times is None:
-        return stamps
-    if len(times) != len(stamps):
-        given, allowed = f"{len(stamps)} frames and {len(times)} times of frames", "as many of both"
-        raise bad_input(topic, given=given, allowed=allowed, do="Was the recording stopped early? Record it anew.")
-    return times
 
 
 def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> None:
@@ -177,25 +173,25 @@ def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> N
 
 def _keep_text(held: _Contents, topic: str, text: str, topics: Topics) -> None:
     """Keep what RealSense says in its own words (.db3)."""
-    if topic in (topics.color_info, topics.depth_info):
+    if topic in (topics.color.info, topics.depth.info):
         held.infos.setdefault(topic, camera_of(topic, _realsense_bag.camera_info(topic, text)))
-    elif topic in (topics.color_extrinsics, topics.depth_extrinsics):
+    elif topic in (topics.color.extrinsics, topics.depth.extrinsics):
         held.extrinsics[topic] = _realsense_bag.extrinsics(topic, text)
-    elif topic in (topics.color_times, topics.depth_times):
-        held.times.setdefault(topic, []).append(_realsense_bag.frame_time(topic, text))
+    elif topic in (topics.color.times, topics.depth.times):
+        held.times[topic].append(_realsense_bag.frame_time(topic, text))
     elif topic == topics.unit:
         held.unit = _realsense_bag.number(topic, text)
 
 
 def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, BagCamera, Array | None]:
     """Return the colour camera, the depth camera, and T_color_depth where depth is not aligned (else None)."""
-    color = held.infos.get(topics.color_info)
+    color = held.infos.get(topics.color.info)
     if color is None:
-        raise bad_input(path, given=f"nothing on {topics.color_info}", allowed="a CameraInfo", do="Record it as well.")
-    depth = held.infos.get(topics.depth_info, color)
+        raise bad_input(path, given=f"nothing on {topics.color.info}", allowed="a CameraInfo", do="Record it as well.")
+    depth = held.infos.get(topics.depth.info, color)
     a, b = color.intrinsics, depth.intrinsics
     same = (a.width, a.height) == (b.width, b.height) and np.allclose(a.matrix, b.matrix, rtol=_SAME_CAMERA)
-    ends = [held.extrinsics.get(topic) for topic in (topics.color_extrinsics, topics.depth_extrinsics)]
+    ends = [held.extrinsics.get(topic) for topic in (topics.color.extrinsics, topics.depth.extrinsics)]
     if ends[0] is not None and ends[1] is not None:
         T_color_depth = ends[0] @ inverse(ends[1])
     elif depth is color:
@@ -205,7 +201,9 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
     else:
         T_color_depth = held.frames.between(color.frame, depth.frame)
     if T_color_depth is None:
-        beside = f"{_realsense_bag.stream_of(topics.depth)}/tf/N and the colour's" if topics.by_sdk else "/tf_static"
+        beside = (
+            f"{_realsense_bag.stream_of(topics.depth.images)}/tf/N and the colour's" if topics.by_sdk else "/tf_static"
+        )
         raise bad_input(
             path,
             given=f"depth in frame '{depth.frame}', colour in '{color.frame}', and no fixed transform between them",
@@ -220,10 +218,8 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
 def _where(path: str, topics: Topics, held: _Contents, options: BagOptions, frame: str) -> Where:
     """Return what tells the camera's pose at a time."""
     camera = np.eye(4) if options.camera_in_pose is None else transform_from_pose7(options.camera_in_pose)
-    if options.poses is not None:
-        series: PoseSeries | None = read_trajectory(options.poses)
-    else:
-        series = sorted_series(held.poses) if held.poses else None
+    told = sorted_series(held.poses) if held.poses else None
+    series = told if options.poses is None else read_trajectory(options.poses)
     if series is None and not held.frames.parent:
         raise bad_input(
             path,
@@ -240,15 +236,18 @@ def _where(path: str, topics: Topics, held: _Contents, options: BagOptions, fram
     return camera_at
 
 
-def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> tuple[list[_FramePair], tuple[str, ...]]:
+def _matched(
+    path: str, topics: Topics, held: _Contents, where: Where, options: BagOptions
+) -> tuple[list[_FramePair], tuple[str, ...]]:
     """Return the views whose colour and pose are near enough in time, and notes on the others."""
-    if not held.color or not held.depth:
-        given = f"{len(held.color)} colour and {len(held.depth)} depth frames"
+    color, depth = held.times[topics.color.images], held.times[topics.depth.images]
+    if not color or not depth:
+        given = f"{len(color)} colour and {len(depth)} depth frames"
         raise bad_input(path, given=given, allowed="some of both", do="Was the recording stopped early?")
-    order = np.argsort(held.color, kind="stable")
-    stamps = np.array(held.color)[order]
+    order = np.argsort(color, kind="stable")
+    stamps = np.array(color)[order]
     views, gaps = [], []
-    for i, time in enumerate(held.depth):
+    for i, time in enumerate(depth):
         k = nearest(stamps, time)
         T, pose_off = where(time)
         gap = (abs(float(stamps[k]) - time), pose_off)
@@ -256,10 +255,10 @@ def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> t
         if max(gap) <= options.tolerance:
             views.append(_FramePair(i, int(order[k]), time, T))
     if not views:
-        color, pose = (min(column) for column in zip(*gaps, strict=True))
+        off, pose = (min(column) for column in zip(*gaps, strict=True))
         raise bad_input(
             path,
-            given=f"no depth frame with both near in time (nearest colour {color:.4g} s, nearest pose {pose:.4g} s)",
+            given=f"no depth frame with both near in time (nearest colour {off:.4g} s, nearest pose {pose:.4g} s)",
             allowed=f"within {options.tolerance:g} s",
             do="Raise --tolerance, or check that all clocks are one (RealSense's own stamps are not ROS time).",
         )
@@ -273,14 +272,13 @@ def _matched(path: str, held: _Contents, where: Where, options: BagOptions) -> t
 
 def _images(bag: BagFile, topics: Topics, unit: float, views: list[_FramePair]) -> list[tuple[Any, Any]]:
     """Return (depth [m], RGB) of every view, in a second pass that decodes only these."""
-    wanted = {topics.depth: {v.depth for v in views}, topics.color: {v.color for v in views}}
+    depth, color = topics.depth.images, topics.color.images
+    wanted = {depth: {v.depth for v in views}, color: {v.color for v in views}}
     found: dict[tuple[str, int], Any] = {}
-    for message in bag.messages({topics.depth, topics.color}):
+    for message in bag.messages({depth, color}):
         if message.index in wanted[message.topic]:
             image = bag.decode(message)
             found[message.topic, message.index] = (
-                depth_image(message.topic, image, unit)
-                if message.topic == topics.depth
-                else colour_image(message.topic, image)
+                depth_image(depth, image, unit) if message.topic == depth else colour_image(color, image)
             )
-    return [(found[topics.depth, view.depth], found[topics.color, view.color]) for view in views]
+    return [(found[depth, view.depth], found[color, view.color]) for view in views]

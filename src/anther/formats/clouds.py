@@ -1,4 +1,7 @@
-"""Read somebody's point cloud: PLY, PCD, XYZ/TXT or NPZ, in the units and with the axis up that it has. N points."""
+"""Read somebody's point cloud: PLY, PCD, XYZ/TXT or NPZ, in the units and with the axis up that it has. N points.
+
+Which axis is up its stem tells, as far as it can: right, it begins thick, round and upright, and rises far.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from small_gicp import voxelgrid_sampling
 
 from anther.cloud import Cloud
-from anther.errors import bad_input
+from anther.errors import AntherError, bad_input
 from anther.files import existing
-from anther.formats._up_axis import TO_Z_UP, axis_notes
 from anther.formats.points import Axis, RawPoints, Units, read_npz_points, read_pcd, read_ply, read_text
+from anther.geometry import Array
+from anther.skeleton import skeletonize
+from anther.stem import find_stem
 
 _METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
 _FEWEST = 50
@@ -20,6 +26,15 @@ _SMALLEST, _LARGEST = 0.005, 20.0
 """What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
 _LIKELY = (0.03, 5.0)
 """From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then it is for the person to say."""
+
+TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
+"""Axis that is up -> in which order a file's axes are x, y, z with z up."""
+DOUBT = 2.0
+"""An axis whose stem is not so many times worse than the best may be up (docs/formats.md)."""
+_COARSE = 120
+_BASE, _SURE = 0.25, 0.5
+"""The cloud is thinned to one point per cube of plant size / 120; a base is the lowest quarter, likelier a stem
+than not."""
 
 
 def read_cloud(
@@ -31,7 +46,7 @@ def read_cloud(
         path: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz.
         units: of the file; None takes what the file states, else metres, with a note.
         up: axis that points up in the file; None takes what the file states, else z, with a note, which names another
-            axis where its stem is the better one (`_up_axis`, 0.2 s).
+            axis where its stem is the better one (`axis_notes`, 0.2 s).
         plant: which plant of an .npz that holds several; None: it must hold one.
 
     Raises:
@@ -83,29 +98,17 @@ def _read(path: Path, plant: int | None) -> RawPoints:
             return read_text(path)
         case ".npz":
             return read_npz_points(path, plant)
-    raise bad_input(
-        str(path),
-        given=f"suffix '{path.suffix}'",
-        allowed=".ply, .pcd, .xyz, .txt, .csv, .asc, .npz",
-        do="Export it to one of these.",
-    )
+    allowed, do = ".ply, .pcd, .xyz, .txt, .csv, .asc, .npz", "Export it to one of these."
+    raise bad_input(str(path), given=f"suffix '{path.suffix}'", allowed=allowed, do=do)
 
 
 def _check_enough(path: Path, finite: np.ndarray) -> None:
     if len(finite) and (~finite).mean() > _MOST_BROKEN:
-        raise bad_input(
-            str(path),
-            given=f"{(~finite).mean():.0%} of the points NaN or infinite",
-            allowed=f"at most {_MOST_BROKEN:.0%}",
-            do="Repair the export.",
-        )
+        given, allowed = f"{(~finite).mean():.0%} of the points NaN or infinite", f"at most {_MOST_BROKEN:.0%}"
+        raise bad_input(str(path), given=given, allowed=allowed, do="Repair the export.")
     if np.count_nonzero(finite) < _FEWEST:
-        raise bad_input(
-            str(path),
-            given=f"{np.count_nonzero(finite)} points",
-            allowed=f"{_FEWEST} or more",
-            do="Is it the right file?",
-        )
+        given, allowed = f"{np.count_nonzero(finite)} points", f"{_FEWEST} or more"
+        raise bad_input(str(path), given=given, allowed=allowed, do="Is it the right file?")
 
 
 def _check_size(path: Path, points: np.ndarray, units: str) -> tuple[str, ...]:
@@ -129,3 +132,36 @@ def _other_units(size: float, units: str) -> str:
         if likely
         else f"In none of {', '.join(_METRES)} is it one: are the units others?"
     )
+
+
+def axis_notes(points: Array) -> tuple[str, ...]:
+    """Return a note where another axis than z is as likely up of points (N, 3) as they stand in the file [m]."""
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    thin = np.asarray(voxelgrid_sampling(points, size / _COARSE).points())[:, :3]
+    worth = {axis: stem_worth(thin[:, order]) for axis, order in TO_Z_UP.items()}
+    likely = [axis for axis, value in worth.items() if DOUBT * value >= max(worth.values())]
+    if len(likely) > 1:
+        return (f"which axis is up is hard to tell ({' or '.join(likely)}): look, and say --up",)
+    return () if likely == ["z"] else (f"it looks as if {likely[0]} were up: try --up {likely[0]}",)
+
+
+def stem_worth(points: Array) -> float:
+    """Return how good a stem the points (N, 3) have if z is up; 0 without one, or if its base is likelier none.
+
+    It is the product of how thick the stem's base is over the plant's size, how sure its axis there, how upright the
+    stem, and what share of the plant's height it rises.
+    """
+    try:
+        tree = skeletonize(Cloud(np.ascontiguousarray(points)))
+        stem = find_stem(tree)
+    except AntherError:
+        return 0.0
+    line, length = tree.nodes[stem.node_ids], float(stem.arc_length[-1])
+    base = stem.node_ids[stem.arc_length <= max(_BASE * length, stem.arc_length[1])]
+    extent = np.ptp(tree.nodes, axis=0)
+    rise = max(float(line[-1, 2] - line[0, 2]), 0.0)
+    sure = 0.0 if tree.confidence is None else float(tree.confidence[base].mean())
+    if sure < _SURE:
+        return 0.0
+    thick = float(np.median(tree.radius[base])) / float(np.linalg.norm(extent))
+    return thick * sure * rise / length * rise / float(extent[2])

@@ -1,14 +1,18 @@
 """Views and clouds from COLMAP: a dense workspace becomes a `Capture`, a fused PLY or sparse points a `Cloud`.
 
-COLMAP knows neither scale nor up: the user tells them (`upright.scale_and_up`). The world's origin stays the model's.
-V views, N points.
+COLMAP knows neither scale nor up: the user tells them (`scale_and_up`). The world's origin stays the model's. Its own
+files, cameras, images and points3D, text or binary, and depth maps, are read as https://colmap.github.io/format.html
+(output format), cameras.html (camera models) and faq.html (depth maps) say: lengths are model units; pixel centres lie
+at half-integers. V views, N points.
 """
 
 from __future__ import annotations
 
 import re
+import struct
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -19,18 +23,10 @@ from anther.capture import PIXEL_CENTRE, Capture
 from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.errors import bad_input
-from anther.files import existing
-from anther.formats._colmap_model import (
-    ColmapCamera,
-    ColmapImage,
-    read_cameras,
-    read_depth_map,
-    read_images,
-    read_points,
-)
+from anther.files import existing, read_lines, understood, whole_file
 from anther.formats.clouds import checked_cloud
 from anther.formats.points import RawPoints, read_ply
-from anther.geometry import Array, Intrinsics
+from anther.geometry import Array, Intrinsics, inverse, transform
 from anther.images import read_image
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -105,12 +101,9 @@ def read_colmap_capture(folder: Path | str, scale: float | None = None, up: str 
     maps = {image.name: _depth_path(folder, image.name) for image in read_images(model)}
     images = [image for image in read_images(model) if maps[image.name] is not None]
     if not images:
-        raise bad_input(
-            str(folder / "stereo/depth_maps"),
-            given=f"a depth map for none of {len(maps)} images",
-            allowed="NAME.geometric.bin or NAME.photometric.bin",
-            do="Run `colmap patch_match_stereo`, or import the fused PLY as a cloud.",
-        )
+        given, do = f"a depth map for none of {len(maps)} images", "Run `colmap patch_match_stereo`, or import the PLY."
+        allowed = "NAME.geometric.bin or NAME.photometric.bin"
+        raise bad_input(str(folder / "stereo/depth_maps"), given=given, allowed=allowed, do=do)
     intrinsics = _intrinsics(read_cameras(model), images)
     depth = np.stack([_depth(maps[image.name], intrinsics, scale) for image in images])
     rgb = [_colour(folder / "images" / image.name, intrinsics) for image in images]
@@ -203,3 +196,148 @@ def _upright(poses: Array, scale: float, R_world_model: Array) -> Array:
     out[:, :3, :3] = R_world_model @ poses[:, :3, :3]
     out[:, :3, 3] = scale * poses[:, :3, 3] @ R_world_model.T
     return out
+
+
+MODELS = {
+    "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISHEYE": 4, "RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12,
+}  # fmt: skip
+"""Camera model -> number of parameters, in the order of COLMAP's model ids (0, 1, ...)."""
+
+_SAME_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
+_LONGEST_NAME = 4096
+_CUT = "Is it truncated?"
+
+T = TypeVar("T")
+
+
+class ColmapCamera(NamedTuple):
+    """One camera, of one of `MODELS`, with the model's parameters, focal lengths first; size in pixels."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+    def pinhole(self) -> tuple[float, float, float, float]:
+        """Return (fx, fy, cx, cy) [px], pixel centres at half-integers; lens distortion is refused."""
+        same = self.model in _SAME_FOCAL
+        fx, fy = (self.params[0], self.params[0]) if same else self.params[:2]
+        cx, cy, *bend = self.params[1 if same else 2 :]
+        if any(bend) or "FISHEYE" in self.model or self.model == "FOV":
+            raise bad_input(
+                "COLMAP camera",
+                given=f"{self.model} with distortion {bend}",
+                allowed="PINHOLE, SIMPLE_PINHOLE, or no distortion",
+                do="Run `colmap image_undistorter` and import its folder.",
+            )
+        return fx, fy, cx, cy
+
+
+class ColmapImage(NamedTuple):
+    """One registered image: its path below the image folder, its camera's id, its pose (4, 4) in model units."""
+
+    name: str
+    camera: int
+    T_world_cam: Array
+
+
+def read_cameras(folder: Path) -> dict[int, ColmapCamera]:
+    """Return the cameras of a model folder (cameras.bin or cameras.txt) by id."""
+    return dict(_rows(folder, "cameras", _cameras_binary, _cameras_text))
+
+
+def read_images(folder: Path) -> list[ColmapImage]:
+    """Return the registered images of a model folder (images.bin or images.txt), by name."""
+    return sorted(_rows(folder, "images", _images_binary, _images_text), key=lambda image: image.name)
+
+
+def read_points(folder: Path) -> tuple[Array, NDArray[np.uint8]]:
+    """Return ((N, 3) points in model units, (N, 3) colours) of points3D.bin or points3D.txt."""
+    table = np.array(_rows(folder, "points3D", _points_binary, _points_text), dtype=np.float64).reshape(-1, 6)
+    return table[:, :3].copy(), table[:, 3:].astype(np.uint8)
+
+
+def read_depth_map(path: Path) -> NDArray[np.float32]:
+    """Return (H, W) z-depth in model units of a .bin depth map: "width&height&channels&", then float32 rows."""
+    data = whole_file(path).read_bytes()
+    head = data[:64].split(b"&", 3)
+    with understood(path, "a COLMAP depth map (width&height&1&, float32)", _CUT):
+        width, height, channels = (int(word) for word in head[:3])
+        start = sum(len(word) + 1 for word in head[:3])
+        if channels != 1 or min(width, height) < 1 or len(data) - start != 4 * width * height:
+            raise ValueError(f"{width} x {height} x {channels} values announced, {len(data) - start} bytes there")
+    return np.frombuffer(data, "<f4", offset=start).reshape(height, width)
+
+
+def _rows(
+    folder: Path, name: str, binary: Callable[[bytes], Iterator[T]], text: Callable[[list[str]], Iterator[T]]
+) -> list[T]:
+    """Return what one of a model's files holds, .bin or else .txt."""
+    path = next((p for p in (folder / f"{name}.bin", folder / f"{name}.txt") if p.exists()), None)
+    if path is None:
+        given = f"no {name}.bin or {name}.txt"
+        raise bad_input(str(folder), given=given, allowed="a COLMAP model folder", do="Name sparse/0 or such.")
+    with understood(path, f"COLMAP's {name}", _CUT):
+        if path.suffix == ".bin":
+            return list(binary(path.read_bytes()))
+        return list(text([line for line in read_lines(path) if not line.startswith("#")]))
+
+
+def _cameras_binary(data: bytes) -> Iterator[tuple[int, ColmapCamera]]:
+    names, at = dict(enumerate(MODELS)), 8
+    for _ in range(struct.unpack_from("<Q", data)[0]):
+        number, model, width, height = struct.unpack_from("<iiQQ", data, at)
+        params = struct.unpack_from(f"<{MODELS[names[model]]}d", data, at + 24)
+        at += 24 + 8 * len(params)
+        yield number, ColmapCamera(names[model], width, height, params)
+
+
+def _cameras_text(lines: list[str]) -> Iterator[tuple[int, ColmapCamera]]:
+    for line in filter(str.strip, lines):
+        number, model, width, height, *params = line.split()
+        if len(params) != MODELS.get(model):
+            raise ValueError(f"camera model {model} with {len(params)} parameters")
+        yield int(number), ColmapCamera(model, int(width), int(height), tuple(float(p) for p in params))
+
+
+def _images_binary(data: bytes) -> Iterator[ColmapImage]:
+    at = 8
+    for _ in range(struct.unpack_from("<Q", data)[0]):
+        _, *pose, camera = struct.unpack_from("<i7di", data, at)
+        end = data.index(b"\0", at + 64, at + 64 + _LONGEST_NAME)
+        name = data[at + 64 : end].decode("utf-8")
+        seen = struct.unpack_from("<Q", data, end + 1)[0]
+        at = end + 9 + 24 * seen
+        if at > len(data):
+            raise ValueError("truncated")
+        yield ColmapImage(name, camera, _pose(pose))
+
+
+def _images_text(lines: list[str]) -> Iterator[ColmapImage]:
+    """Two lines an image; the second (its points) may be empty."""
+    for line in lines[::2]:
+        if line.strip():
+            _, *pose, camera, name = line.split(maxsplit=9)
+            yield ColmapImage(name.strip(), int(camera), _pose([float(word) for word in pose]))
+
+
+def _pose(numbers: list[float]) -> Array:
+    """Return T_world_cam of qw, qx, qy, qz and t, which map the world to the camera."""
+    w, *xyz = numbers[:4]
+    return inverse(transform(Rotation.from_quat([*xyz, w]).as_matrix(), numbers[4:7]))
+
+
+def _points_binary(data: bytes) -> Iterator[tuple[float, ...]]:
+    at = 8
+    for _ in range(struct.unpack_from("<Q", data)[0]):
+        _, x, y, z, r, g, b, _, track = struct.unpack_from("<Q3d3BdQ", data, at)
+        at += 51 + 8 * track
+        if at > len(data):
+            raise ValueError("truncated")
+        yield x, y, z, r, g, b
+
+
+def _points_text(lines: list[str]) -> Iterator[tuple[float, ...]]:
+    for line in filter(str.strip, lines):
+        yield tuple(float(word) for word in line.split(maxsplit=7)[1:7])
