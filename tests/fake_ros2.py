@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import BPoly
 
-from anther.drivers._priority import served_first
+from anther.drivers._streamed import served_first
 from anther.geometry import Array
 
 CLOCK = 3.7  # s by which the robot's clock is ahead

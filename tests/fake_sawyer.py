@@ -15,7 +15,7 @@ import numpy as np
 
 from anther.arm import sawyer
 from anther.devices import JointTrajectory
-from anther.drivers._priority import served_first
+from anther.drivers._streamed import served_first
 from anther.drivers.intera import types
 from anther.drivers.ros1 import Node
 from anther.geometry import Array

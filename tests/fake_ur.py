@@ -17,7 +17,7 @@ from small_planner import SmallPlanner
 
 from anther.arm.arms import named
 from anther.devices import Arm, JointTrajectory
-from anther.drivers._priority import served_first
+from anther.drivers._streamed import served_first
 from anther.drivers.ur_controller import Controller
 from anther.drivers.ur_rtde import UniversalRobot
 from anther.geometry import Array

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from anther.devices import LEAD, JointTrajectory
-from anther.drivers._priority import BESIDE, PRIORITY, served_first
-from anther.drivers._reference import Reference
+from anther.drivers._streamed import BESIDE, PRIORITY, Reference, served_first
 
 
 @pytest.fixture(autouse=True)

@@ -29,7 +29,7 @@ from anther.arm.model import outline
 from anther.cells import _parts, read_cell
 from anther.devices import Arm, ArmSample, DeviceError, JointTrajectory
 from anther.drivers import _streamed, ros2
-from anther.drivers._reference import Reference
+from anther.drivers._streamed import Reference
 from anther.errors import InputError, MissingExtra, StageFailure
 from anther.safety import GuardedArm
 
@@ -145,7 +145,7 @@ def test_nothing_is_said_before_anything_moves(arm: ros2.JointTrajectoryArm, rob
     arm.hold()
     sleep(0.2)
     assert robot.heard == []
-    assert arm.readings.offset == pytest.approx(-CLOCK, abs=0.05)
+    assert arm.readings.clock.offset == pytest.approx(-CLOCK, abs=0.05)
     assert any("contact is not felt" in line for line in arm.seen())
 
 

@@ -100,7 +100,7 @@ def test_what_the_robot_is_set_to_before_anything_moves(arm: Sawyer, robot: Fake
     sleep(0.2)
     assert (robot.ratio, robot.timeout) == (0.1, 0.03)
     assert robot.heard == []
-    assert arm.readings.offset == pytest.approx(-CLOCK, abs=0.05)
+    assert arm.readings.clock.offset == pytest.approx(-CLOCK, abs=0.05)
 
 
 def test_in_position_mode_the_arm_takes_its_time(master: str, robot: FakeSawyer) -> None:

@@ -18,7 +18,7 @@ from served_world import World
 from anther.arm.model import ArmModel
 from anther.devices import Frame
 from anther.drivers import _franka_loop, free_running, realsense
-from anther.drivers._reference import Reference
+from anther.drivers._streamed import Reference
 from anther.drivers.franka import Franka, open_franka
 from anther.drivers.intera import types
 from anther.drivers.robotiq import Robotiq2F, open_line

@@ -25,9 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from anther.devices import LEAD, JointTrajectory
-from anther.drivers._priority import served_first
-from anther.drivers._reference import Reference, braking
-from anther.drivers._streamed import SETTLE
+from anther.drivers._streamed import SETTLE, Reference, braking, served_first
 from anther.geometry import Array
 
 CYCLE = 1e-3

@@ -1,18 +1,264 @@
-"""What arms have in common that are told again and again where to be: one loop that commands, reads and watches."""
+"""What arms have in common that are told again and again where to be: one loop that commands, reads and watches.
+
+Threads that must not wait are served first; what a robot tells is put in order, on this machine's clock; what is to be
+done next is asked for in time. J joints.
+"""
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
-from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.drivers._priority import quick_turns, served_first
-from anther.drivers._readings import Readings
-from anther.drivers._reference import Reference
+from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
 from anther.geometry import Array
+
+PRIORITY = 20
+"""Of Linux' real-time classes, 1 to 99: before all ordinary work, behind the kernel's own."""
+BESIDE = PRIORITY - 1
+"""Of all that shares Python's lock with such a thread: what has the lock and is not served keeps it waiting."""
+
+
+@contextmanager
+def served_first(priority: int = PRIORITY, *, threads_too: bool = False) -> Iterator[None]:
+    """Serve this thread before the machine's other work within the block, where the system allows it.
+
+    Linux asks for a limit `rtprio` (docs/real_robot.md) or root. Threads that are begun within are ordinary ones but
+    for `threads_too`.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        yield
+        return
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with suppress(OSError):
+        kind = os.SCHED_RR if threads_too else os.SCHED_RR | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, kind, os.sched_param(priority))
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.sched_setscheduler(0, *before)
+
+
+@contextmanager
+def quick_turns() -> Iterator[None]:
+    """Let Python's threads take turns every millisecond: commands do not wait for what thinks beside them."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-3)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
+
+
+STALE = 0.05
+"""Joints read longer ago than this are not believed [s]."""
+DRIFT = 1e-4
+"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
+
+
+class Reading(NamedTuple):
+    """Joints (J,) [rad] read at `time` [s] on this machine's clock, by the robot's stamp."""
+
+    time: float
+    joints: Array
+
+
+def check_fresh(age: float, stale: float = STALE) -> None:
+    """Refuse joints that were read longer ago than `stale` [s]."""
+    if not age <= stale:
+        given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * stale:.0f} ms"
+        raise DeviceError(f"{given}. Check network, robot, and both clocks; then start anew.")
+
+
+def check_told(joints: Array) -> Array:
+    """Return joints (J,) [rad] that are numbers."""
+    if not np.isfinite(joints).all():
+        raise DeviceError(f"joints: got {joints} rad. The arm does not tell where it is.")
+    return joints
+
+
+class RobotClock:
+    """A robot's clock, set behind this machine's by the message that came quickest.
+
+    Attributes:
+        offset: this machine's time less the robot's [s]; NaN before the first message.
+    """
+
+    def __init__(self) -> None:
+        self.offset = self._heard = float("nan")
+
+    def hear(self, stamp: float, arrival: float) -> None:
+        """Take the stamp of a message [s], and when it arrived on this machine's clock [s]."""
+        lag, drifted = arrival - stamp, self.offset + DRIFT * (arrival - self._heard)
+        self.offset = lag if np.isnan(drifted) else min(lag, drifted)
+        self._heard = arrival
+
+
+class Readings:
+    """The joints as they come in, put in order by their names.
+
+    Attributes:
+        last: the newest; None before the first.
+        trouble: why what comes in cannot be used; empty while it can.
+        others: names of the joints that came in without any of the arm's.
+        rate: readings a second, of the last hundred.
+        clock: the robot's.
+    """
+
+    def __init__(self, names: Sequence[str], clock: Callable[[], float]) -> None:
+        self.last: Reading | None = None
+        self.trouble, self.rate = "", float("nan")
+        self.others: tuple[str, ...] = ()
+        self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
+        self.clock = RobotClock()
+
+    def hear(self, message: Any) -> None:
+        """Take a sensor_msgs/JointState; one of other joints only is passed over."""
+        arrival, stamp = self._clock(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        places = {name: i for i, name in enumerate(message.name)}
+        if not any(name in places for name in self._names):
+            self.others = tuple(places)
+            return
+        missing = [name for name in self._names if name not in places]
+        if missing or len(places) != len(message.name) or len(message.position) != len(message.name):
+            told = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
+            self.trouble = f"joints: got {', '.join(message.name)}: {told}; allowed: {', '.join(self._names)}"
+            return
+        joints = np.array([message.position[places[name]] for name in self._names], dtype=float)
+        if not np.isfinite(joints).all():
+            self.trouble = f"joints: got {joints} rad"
+            return
+        self.clock.hear(stamp, arrival)
+        self._arrivals = [*self._arrivals[-99:], arrival]
+        if len(self._arrivals) > 1:
+            self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)
+        self.trouble = ""
+        if self.last is None or stamp + self.clock.offset > self.last.time:
+            self.last = Reading(stamp + self.clock.offset, joints)
+
+    def age(self) -> float:
+        """Return how old the newest is [s]; infinite before the first."""
+        return float("inf") if self.last is None else self._clock() - self.last.time
+
+    def newest(self, stale: float) -> Reading:
+        """Return the newest reading; refuse one that is older than `stale` [s], or cannot be used."""
+        if self.trouble:
+            raise DeviceError(f"{self.trouble}. Check the robot's description, and start anew.")
+        check_fresh(self.age(), stale)
+        assert self.last is not None
+        return self.last
+
+
+T = TypeVar("T")
+
+
+class Coming(Generic[T]):
+    """What comes next, asked for in a thread of its own, so that nothing waits for the answer.
+
+    Attributes:
+        over: whether nothing more can come.
+    """
+
+    def __init__(self, more: Callable[[], T | None] | None) -> None:
+        self.over, self._more = more is None, more
+        self._answer: Future[T | None] | None = None
+        self._pool = None if more is None else ThreadPoolExecutor(1)
+        if self._pool is not None:
+            self._pool.submit(lambda: None)  # its thread begins here, to be served as the process is
+
+    @property
+    def asked(self) -> bool:
+        """Whether an answer is waited for."""
+        return self._answer is not None
+
+    @property
+    def there(self) -> bool:
+        """Whether an answer is there."""
+        return self._answer is not None and self._answer.done()
+
+    def ask(self) -> None:
+        """Ask, but for an answer that is waited for."""
+        if self._pool is not None and self._more is not None and not self.over and not self.asked:
+            self._answer = self._pool.submit(self._more)
+
+    def take(self) -> T | None:
+        """Return the answer, or raise what the asking raised."""
+        assert self._answer is not None
+        answer, self._answer = self._answer.result(), None
+        self.over = answer is None
+        return answer
+
+    def close(self) -> None:
+        """Wait for no answer any more."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+class Reference:
+    """Joints, rates and accelerations over time [s] from 0 on.
+
+    What comes next is asked for `LEAD` before it is needed.
+    """
+
+    def __init__(self, first: JointTrajectory, more: More | None = None) -> None:
+        self._coming = Coming(more)
+        self._pieces: list[tuple[float, Any]] = []
+        self.ends = 0.0
+        self.join(first)
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing more can come."""
+        return self._coming.over
+
+    def look_ahead(self, t: float) -> None:
+        """Ask for what comes after the present end, and take it once it is there; refuse what comes too late."""
+        if self.whole:
+            return
+        if t >= self.ends - LEAD:
+            self._coming.ask()
+        if self._coming.there:
+            following = self._coming.take()
+            if following is not None:
+                self.join(following)
+        elif t >= self.ends:
+            raise DeviceError(f"the next motion comes too late: not within {LEAD:g} s. Look at what else runs here.")
+
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """Return joints, rates, accelerations, each (J,), at time t [s]; at rest before the begin and after the end."""
+        begin, curve = next((piece for piece in reversed(self._pieces) if piece[0] <= t), self._pieces[0])
+        inside = float(np.clip(t - begin, 0.0, curve.x[-1]))
+        if not 0 <= t < self.ends:
+            still = np.zeros(curve.c.shape[-1])
+            return curve(inside), still, still
+        return curve(inside), curve(inside, 1), curve(inside, 2)
+
+    def close(self) -> None:
+        """Wait for no answer any more."""
+        self._coming.close()
+
+    def join(self, motion: JointTrajectory) -> None:
+        """Take a motion that begins where the last one ends."""
+        curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
+        self._pieces = [*self._pieces[-1:], (self.ends, curve)]  # readings are a little older than commands
+        self.ends += motion.duration
+
+
+def braking(q: Array, rate: Array, acceleration: Array) -> JointTrajectory:
+    """Return the straight way to rest (J,), from joints q at `rate`, with no more than `acceleration` of any joint."""
+    seconds = max(float((np.abs(rate) / acceleration).max()), 1e-3)
+    t = np.linspace(0, seconds, 20)[:, None]
+    return JointTrajectory(t[:, 0], q + rate * t * (1 - t / (2 * seconds)), rate * (1 - t / seconds))
+
 
 SETTLE = 0.1
 """The end of a motion is commanded for so long before it counts as over [s]."""
@@ -38,6 +284,7 @@ class StreamedArm(ABC):
         silence: float,
         clock: Callable[[], float],
         sleep: Callable[[float], None],
+        shown: float = 0.0,
     ) -> None:
         """Nothing is heard or said yet.
 
@@ -47,10 +294,11 @@ class StreamedArm(ABC):
             stale: joints older than this are not believed [s].
             silence: a motion ends where two commands are further apart [s].
             clock, sleep: [s]; the clock that readings are told on.
+            shown: readings go to the watcher no closer than this [s].
         """
         self.readings = Readings(names, clock)
         self._names, self._period, self._stale, self._silence = tuple(names), 1 / rate, stale, silence
-        self._clock, self._sleep = clock, sleep
+        self._clock, self._sleep, self._shown = clock, sleep, shown
         self._force = (float("-inf"), float("nan"))  # when [s] and how much [N]
 
     @abstractmethod
@@ -70,22 +318,14 @@ class StreamedArm(ABC):
         """Command joints (J,) at which the arm then stays without being told again."""
 
     def joints(self) -> Array:
-        """Return the measured joint angles (J,) [rad].
-
-        Raises:
-            DeviceError: they are stale, or cannot be read.
-        """
+        """Return the measured joint angles (J,) [rad]; refuse stale ones."""
         return self.readings.newest(self._stale).joints.copy()
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
-        """Follow a trajectory as `anther.devices.Arm` says; commands go on while `more` is thought about.
-
-        Raises:
-            DeviceError: the arm cannot move, is stopped, says nothing, or the commands came too late; it holds.
-        """
+        """Follow a trajectory as `anther.devices.Arm` says; commands go on while `more` is thought about."""
         samples, reference = list[ArmSample](), Reference(trajectory, more)
         try:
-            self.check_able()
+            self._begin(trajectory)
             with quick_turns(), served_first():
                 self._stream(reference, watch, samples)
         except BaseException:
@@ -96,15 +336,15 @@ class StreamedArm(ABC):
         return ArmRecord.of(samples)
 
     def check_able(self) -> None:
-        """Check that the arm can be moved and is heard.
-
-        Raises:
-            DeviceError: why not.
-        """
+        """Check that the arm can be moved and is heard."""
         why = self.cannot()
         if why:
             raise DeviceError(f"the arm cannot move: {why}.")
         self.joints()
+
+    def _begin(self, trajectory: JointTrajectory) -> None:
+        """Check that a motion may begin."""
+        self.check_able()
 
     def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
         last = begin = due = self._clock()
@@ -118,14 +358,14 @@ class StreamedArm(ABC):
             self._aim(reference, now - begin)
             last = now
             self.check_able()
-            reading = self.readings.last
-            if reading is not None and reading.time > seen:
+            reading, over = self.readings.last, reference.whole and now - begin >= reference.ends + SETTLE
+            if reading is not None and reading.time > seen and (over or reading.time >= seen + self._shown):
                 seen = reading.time
                 wanted = reference.at(seen - begin)[0]
                 samples.append(ArmSample(seen, wanted, reading.joints, self._felt(now)))
                 if watch:
                     watch(samples[-1])
-            if reference.whole and now - begin >= reference.ends + SETTLE:
+            if over:
                 break
             due = max(due + self._period, now)
             self._sleep(max(due - self._clock(), 0))
@@ -144,7 +384,7 @@ class StreamedArm(ABC):
         r = self.readings
         return (
             f"{r.rate:.0f} readings a second, the newest {1e3 * r.age():.0f} ms old; its clock is "
-            f"{-1e3 * (r.offset - self._clock() + time.time()):+.0f} ms ahead of this machine's"
+            f"{-1e3 * (r.clock.offset - self._clock() + time.time()):+.0f} ms ahead of this machine's"
         )
 
     def _wait(self, done: Callable[[], bool], what: str, ask: Callable[[], None] = lambda: None) -> None:

@@ -12,15 +12,14 @@ import signal
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, SafetyLimits, Watch
-from anther.drivers._priority import BESIDE, served_first
-from anther.errors import AntherError, InputError, StageFailure
+from anther.drivers._streamed import BESIDE, Coming, served_first
+from anther.errors import AntherError
 from anther.geometry import Array
 from anther.safety import GuardedArm
 
@@ -60,16 +59,16 @@ class ArmApart:
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """See `anther.devices.Arm`; `watch` is called as soon as this process comes to it."""
-        pool = ThreadPoolExecutor(1)
+        coming = Coming(more)
         with self._lock:
             self._say("follow", trajectory, more is not None)
             try:
-                heard = self._until_it_ends(watch, lambda: pool.submit(more or (lambda: None)))
+                heard = self._until_it_ends(watch, coming)
             except BaseException:
                 self._stop()
                 raise
             finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+                coming.close()
         return self._done(heard)
 
     def hold(self) -> None:
@@ -91,24 +90,20 @@ class ArmApart:
             self._process.kill()
         self._pipe.close()
 
-    def _until_it_ends(
-        self, watch: Watch | None, ask: Callable[[], Future[JointTrajectory | None]]
-    ) -> tuple[str, Any] | None:
+    def _until_it_ends(self, watch: Watch | None, coming: Coming[JointTrajectory]) -> tuple[str, Any] | None:
         """Show the readings to `watch` and pass on what comes next; return how the motion ended."""
-        coming: Future[JointTrajectory | None] | None = None
         while True:
-            if coming is not None and coming.done():
-                self._say("next", coming.result())
-                coming = None
-            heard = self._hear(ANSWER if coming is None else 0.005)
+            if coming.there:
+                self._say("next", coming.take())
+            heard = self._hear(0.005 if coming.asked else ANSWER)
             match heard:
                 case ("sample", sample):
                     self._say("seen", sample.time)
                     if watch:
                         watch(sample)
                 case ("more", _):
-                    coming = ask()
-                case None if coming is not None:
+                    coming.ask()
+                case None if coming.asked:
                     pass
                 case _:
                     return heard
@@ -140,7 +135,7 @@ class ArmApart:
             raise DeviceError(f"the arm's own process says nothing for {ANSWER:g} s. Look at the arm, and start anew.")
         what, value = heard
         if what == "failed":
-            raise _error(*value)
+            raise value
         return value
 
 
@@ -237,16 +232,6 @@ def _serve(
             getattr(arm, "close", lambda: None)()
 
 
-def _told(error: Exception) -> tuple[str, str, str]:
-    """Return an error in words that every process can read: class, kind, message."""
-    if isinstance(error, DeviceError):
-        return "device", "", str(error)
-    if isinstance(error, StageFailure):
-        return "stage", error.kind, str(error)
-    return "input" if isinstance(error, AntherError) else "other", "", str(error) or type(error).__name__
-
-
-def _error(what: str, kind: Any, message: str) -> AntherError:
-    if what == "stage":
-        return StageFailure(kind, message)
-    return InputError(message) if what == "input" else DeviceError(message)
+def _told(error: Exception) -> AntherError:
+    """Return an error that every process can read: one of a driver's own library in words."""
+    return error if isinstance(error, AntherError) else DeviceError(str(error) or type(error).__name__)

@@ -15,7 +15,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -25,8 +24,7 @@ import numpy as np
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
 from anther.drivers._franka_loop import SHOWN, Told
-from anther.drivers._priority import quick_turns, served_first
-from anther.drivers._readings import STALE, RobotClock
+from anther.drivers._streamed import STALE, Coming, RobotClock, check_fresh, check_told, quick_turns, served_first
 from anther.errors import MissingExtra, bad_input
 from anther.geometry import Array
 
@@ -90,31 +88,23 @@ class Franka:
             raise
 
     def joints(self) -> Array:
-        """Return the measured joint angles (J,) [rad].
-
-        Raises:
-            DeviceError: they stay stale, or are no numbers.
-        """
+        """Return the measured joint angles (J,) [rad]; refuse those that stay stale, or are no numbers."""
         return self._read_fresh().joints
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
-        """Follow a trajectory as `anther.devices.Arm` says; the loop goes on while `more` is thought about.
-
-        Raises:
-            DeviceError: the arm cannot move, is stopped, says nothing, or is not where the motion begins; it holds.
-        """
-        samples, pool = list[ArmSample](), ThreadPoolExecutor(1)
+        """Follow a trajectory as `anther.devices.Arm` says; the loop goes on while `more` is thought about."""
+        samples, coming = list[ArmSample](), Coming(more)
         try:
             self._check_start(trajectory)
             with quick_turns(), served_first():
                 self._say("move", trajectory, more is not None)
                 self._moves = True
-                self._until_it_ends(watch, lambda: pool.submit(more or (lambda: None)), samples)
+                self._until_it_ends(watch, coming, samples)
         except BaseException:
             self.hold()
             raise
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            coming.close()
         return ArmRecord.of(samples)
 
     def hold(self) -> None:
@@ -144,11 +134,7 @@ class Franka:
         ]
 
     def enable(self) -> None:
-        """Recover from a reflex. The arm holds where it is. The user stop is released, and joints unlocked, by hand.
-
-        Raises:
-            DeviceError: what only a person can do is to be done first, or the robot does not recover.
-        """
+        """Recover from a reflex. The arm holds where it is. The user stop is released, and joints unlocked, by hand."""
         told = self._read()
         if told.mode == "Reflex" or (told.mode == "Idle" and told.errors):
             self._ask("recover")
@@ -175,20 +161,16 @@ class Franka:
         if trajectory.positions.shape[1] != JOINTS:
             raise DeviceError(f"the motion is one of {trajectory.positions.shape[1]} joints; allowed: {JOINTS}.")
 
-    def _until_it_ends(
-        self, watch: Watch | None, ask: Callable[[], Future[JointTrajectory | None]], samples: list[ArmSample]
-    ) -> None:
+    def _until_it_ends(self, watch: Watch | None, coming: Coming[JointTrajectory], samples: list[ArmSample]) -> None:
         """Show the readings to `watch`, and pass on what comes next."""
-        coming: Future[JointTrajectory | None] | None = None
         while True:
-            if coming is not None and coming.done():
-                self._say("next", coming.result())
-                coming = None
+            if coming.there:
+                self._say("next", coming.take())
             match self._hear(STALE if samples else ANSWER):
                 case ("state", told):
                     self._take(told, watch, samples)
                 case ("more", _):
-                    coming = ask()
+                    coming.ask()
                 case ("done", why):
                     self._moves = False
                     if why:
@@ -198,7 +180,7 @@ class Franka:
                     self._moves = False
                     raise DeviceError(f"the arm was stopped: {self._why(said)}.")
                 case _:
-                    raise DeviceError(f"{_old(STALE)}, or older. Check network and robot; then start anew.")
+                    check_fresh(np.inf)
 
     def _take(self, told: Told, watch: Watch | None, samples: list[ArmSample]) -> None:
         self._robot.hear(told.stamp, told.arrival)
@@ -231,10 +213,8 @@ class Franka:
         return self._clock() - told.stamp - self._robot.offset
 
     def _believed(self, told: Told) -> Told:
-        if not self._age(told) <= STALE:
-            raise DeviceError(f"{_old(self._age(told))}. Check network and robot; then start anew.")
-        if not np.isfinite(told.joints).all():
-            raise DeviceError(f"joints: got {told.joints} rad. The arm does not tell where it is.")
+        check_fresh(self._age(told))
+        check_told(told.joints)
         return told
 
     def _ask(self, *what: Any) -> Any:
@@ -326,7 +306,3 @@ def _reason(told: Told) -> str:
     if not why and told.errors:
         return MODES["Reflex"].format(errors=told.errors)
     return why.format(errors=told.errors or "no error told")
-
-
-def _old(age: float) -> str:
-    return f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * STALE:.0f} ms"

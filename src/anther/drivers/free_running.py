@@ -58,17 +58,12 @@ class Source(Protocol):
     def open(self) -> Intrinsics:
         """Begin to take frames, and return the camera that all of them are of; also after `close`.
 
-        Raises:
-            DeviceError: it cannot; nothing is left open.
+        Where it cannot (DeviceError), nothing is left open.
         """
         ...
 
     def next(self) -> Shot:
-        """Wait for the next frame.
-
-        Raises:
-            DeviceError: none came in `STALLED`, or the camera is gone.
-        """
+        """Wait for the next frame; DeviceError: none came in `STALLED`, or the camera is gone."""
         ...
 
     def close(self) -> None:
@@ -150,11 +145,7 @@ class FreeRunningCamera:
 
     @property
     def rates(self) -> tuple[float, ...]:
-        """At which a recording may be begun [1/s]: the rate that frames really have, and whole parts of it.
-
-        Raises:
-            DeviceError: the camera has stopped, or gives no two frames in `STALLED`.
-        """
+        """At which a recording may be begun [1/s]: the rate that frames really have, and whole parts of it."""
         self._wait_for(lambda: self._fault or len(self._times) > 1, STALLED)
         with self._news:
             self._refuse_if_stopped()
@@ -164,11 +155,7 @@ class FreeRunningCamera:
         return tuple(rate / n for n in PARTS)
 
     def read(self) -> Frame:
-        """Return the first frame taken from now on.
-
-        Raises:
-            DeviceError: the camera has stopped, or none came in `STALLED`.
-        """
+        """Return the first frame taken from now on."""
         asked = self._source.clock()
         with self._news:
             self._refuse_if_stopped()
@@ -185,11 +172,7 @@ class FreeRunningCamera:
             return self._latest
 
     def start(self, rate: float) -> None:
-        """Begin to record at `rate` frames per second [Hz], or as many as there are.
-
-        Raises:
-            DeviceError: the camera has stopped.
-        """
+        """Begin to record at `rate` frames per second [Hz], or as many as there are."""
         check_range("frame rate", rate, 0.1, 1000, "Hz")
         with self._news:
             self._refuse_if_stopped()
@@ -198,11 +181,7 @@ class FreeRunningCamera:
             self._period, self._due = 1 / rate, -np.inf
 
     def recorded(self, since: float) -> list[Frame]:
-        """Return the frames of the recording under way that were taken from `since` on [s], in order of time.
-
-        Raises:
-            DeviceError: there are none.
-        """
+        """Return the frames of the recording under way that were taken from `since` on [s], in order of time."""
         with self._news:
             if self._recording is None:
                 raise DeviceError("camera: it records nothing. Start it first.")
@@ -212,11 +191,7 @@ class FreeRunningCamera:
             return frames
 
     def stop(self) -> list[Frame]:
-        """End the recording and return its frames in order of time, of a long one the last; none if none was begun.
-
-        Raises:
-            DeviceError: all of them were lost.
-        """
+        """End the recording and return its frames in order of time, of a long one the last; none if none was begun."""
         with self._news:
             recording, self._recording = self._recording, None
             if recording is not None and not recording:

@@ -111,11 +111,7 @@ class IoDevice:
         return self._signals.get(signal, ("", None))[1]
 
     def set(self, signal: str, value: Any) -> None:
-        """Set a signal; return when the device says that it has done so.
-
-        Raises:
-            DeviceError: it has no such signal, or says nothing.
-        """
+        """Set a signal; return when the device says that it has done so."""
         if signal not in self._signals:
             known = ", ".join(self._signals) or "none: nothing was heard of it"
             raise DeviceError(f"I/O device {self._name}: no signal '{signal}'; it has {known}.")

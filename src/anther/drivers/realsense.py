@@ -110,11 +110,7 @@ class RealSense:
         return self._clock()
 
     def open(self) -> Intrinsics:
-        """Start both streams.
-
-        Raises:
-            DeviceError: no such camera, or it cannot do what is asked.
-        """
+        """Start both streams."""
         try:
             device = self._find()
             self._name = _told(device, self._rs.camera_info.name) or "RealSense"
@@ -131,11 +127,7 @@ class RealSense:
             raise
 
     def next(self) -> Shot:
-        """Wait for depth and colour of one time.
-
-        Raises:
-            DeviceError: none in `STALLED`.
-        """
+        """Wait for depth and colour of one time."""
         until = time.monotonic() + STALLED
         while time.monotonic() < until:
             try:

@@ -60,21 +60,13 @@ class RethinkGripper:
         return self.state()
 
     def state(self) -> GripperState:
-        """Return the present state.
-
-        Raises:
-            DeviceError: see `move`.
-        """
+        """Return the present state."""
         self._check_able()
         opening, force, held = (self._io.value(n) for n in ("position_response_m", "force_response_n", "is_gripping"))
         return GripperState(float(opening), float(force or 0.0), bool(held))
 
     def enable(self) -> None:
-        """Calibrate it and choose its slowest speed: it closes and opens all the way. Keep hands and plants out.
-
-        Raises:
-            DeviceError: it does not get through.
-        """
+        """Calibrate it and choose its slowest speed: it closes and opens all the way. Keep hands and plants out."""
         if self._io.value("has_error"):
             self._io.set("reboot", True)
         self._io.set("calibrate", True)

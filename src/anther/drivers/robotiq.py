@@ -145,22 +145,14 @@ class Robotiq2F:
         return self.state()
 
     def state(self) -> GripperState:
-        """Return the present state; the force is the one it was set to, where it met something while closing.
-
-        Raises:
-            DeviceError: see `move`.
-        """
+        """Return the present state; the force is the one it was set to, where it met something while closing."""
         status, (opened, closed) = self._able(), self.counts
         share = (closed - status.position) / (closed - opened)
         held = status.met == MET_CLOSING
         return GripperState(self.stroke * min(max(share, 0.0), 1.0), self.force if held else 0.0, held)
 
     def enable(self) -> None:
-        """Activate it: it opens and closes all the way, twice. Keep hands and plants out. Measures `counts`.
-
-        Raises:
-            DeviceError: it does not get through.
-        """
+        """Activate it: it opens and closes all the way, twice. Keep hands and plants out. Measures `counts`."""
         self._write(0, 0)
         self._sleep(POLL)
         self._write(ACTIVATE, 0)
@@ -175,11 +167,7 @@ class Robotiq2F:
         self.counts = (opened, closed)
 
     def status(self) -> Status:
-        """Return what its registers say.
-
-        Raises:
-            DeviceError: it says nothing.
-        """
+        """Return what its registers say."""
         answer = self._asked(lambda: self._line.read_input_registers(STATUS, count=3, device_id=self._device))
         first, second, third = answer.registers
         bits = first >> 8

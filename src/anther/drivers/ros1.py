@@ -20,7 +20,7 @@ from xmlrpc.client import ServerProxy, Transport
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 from anther.devices import DeviceError
-from anther.drivers._priority import served_first
+from anther.drivers._streamed import served_first
 from anther.errors import MissingExtra, bad_input
 
 PATIENCE = 3.0
@@ -91,30 +91,18 @@ class Node:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def subscribe(self, topic: str, kind: str, hear: Hear) -> None:
-        """Call `hear` with every message of a topic, from another thread.
-
-        Raises:
-            DeviceError: the master does not answer.
-        """
+        """Call `hear` with every message of a topic, from another thread."""
         self._heard[topic] = (kind, hear, set())
         self._connect(topic, self._ask("registerSubscriber", topic, _ros_name(kind), self.uri))
 
     def publisher(self, topic: str, kind: str, *, latch: bool = False) -> Publisher:
-        """Return what publishes a topic; with `latch` later readers are given the last message.
-
-        Raises:
-            DeviceError: the master does not answer.
-        """
+        """Return what publishes a topic; with `latch` later readers are given the last message."""
         self._said[topic] = Publisher(self.types, topic, kind, self._name, latch=latch)
         self._ask("registerPublisher", topic, _ros_name(kind), self.uri)
         return self._said[topic]
 
     def parameter(self, key: str) -> Any:
-        """Return a parameter of the server; None if it has none of that name.
-
-        Raises:
-            DeviceError: the master does not answer.
-        """
+        """Return a parameter of the server; None if it has none of that name."""
         code, _, value = self._call("getParam", key)
         return value if code == 1 else None
 

@@ -12,17 +12,14 @@ import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.checks import check_array, check_range
 from anther.devices import DeviceError
-from anther.drivers._priority import served_first
-from anther.drivers._readings import STALE
-from anther.drivers._reference import Reference, braking
-from anther.drivers._streamed import NEAR, StreamedArm
+from anther.drivers._streamed import NEAR, STALE, Reference, StreamedArm, braking, served_first
 from anther.errors import MissingExtra, bad_input
 from anther.geometry import Array
 
@@ -36,42 +33,6 @@ GENTLE = 0.5
 """An arm that is to hold is given so long to come to where it holds [s]."""
 INSTALL = "Source your ROS 2, or run: pip install 'anther[ros2]'"
 TRAJECTORY, POINT = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/JointTrajectoryPoint"
-
-
-class Publisher(Protocol):
-    """What publishes a topic."""
-
-    def publish(self, message: Any) -> None:
-        """Publish a message."""
-        ...
-
-    def get_subscription_count(self) -> int:
-        """Return how many listen."""
-        ...
-
-
-class Wire(Protocol):
-    """What the arm needs of a node; `Node` is one."""
-
-    def subscribe(self, topic: str, kind: str, hear: Callable[[Any], None]) -> None:
-        """Call `hear` with every message of a topic, from another thread."""
-        ...
-
-    def publisher(self, topic: str, kind: str) -> Publisher:
-        """Return what publishes a topic."""
-        ...
-
-    def publishers(self, topic: str) -> int:
-        """Return how many publish a topic."""
-        ...
-
-    def make(self, kind: str, **fields: Any) -> Any:
-        """Return a message, such as of "sensor_msgs/msg/JointState"."""
-        ...
-
-    def close(self) -> None:
-        """End the node."""
-        ...
 
 
 class Node:
@@ -97,12 +58,14 @@ class Node:
         self._thread.start()
 
     def subscribe(self, topic: str, kind: str, hear: Callable[[Any], None]) -> None:
-        """See `Wire`. Publishers of every reliability are heard."""
+        """Call `hear` with every message of a topic, from another thread. Publishers of every reliability are heard."""
         with self._named():
             self._node.create_subscription(_kind(kind), topic, hear, _module("rclpy.qos").qos_profile_sensor_data)
 
-    def publisher(self, topic: str, kind: str) -> Publisher:
-        """See `Wire`. Reliable, and only the newest message is sent again: an old one would begin anew when it comes.
+    def publisher(self, topic: str, kind: str) -> Any:
+        """Return what publishes a topic.
+
+        It is reliable, and only the newest message is sent again: an old one would begin anew when it comes.
 
         Raises:
             InputError: no name of a topic.
@@ -111,15 +74,15 @@ class Node:
             return self._node.create_publisher(_kind(kind), topic, 1)
 
     def publishers(self, topic: str) -> int:
-        """See `Wire`."""
+        """Return how many publish a topic."""
         return self._node.count_publishers(topic)
 
     def make(self, kind: str, **fields: Any) -> Any:
-        """See `Wire`."""
+        """Return a message, such as of "sensor_msgs/msg/JointState"."""
         return _kind(kind)(**fields)
 
     def close(self) -> None:
-        """See `Wire`."""
+        """End the node."""
         self._rclpy.try_shutdown(context=self._context)
         self._thread.join(5)
         self._node.destroy_node()
@@ -203,7 +166,7 @@ class JointTrajectoryArm(StreamedArm):
 
     def __init__(
         self,
-        node: Wire,
+        node: Node,
         names: Sequence[str],
         acceleration: Array,
         *,

@@ -11,9 +11,7 @@ import numpy as np
 from anther.arm import sawyer
 from anther.checks import check_range
 from anther.devices import DeviceError
-from anther.drivers._readings import STALE
-from anther.drivers._reference import Reference, braking
-from anther.drivers._streamed import NEAR, StreamedArm
+from anther.drivers._streamed import NEAR, STALE, Reference, StreamedArm, braking
 from anther.drivers.intera import IoDevice
 from anther.drivers.ros1 import Node
 from anther.geometry import Array
@@ -136,11 +134,7 @@ class Sawyer(StreamedArm):
         ]
 
     def enable(self) -> None:
-        """Switch the motors on; after a stop that was released, reset it first. The arm holds where it is.
-
-        Raises:
-            DeviceError: the stop button is still pressed, or the robot does not obey.
-        """
+        """Switch the motors on; after a stop that was released, reset it first. The arm holds where it is."""
         if self._state.stopped or self._state.error:
             if self._state.estop_button == self._state.ESTOP_BUTTON_PRESSED:
                 raise DeviceError(
@@ -153,11 +147,7 @@ class Sawyer(StreamedArm):
         self._sent = None
 
     def disable(self) -> None:
-        """Switch the motors off: the brakes hold the arm.
-
-        Raises:
-            DeviceError: the robot does not obey.
-        """
+        """Switch the motors off: the brakes hold the arm."""
         self._switch(False)
 
     def close(self) -> None:

@@ -10,15 +10,13 @@ import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from anther.devices import DeviceError
-from anther.drivers._readings import STALE, RobotClock
+from anther.drivers._streamed import Reading, RobotClock, check_fresh, check_told
 from anther.errors import MissingExtra
-from anther.geometry import Array
 
 WAITING, POWERING = 5.0, 60.0
 """The controller answers within the first; motors are on and brakes released within the second [s]."""
@@ -34,15 +32,6 @@ MODES = ("disconnected", "confirm safety", "booting", "power off", "power on", "
 STOPPED, PLAYING, PAUSING = 1, 2, 3
 """Runtime states of a program; PAUSING and more: it is held up, and may go on."""
 REMOTE = "it is not in remote control: switch it from Local to Remote on the pendant, at the top right"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ControllerReading:
-    """Joints (J,) [rad] and force [N] read at `time` [s] on this machine's clock, by the controller's stamp."""
-
-    time: float
-    joints: Array
-    force: float
 
 
 class Controller:
@@ -90,21 +79,11 @@ class Controller:
         """Commands that it takes a second: a CB3 (PolyScope 3) 125, later ones 500."""
         return 125.0 if self.version[0] <= 3 else 500.0
 
-    def read(self) -> ControllerReading:
-        """Return what was measured last, and set the clocks by it.
-
-        Raises:
-            DeviceError: it is stale, or no numbers.
-        """
+    def read(self) -> tuple[Reading, list[float]]:
+        """Return what was measured last, joints (J,) and force on the hand (x, y, z) [N]; set the clocks by it."""
         stamp, joints, force = self._state()
-        age = self._set_clocks(stamp) - stamp - self._robot.offset
-        if not age <= STALE:
-            given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * STALE:.0f} ms"
-            raise DeviceError(f"{given}. Check network and controller; then start anew.")
-        q = np.array(joints, dtype=float)
-        if not np.isfinite(q).all():
-            raise DeviceError(f"joints: got {q} rad. The arm does not tell where it is.")
-        return ControllerReading(stamp + self._robot.offset, q, float(np.linalg.norm(force[:3])))
+        check_fresh(self._set_clocks(stamp) - stamp - self._robot.offset)
+        return Reading(stamp + self._robot.offset, check_told(np.array(joints, dtype=float))), force[:3]
 
     def stopped(self) -> str:
         """Return what keeps the arm from moving at all; empty if nothing does."""
@@ -138,9 +117,6 @@ class Controller:
         """Release a protective stop, switch the motors on, release the brakes.
 
         A program that was held up is stopped first, so that nothing goes on by itself.
-
-        Raises:
-            DeviceError: a stop that only a person can release, or the controller does not obey.
         """
         says = self.receive
         if says.isEmergencyStopped():
@@ -161,20 +137,12 @@ class Controller:
             self.wait(lambda: says.getRobotMode() == RUNNING, "does not release its brakes", POWERING)
 
     def disable(self) -> None:
-        """Switch the motors off: the brakes hold the arm.
-
-        Raises:
-            DeviceError: the controller does not obey.
-        """
+        """Switch the motors off: the brakes hold the arm."""
         self.ask("powerOff")
         self.wait(lambda: self.receive.getRobotMode() <= POWER_OFF, "does not switch its motors off")
 
     def ask(self, name: str) -> Any:
-        """Return what the dashboard server answers. It is connected each time: an idle line may be dropped.
-
-        Raises:
-            DeviceError: it does not answer, or refuses.
-        """
+        """Return what the dashboard server answers. It is connected each time: an idle line may be dropped."""
         try:
             self._dashboard.connect()
             return getattr(self._dashboard, name)()
@@ -184,11 +152,7 @@ class Controller:
             self._dashboard.disconnect()
 
     def wait(self, done: Callable[[], bool], what: str, seconds: float = WAITING) -> None:
-        """Wait until something is so.
-
-        Raises:
-            DeviceError: it is not, within `seconds`; `what` says what the controller does not do.
-        """
+        """Wait until something is so."""
         until = time.monotonic() + seconds
         while not done():
             if time.monotonic() > until:
@@ -197,11 +161,11 @@ class Controller:
 
     def _state(self) -> tuple[float, list[float], list[float]]:
         says = self.receive
-        for _ in range(3):  # the library takes in states between two calls; all is to be of one
+        for _ in range(4):  # the library takes in states between two calls; all is to be of one
             state = says.getTimestamp(), says.getActualQ(), says.getActualTCPForce()
             if says.getTimestamp() == state[0]:
-                return state
-        return says.getTimestamp(), says.getActualQ(), says.getActualTCPForce()
+                break
+        return state
 
     def _set_clocks(self, stamp: float) -> float:
         """Return the time on this machine's clock [s]; a new stamp sets the controller's behind it."""

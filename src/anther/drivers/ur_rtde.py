@@ -16,12 +16,9 @@ from typing import Any
 import numpy as np
 
 from anther.checks import check_range
-from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.drivers._priority import quick_turns, served_first
-from anther.drivers._readings import STALE
-from anther.drivers._reference import Reference, braking
-from anther.drivers._streamed import SETTLE
-from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller, ControllerReading
+from anther.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
+from anther.drivers._streamed import NEAR, SETTLE, STALE, Reading, Reference, StreamedArm, braking
+from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller
 from anther.geometry import Array
 
 SILENCE = 0.03
@@ -31,15 +28,13 @@ WATCHDOG = 20.0
 lives brakes first."""
 SHOWN = 0.008
 """Readings go to the watcher this far apart [s]: 125 a second, whatever the controller's rate."""
-NEAR = 0.05
-"""No motion begins further than this from where the arm is [rad]: servoJ has no speed limit of its own."""
 UNUSED = 0.5
 """servoJ takes a speed and an acceleration and uses neither."""
 ENDED = "Anther's program on it was stopped, on the pendant or by the watchdog: look why, then start anew"
 PAUSED = "its program was paused on the pendant: stop it there, then start anew"
 
 
-class UniversalRobot:
+class UniversalRobot(StreamedArm):
     """An arm streamed to by servoJ. It must have been enabled, see `enable`."""
 
     def __init__(
@@ -75,7 +70,7 @@ class UniversalRobot:
         check_range("rate", 500 if rate is None else rate, 100, 500, "commands a second")
         check_range("lookahead", lookahead, 0.03, 0.2, "s")
         check_range("gain", gain, 100, 2000)
-        self._names, self._acceleration, self._clock, self._sleep = tuple(names), acceleration, clock, sleep
+        self._acceleration = acceleration
         self._lookahead, self._gain = lookahead, gain
         self._control: Any = None
         self._sent: tuple[Array, Array] | None = None
@@ -85,7 +80,16 @@ class UniversalRobot:
             if rate is not None and rate > self._at.rate:
                 given = f"rate: got {rate:g} commands a second; allowed: <= {self._at.rate:g}"
                 raise DeviceError(f"{given}. This controller is a CB3: leave rate out.")
-            self._period = 1 / (rate or self._at.rate)
+            period = 1 / (rate or self._at.rate)
+            super().__init__(
+                names,
+                rate=1 / period,
+                stale=STALE,
+                silence=SILENCE,
+                clock=clock,
+                sleep=sleep,
+                shown=SHOWN - period / 2,
+            )
             self.joints()
             self._renew()
         except BaseException:
@@ -93,33 +97,20 @@ class UniversalRobot:
             raise
 
     def joints(self) -> Array:
-        """Return the measured joint angles (J,) [rad].
-
-        Raises:
-            DeviceError: they are stale, of another count, or no numbers.
-        """
+        """Return the measured joint angles (J,) [rad]; refuse stale ones, another count, and what is no numbers."""
         return self._read().joints
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
-        """Follow a trajectory as `anther.devices.Arm` says; commands go on while `more` is thought about.
-
-        Raises:
-            DeviceError: the arm cannot move, is stopped, is slowed down, says nothing, is not where the motion begins,
-                or the commands came too late; it holds.
-        """
-        samples, reference = list[ArmSample](), Reference(trajectory, more)
-        try:
-            self._begin(trajectory.positions[0])
-            with quick_turns(), served_first():
-                self._stream(reference, watch, samples)
-            self._end()
-        except BaseException:
-            self.hold()
-            raise
-        finally:
-            reference.close()
+        """Follow a trajectory as `anther.devices.Arm` says; commands go on while `more` is thought about."""
+        record = super().follow(trajectory, watch, more)
         self._renew()
-        return ArmRecord.of(samples)
+        return record
+
+    def check_able(self) -> None:
+        """Take the newest reading, and check that nothing stops or slows the arm."""
+        self._read()
+        if why := self._halted() or self._at.slowed():
+            raise DeviceError(f"the arm was stopped: {why}.")
 
     def hold(self) -> None:
         """Brake if it moves, and end the program; the controller then holds the arm. At rest nothing is to be done."""
@@ -149,26 +140,18 @@ class UniversalRobot:
             f"{self._at.model}, PolyScope {version[0]}.{version[1]}; the newest joints are "
             f"{1e3 * (self._clock() - reading.time):.0f} ms old",
             f"commands: {1 / self._period:g} a second, lookahead {self._lookahead:g} s, gain {self._gain:g}; "
-            f"force {reading.force:.1f} N",
+            f"force {self._felt(self._clock()):.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
 
     def enable(self) -> None:
-        """Release a protective stop, switch the motors on, release the brakes. The arm holds where it is.
-
-        Raises:
-            DeviceError: a stop that only a person can release, or the controller does not obey.
-        """
+        """Release a protective stop, switch the motors on, release the brakes. The arm holds where it is."""
         self._forget()
         self._at.enable()
         self._renew()
 
     def disable(self) -> None:
-        """Switch the motors off: the brakes hold the arm.
-
-        Raises:
-            DeviceError: the controller does not obey.
-        """
+        """Switch the motors off: the brakes hold the arm."""
         self._forget()
         self._at.disable()
 
@@ -180,52 +163,36 @@ class UniversalRobot:
             self._forget()
             self._at.receive.disconnect()
 
-    def _read(self) -> ControllerReading:
-        reading = self._at.read()
+    def _read(self) -> Reading:
+        reading, force = self._at.read()
         if len(reading.joints) != len(self._names):
             given = f"joints: the robot has {len(reading.joints)}; allowed: {len(self._names)}, the arm model's"
             raise DeviceError(f"{given}. Name the robot's model under [arm].")
+        self.readings.last = reading
+        self._feel(*force)
         return reading
 
-    def _begin(self, start: Array) -> None:
-        """Check that a motion may begin at joints (J,), and set its program's watchdog."""
+    def _begin(self, trajectory: JointTrajectory) -> None:
+        """Check that a motion may begin, and set its program's watchdog."""
         if self._control is None:
             self._renew()
         why = self.cannot()
         if why or self._control is None:
             raise DeviceError(f"the arm cannot move: {why or ENDED}.")
-        here = self.joints()
+        start, here = trajectory.positions[0], self.joints()
         far = float(np.abs(start - here).max()) if start.shape == here.shape else float("inf")
         if far > NEAR:
+            # servoJ has no speed limit of its own
             raise DeviceError(f"the motion begins {far:.3g} rad from where the arm is; allowed: {NEAR:g}. Plan anew.")
         self._sent = (here, np.zeros(len(here)))  # from here on `hold` has a watchdog to end
         if not self._control.setWatchdog(WATCHDOG):
             raise DeviceError("the controller does not set its watchdog. Look at its pendant.")
 
-    def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
-        last = begin = due = self._clock()
-        seen = begin - STALE
-        while True:
-            now = self._clock()
-            if now - last > SILENCE:
-                late = f"{1e3 * (now - last):.0f} ms after the one before; allowed: {1e3 * SILENCE:.0f} ms"
-                raise DeviceError(f"a command came {late}. Let nothing else run on this machine.")
-            reading = self._read()
-            if why := self._halted() or self._at.slowed():
-                raise DeviceError(f"the arm was stopped: {why}.")
-            reference.look_ahead(now - begin)
-            self._command(*reference.at(now - begin)[:2])
-            last = now
-            over = reference.whole and now - begin >= reference.ends + SETTLE
-            if reading.time >= seen + SHOWN - self._period / 2 or (over and reading.time > seen):
-                seen = reading.time
-                samples.append(ArmSample(seen, reference.at(seen - begin)[0], reading.joints, reading.force))
-                if watch:
-                    watch(samples[-1])
-            if over:
-                return
-            due = max(due + self._period, now)
-            self._sleep(max(due - self._clock(), 0))
+    def _aim(self, reference: Reference, t: float) -> None:
+        self._command(*reference.at(t)[:2])
+
+    def _rest(self, q: Array) -> None:
+        self._end()
 
     def _command(self, q: Array, rate: Array) -> None:
         """Tell joints (J,), which move at rates (J,)."""

@@ -84,11 +84,7 @@ class Uvc:
         return self._clock()
 
     def open(self) -> Intrinsics:
-        """Open the camera.
-
-        Raises:
-            DeviceError: there is none, or it gives images of another size.
-        """
+        """Open the camera."""
         if self._is_file and self._capture is not None:
             raise DeviceError(f"{self._name}: the video is at its end. Open it again.")
         self._capture = self._opener(self._source)
@@ -112,11 +108,7 @@ class Uvc:
         return self._intrinsics
 
     def next(self) -> Shot:
-        """Wait for the next frame.
-
-        Raises:
-            DeviceError: the camera is gone, or the file at its end.
-        """
+        """Wait for the next frame."""
         if not self._capture.grab():
             why = "the video is at its end" if self._is_file else "it gives no more frames. Check its cable"
             raise DeviceError(f"{self._name}: {why}.")

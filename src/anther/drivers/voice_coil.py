@@ -8,13 +8,13 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from anther.devices import LEAD, Arm, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
+from anther.drivers._streamed import Coming
 from anther.errors import InputError
 from anther.swing import Swing
 
@@ -32,19 +32,7 @@ STALLED = 0.5
 T = TypeVar("T")
 
 
-class Port(Protocol):
-    """A serial port, as pyserial's."""
-
-    def write(self, data: bytes, /) -> Any:
-        """Send bytes."""
-        ...
-
-    def readline(self) -> bytes:
-        """Return a line with its end, or what came of it until the port's own timeout: perhaps nothing."""
-        ...
-
-
-def open_port(name: str) -> Port:
+def open_port(name: str) -> Any:
     """Open a serial port at 115200 baud, such as "/dev/ttyACM0", "COM3" or pyserial's "loop://".
 
     Raises:
@@ -80,7 +68,7 @@ class VoiceCoil:
 
     def __init__(
         self,
-        port: Port,
+        port: Any,
         arm: Arm,
         *,
         clock: Callable[[], float] = time.monotonic,
@@ -89,7 +77,7 @@ class VoiceCoil:
         """Ask the motor who it is.
 
         Args:
-            port: where it is.
+            port: where it is, as pyserial's: `readline` returns what came of a line until its own timeout.
             arm: whose gripper it is in; it is read while the motor runs.
             clock, sleep: [s]; the robot's clock.
 
@@ -114,9 +102,6 @@ class VoiceCoil:
         """Move the pads as `anther.devices.Motor` says.
 
         `more` is asked in another thread, so that the motor goes on hearing that somebody watches.
-
-        Raises:
-            DeviceError: the motor refuses, stalls, stops by itself, does not answer, or the next piece came too late.
         """
         still, samples = self._arm.joints(), list[ArmSample]()
 
@@ -127,23 +112,19 @@ class VoiceCoil:
                 watch(samples[-1])
             return state
 
-        pool = ThreadPoolExecutor(1)
+        coming = Coming(more)
         try:
-            self._follow(first, beat, more, pool)
+            self._follow(first, beat, coming)
         except BaseException:
             with suppress(DeviceError):  # what went wrong first is what is reported; unheard, the motor stops by itself
                 self.stop()
             raise
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            coming.close()
         return ArmRecord.of(samples)
 
     def stop(self) -> None:
-        """Bring the pads to rest.
-
-        Raises:
-            DeviceError: the motor does not say that it stops. It does so by itself when it hears nothing.
-        """
+        """Bring the pads to rest."""
         self._ask("STOP", lambda words: words if words == ["OK", "STOP"] else None)
         self._amplitude = 0.0
 
@@ -151,38 +132,26 @@ class VoiceCoil:
         """Return what the motor's sensor read at the last heartbeat, see `anther.devices.Motor` [m]."""
         return self._amplitude
 
-    def _follow(
-        self, piece: Swing, beat: Callable[[], _State], more: MoreSwing | None, pool: ThreadPoolExecutor
-    ) -> None:
+    def _follow(self, piece: Swing, beat: Callable[[], _State], coming: Coming[Swing]) -> None:
         self._send(0, piece)
-        number, last, coming = 0, more is None, None
+        number = 0
         while True:
             began = self._clock()
             now = beat()
-            ended = now.state == "rest" and (piece.stops or last)
-            if ended and last:
+            ended = now.state == "rest" and (piece.stops or coming.over)
+            if ended and coming.over:
                 return
             if now.state != "swing" and not ended:
                 why = "what comes next came too late" if now.state == "rest" else f"it says: {now.state}"
                 raise DeviceError(f"the motor stopped on the way: {why}. Look at it, then start anew.")
             self._check_moves(piece, now)
-            left = piece.begin + piece.seconds - now.seconds
-            if coming is None and more and not last and now.piece == number and left <= LEAD:
-                coming = pool.submit(more)
-            piece, number, last, coming = self._next(piece, number, last, coming)
+            after = coming.take() if coming.there else None
+            if after is not None:
+                piece, number = after, number + 1
+                self._send(number, piece)
+            if now.piece == number and piece.begin + piece.seconds - now.seconds <= LEAD:
+                coming.ask()
             self._sleep(max(BEAT - (self._clock() - began), 0))
-
-    def _next(
-        self, piece: Swing, number: int, last: bool, coming: Future[Swing | None] | None
-    ) -> tuple[Swing, int, bool, Future[Swing | None] | None]:
-        """Send what comes next if it is there; return the last piece known, its number, and whether it is the last."""
-        if coming is None or not coming.done():
-            return piece, number, last, coming
-        after = coming.result()
-        if after is None:
-            return piece, number, True, None
-        self._send(number + 1, after)
-        return after, number + 1, False, None
 
     def _check_moves(self, piece: Swing, now: _State) -> None:
         """Raise where a steady tone is not followed."""
