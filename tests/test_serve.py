@@ -38,8 +38,7 @@ from anther.history import (
 )
 from anther.history._jobs import State
 from anther.plant import TOMATO
-from anther.serve import make_app
-from anther.serve._app import charts
+from anther.serve import charts, make_app
 
 NOW = datetime.now(UTC).replace(microsecond=0)
 TOKEN = "a token of the house"
@@ -262,7 +261,7 @@ def test_a_slow_page_holds_up_no_robot(where: str, tmp_path: Path, monkeypatch: 
         go_on.wait(60)
         return found
 
-    monkeypatch.setattr("anther.serve._app.overview.days", slowly)
+    monkeypatch.setattr("anther.serve.overview.days", slowly)
     pages, answers = client(where, tmp_path), []
     page = threading.Thread(target=lambda: answers.append(pages.get(f"/?day={NOW.date()}")))
     page.start()

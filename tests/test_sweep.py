@@ -25,7 +25,7 @@ from anther.commands import sweep_kinds
 from anther.errors import InputError
 from anther.history import Job, overview, reading
 from anther.sweep import _running, _working
-from anther.sweep._places import Disk, Store, place
+from anther.sweep._working import Disk, Store, place
 
 distributed = pytest.importorskip("distributed", reason="dask is not installed: pip install 'anther[sweep]'")
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -218,7 +218,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from test_sweep import squared
 from anther import sweep
-from anther.sweep._places import place
+from anther.sweep._working import place
 import boto3
 
 if __name__ == "__main__":

@@ -21,9 +21,8 @@ from anther.checks import check_range
 from anther.errors import InputError, MissingExtra, bad_input
 from anther.files import json_text, read_lines, understood
 from anther.history import Job, add_jobs, note_jobs, read_jobs
-from anther.sweep._places import INSTALL, Place, place
-from anther.sweep._running import Progress, carry_out
-from anther.sweep._working import Function, Order, forget_tries, versions
+from anther.sweep._running import carry_out, counted
+from anther.sweep._working import INSTALL, Function, Order, Place, forget_tries, place, versions
 
 __all__ = ["Function", "Job", "export", "read", "read_table", "run"]
 
@@ -78,15 +77,15 @@ def run(
     jobs |= {job.key: job for job in read_jobs(noted_in, uid) if job.key in jobs}
     for job in jobs.values():
         if again and job.state == "poison":
-            forget_tries(str(folder), job.key)
+            forget_tries(where, job.key)
             jobs[job.key] = replace(job, state="waiting", tries=0, reason=None)
     order = Order(function, _absolute(folder), uid, tries, deaths, versions(), pinned=scheduler is None)
-    with Progress(jobs.values(), quiet=quiet) as progress:
+    with counted(jobs.values(), quiet=quiet) as ended:
         waiting = [job for job in jobs.values() if job.state == "waiting"]
         for batch in carry_out(waiting, order, workers=workers, scheduler=scheduler):
             note_jobs(batch, noted_in, uid=uid)
             jobs |= {job.key: job for job in batch}
-            progress.ended(batch)
+            ended(batch)
     return list(jobs.values())
 
 
@@ -98,9 +97,8 @@ def read(folder: Path | str, *, history: Path | str | None = None) -> list[Job]:
     """
     found = place(folder).read(SWEEP)
     if found is None:
-        raise bad_input(
-            "folder", given=f"{folder}, where no sweep is", allowed="a sweep's folder", do="Check the path."
-        )
+        given = f"{folder}, where no sweep is"
+        raise bad_input("folder", given=given, allowed="a sweep's folder", do="Check the path.")
     with understood(f"{folder}/{SWEEP}"):
         return read_jobs(_history(folder, history), json.loads(found)["uid"])
 
@@ -112,17 +110,12 @@ def _jobs(rows: Iterable[Mapping[str, Any]]) -> dict[str, Job]:
         try:
             row = json.loads(json_text(dict(given)))
         except (TypeError, ValueError) as error:
-            raise bad_input(
-                f"row {number}", given=str(error), allowed="names with numbers, texts, lists", do="Convert it."
-            ) from error
+            allowed = "names with numbers, texts, lists"
+            raise bad_input(f"row {number}", given=str(error), allowed=allowed, do="Convert it.") from error
         key = hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()[:16]
         if key in jobs:
-            raise bad_input(
-                f"row {number}",
-                given="the same as an earlier row",
-                allowed="rows that differ",
-                do="Remove it, or tell them apart by a seed.",
-            )
+            do = "Remove it, or tell them apart by a seed."
+            raise bad_input(f"row {number}", given="the same as an earlier row", allowed="rows that differ", do=do)
         jobs[key] = Job(key, row)
     return jobs
 
@@ -131,12 +124,9 @@ def _history(folder: Path | str, history: Path | str | None) -> Path | str:
     if history is not None:
         return history
     if "://" in str(folder):
-        raise bad_input(
-            "history",
-            given=f"none, for a sweep in {folder}",
-            allowed="a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE",
-            do="A store holds no database: name one.",
-        )
+        allowed = "a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE"
+        do = "A store holds no database: name one."
+        raise bad_input("history", given=f"none, for a sweep in {folder}", allowed=allowed, do=do)
     return Path(folder) / "history.sqlite"
 
 
@@ -175,19 +165,14 @@ def read_table(path: Path | str) -> list[dict[str, str]]:
         rows = []
         for cells in lines:
             if len(cells) > len(names):
-                raise bad_input(
-                    f"{path}, line {lines.line_num}",
-                    given=f"{len(cells)} cells",
-                    allowed=f"{len(names)}, one a name",
-                    do="Is there a comma too many?",
-                )
+                at, given = f"{path}, line {lines.line_num}", f"{len(cells)} cells"
+                raise bad_input(at, given=given, allowed=f"{len(names)}, one a name", do="Is there a comma too many?")
             row = {name: cell.strip() for name, cell in zip(names, cells, strict=False) if cell.strip()}
             if row:
                 rows.append(row)
     except csv.Error as error:
-        raise bad_input(
-            f"{path}, line {lines.line_num}", given=str(error), allowed="a CSV file", do="Export it again."
-        ) from error
+        at, do = f"{path}, line {lines.line_num}", "Export it again."
+        raise bad_input(at, given=str(error), allowed="a CSV file", do=do) from error
     if not rows:
         raise bad_input(str(path), given="no rows", allowed="a line for every run", do="Add some.")
     return rows

@@ -6,7 +6,7 @@ import logging
 import os
 from asyncio import CancelledError
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError as Cancelled
 from contextlib import contextmanager
 from dataclasses import replace
@@ -20,50 +20,43 @@ from rich.console import Console
 
 from anther.errors import AntherError, InputError, MissingExtra
 from anther.history import Job
-from anther.sweep._places import INSTALL
-from anther.sweep._working import Order, perform
+from anther.sweep._working import INSTALL, Order, perform
 
 if TYPE_CHECKING:
     from distributed import Client
 
 
-class Progress:
-    """A bar on stderr: how many of the rows have ended, time spent and time left, and how many were set aside.
+@contextmanager
+def counted(jobs: Iterable[Job], *, quiet: bool) -> Iterator[Callable[[list[Job]], None]]:
+    """Draw a bar on stderr: how many of the rows have ended, time spent and left, and how many were set aside.
 
-    Use as a context manager; the time left is estimated from the last hour.
+    Yields what counts jobs that have ended. The time left is estimated from the last hour.
     """
+    states = Counter(job.state for job in jobs)
+    columns = (
+        progress.TextColumn("sweep{task.fields[aside]}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeElapsedColumn(),
+        progress.TextColumn("left"),
+        progress.TimeRemainingColumn(),
+    )
+    on, poison = Console(stderr=True), states["poison"]
 
-    def __init__(self, jobs: Iterable[Job], *, quiet: bool) -> None:
-        states = Counter(job.state for job in jobs)
-        columns = (
-            progress.TextColumn("{task.description}"),
-            progress.BarColumn(),
-            progress.MofNCompleteColumn(),
-            progress.TimeElapsedColumn(),
-            progress.TextColumn("left"),
-            progress.TimeRemainingColumn(),
-        )
-        self._bars = progress.Progress(
-            *columns, console=Console(stderr=True), disable=quiet, speed_estimate_period=3600, refresh_per_second=1
-        )
-        self._poison = states["poison"]
-        total, ended = states.total(), states.total() - states["waiting"]
-        self._bar = self._bars.add_task(self._said(), total=total, completed=ended)
+    def aside() -> str:
+        return f", {poison} set aside" if poison else ""
 
-    def __enter__(self) -> Progress:
-        self._bars.start()
-        return self
+    with progress.Progress(
+        *columns, console=on, disable=quiet, speed_estimate_period=3600, refresh_per_second=1
+    ) as bars:
+        bar = bars.add_task("", total=states.total(), completed=states.total() - states["waiting"], aside=aside())
 
-    def __exit__(self, *reason: object) -> None:
-        self._bars.stop()
+        def ended(batch: list[Job]) -> None:
+            nonlocal poison
+            poison += sum(job.state == "poison" for job in batch)
+            bars.update(bar, advance=len(batch), aside=aside())
 
-    def ended(self, batch: list[Job]) -> None:
-        """Count jobs that have ended."""
-        self._poison += sum(job.state == "poison" for job in batch)
-        self._bars.update(self._bar, advance=len(batch), description=self._said())
-
-    def _said(self) -> str:
-        return f"sweep, {self._poison} set aside" if self._poison else "sweep"
+        yield ended
 
 
 AHEAD, MOST = 0.5, 200
@@ -79,9 +72,6 @@ def carry_out(jobs: Sequence[Job], order: Order, *, workers: int | None, schedul
     """Run jobs and yield them in batches as they end, until none waits.
 
     A scheduler that goes away is waited for, and what had not ended is handed over again.
-
-    Raises:
-        InputError: see `connected` and `working.perform`.
     """
     remaining, patience = {job.key: job for job in jobs}, PATIENCE
     while remaining:
@@ -170,17 +160,8 @@ _SETTINGS = {
 
 @contextmanager
 def connected(workers: int | None, scheduler: str | None, patience: float) -> Iterator[Client]:
-    """Yield a client of the scheduler at an address, or of a cluster of worker processes here that ends with it.
-
-    Args:
-        workers: processes; by default one a core.
-        scheduler: e.g. tcp://10.0.0.4:8786.
-        patience: how long it may take to answer [s].
-
-    Raises:
-        MissingExtra: dask.distributed is not installed.
-        InputError: nobody answers at the address.
-    """
+    """Yield a client of the scheduler at an address, which answers within `patience` [s], or of a cluster of worker
+    processes here, by default one a core, that ends with it."""
     try:
         from dask import config  # noqa: PLC0415
         from distributed import Client, LocalCluster  # noqa: PLC0415
