@@ -49,9 +49,6 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     (correlations 0.35 and 0.05, docs/reports/identification.md). Last is what the robots' clocks say is last. The
     belief is not widened with time: no rate at which stems stiffen was found (facts: pollination, "Not found"); the
     reason says how old it is. Another plant has the facts' prior.
-
-    Raises:
-        InputError: the history cannot be read.
     """
     facts = facts_prior(species)
     with reading(where) as session:
@@ -66,11 +63,7 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
 
 
 def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> EarlierShake | None:
-    """Return the last shake of a plant that succeeded and whose flowers were measured; None if there is none.
-
-    Raises:
-        InputError: the history cannot be read.
-    """
+    """Return the last shake of a plant that succeeded and whose flowers were measured; None if there is none."""
     query = _visits_of(select(GraspRow.arc_length, ShakeRow), species, plant)
     query = query.join(GraspRow, GraspRow.visit_id == Visit.id).join(ShakeRow, ShakeRow.visit_id == Visit.id)
     query = query.where(

@@ -31,9 +31,6 @@ def reading(where: Path | str) -> Iterator[Session | None]:
     """Yield a session that reads the history, with its tables; None when there is no such file.
 
     The database itself refuses it to write. Readers never wait for writers, nor writers for readers.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be reached.
     """
     url = _url(where)
     if url.database is not None and url.drivername == "sqlite" and not Path(url.database).exists():
@@ -48,9 +45,6 @@ def writing(where: Path | str) -> Iterator[Session]:
     """Yield a session that writes, and commit at the end: all or, on an error or a crash, nothing of it is there.
 
     A SQLite file and its folder are made when they are missing. Writers wait for each other, up to `PATIENCE` seconds.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be written: locked, full, forbidden, out of reach.
     """
     url = _url(where)
     with _opened(url, write=True) as session:
@@ -82,11 +76,7 @@ def _url(where: Path | str) -> URL:
 
 
 def _file(url: URL) -> URL:
-    """Return the URL of a SQLite file.
-
-    Raises:
-        InputError: no name, a database in memory, a folder, or what is there is no file (a pipe would be waited for).
-    """
+    """Return the URL of a SQLite file: not one in memory, a folder or a pipe, which would be waited for."""
     name = url.database or ""
     if not name or name.startswith(":") or (Path(name).exists() and not Path(name).is_file()):
         raise _refused("history", f"'{name}'", "Name a file, e.g. runs/history.sqlite.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from datetime import date, datetime
 from pathlib import Path
@@ -13,53 +13,61 @@ import numpy as np
 
 from anther.errors import bad_input
 from anther.formats.tables import write_table
-from anther.history._records import Outcome, TrialRecord
+from anther.geometry import Array
+from anther.history._records import MOTIONS, Outcome, TrialRecord
 
-_VISIT = {"visit": int, "time": datetime, "species": str, "plant": str}
+Column = tuple[type, Callable[[Any], Any]]
+"""Its type, and what it holds of a line's source."""
+
+_OF_TRIAL: dict[str, Column] = {
+    "visit": (int, lambda t: t.id),
+    "time": (datetime, lambda t: t.time),
+    "species": (str, lambda t: t.species),
+    "plant": (str, lambda t: t.plant),
+}
+_VISITS: dict[str, Column] = {
+    **_OF_TRIAL,
+    "held_unharmed": (bool, lambda t: t.held_unharmed),
+    "failure": (str, lambda t: t.failure),
+    "run": (str, lambda t: t.run),
+    "robot": (str, lambda t: t.robot),
+    "acceleration_mean_ms2": (float, lambda t: _mean(t.accelerations())),
+    "grasp_arc_length_m": (float, lambda t: t.grasp and t.grasp.arc_length),
+    "grasp_stem_diameter_m": (float, lambda t: t.grasp and t.grasp.stem_diameter),
+    "grasp_confidence": (float, lambda t: t.grasp and t.grasp.confidence),
+    "organ_grasped": (str, lambda t: t.grasp and t.grasp.organ),
+    "shake_frequency_hz": (float, lambda t: t.shake and t.shake.frequency),
+    "shake_amplitude_m": (float, lambda t: t.shake and t.shake.amplitude),
+    "shake_duration_s": (float, lambda t: t.shake and t.shake.duration),
+    "flowers": (int, lambda t: t.flowers),
+    "flowers_measured": (int, lambda t: int(np.isfinite(t.measured_amplitude).sum())),
+    "predicted_amplitude_median_m": (float, lambda t: _median(t.predicted_amplitude)),
+    "measured_amplitude_median_m": (float, lambda t: _median(t.measured_amplitude)),
+    "youngs_before_pa": (float, lambda t: t.believed and t.believed.youngs),
+    "youngs_after_pa": (float, lambda t: t.material and t.material.youngs),
+    "youngs_spread_after": (float, lambda t: t.material and t.material.youngs_spread),
+    "damping_ratio_after": (float, lambda t: t.material and t.material.damping_ratio),
+    "damping_spread_after": (float, lambda t: t.material and t.material.damping_spread),
+}
+_FLOWERS: dict[str, type] = {
+    **{name: kind for name, (kind, _) in _OF_TRIAL.items()},
+    "flower": int,
+    **dict.fromkeys(MOTIONS.values(), float),
+}
+_OUTCOMES: dict[str, type] = {
+    "outcome": int,
+    "date": date,
+    "species": str,
+    "plant": str,
+    "visit": int,
+    "flowers": int,
+    "fruit": int,
+    "note": str,
+}
 TABLES: dict[str, dict[str, type]] = {
-    "visits": {
-        **_VISIT,
-        "held_unharmed": bool,
-        "failure": str,
-        "run": str,
-        "robot": str,
-        "acceleration_mean_ms2": float,
-        "grasp_arc_length_m": float,
-        "grasp_stem_diameter_m": float,
-        "grasp_confidence": float,
-        "organ_grasped": str,
-        "shake_frequency_hz": float,
-        "shake_amplitude_m": float,
-        "shake_duration_s": float,
-        "flowers": int,
-        "flowers_measured": int,
-        "predicted_amplitude_median_m": float,
-        "measured_amplitude_median_m": float,
-        "youngs_before_pa": float,
-        "youngs_after_pa": float,
-        "youngs_spread_after": float,
-        "damping_ratio_after": float,
-        "damping_spread_after": float,
-    },
-    "flowers": {
-        **_VISIT,
-        "flower": int,
-        "predicted_amplitude_m": float,
-        "measured_amplitude_m": float,
-        "measured_amplitude_std_m": float,
-        "predicted_acceleration_ms2": float,
-        "measured_acceleration_ms2": float,
-    },
-    "outcomes": {
-        "outcome": int,
-        "date": date,
-        "species": str,
-        "plant": str,
-        "visit": int,
-        "flowers": int,
-        "fruit": int,
-        "note": str,
-    },
+    "visits": {name: kind for name, (kind, _) in _VISITS.items()},
+    "flowers": _FLOWERS,
+    "outcomes": _OUTCOMES,
 }
 """Table -> column -> type. "visits": one line a visit; "flowers": one a flower and visit; "outcomes": one a count."""
 
@@ -80,7 +88,7 @@ def export(path: Path, table: str, trials: Iterable[TrialRecord], outcomes: Iter
     elif table == "flowers":
         lines = (line for trial in trials for line in _flowers(trial))
     else:
-        lines = (_visit(trial) for trial in trials)
+        lines = (_line(trial, _VISITS) for trial in trials)
     columns = TABLES[table]
     count = itertools.count()
     lines = ({name: _plain(line.get(name)) for name in columns} for line, _ in zip(lines, count, strict=False))
@@ -88,45 +96,18 @@ def export(path: Path, table: str, trials: Iterable[TrialRecord], outcomes: Iter
     return next(count)
 
 
-def _visit(trial: TrialRecord) -> dict[str, Any]:
-    grasp, shake, before, after = trial.grasp, trial.shake, trial.believed, trial.material
-    line = _of(trial) | {
-        "held_unharmed": trial.held_unharmed,
-        "failure": trial.failure,
-        "run": trial.run,
-        "robot": trial.robot,
-    }
-    felt = trial.accelerations()
-    line["acceleration_mean_ms2"] = None if felt is None else float(felt.mean())
-    if grasp is not None:
-        line |= {f"grasp_{name}_m": getattr(grasp, name) for name in ("arc_length", "stem_diameter")}
-        line |= {"grasp_confidence": grasp.confidence, "organ_grasped": grasp.organ}
-    if shake is not None:
-        line |= {"shake_frequency_hz": shake.frequency, "shake_amplitude_m": shake.amplitude}
-        line["shake_duration_s"] = shake.duration
-    if after is not None:
-        line |= {f"{name}_after": getattr(after, name) for name in ("youngs_spread", "damping_ratio", "damping_spread")}
-        line["youngs_after_pa"] = after.youngs
-    return line | {
-        "flowers": trial.flowers,
-        "flowers_measured": int(np.isfinite(trial.measured_amplitude).sum()),
-        "predicted_amplitude_median_m": _median(trial.predicted_amplitude),
-        "measured_amplitude_median_m": _median(trial.measured_amplitude),
-        "youngs_before_pa": None if before is None else before.youngs,
-    }
+def _line(trial: TrialRecord, columns: dict[str, Column]) -> dict[str, Any]:
+    return {name: value(trial) for name, (_, value) in columns.items()}
 
 
-def _flowers(trial: TrialRecord) -> list[dict[str, Any]]:
-    motions = trial.motions()
-    unit = {name: "ms2" if name.endswith("acceleration") else "m" for name in motions}
-    return [
-        {**_of(trial), "flower": k, **{f"{name}_{unit[name]}": values[k] for name, values in motions.items()}}
-        for k in range(trial.flowers)
-    ]
+def _flowers(trial: TrialRecord) -> Iterator[dict[str, Any]]:
+    visit, motions = _line(trial, _OF_TRIAL), trial.motions()
+    for k in range(trial.flowers):
+        yield {**visit, "flower": k, **{MOTIONS[name]: values[k] for name, values in motions.items()}}
 
 
-def _of(trial: TrialRecord) -> dict[str, Any]:
-    return {"visit": trial.id, "time": trial.time, "species": trial.species, "plant": trial.plant}
+def _mean(values: Array | None) -> float | None:
+    return None if values is None else float(values.mean())
 
 
 def _median(values: Sequence[float]) -> float | None:

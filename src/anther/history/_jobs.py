@@ -41,11 +41,7 @@ class Job:
 
 
 def add_jobs(jobs: Iterable[Job], where: Path | str, *, uid: str, folder: str, function: str) -> None:
-    """Note jobs that are to be run; those that are noted already stay as they are.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be written.
-    """
+    """Note jobs that are to be run; those that are noted already stay as they are."""
     with writing(where) as session:
         named = {"folder": folder, "function": function, "began": datetime.now(UTC)}
         session.execute(insert(session, Sweep).values(uid=uid, **named).on_conflict_do_nothing())
@@ -56,11 +52,7 @@ def add_jobs(jobs: Iterable[Job], where: Path | str, *, uid: str, folder: str, f
 
 
 def note_jobs(jobs: Sequence[Job], where: Path | str, *, uid: str) -> None:
-    """Note what became of jobs.
-
-    Raises:
-        InputError: see `add_jobs`.
-    """
+    """Note what became of jobs."""
     if not jobs:
         return
     now = datetime.now(UTC)
@@ -73,11 +65,7 @@ def note_jobs(jobs: Sequence[Job], where: Path | str, *, uid: str) -> None:
 
 
 def read_jobs(where: Path | str, uid: str) -> list[Job]:
-    """Return the jobs of a sweep, in the order they were added; none when there is no such sweep or file.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be read.
-    """
+    """Return the jobs of a sweep, in the order they were added; none when there is no such sweep or file."""
     columns = [getattr(SweepJob, name) for name in Job.__slots__]
     query = select(*columns).join(Sweep, Sweep.id == SweepJob.sweep_id).where(Sweep.uid == uid).order_by(SweepJob.id)
     with reading(where) as session:

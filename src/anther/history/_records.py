@@ -15,14 +15,14 @@ from anther.files import read_object, understood
 from anther.geometry import Array
 from anther.plant import Material
 
-MOTIONS = (
-    "predicted_amplitude",
-    "measured_amplitude",
-    "measured_amplitude_std",
-    "predicted_acceleration",
-    "measured_acceleration",
-)
-"""What is kept of every flower; NaN where unknown."""
+MOTIONS = {
+    "predicted_amplitude": "predicted_amplitude_m",
+    "measured_amplitude": "measured_amplitude_m",
+    "measured_amplitude_std": "measured_amplitude_std_m",
+    "predicted_acceleration": "predicted_acceleration_ms2",
+    "measured_acceleration": "measured_acceleration_ms2",
+}
+"""What is kept of every flower, NaN where unknown -> its column in tables."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,11 +165,7 @@ class TrialRecord:
 
     @staticmethod
     def of(plain: dict[str, Any]) -> TrialRecord:
-        """Read `plain` back.
-
-        Raises:
-            InputError: it is no such record.
-        """
+        """Read `plain` back."""
         with understood("record of a trial", "what a trial wrote"):
             values: dict[str, Any] = dict(plain) | {name: numbers(plain.get(name) or ()) for name in MOTIONS}
             values["time"] = datetime.fromisoformat(plain["time"])
@@ -181,11 +177,7 @@ class TrialRecord:
 
 
 def read_record(path: Path) -> TrialRecord:
-    """Read a visit.json.
-
-    Raises:
-        InputError: missing, damaged, or no record of a trial.
-    """
+    """Read a visit.json."""
     with understood(path):
         return TrialRecord.of(read_object(path))
 

@@ -52,11 +52,7 @@ def version(connection: Connection) -> str | None:
 
 
 def make_tables(connection: Connection) -> None:
-    """Make the tables in a database that has none; in one transaction, so that of two that begin it at once one does.
-
-    Raises:
-        InputError: the database has a version that is not known.
-    """
+    """Make the tables in a database that has none, in one transaction: of two that begin it at once one does."""
     if connection.dialect.name == "postgresql":
         connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
     found = version(connection)

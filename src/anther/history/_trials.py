@@ -36,20 +36,13 @@ def record_trial(record: TrialRecord, where: Path | str = DEFAULT) -> int:
     Args:
         record: the trial.
         where: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be written.
     """
     with writing(where) as session:
         return add(session, record)[0]
 
 
 def add_missing(record: TrialRecord, where: Path | str = DEFAULT) -> int | None:
-    """Add a trial that could not be recorded when it ended; None if the history has it already.
-
-    Raises:
-        InputError: see `record_trial`.
-    """
+    """Add a trial that could not be recorded when it ended; None if the history has it already."""
     with writing(where) as session:
         number, new = add(session, record)
         return number if new else None
@@ -95,9 +88,6 @@ def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which
         where: a SQLite file, or a PostgreSQL URL.
         last: only so many, the last ones.
         which: see `Which`.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be read.
     """
     query = _chosen(select(Visit), which).order_by(Visit.time.desc(), Visit.id.desc()).limit(last)
     with reading(where) as session:
@@ -121,11 +111,7 @@ def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[
 
 
 def count_trials(where: Path | str = DEFAULT, **which: Unpack[Which]) -> int:
-    """Return how many trials `read_trials` would.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be read.
-    """
+    """Return how many trials `read_trials` would."""
     query = _chosen(select(func.count(Visit.id)), which)
     with reading(where) as session:
         return 0 if session is None else session.scalar(query) or 0
@@ -189,11 +175,7 @@ def record_note(visit: int, words: str, where: Path | str = DEFAULT) -> int:
 def read_outcomes(
     where: Path | str = DEFAULT, *, species: str | None = None, plant: str | None = None
 ) -> list[Outcome]:
-    """Return the counts that hold, by date; none when the file does not exist.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be read.
-    """
+    """Return the counts that hold, by date; none when the file does not exist."""
     query = _of_plant(select(FruitSetRow).join(FruitSetRow.plant), species, plant).order_by(FruitSetRow.date)
     query = query.order_by(FruitSetRow.recorded, FruitSetRow.id)
     with reading(where) as session:
@@ -206,22 +188,14 @@ def read_outcomes(
 
 
 def find_plants(label: str, where: Path | str = DEFAULT, *, species: str | None = None) -> list[tuple[str, str]]:
-    """Return (species, label) of every plant in the history with this label.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be read.
-    """
+    """Return (species, label) of every plant in the history with this label."""
     query = _of_plant(select(Plant), species, label).order_by(Plant.species)
     with reading(where) as session:
         return [] if session is None else [(p.species, p.label) for p in session.scalars(query)]
 
 
 def find_visit(number: int, where: Path | str = DEFAULT) -> TrialRecord | None:
-    """Return one visit, or None.
-
-    Raises:
-        InputError: no history of Anther's, or it cannot be read.
-    """
+    """Return one visit, or None."""
     with reading(where) as session:
         visit = None if session is None else session.get(Visit, number)
         return None if visit is None else _trial_of(visit)

@@ -8,21 +8,16 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from anther.devices import (
-    Arm,
     ArmRecord,
     ArmSample,
-    Camera,
     Frame,
-    Gripper,
     GripperState,
     JointTrajectory,
     More,
     MoreSwing,
-    Motor,
     Robot,
     Watch,
 )
-from anther.geometry import Array, Intrinsics
 from anther.swing import Swing
 
 RATE = 15.0
@@ -44,14 +39,14 @@ def heard(robot: Robot, say: Say, look: Callable[[], None]) -> Robot:
         look: called whenever a shake under way was decided on.
     """
     side, motor = robot.side_camera, robot.motor
-    return replace(
-        robot,
-        arm=HeardArm(robot.arm, say, look),
-        gripper=HeardGripper(robot.gripper, say),
-        wrist_camera=HeardCamera(robot.wrist_camera, say, "wrist_camera"),
-        side_camera=None if side is None else HeardCamera(side, say, "side_camera"),
-        motor=None if motor is None else HeardMotor(motor, say, look),
-    )
+    machines: dict[str, Any] = {
+        "arm": _HeardArm(robot.arm, say, look),
+        "gripper": _HeardGripper(robot.gripper, say),
+        "wrist_camera": _HeardCamera(robot.wrist_camera, say, "wrist_camera"),
+        "side_camera": None if side is None else _HeardCamera(side, say, "side_camera"),
+        "motor": None if motor is None else _HeardMotor(motor, say, look),
+    }
+    return replace(robot, **machines)
 
 
 @contextmanager
@@ -64,124 +59,89 @@ def _told(say: Say) -> Iterator[None]:
         raise
 
 
-class HeardArm:
-    """An `Arm`."""
+class _Heard:
+    """A machine that does all that the one within does, and says some of it."""
 
-    def __init__(self, arm: Arm, say: Say, look: Callable[[], None]) -> None:
-        self._arm, self._say, self._look = arm, say, look
+    def __init__(self, machine: Any, say: Say, look: Callable[[], None] = lambda: None) -> None:
+        self._machine, self._say, self._look = machine, say, look
 
-    def joints(self) -> Array:
-        """See `anther.devices.Arm`."""
-        return self._arm.joints()
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._machine, name)
 
-    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
-        """See `anther.devices.Arm`."""
+    def _watching(self, watch: Watch | None) -> Watch:
+        """Return a watcher that keeps every reading before the given one sees it."""
 
-        def onward() -> JointTrajectory | None:
-            assert more is not None
+        def seen(sample: ArmSample) -> None:
+            self._say("arm", sample, sample.time)
+            if watch is not None:
+                watch(sample)
+
+        return seen
+
+    def _onward(self, more: Callable[[], Any] | None, named: str = "") -> Callable[[], Any] | None:
+        """Return what asks what comes next, and keeps it under a name."""
+        if more is None:
+            return None
+
+        def onward() -> Any:
             piece = more()
             self._look()
-            if piece is not None:
-                self._say("motion", piece)
+            if named and piece is not None:
+                self._say(named, piece)
             return piece
 
+        return onward
+
+
+class _HeardArm(_Heard):
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         self._say("motion", trajectory)
         with _told(self._say):
-            return self._arm.follow(trajectory, watching(self._say, watch), None if more is None else onward)
+            return self._machine.follow(trajectory, self._watching(watch), self._onward(more, "motion"))
 
     def hold(self) -> None:
-        """See `anther.devices.Arm`."""
         self._say("stopped", "the arm is asked to hold")
-        self._arm.hold()
+        self._machine.hold()
 
 
-class HeardMotor:
-    """A `Motor`."""
-
-    def __init__(self, motor: Motor, say: Say, look: Callable[[], None]) -> None:
-        self._motor, self._say, self._look = motor, say, look
-
+class _HeardMotor(_Heard):
     def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
-        """See `anther.devices.Motor`."""
-
-        def onward() -> Swing | None:
-            assert more is not None
-            piece = more()
-            self._look()
-            return piece
-
         with _told(self._say):
-            return self._motor.swing(first, watching(self._say, watch), None if more is None else onward)
+            return self._machine.swing(first, self._watching(watch), self._onward(more))
 
     def stop(self) -> None:
-        """See `anther.devices.Motor`."""
         self._say("stopped", "the motor is asked to stop")
-        self._motor.stop()
-
-    def amplitude(self) -> float:
-        """See `anther.devices.Motor`."""
-        return self._motor.amplitude()
+        self._machine.stop()
 
 
-class HeardGripper:
-    """A `Gripper`."""
-
-    def __init__(self, gripper: Gripper, say: Say) -> None:
-        self._gripper, self._say = gripper, say
-
-    @property
-    def stroke(self) -> float:
-        """See `anther.devices.Gripper`."""
-        return self._gripper.stroke
-
+class _HeardGripper(_Heard):
     def move(self, opening: float) -> GripperState:
-        """See `anther.devices.Gripper`."""
         with _told(self._say):
-            state = self._gripper.move(opening)
+            state = self._machine.move(opening)
         self._say("gripper", (opening, state))
         return state
 
     def state(self) -> GripperState:
-        """See `anther.devices.Gripper`."""
-        state = self._gripper.state()
+        state = self._machine.state()
         self._say("gripper", (None, state))
         return state
 
 
-class HeardCamera:
-    """A `Camera`, of which at most `RATE` frames a second are kept."""
+class _HeardCamera(_Heard):
+    """At most `RATE` frames a second are kept."""
 
-    def __init__(self, camera: Camera, say: Say, name: str) -> None:
-        self._camera, self._say, self._name = camera, say, name
-        self._kept = float("-inf")
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """See `anther.devices.Camera`."""
-        return self._camera.intrinsics
-
-    @property
-    def rates(self) -> tuple[float, ...]:
-        """See `anther.devices.Camera`."""
-        return self._camera.rates
+    def __init__(self, camera: Any, say: Say, name: str) -> None:
+        super().__init__(camera, say)
+        self._name, self._kept = name, float("-inf")
 
     def read(self) -> Frame:
-        """See `anther.devices.Camera`."""
-        frame = self._camera.read()
-        self._keep([frame])
-        return frame
-
-    def start(self, rate: float) -> None:
-        """See `anther.devices.Camera`."""
-        self._camera.start(rate)
+        return self._keep([self._machine.read()])[0]
 
     def recorded(self, since: float) -> list[Frame]:
-        """See `anther.devices.Camera`."""
-        return self._keep(self._camera.recorded(since))
+        return self._keep(self._machine.recorded(since))
 
     def stop(self) -> list[Frame]:
-        """See `anther.devices.Camera`."""
-        return self._keep(self._camera.stop())
+        return self._keep(self._machine.stop())
 
     def _keep(self, frames: list[Frame]) -> list[Frame]:
         for frame in frames:
@@ -189,14 +149,3 @@ class HeardCamera:
                 self._kept = frame.time
                 self._say(self._name, frame, frame.time)
         return frames
-
-
-def watching(say: Say, watch: Watch | None) -> Watch:
-    """Return a watcher that keeps every reading before the given one sees it."""
-
-    def seen(sample: ArmSample) -> None:
-        say("arm", sample, sample.time)
-        if watch is not None:
-            watch(sample)
-
-    return seen

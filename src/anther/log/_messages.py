@@ -129,11 +129,7 @@ PLAN = {"amplitude_m": NUMBER, "frequency_hz": NUMBER, "duration_s": NUMBER, "pr
 
 
 class Scribe:
-    """Writes an MCAP file. One thread at a time may use it.
-
-    Args:
-        file: what is written into.
-    """
+    """Writes an MCAP file. One thread at a time may use it."""
 
     def __init__(self, file: LogFile) -> None:
         options = MCAPWriteOptions(profile="", chunk_size=CHUNK, disable_seeking=True, compression_threads=0)
@@ -154,11 +150,7 @@ class Scribe:
     def write(self, when: float, what: str, value: Any) -> int:
         """Write one thing, said at `when` [s since 1970]; return how many messages that were.
 
-        Args:
-            when: its time.
-            what: "cell", "arm", "motion", "gripper", "wrist_camera", "side_camera", "phase", "step", "stopped", "lost",
-                or a stage of `runs.FILES`; of anything else only the name is written.
-            value: what goes with it.
+        It is what the cases name, or a stage of `runs.FILES`; of anything else only the name is written.
         """
         before = self._count
         match what, value:

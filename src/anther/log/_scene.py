@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,57 +54,50 @@ EXAGGERATION = 20.0
 PAIRS = LinePrimitiveLineType.LineList
 
 
-@dataclass(frozen=True, slots=True)
-class Entity:
-    """Attributes: what is drawn under one name."""
-
-    lines: tuple[LinePrimitive, ...] = ()
-    spheres: tuple[SpherePrimitive, ...] = ()
-    arrows: tuple[ArrowPrimitive, ...] = ()
+Entity = dict[str, list[Any]]
+"""What is drawn under one name: its lines, spheres and arrows."""
 
 
 def update(name: str, entity: Entity, when: Timestamp, frame: str) -> SceneUpdate:
     """Return the message that draws an entity, in place of what had its name before."""
-    parts = {"lines": list(entity.lines), "spheres": list(entity.spheres), "arrows": list(entity.arrows)}
-    return SceneUpdate(entities=[SceneEntity(timestamp=when, frame_id=frame, id=name, **parts)])
+    return SceneUpdate(entities=[SceneEntity(timestamp=when, frame_id=frame, id=name, **entity)])
 
 
 def found(what: str, value: Any) -> Entity | None:
     """Return what shows flowers or grasps; None of anything else."""
     match value:
         case Flowers():
-            return Entity(spheres=tuple(ball(p, FLOWER, YELLOW) for p in value.positions))
+            return {"spheres": [ball(p, FLOWER, YELLOW) for p in value.positions]}
         case [Grasp(), *_] if what == "grasp":
-            return Entity(arrows=tuple(grasp(one, RED if one is value[0] else GREY) for one in value))
+            return {"arrows": [grasp(one, RED if one is value[0] else GREY) for one in value]}
     return None
 
 
 def skeleton(tree: Skeleton) -> Entity:
     """Return a tree as lines between its nodes."""
-    return Entity(lines=(line(tree.nodes[tree.edges].reshape(-1, 3), 0.002, GREEN, PAIRS),))
+    return {"lines": [line(tree.nodes[tree.edges].reshape(-1, 3), 0.002, GREEN, PAIRS)]}
 
 
 def stem(nodes: Array) -> Entity:
     """Return the main stem through nodes (S, 3)."""
-    return Entity(lines=(line(nodes, 0.005, BROWN),))
+    return {"lines": [line(nodes, 0.005, BROWN)]}
 
 
 def shake(plan: ShakePlan) -> Entity:
     """Return an arrow along the shake, longer than its amplitude, at the grasp."""
-    length = EXAGGERATION * plan.amplitude
-    return Entity(arrows=(arrow(plan.grasp.point, plan.direction, length, BLUE),))
+    return {"arrows": [arrow(plan.grasp.point, plan.direction, EXAGGERATION * plan.amplitude, BLUE)]}
 
 
 def motion(trajectory: JointTrajectory, forward: Callable[[Array], Array]) -> Entity:
     """Return the way of the flange in a motion that is asked for."""
     rows = np.unique(np.linspace(0, len(trajectory.times) - 1, PATH).astype(int))
-    return Entity(lines=(line(forward(trajectory.positions[rows])[:, :3, 3], 0.003, BLUE),))
+    return {"lines": [line(forward(trajectory.positions[rows])[:, :3, 3], 0.003, BLUE)]}
 
 
 def arm(balls: Array) -> Entity:
     """Return some balls of the arm's outline (S, 4), centre and radius [m]; points without a radius are left out."""
     solid = balls[balls[:, 3] > 0]
-    return Entity(spheres=tuple(ball(b[:3], 2 * b[3], GREY) for b in solid[::ARM_THINNED]))
+    return {"spheres": [ball(b[:3], 2 * b[3], GREY) for b in solid[::ARM_THINNED]]}
 
 
 def grasp(one: Grasp, colour: Color) -> ArrowPrimitive:
