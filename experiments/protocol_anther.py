@@ -142,7 +142,7 @@ def _pollinate(mouth: Connection, folder: Path, base: Path, *, views: bool, agai
 
 def _seen(file: CellFile, robot: Robot, advance: Any) -> Capture:
     """Return a few views of nothing, driven to and taken as in a trial."""
-    boxes, start = tuple(place.box for place in file.keep_out), robot.arm.joints()
+    boxes, start = file.keep_out, robot.arm.joints()
     few = ViewParams(count=4)
     motion = motion_params(file.limits.speed_ratio)
     planned_views = plan_views(

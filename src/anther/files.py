@@ -10,7 +10,7 @@ import os
 import struct
 import tempfile
 import zipfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -267,15 +267,12 @@ def whole_file(path: Path | str, largest: int = LARGEST) -> Path:
 
 
 def _plain(value: Any) -> Any:
-    converters: list[tuple[type | tuple[type, ...], Callable[[Any], Any]]] = [
-        (dict, lambda v: {str(k): _plain(x) for k, x in v.items()}),
-        ((list, tuple), lambda v: [_plain(x) for x in v]),
-        (np.ndarray, lambda v: _plain(v.tolist())),
-        (np.generic, lambda v: _plain(v.item())),
-        (float, lambda v: v if np.isfinite(v) else None),
-        (Path, str),
-    ]
-    for kind, convert in converters:
-        if isinstance(value, kind):
-            return convert(value)
-    return value
+    if isinstance(value, dict):
+        return {str(key): _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value) if isinstance(value, Path) else value

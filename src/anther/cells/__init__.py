@@ -11,7 +11,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from anther.arm.model import ArmModel, outline
 from anther.arm.sawyer import SAWYER, TOOL
 from anther.calibration import HandEye
 from anther.cells import _parts
-from anther.cells._reading import Keys, Point, Pose, TomlFile, built, checked, fitted, read_toml
+from anther.cells._reading import Keys, Point, Pose, TomlFile, box, built, checked, fitted, read_toml
 from anther.checks import check_range
 from anther.devices import DeviceError, SafetyLimits
 from anther.drivers.apart import ArmApart
@@ -74,28 +74,6 @@ class Limits:
     def __post_init__(self) -> None:
         check_range("speed_ratio", self.speed_ratio, 0.01, 1.0)
 
-    def given(self) -> dict[str, float]:
-        """Return those that were set, by their names in `SafetyLimits`."""
-        said = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "speed_ratio"}
-        return {name: value for name, value in said.items() if value is not None}
-
-
-@dataclass(frozen=True, slots=True)
-class KeepOut:
-    """A box that no part of arm and tool may enter, world [m]."""
-
-    lower: Point
-    upper: Point
-    name: str = ""
-
-    def __post_init__(self) -> None:
-        self.box  # noqa: B018 (it checks the corners)
-
-    @property
-    def box(self) -> Box:
-        """The same as a `Box`."""
-        return Box(np.array(self.lower), np.array(self.upper))
-
 
 @dataclass(frozen=True, slots=True)
 class Part:
@@ -128,7 +106,7 @@ class CellFile:
         workspace: where the plant stands.
         region: what the views look at; nothing enters it while they are taken.
         arm_space: where the flange may be.
-        keep_out: where nothing may be.
+        keep_out: where no part of arm and tool may be.
     """
 
     source: TomlFile
@@ -139,7 +117,7 @@ class CellFile:
     workspace: Box
     region: Box
     arm_space: Box
-    keep_out: tuple[KeepOut, ...] = ()
+    keep_out: tuple[Box, ...] = ()
     side_camera: Part | None = None
     T_world_side_camera: Array | None = None
     shaker: Part | None = None
@@ -193,7 +171,8 @@ class CellFile:
             InputError: a limit is out of the range it may be set to.
         """
         ratio = self.limits.speed_ratio
-        said: dict[str, Any] = dict(self.limits.given())
+        said: dict[str, Any] = {name: value for name, value in asdict(self.limits).items() if value is not None}
+        del said["speed_ratio"]
         said.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
         with self.source.located(("limits",)):
             return SafetyLimits(
@@ -204,7 +183,7 @@ class CellFile:
                 joint_speed=ratio * self.model.velocity,
                 joint_acceleration=ratio * self.model.acceleration,
                 workspace=self.arm_space,
-                keep_out=tuple(place.box for place in self.keep_out),
+                keep_out=self.keep_out,
                 **said,
             )
 
@@ -224,9 +203,8 @@ def read_cell(path: Path | str) -> CellFile:
             raise source.error((key,), given=f"an unknown key '{key}'", allowed=", ".join(known), do="Remove it.")
     for key in ("arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"):
         if key not in table:
-            raise bad_input(
-                str(path), given=f"no [{key}]", allowed="a table of that name", do="docs/cell_file.md has one."
-            )
+            do = "docs/cell_file.md has one."
+            raise bad_input(str(path), given=f"no [{key}]", allowed="a table of that name", do=do)
     own, side = table["wrist_camera"], table.get("side_camera")
     cell = CellFile(
         source=source,
@@ -240,9 +218,7 @@ def read_cell(path: Path | str) -> CellFile:
         shaker=_part(source, "shaker", _parts.SHAKERS) if "shaker" in table else None,
         tool=built(source, ("tool",), table.get("tool", {}), ToolSection),
         limits=built(source, ("limits",), table.get("limits", {}), Limits),
-        workspace=checked(source, ("workspace",), table["workspace"], Box),
-        region=checked(source, ("region",), table["region"], Box),
-        arm_space=checked(source, ("arm_space",), table["arm_space"], Box),
+        **{name: checked(source, (name,), table[name], Box) for name in ("workspace", "region", "arm_space")},
         keep_out=_keep_outs(source),
     )
     cell.safety_limits()
@@ -294,12 +270,17 @@ def _pose(source: TomlFile, name: str, key: str, table: dict[str, Any]) -> Array
         return transform_from_pose7(np.array(numbers))
 
 
-def _keep_outs(source: TomlFile) -> tuple[KeepOut, ...]:
+def _keep_out(lower: Point, upper: Point, name: str = "") -> Box:
+    del name  # for who reads the file
+    return box(lower, upper)
+
+
+def _keep_outs(source: TomlFile) -> tuple[Box, ...]:
     tables = source.table.get("keep_out", [])
     if not isinstance(tables, list):
         do = "Write [[keep_out]] above each."
         raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
-    return tuple(built(source, ("keep_out", str(i)), table, KeepOut) for i, table in enumerate(tables))
+    return tuple(built(source, ("keep_out", str(i)), table, _keep_out) for i, table in enumerate(tables))
 
 
 @contextmanager

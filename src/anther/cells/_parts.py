@@ -5,7 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,16 +40,22 @@ NAME = "/anther"
 GRIPPER_NAME = "/anther_gripper"
 
 
+@contextmanager
+def _behind(node: Any) -> Iterator[Any]:
+    """Yield a node, and close it where the machine behind it cannot be had."""
+    try:
+        yield node
+    except BaseException:
+        node.close()
+        raise
+
+
 def sawyer_ros1(
     master: str, *, host: str = "", mode: Mode = "position", rate: float = 100.0, speed_ratio: float = 0.1
 ) -> Sawyer:
     """Return a Sawyer behind a ROS master, such as "http://sawyer.local:11311"; host: this machine's own address."""
-    node = Node(master, NAME, types(), host)
-    try:
+    with _behind(Node(master, NAME, types(), host)) as node:
         return Sawyer(node, mode=mode, rate=rate, speed_ratio=speed_ratio)
-    except BaseException:
-        node.close()
-        raise
 
 
 def ur(
@@ -80,37 +87,22 @@ def ros2(
     states: str = "/joint_states",
     wrench: str = "",
 ) -> JointTrajectoryArm:
-    """Return an arm under ROS 2's joint_trajectory_controller.
-
-    Args:
-        arm_model: its description.
-        joints: how the robot calls them, in the model's order; None: as the model does.
-        controller, rate, states, wrench: see `JointTrajectoryArm`.
-    """
+    """Return an arm under ROS 2; joints: how the robot calls them, in the model's order. See `JointTrajectoryArm`."""
     names = arm_model.joints if joints is None else tuple(joints)
     if len(names) != len(arm_model.joints):
         wanted = f"{len(arm_model.joints)}, in the order of {', '.join(arm_model.joints)}"
         raise bad_input("joints", given=f"{len(names)} names", allowed=wanted, do="Correct it.")
-    node = Ros2Node(NAME.strip("/"))
-    try:
-        return JointTrajectoryArm(
-            node, names, arm_model.acceleration, controller=controller, rate=rate, states=states, wrench=wrench
-        )
-    except BaseException:
-        node.close()
-        raise
+    options: dict[str, Any] = {"controller": controller, "rate": rate, "states": states, "wrench": wrench}
+    with _behind(Ros2Node(NAME.strip("/"))) as node:
+        return JointTrajectoryArm(node, names, arm_model.acceleration, **options)
 
 
 def rethink(*, arm_master: str) -> RethinkGripper:
     """Return the electric gripper of a Sawyer, behind the same master."""
     if not arm_master:
         raise InputError("gripper 'rethink': it is reached through a Sawyer's ROS master; the arm has none.")
-    node = Node(arm_master, GRIPPER_NAME, types())
-    try:
+    with _behind(Node(arm_master, GRIPPER_NAME, types())) as node:
         return RethinkGripper(node)
-    except BaseException:
-        node.close()
-        raise
 
 
 def robotiq_2f(
@@ -172,11 +164,7 @@ def arm_of_urdf(
 
 
 def own_driver(name: str, where: str, folder: Path) -> Callable[..., Any]:
-    """Return what "package.module:callable" names, installed or in a folder.
-
-    Raises:
-        InputError: there is no such thing.
-    """
+    """Return what "package.module:callable" names, installed or in a folder."""
     module, _, callable_ = name.partition(":")
     if str(folder.resolve()) not in sys.path:
         sys.path.append(str(folder.resolve()))  # to stay: the arm's own process looks there too

@@ -25,18 +25,16 @@ Point = tuple[float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
 """x y z [m], qx qy qz qw."""
 Keys = tuple[str, ...]
-_NAMES = {str: "text in quotes", bool: "true or false", int: "a whole number", float: "a number", dict: "a table"}
+_NAMES = {
+    str: "text in quotes", bool: "true or false", int: "a whole number", float: "a number", dict: "a table",
+    Path: "a path in quotes", Box: "a table with lower and upper",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class TomlFile:
-    """A TOML file that was read.
-
-    Attributes:
-        path: of the file.
-        table: what it holds.
-        lines: (name, ..., key) -> line, from 1; of lists of tables the place is a name too, from 0.
-    """
+    """A TOML file that was read: what it holds, and (name, ..., key) -> line, from 1; of lists of tables the place is a
+    name too, from 0."""
 
     path: Path
     table: dict[str, Any]
@@ -62,11 +60,7 @@ class TomlFile:
 
 
 def read_toml(path: Path | str) -> TomlFile:
-    """Read a TOML file.
-
-    Raises:
-        InputError: missing, no text, or no TOML.
-    """
+    """Read a TOML file."""
     rows = read_lines(path)
     try:
         return TomlFile(Path(path), tomllib.loads("\n".join(rows)), _lines(rows))
@@ -75,18 +69,8 @@ def read_toml(path: Path | str) -> TomlFile:
 
 
 def built(source: TomlFile, keys: Keys, table: Any, target: Callable[..., T], **given: Any) -> T:
-    """Return what a dataclass or function makes of a table, its keys being the arguments' names.
-
-    Args:
-        source: where it comes from.
-        keys: of the table.
-        table: {key: value}.
-        target: its annotations say what is allowed.
-        given: arguments that do not come from the file.
-
-    Raises:
-        InputError: with file, line and key.
-    """
+    """Return what a dataclass or function makes of a table, its keys being the arguments' names, and of what else is
+    `given`. The annotations say what is allowed; an error has file, line and key."""
     arguments = fitted(source, keys, table, target, given)
     with source.located(keys):
         return target(**arguments, **given)
@@ -121,11 +105,7 @@ def box(lower: Point, upper: Point) -> Box:
 
 
 def checked(source: TomlFile, keys: Keys, value: Any, hint: Any) -> Any:
-    """Return a value as an annotation wants it: a path beside the file, a number as float, a list as tuple.
-
-    Raises:
-        InputError: it is of another kind, with file, line and key.
-    """
+    """Return a value as an annotation wants it: a path beside the file, a number as float, a list as tuple."""
     if get_origin(hint) is UnionType or NoneType in get_args(hint):
         hint = next(kind for kind in get_args(hint) if kind is not NoneType)
     if hint is Path and isinstance(value, str):
@@ -165,13 +145,7 @@ def _name(hint: Any) -> str:
         return " or ".join(_name(kind) for kind in get_args(hint) if kind is not NoneType)
     if get_origin(hint) is list:
         return f"[..., ...] of {_name(get_args(hint)[0])}"
-    return (
-        "a path in quotes"
-        if hint is Path
-        else "a table with lower and upper"
-        if hint is Box
-        else _NAMES.get(hint, "a value")
-    )
+    return _NAMES.get(hint, "a value")
 
 
 def _shown(value: Any) -> str:

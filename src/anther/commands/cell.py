@@ -162,7 +162,7 @@ def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTraj
     from anther.commands.hardware_cell import motion_params
     from anther.errors import StageFailure
 
-    boxes = [place.box for place in file.keep_out]
+    boxes = list(file.keep_out)
     none = np.zeros((0, 3))
     planner = Planner(
         none, none, boxes, space=file.arm_space, params=motion_params(file.limits.speed_ratio), arm=file.model

@@ -103,7 +103,7 @@ class Eye:
         Raises:
             StageFailure: the arm stands where it cannot begin to plan.
         """
-        boxes, motion = [place.box for place in self.file.keep_out], motion_params(self.ratio)
+        boxes, motion = list(self.file.keep_out), motion_params(self.ratio)
         planner = board_planner(T_base_board, centre, boxes, self.file.arm_space, motion, self.file.model)
         if not planner.world.free(self.arm.joints()):
             where = "the arm stands too near to itself, the board or a keep-out box"

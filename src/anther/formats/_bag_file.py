@@ -191,11 +191,7 @@ class Topics(NamedTuple):
 
 
 def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | None) -> Topics:
-    """Return the topics to read; those that are given are only checked.
-
-    Raises:
-        InputError: a topic is missing, or several would do.
-    """
+    """Return the topics to read; those that are given are only checked."""
     images = {t for t, kind in bag.topics.items() if kind in (_IMAGE, _COMPRESSED)}
     deep = {t for t in images if bag.topics[t] == _IMAGE or t.endswith("/compressedDepth")}
     colourful = {t for t in images if "depth" not in t.lower() and ("color" in t.lower() or "rgb" in t.lower())}

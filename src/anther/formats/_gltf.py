@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from trimesh.util import append_faces
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
@@ -32,13 +33,7 @@ _OTHERS = ((214, 160, 62), (70, 140, 150), (170, 95, 130), (120, 120, 120))
 
 
 def write_glb(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
-    """Write a skeleton as .glb: one mesh an organ name, "skeleton" without labels.
-
-    Args:
-        path: file to write.
-        skeleton: the tree.
-        labels: an organ name a node, or None.
-    """
+    """Write a skeleton as .glb: one mesh an organ name, "skeleton" without labels."""
     scene = trimesh.Scene(base_frame="world")
     scene.graph.update(frame_to="z_up", frame_from="world", matrix=Y_UP)
     for i, (name, mesh) in enumerate(tubes(skeleton, labels).items()):
@@ -56,11 +51,7 @@ def write_glb(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None
 def tubes(skeleton: Skeleton, labels: Sequence[str] | None = None) -> dict[str, trimesh.Trimesh]:
     """Return a closed, tapered tube for every axis, joined to one mesh an organ name.
 
-    An axis begins within the node it branches from, no thicker than that node, and goes on as `mtg.successors` says.
-
-    Args:
-        skeleton: the tree.
-        labels: an organ name a node; None puts all into "skeleton".
+    An axis begins within the node it branches from, no thicker than that node, and goes on as `successors` says.
     """
     parts: dict[str, list[tuple[Array, NDArray[Any]]]] = {}
     for axis, own in _axes(skeleton, labels):
@@ -69,7 +60,8 @@ def tubes(skeleton: Skeleton, labels: Sequence[str] | None = None) -> dict[str, 
             radius[0] = min(radius[0], radius[1])
         name = "skeleton" if labels is None else labels[int(axis[-1])]
         parts.setdefault(name, []).append(_tube(skeleton.nodes[axis], radius))
-    return {name: _joined(pieces) for name, pieces in parts.items()}
+    joined = {name: append_faces(*zip(*pieces, strict=True)) for name, pieces in parts.items()}
+    return {name: trimesh.Trimesh(*mesh, process=False) for name, mesh in joined.items()}
 
 
 def _axes(skeleton: Skeleton, labels: Sequence[str] | None) -> Iterator[tuple[NDArray[Any], bool]]:
@@ -128,9 +120,3 @@ def _faces(rings: int) -> NDArray[Any]:
         np.stack([np.full(SIDES, last), end + k, end + turn], axis=-1),
     ]
     return np.concatenate([part.reshape(-1, 3) for part in (*sides, *fans)])
-
-
-def _joined(pieces: list[tuple[Array, NDArray[Any]]]) -> trimesh.Trimesh:
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
-    faces = np.concatenate([part + start for (_, part), start in zip(pieces, starts[:-1], strict=True)])
-    return trimesh.Trimesh(np.concatenate([vertices for vertices, _ in pieces]), faces, process=False)

@@ -31,11 +31,6 @@ def write_mtg(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None
 
     Where nodes have several children, the axis goes on through the child with the same label that carries most
     length, else through the one that carries most length; the others branch off.
-
-    Args:
-        path: file to write.
-        skeleton: the tree.
-        labels: an organ name a node (letters only), or None.
     """
     write_text(path, "\n".join([*_header(list(dict.fromkeys(labels or ("node",)))), *_code(skeleton, labels)]) + "\n")
 
@@ -44,9 +39,6 @@ def read_mtg(path: Path | str) -> SkeletonFile:
     """Read the vertices of an MTG that have XX, YY, ZZ [m], as one tree; radius [m] and classes where it has them.
 
     Vertices without coordinates (plant, axes) only say where the tree begins.
-
-    Raises:
-        InputError: no MTG, an entity that cannot be read, no coordinates, or not one tree.
     """
     lines = [line.split("#")[0].rstrip() for line in read_lines(path)]
     heads = [i for i, line in enumerate(lines) if line.startswith("ENTITY-CODE")]
@@ -54,9 +46,8 @@ def read_mtg(path: Path | str) -> SkeletonFile:
         raise bad_input(str(path), given="no line ENTITY-CODE", allowed="an MTG file", do="Is it truncated?")
     columns = lines[heads[0]].split("\t")
     if not {"XX", "YY", "ZZ"} <= set(columns):
-        raise bad_input(
-            str(path), given=f"features {columns[1:]}", allowed="XX, YY, ZZ", do="Export it with coordinates."
-        )
+        do = "Export it with coordinates."
+        raise bad_input(str(path), given=f"features {columns[1:]}", allowed="XX, YY, ZZ", do=do)
     first = min(i for i, name in enumerate(columns) if i and name)
     return _parsed(str(path), [line for line in lines[heads[0] + 1 :] if line.strip()], columns, first)
 
@@ -95,12 +86,7 @@ def _code(skeleton: Skeleton, labels: Sequence[str] | None) -> Iterator[str]:
 
 
 def successors(skeleton: Skeleton, labels: Sequence[str] | None = None) -> list[int]:
-    """Return for every node the child that continues its axis; -1 at a tip.
-
-    Args:
-        skeleton: the tree.
-        labels: an organ name a node; an axis rather stays within one organ.
-    """
+    """Return for every node the child that continues its axis, rather within one organ; -1 at a tip."""
     count = len(skeleton.nodes)
     beyond = np.zeros(count)
     best = [(False, -1.0, -1)] * count
@@ -122,12 +108,8 @@ def _parsed(path: str, lines: list[str], columns: list[str], first: int) -> Skel
         column = next(i for i, cell in enumerate(cells) if cell)
         found = _ENTITY.match(cells[column].strip())
         if found is None or column >= first:
-            raise bad_input(
-                path,
-                given=f"entity '{cells[column]}'",
-                allowed="[^] / < + Class number",
-                do="One entity a line, please.",
-            )
+            given, allowed = f"entity '{cells[column]}'", "[^] / < + Class number"
+            raise bad_input(path, given=given, allowed=allowed, do="One entity a line, please.")
         values = dict(zip(columns[first:], cells[first:], strict=False))
         parent = last.get(column if found[1] else column - 1)
         last = {at: node for at, node in last.items() if at < column}

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array
 from anther.cloud import ply
-from anther.errors import InputError, bad_input
+from anther.errors import bad_input
 from anther.files import load_npz, read_lines, understood, whole_file
 from anther.geometry import Array
 
 Units = Literal["m", "cm", "mm", "0.01mm"]
 Axis = Literal["x", "y", "z"]
 
+_CUT = "Is it truncated, or another format?"
 MOST_POINTS = 20_000_000
 """Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
 
@@ -48,16 +49,12 @@ def read_ply(path: Path) -> RawPoints:
 
 def read_text(path: Path) -> RawPoints:
     """Read rows of x y z, further columns (r g b as 0-255) optional, separated by blanks, commas or semicolons."""
-    try:
+    with understood(path, "rows of at least three numbers: x y z", _CUT):
         lines = [line.replace(",", " ").replace(";", " ") for line in read_lines(path)]
         lines = [line for line in lines if _is_row(line)]
         if not lines:
             raise ValueError("no row of numbers")
         rows = np.loadtxt(lines, dtype=np.float64, ndmin=2)
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        raise _unreadable(path, error, "rows of at least three numbers: x y z") from error
     if rows.shape[1] < 3:
         raise bad_input(str(path), given=f"{rows.shape[1]} columns", allowed="x y z [r g b]", do="Export x, y and z.")
     colors = rows[:, 3:6]
@@ -93,12 +90,10 @@ def read_pcd(path: Path) -> RawPoints:
     """Read a PCD (ASCII, binary or binary_compressed) with fields x, y, z and, optionally, rgb."""
     content = whole_file(path).read_bytes()
     header, body = _pcd_header(path, content)
-    try:
+    with understood(path, "a PCD with as many points as its header says", _CUT):
         record = _pcd_record(header)
         count, kind = int(header["POINTS"][0]), header["DATA"][0]
         rows = _PCD_BODIES[kind](body, record, count)
-    except (KeyError, ValueError, IndexError) as error:
-        raise _unreadable(path, error, "a PCD with as many points as its header says") from error
     missing = {"x", "y", "z"} - set(record.names or ())
     if missing:
         raise bad_input(str(path), given=f"no field {sorted(missing)}", allowed="fields x y z", do="Export x, y, z.")
@@ -157,23 +152,19 @@ def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes
         if words and not words[0].startswith("#"):
             header[words[0]] = words[1:]
     if " ".join(header["DATA"]) not in _PCD_BODIES:
-        raise bad_input(
-            str(path), given=f"DATA {' '.join(header['DATA'])}", allowed=", ".join(_PCD_BODIES), do="Save it anew."
-        )
+        given = f"DATA {' '.join(header['DATA'])}"
+        raise bad_input(str(path), given=given, allowed=", ".join(_PCD_BODIES), do="Save it anew.")
     return header, content[at:]
 
 
 def _pcd_record(header: dict[str, list[str]]) -> np.dtype[Any]:
     kinds = {"F": "f", "I": "i", "U": "u"}
     counts = header.get("COUNT", ["1"] * len(header["FIELDS"]))
+    columns = zip(header["FIELDS"], header["SIZE"], header["TYPE"], counts, strict=True)
     fields = []
-    for i, (name, size, kind, count) in enumerate(
-        zip(header["FIELDS"], header["SIZE"], header["TYPE"], counts, strict=True)
-    ):
-        unique = name if name != "_" else f"_{i}"
-        fields.append(
-            (unique, f"<{kinds[kind]}{size}", (int(count),)) if count != "1" else (unique, f"<{kinds[kind]}{size}")
-        )
+    for i, (name, size, kind, count) in enumerate(columns):
+        shape = () if count == "1" else (int(count),)
+        fields.append((name if name != "_" else f"_{i}", f"<{kinds[kind]}{size}", shape))
     return np.dtype(fields)
 
 
@@ -213,9 +204,6 @@ def lzf_decompress(data: bytes, size: int) -> bytes:
 
     A control byte below 32 is followed by that many literals plus one; else its upper three bits (and, where they are
     7, the next byte) give a length less 2, its lower five and the next byte how far back to copy from, less 1.
-
-    Raises:
-        ValueError: the data is damaged.
     """
     out, at = bytearray(), 0
     while at < len(data):
@@ -258,9 +246,3 @@ def _is_row(line: str) -> bool:
     """Tell rows of numbers from headers, comments and a leading count."""
     words = line.split()
     return (len(words) > 1 and words[0].lstrip("+-.")[:1].isdigit()) or (bool(words) and words[0].lower() == "nan")
-
-
-def _unreadable(path: Path, error: Exception, allowed: str) -> InputError:
-    return bad_input(
-        str(path), given=f"unreadable ({error})", allowed=allowed, do="Is it truncated, or another format?"
-    )

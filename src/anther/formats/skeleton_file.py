@@ -50,9 +50,8 @@ class SkeletonFile:
             raise bad_input("skeleton labels", given=len(self.labels), allowed=f"{n}, one a node", do="Label all.")
         extent = float(np.ptp(self.nodes, axis=0).max(initial=0))
         if extent > LARGEST_PLANT:
-            raise bad_input(
-                "skeleton", given=f"{extent:g} m across", allowed=f"<= {LARGEST_PLANT:g} m", do="Give metres, not mm."
-            )
+            allowed = f"<= {LARGEST_PLANT:g} m"
+            raise bad_input("skeleton", given=f"{extent:g} m across", allowed=allowed, do="Give metres, not mm.")
 
     def node(self, number: int) -> int:
         """Return the index of the node that the file calls `number`.
@@ -132,17 +131,13 @@ def rooted(
     n = len(nodes)
     numbers = np.arange(n) if numbers is None else numbers
     if n < 2 or len(edges) != n - 1 or edges.min() < 0 or edges.max() >= n:
-        raise bad_input(
-            "skeleton edges",
-            given=f"{n} nodes and {len(edges)} edges",
-            allowed="J >= 2 nodes and J - 1 edges between them: one tree",
-            do="Check for loops, loose parts and edge numbers outside the node list.",
-        )
+        allowed = "J >= 2 nodes and J - 1 edges between them: one tree"
+        do = "Check for loops, loose parts and edge numbers outside the node list."
+        raise bad_input("skeleton edges", given=f"{n} nodes and {len(edges)} edges", allowed=allowed, do=do)
     order, parent = _walk(n, edges, int(np.argmin(nodes[:, 2])) if root is None else root)
     if len(order) < n:
-        raise bad_input(
-            "skeleton", given=f"{n - len(order)} nodes apart", allowed="one connected tree", do="Keep one part."
-        )
+        given = f"{n - len(order)} nodes apart"
+        raise bad_input("skeleton", given=given, allowed="one connected tree", do="Keep one part.")
     place = np.empty(n, dtype=np.int64)
     place[order] = np.arange(n)
     above = np.where(parent[order] < 0, -1, place[parent[order]])

@@ -7,7 +7,7 @@ MTG and glTF have modules of their own (docs/formats.md).
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -29,11 +29,6 @@ def write_skeleton_ply(path: Path | str, skeleton: Skeleton, labels: Sequence[st
 
     Vertices have double x, y, z, radius [m], int parent (-1 at the root) and, with labels, uchar organ, which indexes
     the names in the comment "organs ..."; edges have int vertex1 (parent), vertex2 (child).
-
-    Args:
-        path: file to write.
-        skeleton: the tree.
-        labels: an organ name a node, or None.
     """
     names = list(dict.fromkeys(labels or ()))
     kinds = {"x": "f8", "y": "f8", "z": "f8", "radius": "f8", "parent": "i4"} | ({"organ": "u1"} if names else {})
@@ -62,11 +57,7 @@ def write_skeleton_ply(path: Path | str, skeleton: Skeleton, labels: Sequence[st
 
 
 def read_skeleton_ply(path: Path | str) -> SkeletonFile:
-    """Read a PLY with vertices x, y, z [m] and edges vertex1, vertex2; radius and parent are used where it has them.
-
-    Raises:
-        InputError: unreadable, no edges (a plain cloud), or not one tree.
-    """
+    """Read a PLY with vertices x, y, z [m] and edges vertex1, vertex2; radius and parent are used where it has them."""
     path = Path(path)
     elements = read_elements(path)
     vertices = _element(path, elements, "vertex", ("x", "y", "z"))
@@ -88,12 +79,9 @@ def read_skeleton_ply(path: Path | str) -> SkeletonFile:
 def _element(path: Path, elements: dict[str, Any], name: str, wanted: tuple[str, ...]) -> Any:
     data = elements.get(name)
     if data is None or not set(wanted) <= set(data.dtype.names or ()):
-        raise bad_input(
-            str(path),
-            given=f"no element '{name}' with {', '.join(wanted)}",
-            allowed="a skeleton: vertices x y z and edges vertex1 vertex2",
-            do="A cloud is no skeleton yet: `anther skeletonize` makes one.",
-        )
+        given, allowed = f"no element '{name}' with {', '.join(wanted)}", "vertices x y z and edges vertex1 vertex2"
+        do = "A cloud is no skeleton yet: `anther skeletonize` makes one."
+        raise bad_input(str(path), given=given, allowed=f"a skeleton: {allowed}", do=do)
     return data
 
 
@@ -104,13 +92,7 @@ def _organ_names(path: Path) -> list[str]:
 
 
 def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
-    """Write a skeleton as GraphML: nodes n0 (the root), n1, ... with x, y, z, radius [m] and organ.
-
-    Args:
-        path: file to write.
-        skeleton: the tree.
-        labels: an organ name a node, or None.
-    """
+    """Write a skeleton as GraphML: nodes n0 (the root), n1, ... with x, y, z, radius [m] and organ."""
     import networkx as nx  # noqa: PLC0415  # a fifth of a second
 
     graph = nx.DiGraph()
@@ -125,10 +107,8 @@ def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | 
 def read_graphml(path: Path | str) -> SkeletonFile:
     """Read a tree whose nodes have attributes x, y, z [m] and, optionally, radius [m] and organ.
 
-    The root of a directed graph is its node without incoming edge; an undirected one is rooted at its lowest node.
-
-    Raises:
-        InputError: not XML, no graph, a node without coordinates (or that only an edge names), or not one tree.
+    The root of a directed graph is its node without incoming edge; an undirected one is rooted at its lowest node. A
+    node without coordinates, or that only an edge names, is refused.
     """
     import networkx as nx  # noqa: PLC0415  # a fifth of a second
 
@@ -141,12 +121,8 @@ def read_graphml(path: Path | str) -> SkeletonFile:
     values = dict(graph.nodes(data=True))
     bare = [name for name, told in values.items() if not {"x", "y", "z"} <= set(told)]
     if bare:
-        raise bad_input(
-            str(path),
-            given=f"node '{bare[0]}' without x, y, z",
-            allowed="nodes with x, y, z, edges between them",
-            do="Export it again.",
-        )
+        given, allowed = f"node '{bare[0]}' without x, y, z", "nodes with x, y, z, edges between them"
+        raise bad_input(str(path), given=given, allowed=allowed, do="Export it again.")
     index = {name: j for j, name in enumerate(values)}
     nodes = np.array([[float(told[axis]) for axis in "xyz"] for told in values.values()]).reshape(-1, 3)
     edges = np.array([[index[a], index[b]] for a, b in graph.edges()], dtype=np.int64).reshape(-1, 2)
@@ -201,12 +177,8 @@ def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] |
     if path.suffix.lower() not in WRITES:
         raise bad_input(str(path), given=f"a {path.suffix} file", allowed=" ".join(WRITES), do="Choose one.")
     if labels is not None and (len(labels) != len(skeleton.nodes) or not all(name.isalpha() for name in labels)):
-        raise bad_input(
-            "skeleton labels",
-            given=f"{len(labels)} labels",
-            allowed=f"{len(skeleton.nodes)} words",
-            do="Name each node.",
-        )
+        given, allowed = f"{len(labels)} labels", f"{len(skeleton.nodes)} words"
+        raise bad_input("skeleton labels", given=given, allowed=allowed, do="Name each node.")
     WRITES[path.suffix.lower()](path, skeleton, labels)
 
 
@@ -221,29 +193,21 @@ def _write_npz(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> 
 
 
 def _write_swc(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
-    write_text(path, "\n".join(_swc_lines(skeleton, labels)) + "\n")
-
-
-def _write_txt(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
-    write_text(path, "\n".join(_txt_lines(skeleton)) + "\n")
-
-
-def _swc_lines(skeleton: Skeleton, labels: Sequence[str] | None) -> Iterator[str]:
     kinds = {name: SWC_CUSTOM + i for i, name in enumerate(dict.fromkeys(labels or ()))}
-    yield "# anther skeleton; metres; id type x y z radius parent"
+    lines = ["# anther skeleton; metres; id type x y z radius parent"]
     if kinds:
-        yield "# types: " + " ".join(f"{kind}={name}" for name, kind in kinds.items())
+        lines.append("# types: " + " ".join(f"{kind}={name}" for name, kind in kinds.items()))
     for j, (x, y, z) in enumerate(skeleton.nodes):
         above = skeleton.parent[j] + 1 if j else -1
         kind = kinds[labels[j]] if labels is not None else 0
-        yield f"{j + 1} {kind} {x:.9g} {y:.9g} {z:.9g} {skeleton.radius[j]:.9g} {above}"
+        lines.append(f"{j + 1} {kind} {x:.9g} {y:.9g} {z:.9g} {skeleton.radius[j]:.9g} {above}")
+    write_text(path, "\n".join([*lines, ""]))
 
 
-def _txt_lines(skeleton: Skeleton) -> Iterator[str]:
-    yield "*Nodes"
-    yield from (f"{x:.9g}, {y:.9g}, {z:.9g}" for x, y, z in skeleton.nodes)
-    yield "*Edges"
-    yield from (f"{a + 1}, {b + 1}" for a, b in skeleton.edges)
+def _write_txt(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
+    nodes = (f"{x:.9g}, {y:.9g}, {z:.9g}" for x, y, z in skeleton.nodes)
+    edges = (f"{a + 1}, {b + 1}" for a, b in skeleton.edges)
+    write_text(path, "\n".join(["*Nodes", *nodes, "*Edges", *edges, ""]))
 
 
 def _read_npz(path: Path) -> SkeletonFile:
@@ -292,9 +256,8 @@ def _table(lines: list[str], columns: int) -> Array:
     rows = [line.replace(",", " ").split() for line in lines if line.strip()]
     wrong = [row for row in rows if len(row) != columns]
     if wrong:
-        raise bad_input(
-            "skeleton line", given=" ".join(wrong[0]), allowed=f"{columns} numbers", do="Is the file truncated?"
-        )
+        allowed, do = f"{columns} numbers", "Is the file truncated?"
+        raise bad_input("skeleton line", given=" ".join(wrong[0]), allowed=allowed, do=do)
     return check_array("skeleton numbers", np.array(rows, dtype=np.float64).reshape(-1, columns), (None, columns))
 
 
