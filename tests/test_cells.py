@@ -57,7 +57,7 @@ def test_a_cell_file_says_what_stands_where_and_what_it_may(write: Write) -> Non
     assert limits.joint_speed == pytest.approx(0.3 * sawyer.VELOCITY)
     assert limits.flange_speed == pytest.approx(0.45)
     assert limits.contact_force == 20.0
-    assert [place.name for place in cell.keep_out] == ["bench"]
+    assert [place.upper[2] for place in cell.keep_out] == [-0.48]
     assert limits.keep_out[0].upper[2] == -0.48
 
 

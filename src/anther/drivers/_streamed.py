@@ -171,9 +171,12 @@ class Coming(Generic[T]):
     def __init__(self, more: Callable[[], T | None] | None) -> None:
         self.over, self._more = more is None, more
         self._answer: Future[T | None] | None = None
-        self._pool = None if more is None else ThreadPoolExecutor(1)
-        if self._pool is not None:
-            self._pool.submit(lambda: None)  # its thread begins here, to be served as the process is
+        self._pool = ThreadPoolExecutor(1)
+
+    def begin(self) -> None:
+        """Begin its thread here, to be served as the process is."""
+        if not self.over:
+            self._pool.submit(lambda: None)
 
     @property
     def asked(self) -> bool:
@@ -187,7 +190,7 @@ class Coming(Generic[T]):
 
     def ask(self) -> None:
         """Ask, but for an answer that is waited for."""
-        if self._pool is not None and self._more is not None and not self.over and not self.asked:
+        if self._more is not None and not self.over and not self.asked:
             self._answer = self._pool.submit(self._more)
 
     def take(self) -> T | None:
@@ -199,18 +202,15 @@ class Coming(Generic[T]):
 
     def close(self) -> None:
         """Wait for no answer any more."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=False, cancel_futures=True)
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
 
 class Reference:
-    """Joints, rates and accelerations over time [s] from 0 on.
-
-    What comes next is asked for `LEAD` before it is needed.
-    """
+    """Joints, rates and accelerations over time [s] from 0 on; what comes next is asked for `LEAD` before its time."""
 
     def __init__(self, first: JointTrajectory, more: More | None = None) -> None:
         self._coming = Coming(more)
+        self._coming.begin()
         self._pieces: list[tuple[float, Any]] = []
         self.ends = 0.0
         self.join(first)

@@ -161,11 +161,11 @@ class Controller:
 
     def _state(self) -> tuple[float, list[float], list[float]]:
         says = self.receive
-        for _ in range(4):  # the library takes in states between two calls; all is to be of one
+        for _ in range(3):  # the library takes in states between two calls; all is to be of one
             state = says.getTimestamp(), says.getActualQ(), says.getActualTCPForce()
             if says.getTimestamp() == state[0]:
-                break
-        return state
+                return state
+        return says.getTimestamp(), says.getActualQ(), says.getActualTCPForce()
 
     def _set_clocks(self, stamp: float) -> float:
         """Return the time on this machine's clock [s]; a new stamp sets the controller's behind it."""

@@ -145,12 +145,12 @@ class VoiceCoil:
                 why = "what comes next came too late" if now.state == "rest" else f"it says: {now.state}"
                 raise DeviceError(f"the motor stopped on the way: {why}. Look at it, then start anew.")
             self._check_moves(piece, now)
+            if now.piece == number and piece.begin + piece.seconds - now.seconds <= LEAD:
+                coming.ask()
             after = coming.take() if coming.there else None
             if after is not None:
                 piece, number = after, number + 1
                 self._send(number, piece)
-            if now.piece == number and piece.begin + piece.seconds - now.seconds <= LEAD:
-                coming.ask()
             self._sleep(max(BEAT - (self._clock() - began), 0))
 
     def _check_moves(self, piece: Swing, now: _State) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
@@ -22,7 +23,8 @@ INSTALL = "pip install 'anther[bags]'"
 _FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
-class Recorded(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Recorded:
     """One message as recorded, of a kind such as "sensor_msgs/msg/Image", after `index` others of its topic.
 
     Its stamp is the time in its header, or when it was recorded if it has none or zero [s]; `data` is as ROS 1 writes

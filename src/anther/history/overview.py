@@ -129,11 +129,11 @@ def last_day(session: Session, before: date) -> date | None:
     return None if moment is None else moment.date()
 
 
-def plants(session: Session, part: str, most: int = PAGE) -> Sequence[Any]:
-    """Return id, species, label of the plants whose label contains a text."""
+def plants(session: Session, part: str) -> Sequence[Any]:
+    """Return id, species, label of at most PAGE plants whose label contains a text."""
     found = Plant.label.icontains(part, autoescape=True)
     query = select(Plant.id, Plant.species, Plant.label).where(found).order_by(Plant.label, Plant.species)
-    return session.execute(query.limit(most)).all()
+    return session.execute(query.limit(PAGE)).all()
 
 
 def plant(session: Session, number: int) -> Plant | None:

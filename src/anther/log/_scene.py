@@ -54,7 +54,7 @@ EXAGGERATION = 20.0
 PAIRS = LinePrimitiveLineType.LineList
 
 
-Entity = dict[str, list[Any]]
+Entity = dict[str, Any]
 """What is drawn under one name: its lines, spheres and arrows."""
 
 
