@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.errors import InputError
-from anther.formats.clouds import read_cloud
-from anther.formats.points import lzf_decompress
+from anther.formats.clouds import lzf_decompress, read_cloud
 
 RNG = np.random.default_rng(0)
 TABLE = np.zeros(300, [("x", "<f4"), ("rgb", "<u4"), ("y", "<f4"), ("n", "<f4", (2,)), ("z", "<f8"), ("i", "<i2")])

@@ -11,8 +11,7 @@ from fake_rethink_gripper import FakeRethinkGripper
 from fake_ros_master import FakeMaster
 
 from anther.devices import DeviceError, Gripper
-from anther.drivers.intera import IoDevice, types
-from anther.drivers.rethink_gripper import RethinkGripper
+from anther.drivers.intera import IoDevice, RethinkGripper, types
 from anther.drivers.ros1 import Node
 
 

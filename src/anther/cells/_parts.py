@@ -19,9 +19,8 @@ from anther.cells._reading import Pose
 from anther.devices import Arm
 from anther.drivers.franka import Franka, open_franka
 from anther.drivers.free_running import FreeRunningCamera
-from anther.drivers.intera import types
+from anther.drivers.intera import RethinkGripper, types
 from anther.drivers.realsense import open_realsense
-from anther.drivers.rethink_gripper import RethinkGripper
 from anther.drivers.robotiq import Name, Robotiq2F, open_line
 from anther.drivers.ros1 import Node
 from anther.drivers.ros2 import JointTrajectoryArm

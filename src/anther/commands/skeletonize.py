@@ -16,8 +16,7 @@ from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import replacing
 from anther.flowers import flower_centres
-from anther.formats.clouds import read_cloud
-from anther.formats.points import Axis, Units
+from anther.formats.clouds import Axis, Units, read_cloud
 from anther.formats.skeleton_file import supposed_radius
 from anther.formats.skeletons import SkeletonFile, read_skeleton, write_skeleton
 from anther.geometry import Array

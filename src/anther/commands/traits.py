@@ -16,8 +16,7 @@ from rich.table import Table
 from anther.errors import AntherError, bad_input
 from anther.files import existing, made_folder, read_object, replacing, write_json
 from anther.flowers import flower_centres
-from anther.formats.clouds import read_cloud
-from anther.formats.points import Axis, Units
+from anther.formats.clouds import Axis, Units, read_cloud
 from anther.formats.tables import write_table
 from anther.pictures.plant import draw_plant
 from anther.skeleton import Params, skeletonize

@@ -7,17 +7,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
+from numpy.typing import NDArray
 from small_gicp import voxelgrid_sampling
 
-from anther.cloud import Cloud
+from anther.checks import check_array
+from anther.cloud import Cloud, ply
 from anther.errors import AntherError, bad_input
-from anther.files import existing
-from anther.formats.points import Axis, RawPoints, Units, read_npz_points, read_pcd, read_ply, read_text
+from anther.files import existing, load_npz, read_lines, understood, whole_file
 from anther.geometry import Array
 from anther.skeleton import skeletonize
 from anther.stem import find_stem
+
+Units = Literal["m", "cm", "mm", "0.01mm"]
+Axis = Literal["x", "y", "z"]
 
 _METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
 _FEWEST = 50
@@ -35,6 +41,19 @@ _COARSE = 120
 _BASE, _SURE = 0.25, 0.5
 """The cloud is thinned to one point per cube of plant size / 120; a base is the lowest quarter, likelier a stem
 than not."""
+
+_CUT = "Is it truncated, or another format?"
+MOST_POINTS = 20_000_000
+"""Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
+
+
+class RawPoints(NamedTuple):
+    """What a file holds: points (N, 3), NaN allowed, colours (N, 3) uint8, and the units and the up axis it states."""
+
+    points: Array
+    colors: NDArray[Any] | None = None
+    units: Units | None = None
+    up: Axis | None = None
 
 
 def read_cloud(
@@ -127,11 +146,8 @@ def _other_units(size: float, units: str) -> str:
         return "Wrong scale?"
     sizes = {other: size / _METRES[units] * metres for other, metres in _METRES.items() if other != units}
     likely = [f"--units {other} ({s:.2g} m)" for other, s in sizes.items() if _LIKELY[0] <= s <= _LIKELY[1]]
-    return (
-        f"Wrong units? Try {' or '.join(likely)}."
-        if likely
-        else f"In none of {', '.join(_METRES)} is it one: are the units others?"
-    )
+    none = f"In none of {', '.join(_METRES)} is it one: are the units others?"
+    return f"Wrong units? Try {' or '.join(likely)}." if likely else none
 
 
 def axis_notes(points: Array) -> tuple[str, ...]:
@@ -165,3 +181,210 @@ def stem_worth(points: Array) -> float:
         return 0.0
     thick = float(np.median(tree.radius[base])) / float(np.linalg.norm(extent))
     return thick * sure * rise / length * rise / float(extent[2])
+
+
+def read_ply(path: Path) -> RawPoints:
+    """Read a PLY, ASCII or binary; of a mesh, its vertices."""
+    stored = ply.read_ply(path)
+    return RawPoints(stored["points"], stored["colors"])
+
+
+def read_text(path: Path) -> RawPoints:
+    """Read rows of x y z, further columns (r g b as 0-255) optional, separated by blanks, commas or semicolons."""
+    with understood(path, "rows of at least three numbers: x y z", _CUT):
+        lines = [line.replace(",", " ").replace(";", " ") for line in read_lines(path)]
+        lines = [line for line in lines if _is_row(line)]
+        if not lines:
+            raise ValueError("no row of numbers")
+        rows = np.loadtxt(lines, dtype=np.float64, ndmin=2)
+    if rows.shape[1] < 3:
+        raise bad_input(str(path), given=f"{rows.shape[1]} columns", allowed="x y z [r g b]", do="Export x, y and z.")
+    colors = rows[:, 3:6]
+    is_colour = (
+        colors.shape[1] == 3 and np.all((colors >= 0) & (colors <= 255)) and float(np.max(colors, initial=0)) > 1
+    )
+    return RawPoints(rows[:, :3], colors.astype(np.uint8) if is_colour else None)
+
+
+def read_npz_points(path: Path, plant: int | None) -> RawPoints:
+    """Read an NPZ with `points` (N, 3), or `points_x100` (N, 3) integers, and `offsets` where it has several plants.
+
+    `colors` (N, 3), `units` and `up` (3,) are used when they are there. Of several plants one must be chosen.
+    """
+    held = load_npz(path, "an .npz with points (N, 3)", _NPZ_KEYS)
+    stored, per_unit = (held["points_x100"], 100.0) if "points_x100" in held else (held.get("points"), 1.0)
+    if stored is None:
+        raise bad_input(str(path), given="no array 'points'", allowed="points (N, 3)", do="Rename the array.")
+    if stored.ndim != 2 or stored.shape[1] != 3 or len(stored) > MOST_POINTS:
+        allowed = f"shape (N, 3), N <= {MOST_POINTS:,}"
+        raise bad_input(f"{path}: points", given=f"shape {stored.shape}", allowed=allowed, do="Thin out the cloud.")
+    with understood(path, "numbers in points, colors, offsets and up", "Write the arrays anew."):
+        part = _plant_part(path, held.get("offsets"), len(stored), plant)
+        points = check_array(f"{path}: points", stored[part], (None, 3), finite=False) / per_unit
+        colors = held.get("colors")
+        if colors is not None and (colors.ndim != 2 or colors.shape[1] < 3 or len(colors) != len(stored)):
+            colors = None
+        seen = None if colors is None else _bytes(colors[part, :3])
+        return RawPoints(points, seen, _units(path, held), _up(held))
+
+
+def read_pcd(path: Path) -> RawPoints:
+    """Read a PCD (ASCII, binary or binary_compressed) with fields x, y, z and, optionally, rgb."""
+    content = whole_file(path).read_bytes()
+    header, body = _pcd_header(path, content)
+    with understood(path, "a PCD with as many points as its header says", _CUT):
+        record = _pcd_record(header)
+        count, kind = int(header["POINTS"][0]), header["DATA"][0]
+        rows = _PCD_BODIES[kind](body, record, count)
+    missing = {"x", "y", "z"} - set(record.names or ())
+    if missing:
+        raise bad_input(str(path), given=f"no field {sorted(missing)}", allowed="fields x y z", do="Export x, y, z.")
+    points = structured_to_unstructured(rows[["x", "y", "z"]], dtype=np.float64)
+    return RawPoints(points, _packed_rgb(rows["rgb"]) if "rgb" in (record.names or ()) else None)
+
+
+_NPZ_KEYS = {"points", "points_x100", "offsets", "colors", "units", "up"}
+
+
+def _plant_part(path: Path, offsets: NDArray[Any] | None, count: int, plant: int | None) -> slice:
+    """Return where the points of one plant lie among the `count` of all."""
+    starts = np.array([0, count]) if offsets is None else check_array(f"{path}: offsets", offsets, (None,), dtype=int)
+    if len(starts) < 2 or starts[0] < 0 or starts[-1] > count or np.any(np.diff(starts) < 0):
+        allowed = f"rising numbers from 0 to {count}, where each plant's points begin and the last one's end"
+        raise bad_input(f"{path}: offsets", given=f"{starts[:5]}", allowed=allowed, do="Write them anew.")
+    last = len(starts) - 2
+    if plant is None and last > 0:
+        allowed, do = f"one of them, 0 to {last}", "Choose it with --plant NUMBER."
+        raise bad_input(str(path), given=f"a file of {last + 1} plants", allowed=allowed, do=do)
+    plant = plant or 0
+    if not 0 <= plant <= last:
+        raise bad_input(str(path), given=f"plant {plant}", allowed=f"0 <= plant <= {last}", do="Choose another.")
+    return slice(int(starts[plant]), int(starts[plant + 1]))
+
+
+def _units(path: Path, held: dict[str, NDArray[Any]]) -> Units | None:
+    """Return the units that the file states; whoever wrote it may have been unsure ("mm?")."""
+    stated = str(held.get("units", "")).strip().rstrip("?")
+    known = {str(name): name for name in get_args(Units)}
+    if stated and stated not in known:
+        allowed = ", ".join(f"'{name}'" for name in known)
+        raise bad_input(f"{path}: units", given=f"'{stated[:40]}'", allowed=allowed, do="Scale the points.")
+    return known.get(stated)
+
+
+def _up(held: dict[str, NDArray[Any]]) -> Axis | None:
+    up = np.asarray(held.get("up", (0, 0, 0)), dtype=np.float64)
+    return ("x", "y", "z")[int(np.argmax(up))] if up.shape == (3,) and up.max() > 0.9 else None
+
+
+def _bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return colours 0-255; what lies outside, or is no number, goes to the nearest that does not."""
+    return np.clip(np.nan_to_num(colors.astype(np.float64)), 0, 255).astype(np.uint8)
+
+
+def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes]:
+    header: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in header:
+        end = content.find(b"\n", at)
+        if end < 0:
+            raise bad_input(str(path), given="no complete header", allowed="a PCD file", do="Is it truncated?")
+        words = content[at:end].decode("ascii", errors="replace").split()
+        at = end + 1
+        if words and not words[0].startswith("#"):
+            header[words[0]] = words[1:]
+    if " ".join(header["DATA"]) not in _PCD_BODIES:
+        given = f"DATA {' '.join(header['DATA'])}"
+        raise bad_input(str(path), given=given, allowed=", ".join(_PCD_BODIES), do="Save it anew.")
+    return header, content[at:]
+
+
+def _pcd_record(header: dict[str, list[str]]) -> np.dtype[Any]:
+    kinds = {"F": "f", "I": "i", "U": "u"}
+    counts = header.get("COUNT", ["1"] * len(header["FIELDS"]))
+    columns = zip(header["FIELDS"], header["SIZE"], header["TYPE"], counts, strict=True)
+    fields = []
+    for i, (name, size, kind, count) in enumerate(columns):
+        shape = () if count == "1" else (int(count),)
+        fields.append((name if name != "_" else f"_{i}", f"<{kinds[kind]}{size}", shape))
+    return np.dtype(fields)
+
+
+def _pcd_ascii(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
+    rows = np.loadtxt(body.decode("ascii").splitlines(), dtype=np.float64, ndmin=2)
+    if len(rows) != count:
+        raise ValueError(f"{len(rows)} rows instead of {count}")
+    out = np.zeros(count, record)
+    column = 0
+    for name in record.names or ():
+        width = int(np.prod(record[name].shape, dtype=int))
+        values = rows[:, column] if width == 1 else rows[:, column : column + width]
+        with np.errstate(over="ignore"):  # infinite, and dropped with a note
+            out[name] = values
+        column += width
+    return out
+
+
+def _pcd_compressed(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
+    """Decompress PCL's layout: sizes (two uint32), then LZF of all x, all y, ... one field after another."""
+    packed, size = (int(n) for n in np.frombuffer(body, "<u4", 2))
+    if size != record.itemsize * count or len(body) < 8 + packed:
+        raise ValueError(f"{size} bytes announced for {count} points of {record.itemsize}, {len(body) - 8} there")
+    data = lzf_decompress(body[8 : 8 + packed], size)
+    out, at = np.zeros(count, record), 0
+    for name in record.names or ():
+        field = record[name]
+        out[name] = np.frombuffer(data, field.base, count * (field.itemsize // field.base.itemsize), at).reshape(
+            count, *field.shape
+        )
+        at += field.itemsize * count
+    return out
+
+
+def lzf_decompress(data: bytes, size: int) -> bytes:
+    """Return the `size` bytes that LZF (M. Lehmann's LibLZF, as PCL uses it) packed into `data`.
+
+    A control byte below 32 is followed by that many literals plus one; else its upper three bits (and, where they are
+    7, the next byte) give a length less 2, its lower five and the next byte how far back to copy from, less 1.
+    """
+    out, at = bytearray(), 0
+    while at < len(data):
+        control = data[at]
+        at += 1
+        if control < 32:
+            out += data[at : at + control + 1]
+            at += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length += data[at]
+            at += 1
+        start = len(out) - ((control & 31) << 8) - data[at] - 1
+        at += 1
+        if start < 0 or len(out) > size:
+            raise ValueError("damaged LZF data")
+        piece = out[start : start + length + 2]
+        repeats = -(-(length + 2) // len(piece)) if piece else 0  # it may reach into what it writes: then it repeats
+        out += (piece * repeats)[: length + 2]
+    if len(out) != size:
+        raise ValueError(f"damaged LZF data: {len(out)} of {size} bytes")
+    return bytes(out)
+
+
+def _pcd_binary(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
+    return np.frombuffer(body, record, count)
+
+
+_PCD_BODIES = {"ascii": _pcd_ascii, "binary": _pcd_binary, "binary_compressed": _pcd_compressed}
+
+
+def _packed_rgb(values: NDArray[Any]) -> NDArray[Any]:
+    """Return (N, 3) colours from PCL's packed field: 0x00RRGGBB, often stored in the bits of a float."""
+    bits = np.ascontiguousarray(values).view(np.uint32) if values.dtype.itemsize == 4 else values.astype(np.uint32)
+    return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+
+
+def _is_row(line: str) -> bool:
+    """Tell rows of numbers from headers, comments and a leading count."""
+    words = line.split()
+    return (len(words) > 1 and words[0].lstrip("+-.")[:1].isdigit()) or (bool(words) and words[0].lower() == "nan")

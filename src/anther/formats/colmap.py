@@ -24,8 +24,7 @@ from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.errors import bad_input
 from anther.files import existing, read_lines, understood, whole_file
-from anther.formats.clouds import checked_cloud
-from anther.formats.points import RawPoints, read_ply
+from anther.formats.clouds import RawPoints, checked_cloud, read_ply
 from anther.geometry import Array, Intrinsics, inverse, transform
 from anther.images import read_image
 
