@@ -20,9 +20,8 @@ from scipy.spatial import KDTree
 from skimage.morphology import skeletonize as thin
 
 from anther.geometry import Array
-from anther.skeleton._bridging import bridges
 from anther.skeleton.raw_tree import RawTree, rooted, with_extents
-from anther.skeleton.voxel_solid import Voxels, components
+from anther.skeleton.voxel_solid import Voxels, bridges, components
 
 _NEIGHBOURS = 12
 _LONGEST_LINK = 3.0  # [voxels]
