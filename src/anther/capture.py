@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range, check_transform
-from anther.errors import InputError, bad_input
+from anther.errors import bad_input
 from anther.files import existing, read_json, written
 from anther.geometry import Array, Box, Intrinsics
 from anther.images import read_image
@@ -125,7 +125,9 @@ class Capture:
             intrinsics=intrinsics,
             T_world_cam=poses @ OPENGL_TO_OPENCV,
             rgb=_read_colour(folder, frames, intrinsics),
-            joints=None if any(j is None for j in joints) else _joints_array(joints),
+            joints=None
+            if any(j is None for j in joints)
+            else check_array("joints of the frames", joints, (len(joints), None)),
         )
 
 
@@ -195,8 +197,14 @@ def _write_folder(capture: Capture, folder: Path) -> None:
     unit = next(u for u in _DEPTH_UNITS if furthest <= u * 65535)
     for name in ("depth", "rgb") if capture.rgb is not None else ("depth",):
         (folder / name).mkdir(parents=True)
-    steps = [(i, unit, folder) for i in range(capture.views)]
-    _in_threads(lambda step: _write_view(capture, *step), steps)
+
+    def write(view: int) -> None:
+        depth = np.round(capture.depth[view].astype(np.float64) / unit).astype(np.uint16)
+        _write_png(folder / f"depth/{view:04d}.png", depth)
+        if capture.rgb is not None:
+            _write_png(folder / f"rgb/{view:04d}.png", capture.rgb[view][..., ::-1])
+
+    in_threads(write, range(capture.views))
     camera = capture.intrinsics
     meta = {
         "camera_model": "PINHOLE",
@@ -212,18 +220,8 @@ def _write_folder(capture: Capture, folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
-def _write_view(capture: Capture, view: int, unit: float, folder: Path) -> None:
-    depth = np.round(capture.depth[view].astype(np.float64) / unit).astype(np.uint16)
-    _write_png(folder / f"depth/{view:04d}.png", depth)
-    if capture.rgb is not None:
-        _write_png(folder / f"rgb/{view:04d}.png", capture.rgb[view][..., ::-1])
-
-
 def _write_png(path: Path, image: NDArray[Any]) -> None:
-    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not ok:
-        raise InputError(f"{path}: the image of shape {image.shape} could not be encoded as PNG.")
-    path.write_bytes(data.tobytes())
+    path.write_bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
 def _frame(capture: Capture, view: int) -> dict[str, Any]:
@@ -310,10 +308,6 @@ def _read_pose(view: int, frame: dict[str, Any]) -> Array:
     return T
 
 
-def _joints_array(joints: list[Any]) -> Array:
-    return check_array("joints of the frames", joints, (len(joints), None))
-
-
 def _read_depth(
     folder: Path, meta: dict[str, Any], frames: list[dict[str, Any]], intrinsics: Intrinsics
 ) -> NDArray[np.float32]:
@@ -334,7 +328,7 @@ def _read_depth(
             )
         np.multiply(image, np.float32(unit), out=depth[view])
 
-    _in_threads(read, range(len(frames)))
+    in_threads(read, range(len(frames)))
     return depth
 
 
@@ -356,7 +350,7 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
         image = read_image(folder / str(frames[view]["file_path"]), cv2.IMREAD_COLOR, size)
         rgb[view] = image[..., ::-1]
 
-    _in_threads(read, range(len(frames)))
+    in_threads(read, range(len(frames)))
     return rgb
 
 
@@ -374,7 +368,7 @@ def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
     return camera.width, camera.height
 
 
-def _in_threads(work: Any, items: Iterable[Any]) -> None:
-    """Run `work` on every item in threads (OpenCV releases the GIL); the first error is raised."""
+def in_threads(work: Callable[[int], Any], items: Iterable[int]) -> list[Any]:
+    """Return what `work` makes of every number, in threads: OpenCV and numba release the GIL. The first error is raised."""
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
-        list(pool.map(work, items))
+        return list(pool.map(work, items))

@@ -158,6 +158,11 @@ class Skeleton:
         return np.bincount(self.parent[1:], minlength=len(self.nodes))
 
     @property
+    def breadth(self) -> Array:
+        """(J,) half width of the organ [m]; the radius where nobody knows."""
+        return self.radius if self.width is None else self.width
+
+    @property
     def rooted(self) -> float:
         """Probability that the plant stands at node 0; 1 where nobody knows."""
         return 1.0 if self.root_confidence is None else self.root_confidence

@@ -72,8 +72,7 @@ def plant_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
         node_ids: (S,) the stem, root first.
     """
     rise = max(rise_share(skeleton, node_ids), LEAST_RISE)
-    width = skeleton.radius if skeleton.width is None else skeleton.width
-    thick = float(np.median(skeleton.radius[node_ids] / width[node_ids]))
+    thick = float(np.median(skeleton.radius[node_ids] / skeleton.breadth[node_ids]))
     return np.array([logit(skeleton.rooted), np.log(rise), np.log(thick)])
 
 

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import chains, edge_lengths
+from anther.skeleton.raw_tree import chains, edge_lengths, sum_below
 
 STEM, BRANCH, TRUSS, LEAF = range(4)
 ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
@@ -50,36 +50,22 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArr
         main: nodes of the main stem.
         flowers_at: (F, 3) centres of flowers [m]; F may be 0.
     """
-    breadth = _relative_breadth(skeleton, main)
+    breadth = skeleton.breadth / stem_breadth(skeleton, main)
     bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, _FLOWER_REACH)
     axis = _axes(skeleton, main, breadth)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    is_truss = _sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
-    is_truss &= _sum_below(skeleton.parent, bears) > 0
-    is_bare = (organ == BRANCH) & (_sum_below(skeleton.parent, organ == LEAF) == 0)
+    is_truss = sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
+    is_truss &= sum_below(skeleton.parent, bears) > 0
+    is_bare = (organ == BRANCH) & (sum_below(skeleton.parent, organ == LEAF) == 0)
     is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
     return _limbs_named(skeleton.parent, organ, is_truss, is_bare)
 
 
 def stem_breadth(skeleton: Skeleton, main: NDArray[Any]) -> float:
     """Return the median half width of the main stem [m]."""
-    return float(np.median((skeleton.radius if skeleton.width is None else skeleton.width)[main]))
-
-
-def longest_way(parent: NDArray[Any], length: Array) -> Array:
-    """Return (J,) the longest way from each node's parent through the node to a tip [m]."""
-    way = length.copy()
-    for j in range(len(parent) - 1, 0, -1):
-        way[parent[j]] = max(way[parent[j]], length[parent[j]] + way[j])
-    return way
-
-
-def _relative_breadth(skeleton: Skeleton, main: NDArray[Any]) -> Array:
-    """Return (J,) how much broader each node is than the main stem."""
-    width = skeleton.radius if skeleton.width is None else skeleton.width
-    return width / stem_breadth(skeleton, main)
+    return float(np.median(skeleton.breadth[main]))
 
 
 def _flower_bearers(
@@ -153,11 +139,3 @@ def _limbs_named(
         elif begins and is_bare[j]:
             organ[j] = LEAF
     return organ
-
-
-def _sum_below(parent: NDArray[Any], amount: Array) -> Array:
-    """Return (J,) the sum of `amount` over each node and all that hangs on it."""
-    total = np.asarray(amount, dtype=np.float64).copy()
-    for j in range(len(parent) - 1, 0, -1):
-        total[parent[j]] += total[j]
-    return total
