@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from anther import masks
 from anther.errors import StageFailure
 from anther.masks import FLOWER, PLANT
-from anther.masks.by_words import Networks, Params, load_networks, paint
-from anther.masks.weights import Method, find_models
+from anther.masks.by_words import Method, Networks, Params, find_models, load_networks, paint
 
 Look = Callable[[NDArray[Any]], tuple[NDArray[np.uint8], NDArray[np.bool_]]]
 """From an image (H, W, 3) uint8 to its labels (H, W) and its stems (H, W)."""

@@ -369,6 +369,6 @@ def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
 
 
 def in_threads(work: Callable[[int], Any], items: Iterable[int]) -> list[Any]:
-    """Return what `work` makes of every number, in threads: OpenCV and numba release the GIL. The first error is raised."""
+    """Return what `work` makes of every number, in threads: OpenCV and numba release the GIL."""
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         return list(pool.map(work, items))

@@ -1,7 +1,7 @@
 """Masks: which pixels show the plant and its flowers. Dimensions: V views, H x W pixels.
 
 The default needs no weights. Every depth pixel in the workspace votes, with its colour, in a voxel grid that all
-views share. There the ground (bench, soil, pot) is found by geometry (`_ground.py`), brown stem parts are kept because
+views share. There the ground (bench, soil, pot) is found by geometry, brown stem parts are kept because
 they join green ones, and flowers are small yellow or white blobs at the plant. The decision is carried back to the
 pixels. Without colour, whatever stands above the ground is plant.
 """
@@ -16,15 +16,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.capture import Capture
+from anther.capture import Capture, in_threads
 from anther.checks import check_array, check_parameters, check_range
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
 from anther.masks._cells import kinds
-from anther.masks._images import COLOURFUL, labels_of_image
-from anther.masks._light import GREEN, GREEN_NO_DEPTH, Light, green_rule
-from anther.masks._survey import VOXEL, each_view, survey
+from anther.masks._light import COLOURFUL, GREEN, GREEN_NO_DEPTH, Light, green_rule, labels_of_image
+from anther.masks._survey import VOXEL, survey
 from anther.masks._voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
 __all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "segment_images", "without_ground"]
@@ -114,7 +113,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         found = read_back(capture.depth[view], seen.cameras[view], classes, cells)
         labels[view] = _add_pixels_without_depth(found, classes)
 
-    each_view(label_view, capture.views)
+    in_threads(label_view, range(capture.views))
     lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
     _require_plant(labels, f"Is the plant within x, y, z = {lower} .. {lower + size} m?")
     return Masks(labels, seen.source)
@@ -150,7 +149,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
         kept[view] = clear(labels[view], depth, seen.cameras[view], classes, cells)
         _drop_pixels_without_depth(kept[view], labels[view], depth, classes)
 
-    each_view(clear_view, capture.views)
+    in_threads(clear_view, range(capture.views))
     return Masks(kept, masks.source)
 
 
@@ -172,7 +171,7 @@ def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
         def label_image(view: int) -> None:
             labels[view] = labels_of_image(images[view], rule, light, greys)
 
-        each_view(label_image, len(images))
+        in_threads(label_image, range(len(images)))
     _require_plant(labels, "Is it green, and the light not that of red grow lamps?")
     return Masks(labels, "colour")
 
