@@ -138,7 +138,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
     masked = np.zeros((1, *seen.grid.shape), dtype=np.uint16)
     for view in range(capture.views):
         depth = np.where(labels[view] > 0, capture.depth[view], np.float32(0))
-        vote(None, depth, camera=seen.cameras[view], rule=None, counts=masked)
+        vote(None, depth, seen.cameras[view], None, masked)
     foot = seen.foot((masked[0] >= 2) & ~seen.rim)
     rim = RIM if capture.rgb is not None else GROUND
     cells = np.where(seen.below & ~foot, GROUND, np.where(seen.rim & ~foot, rim, EMPTY)).astype(np.uint8)

@@ -101,9 +101,7 @@ def _votes(
     def vote_views(thread: int) -> None:
         for view in range(thread, capture.views, _THREADS):
             rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
-            classes[view] = vote(
-                rgb, capture.depth[view], camera=cameras[view], rule=rule, counts=counts[thread], view=view
-            )
+            classes[view] = vote(rgb, capture.depth[view], cameras[view], rule, counts[thread])
 
     def add_layer(layer: int) -> None:
         counts[0, layer] += counts[1, layer]

@@ -14,16 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.geometry import Array
-from anther.skeleton.raw_tree import (
-    ALPHA,
-    RawTree,
-    along_tree,
-    edge_lengths,
-    path_gain,
-    rerooted,
-    sum_above,
-    sum_below,
-)
+from anther.skeleton.raw_tree import ALPHA, RawTree, along_tree, edge_lengths, path_gain, rerooted, sum_above, sum_below
 from anther.skeleton.voxel_solid import nearest
 
 _ENOUGH = 40_000  # more points than this make the node statistics no better
