@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range, check_transform
-from anther.errors import bad_input
+from anther.errors import InputError, bad_input
 from anther.files import existing, read_json, written
 from anther.geometry import Array, Box, Intrinsics
 from anther.images import read_image
@@ -164,8 +164,7 @@ def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
 def _check_apart(poses: Array) -> None:
     """Refuse views that were all taken from one and the same place: nothing could be told about depth."""
     if len(poses) > 1 and np.abs(poses - poses[0]).max() < 1e-6:
-        raise bad_input(
-            "transforms.json",
+        raise _refused(
             given=f"{len(poses)} views with one and the same pose",
             allowed="a pose of its own for every view",
             do="Was the arm's pose read only once, or the camera not moved? Write each view's own pose.",
@@ -233,20 +232,20 @@ def _frame(capture: Capture, view: int) -> dict[str, Any]:
     return frame | {"transform_matrix": (capture.T_world_cam[view] @ OPENGL_TO_OPENCV).tolist()}
 
 
+def _refused(given: str, allowed: str, do: str) -> InputError:
+    return bad_input("transforms.json", given=given, allowed=allowed, do=do)
+
+
 def _frames(meta: Any) -> list[dict[str, Any]]:
     frames = meta.get("frames") if isinstance(meta, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
-        raise bad_input(
-            "transforms.json",
-            given="no list of frames",
-            allowed="an object with a non-empty list 'frames'",
-            do="See docs/capture.md.",
+        raise _refused(
+            given="no list of frames", allowed="an object with a non-empty list 'frames'", do="See docs/capture.md."
         )
     for key in ("transform_matrix", "depth_file_path"):
         lacking = [i for i, frame in enumerate(frames) if key not in frame]
         if lacking:
-            raise bad_input(
-                "transforms.json",
+            raise _refused(
                 given=f"frame {lacking[0]} without '{key}' ({len(lacking)} of {len(frames)} lack it)",
                 allowed=f"every frame has '{key}'",
                 do="Anther needs a depth image and a pose for every view.",
@@ -260,16 +259,14 @@ def _read_intrinsics(meta: dict[str, Any], frames: list[dict[str, Any]]) -> Intr
     for i, frame in enumerate(frames):
         mixed = [k for k in _INTRINSICS_KEYS if k in frame and frame[k] != first.get(k)]
         if mixed or any((k in frame) != (k in frames[0]) for k in _INTRINSICS_KEYS):
-            raise bad_input(
-                "transforms.json",
+            raise _refused(
                 given=f"frame {i} with other intrinsics than frame 0 ({', '.join(mixed) or 'some frames have none'})",
                 allowed="one camera for all views",
                 do="Save each camera's views as a capture of its own, or resample them to one camera.",
             )
     bent = [k for k in _DISTORTION_KEYS if any(_number(k, source.get(k, 0)) != 0 for source in (meta, *frames))]
     if bent:
-        raise bad_input(
-            "transforms.json",
+        raise _refused(
             given=f"lens distortion ({', '.join(bent)})",
             allowed="a pinhole camera without distortion",
             do="Undistort the images first (ns-process-data or cv2.undistort), then set the coefficients to 0.",
@@ -337,8 +334,7 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
     if not named:
         return None
     if len(named) < len(frames):
-        raise bad_input(
-            "transforms.json",
+        raise _refused(
             given=f"'file_path' in {len(named)} of {len(frames)} frames",
             allowed="a colour image for every frame or for none",
             do="Add the missing images, or remove file_path everywhere for a depth-only capture.",

@@ -119,18 +119,9 @@ class Cloud:
         """Write the points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
         path = Path(path)
         write_ply(path, self.points, normals=self.normals, colors=self.colors, labels=self.labels)
-        write_npz(
-            path.with_suffix(".npz"),
-            "cloud",
-            SCHEMA,
-            obstacles=self.obstacles,
-            T_world_cam=self.T_world_cam,
-            notes=json.dumps(self.notes),
-            view_agreement=self.view_agreement,
-            view_used=self.view_used,
-            footprint=self.footprint,
-            seen_through=self.seen_through,
-        )
+        names = ("obstacles", "T_world_cam", "view_agreement", "view_used", "footprint", "seen_through")
+        rest = {name: getattr(self, name) for name in names}
+        write_npz(path.with_suffix(".npz"), "cloud", SCHEMA, notes=json.dumps(self.notes), **rest)
 
     @classmethod
     def load(cls, path: Path | str) -> Cloud:

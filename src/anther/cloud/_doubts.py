@@ -36,12 +36,7 @@ SLAB, GROUND_POINTS, GROUND_AREA = 0.01, 0.25, 0.2
 
 
 def view_doubts(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
-    """Return which views are blind or blocked, by number.
-
-    Args:
-        depth: (V, H, W) [m].
-        labels: (V, H, W) of the masks; 0 is not plant.
-    """
+    """Return which views are blind or blocked, by number, of depth (V, H, W) [m] and the masks' labels (V, H, W)."""
     thin = depth[:, ::4, ::4]
     usable = (thin > RANGE[0]) & (thin < RANGE[1])
     seen = usable.mean(axis=(1, 2))
@@ -94,13 +89,7 @@ def refuse_ground(points: Array, box: Box) -> None:
 
 
 def cloud_doubts(points: Array, kept: NDArray[np.bool_], box: Box) -> tuple[str, ...]:
-    """Return whether the workspace cuts the plant, and what else stands in it.
-
-    Args:
-        points: (N, 3) fused points in the workspace [m].
-        kept: (N,) which of them are the plant.
-        box: the workspace [m].
-    """
+    """Return whether the workspace cuts the plant, the `kept` of all points (N, 3) [m], and what else stands in it."""
     return (*_cut(points[kept], box), *_left_out(points, kept))
 
 
@@ -155,13 +144,7 @@ def seen_through(
     """Return the share of judgements by which other views see through a view's points, and how many there are.
 
     A view judges a point of another if it sees something there: at the point's depth, or at least `SEEN_THROUGH` [m]
-    behind it in all pixels around (`_fusion.balances`).
-
-    Args:
-        points_cam: per view (N_v, 3) points in its camera frame [m].
-        poses: (V, 4, 4) T_world_cam.
-        depth: (V, H, W) [m].
-        intrinsics: of all views.
+    behind it in all pixels around (`_fusion.balances`). Points of a view (N_v, 3) are in its camera frame [m].
     """
     supports = contradictions = 0
     for view, points in enumerate(points_cam):
@@ -180,11 +163,7 @@ def disagreement(
 ) -> tuple[tuple[str, ...], float]:
     """Return what to tell the user of views that disagree, and the share of `seen_through`; nothing and 0 else.
 
-    Args:
-        capture: the views.
-        points_cam: per view (N_v, 3) the plant's points in its camera frame [m].
-        poses: (V, 4, 4) after registration.
-        used: (V,) which views take part.
+    Points of a view (N_v, 3) are in its camera frame [m]; the poses (V, 4, 4) are those after registration.
     """
     views = np.flatnonzero(used).tolist()
     if len(views) < 2:

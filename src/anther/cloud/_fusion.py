@@ -153,9 +153,7 @@ class SurfacePoints:
 def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return each point's voxel number (N,), in order of first appearance, and the number of points of every voxel.
 
-    Args:
-        points: (N, 3) [m], less than 2^20 voxels from the origin.
-        voxel: edge of a voxel [m].
+    Points (N, 3) [m] are less than 2^20 voxels from the origin.
     """
     key = np.zeros(len(points), dtype=np.int64)
     for column in points.T:
@@ -239,15 +237,11 @@ def _balances(points, depth, k, T):
 
 
 def clusters(points: Array, gap: float) -> NDArray[Any]:
-    """Return the cluster number (N,) of each point: DBSCAN with eps = gap and min_samples = 1, exactly.
+    """Return the cluster number (N,) of each point (N, 3) [m]: DBSCAN with eps = gap and min_samples = 1, exactly.
 
     With one sample DBSCAN's clusters are the connected components of all pairs within `gap`. Points of one cell with
     a diagonal of `gap` are connected already, so only points of different cells are compared, nearest cells first and
     those that are already connected no more.
-
-    Args:
-        points: (N, 3) [m].
-        gap: [m].
     """
     edge = gap / np.sqrt(3) * (1 - 1e-9)
     cell, count = voxel_groups(points, edge)
@@ -306,14 +300,8 @@ def attached_points(points: Array) -> NDArray[np.bool_]:
 def occupied_cells(points: Array, views: NDArray[Any], plant: Array, voxel: float) -> Array:
     """Return the centres (M, 3) [m] of cells that really hold a surface other than the plant's.
 
-    A cell needs points of two views (or half of all it has room for) and a neighbourhood of ten such cells: pixels at
-    the plant's edges, wrongly placed beside it, do not make an obstacle.
-
-    Args:
-        points: (N, 3) world points that are not plant [m].
-        views: (N,) the view of each.
-        plant: (K, 3) plant points; cells that hold any are left out.
-        voxel: edge of a cell [m].
+    A cell needs points (N, 3) of two `views` (N,), a neighbourhood of such cells, and none of the plant (K, 3): pixels
+    at the plant's edges, wrongly placed beside it, do not make an obstacle.
     """
     if len(points) == 0:
         return np.zeros((0, 3))

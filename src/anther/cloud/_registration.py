@@ -132,11 +132,10 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
 def _without_contradictions(
     sample: Sample, given: Array, found: Estimate, source: NDArray[np.bool_], params: Params
 ) -> tuple[Estimate, Array, NDArray[np.bool_], tuple[str, ...]]:
-    """Place views that the others contradict anew, mark those that fit nowhere as unusable, and align once more.
+    """Return the estimate with contradicted views placed anew, (V,) how far views agree, (V,) which are usable, notes.
 
     Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
-    then about its new one. Returned with the estimate: (V,) how far its views agree and which can be used, and what to
-    say about the others.
+    then about its new one.
     """
     poses, wrong, used, agrees = mended(sample, given, found)
     placed = Estimate(poses, found.reach)
@@ -247,16 +246,9 @@ def _step(
     *,
     reach_fixed: bool,
 ) -> Estimate:
-    """Return the estimate after one Gauss-Newton step.
+    """Return the estimate after one Gauss-Newton step; with `reach_fixed` only the poses change.
 
-    Args:
-        sample: the points.
-        pairs: (P, 2) from `match`.
-        at: the estimate.
-        given: (V, 4, 4) poses the prior is about.
-        information: from `_prior_information`.
-        scale: of the Welsch weights [m].
-        reach_fixed: only the poses change.
+    The prior of `information` is about the `given` poses (V, 4, 4); `scale` is that of the Welsch weights [m].
     """
     world, normals = sample.world(at)
     points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]

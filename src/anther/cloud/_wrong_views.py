@@ -109,14 +109,7 @@ class Sample:
 
 
 def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
-    """Return (P, 2) pairs of near points of different views with similar normals; the first ones are in `use`.
-
-    Args:
-        sample: the points.
-        at: where the views are.
-        use: (N,) points for which neighbours are looked up.
-        distance: greatest distance of a pair [m].
-    """
+    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`."""
     points, normals = sample.world(at)
     first = np.flatnonzero(use)
     if len(first) == 0:
@@ -147,12 +140,7 @@ def _normals(points: Array, cloud: Array) -> Array:
 
 
 def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArray[Any], NDArray[Any], Array]:
-    """Place the views anew that the others contradict.
-
-    Args:
-        sample: the points.
-        given: (V, 4, 4) poses from the arm.
-        found: the estimate under which views are judged.
+    """Place the views anew that the others contradict under the estimate `found`; `given` are the arm's poses.
 
     Returns:
         (V, 4, 4) poses of all views: the contradicted ones where they fit, or as given where they fit nowhere; (V,)

@@ -132,9 +132,8 @@ def _parts_near(
 ) -> NDArray[np.bool_]:
     """Return the connected components of `part` that come within `distance` [m] of `plant` and are small.
 
-    Args:
-        axis: which of the three extents along the bounding box, sorted from the greatest, may not exceed `extent`:
-            0 bounds the size, 1 lets through slender parts of any length.
+    Of the three extents of the bounding box, sorted from the greatest, number `axis` may not exceed `extent` [m]: 0
+    bounds the size, 1 lets through slender parts of any length.
     """
     number = _numbered(part)
     sizes = [sorted(side.stop - side.start for side in box)[2 - axis] for box in ndimage.find_objects(number)]

@@ -69,13 +69,7 @@ def normalised(
     """Return images (B, H, W, 3) uint8 as SAM 2 and SAM 3 want them: (B, 3, height, width), resized and normalised.
 
     Their official image processors need torchvision. This resizes as they do: bilinear with antialiasing, rounded to
-    grey levels, aspect ratio not kept.
-
-    Args:
-        images: the images.
-        size: height, width that the network was trained with [px].
-        device: where the network runs.
-        mean, std: of red, green, blue, 0..1, that the network was trained with.
+    grey levels, aspect ratio not kept. `size` [px], `mean` and `std` (0..1) are those of the network's training.
     """
     pixels = torch.tensor(np.asarray(images), device=device).permute(0, 3, 1, 2).float()
     pixels = functional.interpolate(pixels, size, mode="bilinear", antialias=True).round().clamp(0, 255) / 255
@@ -126,11 +120,7 @@ def _quietly() -> Iterator[None]:
 
 
 class GroundedSam2:
-    """Both networks, ready to run.
-
-    Attributes:
-        device: where they run.
-    """
+    """Both networks, ready to run on a `device`."""
 
     def __init__(
         self, detector: Any, tokenizer: Any, processor: Any, outliner: Any, *, score: float, most: int
@@ -142,16 +132,7 @@ class GroundedSam2:
 
     @classmethod
     def load(cls, folders: Sequence[Path], *, score: float, most: int) -> GroundedSam2:
-        """Read both networks.
-
-        Args:
-            folders: of Grounding DINO and of SAM 2.
-            score: least score of a box, 0..1.
-            most: so many of the best boxes in an image.
-
-        Raises:
-            InputError: a file is missing, damaged, or does not fit the network.
-        """
+        """Read both networks; boxes have a `score`, 0..1, or more, and are the best `most` of an image."""
         grounding_dino, sam2 = folders
         return cls(
             load_network(transformers.AutoModelForZeroShotObjectDetection, grounding_dino),
@@ -229,11 +210,9 @@ def chosen_boxes(
 
     Args:
         logits: (Q, >= T) of each query for each token.
-        boxes: (Q, 4) centre x, y, width, height as shares of the image.
+        boxes: (Q, 4) centre x, y, width, height as shares of the image, whose `size` is height, width [px].
         word_of_token: (T,) see `words_of_tokens`.
-        size: height, width of the image [px].
-        score: least score, 0..1.
-        most: at most so many.
+        score, most: least score, 0..1; at most so many.
     """
     chance = logits[:, : len(word_of_token)].sigmoid()
     of_words = [chance[:, word_of_token == k].amax(dim=1) for k in range(int(word_of_token.max()) + 1)]
@@ -246,11 +225,7 @@ def chosen_boxes(
 
 
 class Sam3:
-    """The network, ready to run.
-
-    Attributes:
-        device: where it runs.
-    """
+    """The network, ready to run on a `device`."""
 
     def __init__(self, network: Any, tokenizer: Any, *, score: float, most: int) -> None:
         self.device = torch.device(network.device)
@@ -259,16 +234,7 @@ class Sam3:
 
     @classmethod
     def load(cls, folders: Sequence[Path], *, score: float, most: int) -> Sam3:
-        """Read the network.
-
-        Args:
-            folders: of SAM 3.
-            score: least score of a mask, 0..1.
-            most: so many of the best masks for each of the words in an image.
-
-        Raises:
-            InputError: a file is missing, damaged, or does not fit the network.
-        """
+        """Read the network; masks have a `score`, 0..1, or more, and are the best `most` for one of the words."""
         network = load_network(transformers.Sam3Model, folders[0])
         return cls(network, load_part(transformers.AutoTokenizer, folders[0]), score=score, most=most)
 

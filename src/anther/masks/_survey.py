@@ -172,11 +172,6 @@ def foot_cells(plant: NDArray[np.bool_], below: NDArray[np.bool_], voxel: float)
 
     The margin above the soil belongs to the ground, and a stem would begin above it. What stands on that layer and is
     no wider than `STEM_EXTENT` is a stem, carried on straight down through the margin.
-
-    Args:
-        plant: (X, Y, Z) plant cells above the ground.
-        below: (X, Y, Z) ground cells, each column filled from its bottom.
-        voxel: as in `ground_cells`.
     """
     top = below.sum(axis=2)[:, :, None]
     above = np.minimum(top + np.arange(2), below.shape[2] - 1)

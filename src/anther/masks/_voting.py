@@ -56,8 +56,7 @@ def vote(
         depth: (H, W) float32 [m].
         camera: (3, 4) from `pixels_to_cells`.
         rule: None without colour.
-        counts: (LAYERS, X, Y, Z) uint16, votes for OTHER, GREEN, YELLOW, WHITE and the petal layer; added to in
-            place. Without colour the first layer is enough.
+        counts: (LAYERS, X, Y, Z) uint16, added to in place; without colour the first layer is enough.
     """
     at = _cell_of(depth, camera, counts.shape[1:])
     seen = at >= 0
@@ -124,15 +123,10 @@ _LABEL[[YELLOW, WHITE], BESIDE_FLOWER] = 2
 
 
 def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return one view's labels (H, W) uint8 (0 background, 1 plant, 2 flower) from what its cells were found to be.
+    """Return one view's labels (H, W), 0 background, 1 plant, 2 flower, from what its cells (X, Y, Z) were found to be.
 
     A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: beside
     green parts they are background that the depth sensor's matching window fattened the plant with.
-
-    Args:
-        depth, camera: as in `vote`.
-        classes: (H, W) from `vote`.
-        cells: (X, Y, Z) uint8, see EMPTY and what follows.
     """
     return _LABEL[classes, cells.ravel()[_cell_of(depth, camera, cells.shape)]]
 
@@ -140,14 +134,7 @@ def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: 
 def clear(
     labels: NDArray[Any], depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]
 ) -> NDArray[Any]:
-    """Return labels (H, W) of any source freed of the ground, of the pot and of what lies outside the grid.
-
-    Args:
-        labels: (H, W) uint8, 0 = background.
-        depth, camera: as in `vote`.
-        classes: (H, W) from `vote`.
-        cells: (X, Y, Z) uint8, of which GROUND and RIM count.
-    """
+    """Return labels (H, W) of any source freed of GROUND, of a pot's RIM and of what lies outside the cells."""
     at = _cell_of(depth, camera, cells.shape)
     cell = cells.ravel()[at]
     gone = (at < 0) | (cell == GROUND) | ((cell == RIM) & (classes == OTHER))

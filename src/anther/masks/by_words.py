@@ -200,10 +200,11 @@ def load_networks(method: Method, folders: Sequence[Path], params: Params) -> Ne
     Raises:
         InputError: weights are not usable.
     """
-    from anther.masks import _networks  # noqa: PLC0415
-
-    chosen = _networks.Sam3 if method == "sam3" else _networks.GroundedSam2
-    return chosen.load(folders, score=params.score, most=params.most)
+    if method == "sam3":
+        from anther.masks._networks import Sam3 as Chosen  # noqa: PLC0415
+    else:
+        from anther.masks._networks import GroundedSam2 as Chosen  # noqa: PLC0415
+    return Chosen.load(folders, score=params.score, most=params.most)
 
 
 def find_models(folder: Path, method: Method = "grounded-sam2") -> tuple[Path, ...]:

@@ -56,7 +56,6 @@ _SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
 """Side branches shorter than the first times the half width of the organ they leave, or than the second [voxels], are
 pruned."""
 _VEIN = 2.5  # side branches that leave on a blade go if they hold less stem or petiole than this [voxels]
-_SMALLEST_RADIUS = 1e-4  # no radius is reported smaller [m]
 _SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
 _FATTENING = 0.5
 """How much farther than the radius the surface of a round organ lies from its axis in a fused cloud [pixels]: what the
@@ -176,19 +175,8 @@ class Skeleton:
 
     def save(self, path: Path | str) -> None:
         """Write an .npz (schema 2)."""
-        write_npz(
-            path,
-            _KIND,
-            _SCHEMA,
-            nodes=self.nodes,
-            parent=self.parent,
-            radius=self.radius,
-            width=self.width,
-            confidence=self.confidence,
-            flatness=self.flatness,
-            root_confidence=self.root_confidence,
-            notes=np.array(self.notes, dtype=np.str_),
-        )
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        write_npz(path, _KIND, _SCHEMA, **fields | {"notes": np.array(self.notes, dtype=np.str_)})
 
     @classmethod
     def load(cls, path: Path | str) -> Skeleton:
@@ -231,7 +219,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
     surface = points[:: -(-len(points) // _ENOUGH_POINTS)]
-    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening, smallest=_SMALLEST_RADIUS)
+    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening)
     hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
     if hidden > 0:
         curves = extended(curves, hidden, spacing)

@@ -51,12 +51,9 @@ class Curves:
 
 
 def resample(tree: RawTree, gain: Array, spacing: float) -> Curves:
-    """Return the tree's chains, smoothed and evenly spaced, side chains attached where their direction points.
+    """Return the tree's chains, smoothed and evenly spaced [m], side chains attached where their direction points.
 
-    Args:
-        tree: the coarse tree.
-        gain: (J,) path gain that decides which child goes on with its parent's chain.
-        spacing: wanted distance between nodes [m]; a side chain shorter than half of it is dropped.
+    The path gain (J,) decides which child goes on with its parent's chain; side chains of less than half a step drop.
     """
     first, *others = chains(tree.parent, gain)
     nodes, radius = _even(_smooth(tree.nodes[first]), tree.thickness[first], spacing, fewest=1)
@@ -77,20 +74,16 @@ def resample(tree: RawTree, gain: Array, spacing: float) -> Curves:
     return Curves(nodes, made, radius, radius)
 
 
-def centred(curves: Curves, points: Array, *, rounds: int, fattening: float, smallest: float) -> Curves:
-    """Return the curves moved to the middle of the cloud's cross-sections, with radii from the cloud.
+def centred(curves: Curves, points: Array, *, rounds: int, fattening: float) -> Curves:
+    """Return the curves moved to the middle of the cloud's (N, 3) cross-sections, with radii from the cloud.
 
-    Args:
-        curves: evenly spaced chains.
-        points: (N, 3) the cloud [m].
-        rounds: how often to repeat: each round sees sections cut across better centrelines.
-        fattening: how much thicker the sensor makes organs [m of radius].
-        smallest: no radius is smaller [m].
+    Each of the `rounds` sees sections cut across better centrelines; `fattening` is how much thicker the sensor makes
+    organs [m of radius].
     """
     for _ in range(rounds):
         curves = _smoothed(_recentred(curves, points))
     curves = _reaching_ends(_straight_start(curves), points)
-    return _radii(curves, points, fattening, smallest)
+    return _radii(curves, points, fattening)
 
 
 def extended(curves: Curves, length: float, spacing: float) -> Curves:
@@ -257,7 +250,7 @@ def _reaching_ends(curves: Curves, points: Array) -> Curves:
     return replace(curves, nodes=nodes)
 
 
-def _radii(curves: Curves, points: Array, fattening: float, smallest: float) -> Curves:
+def _radii(curves: Curves, points: Array, fattening: float) -> Curves:
     """Return the curves with radii (half thickness where the section is flat) and half widths, from the cloud.
 
     The radius of a round section is the median distance of the surface from the centreline, less what the sensor adds.
@@ -273,10 +266,11 @@ def _radii(curves: Curves, points: Array, fattening: float, smallest: float) -> 
             values[own] = median_filter(values[own], size=min(_MEDIAN, len(own)), mode="nearest")
         carrier = radius[chain[0]] if number else float(np.median(radius[own[: max(len(own) // 4, 3)]]))
         radius[own] = np.minimum(radius[own], _THICKER * carrier)
-    radius = np.maximum(radius, smallest)
+    radius = np.maximum(radius, _SMALLEST)
     return replace(curves, radius=radius, width=np.maximum(width, radius))
 
 
+_SMALLEST = 1e-4  # no radius is reported smaller [m]
 _MEDIAN = 5
 """Radii are the medians over so many nodes."""
 
@@ -308,13 +302,9 @@ class CrossSections:
 
 
 def cross_sections(points: Array, nodes: Array, tangent: Array, before: NDArray[Any]) -> CrossSections:
-    """Return the cross-section of the points that lie nearest to each node, or to its neighbours along the chain.
+    """Return the cross-section of the points (N, 3) nearest to each node, or to its neighbours along the chain.
 
-    Args:
-        points: (N, 3) the cloud [m].
-        nodes: (J, 3) [m].
-        tangent: (J, 3) unit vectors.
-        before: (J,) the node before each on the same chain; -1 at the chain's first.
+    Tangents (J, 3) are unit vectors; `before` (J,) is the node before each on the same chain, -1 at the chain's first.
     """
     after = np.full(len(nodes), -1)
     after[before[before >= 0]] = np.flatnonzero(before >= 0)

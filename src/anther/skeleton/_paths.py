@@ -71,11 +71,7 @@ def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, shortest: floa
 def shortest_paths(points: Array, edges: NDArray[Any], cost: Array, source: int) -> tuple[Array, NDArray[Any]]:
     """Return (N,) cost of the cheapest way from the source [m], and (N,) the voxel before each on it, -1 at the source.
 
-    Args:
-        points: (N, 3) voxel centres [m].
-        edges: (E, 2) links; the graph is connected.
-        cost: (N,) >= 1, how much longer a way seems at each voxel.
-        source: where all paths begin.
+    `cost` (N,) >= 1 is how much longer a way seems at each voxel; the graph is connected.
     """
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) * cost[edges].mean(axis=1)
     graph = sparse.coo_matrix((length, (edges[:, 0], edges[:, 1])), (len(points), len(points))).tocsr()
@@ -86,10 +82,7 @@ def shortest_paths(points: Array, edges: NDArray[Any], cost: Array, source: int)
 def covering_paths(distance: Array, before: NDArray[Any], levels: LevelSets, shortest: float) -> NDArray[Any]:
     """Return the voxels (J,) on the paths that go through all level sets, nearest the source first.
 
-    Args:
-        distance, before: of `shortest_paths`.
-        levels: of the same source.
-        shortest: paths with less than this of their own, in level sets that no path goes through, are left out [m].
+    Paths with less than `shortest` [m] of their own, in level sets that no path goes through, are left out.
     """
     tips = np.argsort(-distance, kind="stable")
     chosen = np.flatnonzero(_walked(tips, before, levels.number, levels.way, shortest))
@@ -122,16 +115,10 @@ _ROUND, _FLAT = 0.2, 0.5
 
 
 def middled(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> RawTree:
-    """Return the tree with its nodes on blades in the middle of the blade's width.
+    """Return the tree with its nodes, that are voxels, on blades in the middle of the blade's width.
 
     A chain moves to the centroids of the level sets it goes through, each cut to what is nearer to this chain than to
     another, so that blades that touch keep their own lines.
-
-    Args:
-        tree: its nodes are voxels.
-        gain: (J,) path gain that decides which child goes on with its parent's chain.
-        voxels: the plant.
-        levels: of the tree's root.
     """
     every = chains(tree.parent, gain)
     home = np.zeros(len(tree.nodes), dtype=np.int64)

@@ -148,12 +148,9 @@ def rooted(links: NDArray[Any], count: int, root: int) -> tuple[Parents, NDArray
 
 
 def without_spurs(tree: RawTree, *, per_width: float, at_least: float) -> RawTree:
-    """Return the tree without side branches shorter than the organ they leave is wide.
+    """Return the tree without side branches that are shorter than the organ they leave is wide.
 
-    Args:
-        tree: the tree.
-        per_width: a side branch goes when it is not longer than this times the lateral half extent at its fork.
-        at_least: and always when it is not longer than this [m].
+    A side branch goes when it is not longer than `per_width` times the half width at its fork, or than `at_least` [m].
     """
     length = edge_lengths(tree.nodes, tree.parent)
     keep = np.ones(len(tree.parent), dtype=bool)

@@ -44,17 +44,10 @@ def logit(share: ArrayLike) -> Array:
 
 
 def node_support(nodes: Array, parent: NDArray[Any], radius: Array, flatness: Array, points: Array) -> Array:
-    """Return what the cloud says of every node, (J, 2), each 0 .. 1, larger for a better one, 0 without points.
+    """Return what the cloud (N, 3) says of every node, (J, 2), each 0 .. 1, larger for a better one, 0 without points.
 
     Columns: how sharply the surface lies at one radius, exp(-2 scatter / radius); how little the surroundings are a
     plane, 1 - flatness.
-
-    Args:
-        nodes: (J, 3) [m].
-        parent: (J,) of a rooted tree, parent[0] = -1.
-        radius: (J,) half thickness [m].
-        flatness: (J,) see `Skeleton`.
-        points: (N, 3) the cloud [m].
     """
     points = points[:: max(len(points) // _ENOUGH, 1)]
     _, owner = nearest(points, nodes)
@@ -105,13 +98,9 @@ class PlantBase(NamedTuple):
 
 
 def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
-    """Return the tip in the lower half of the plant at which it most likely stands.
+    """Return the tip in the lower half of the plant, among the lowest `candidates`, at which it most likely stands.
 
     The tips are the choices of a conditional logit, nested in whether the base is in the cloud (McFadden 1978).
-
-    Args:
-        tree: any rooting of the tree.
-        candidates: only so many of the lowest tips are tried.
     """
     tips, evidence = base_evidence(tree, candidates)
     utility = evidence @ np.asarray(BASE_FITTED)
@@ -179,12 +168,9 @@ _STEEPEST = 0.7
 
 
 def distance_to_soil(base: Array, upward: Array, obstacles: Array) -> float:
-    """Return how far straight below its lowest seen point the stem meets the soil [m]; 0 if it cannot be told.
+    """Return how far below its lowest seen point (3,) the stem, straight on, meets the soil [m]; 0 if unknown.
 
-    Args:
-        base: (3,) the stem's lowest point seen [m].
-        upward: (3,) unit vector of the stem there.
-        obstacles: (M, 3) points of pot and soil [m].
+    `upward` (3,) is the stem's unit vector there; the obstacles (M, 3) are points of pot and soil [m].
     """
     aside = np.linalg.norm(obstacles[:, :2] - base[:2], axis=1)
     below = base[2] - obstacles[:, 2]

@@ -43,14 +43,10 @@ def thinned_tree(voxels: Voxels) -> RawTree:
 
 
 def medial_line(index: NDArray[Any], touching: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return (N,) which voxels are left by Lee's thinning (1994), with what it wrongly deletes put back (P7).
+    """Return (N,) which voxels (N, 3) are left by Lee's thinning (1994), with what it wrongly deletes put back (P7).
 
     scikit-image deletes straight bars of even width altogether (scikit-image #3757). Voxels left far from any line
-    are therefore thinned once more, one voxel wider.
-
-    Args:
-        index: (N, 3) voxel indices.
-        touching: (E, 2) pairs of touching voxels.
+    are therefore thinned once more, one voxel wider. `touching` (E, 2) are pairs of touching voxels.
     """
     left = _lee(index)
     lost = _uncovered(index, left)

@@ -73,14 +73,10 @@ def point_spacing(points: Array) -> float:
 
 
 def solidify(points: Array, voxel: float, *, close: int, fill: float) -> VoxelSolid:
-    """Voxelise points, close small gaps, fill hollow stems.
+    """Voxelise points (N, 3) [m], close gaps of up to `close` voxels along an axis, fill hollow stems.
 
-    Args:
-        points: (N, 3) [m].
-        voxel: edge length [m].
-        close: gaps of up to this many voxels along an axis are closed.
-        fill: a hollow narrower than this [m] along at least two axes is filled: a stem of any direction,
-            but not the space between two leaves.
+    A hollow narrower than `fill` [m] along at least two axes is filled: a stem of any direction, but not the space
+    between two leaves.
     """
     origin = points.min(axis=0) - voxel
     keys = _keys(np.rint((points - origin) / voxel).astype(np.int64))
@@ -117,12 +113,9 @@ def without_specks(points: Array, label: NDArray[Any], smallest: float) -> NDArr
 
 
 def bridges(points: Array, label: NDArray[Any], longest: float) -> NDArray[Any]:
-    """Return (B, 2) links that join the fragments to fragment 0, nearest first (a minimum spanning tree).
+    """Return (B, 2) links up to `longest` [m] that join the fragments to fragment 0 (a minimum spanning tree).
 
-    Args:
-        points: (N, 3) [m].
-        label: (N,) fragment numbers; 0 is the largest, negative ones are left alone.
-        longest: no link is longer [m]; fragments farther away stay unlinked.
+    Fragment 0 of the labels (N,) is the largest; negative ones are left alone, those farther away stay unlinked.
     """
     links = []
     target = np.zeros(len(points), dtype=np.int64)
@@ -148,16 +141,11 @@ _COARSER = 2
 
 
 def surroundings(index: NDArray[Any], reach: float) -> tuple[Array, Array]:
-    """Return (N,) the planarity around each voxel, and (N,) how far off the middle of its surroundings it lies.
+    """Return (N,) the planarity around each voxel (N, 3), and (N,) how far it is off their middle over the reach.
 
     A blade is a plane, a stem or petiole a line. The eigenvalues l1 >= l2 >= l3 of the scatter of a voxel's
-    neighbourhood tell them apart: (l2 - l3) / l1, the planarity of Demantke et al. (2011, "Dimensionality based scale
-    selection in 3D lidar point clouds"), is 1 on a plane and 0 on a line or in a ball. The distance to the middle is a
-    share of the reach.
-
-    Args:
-        index: (N, 3) voxel indices.
-        reach: radius of the neighbourhood [voxels].
+    neighbourhood within `reach` [voxels] tell them apart: (l2 - l3) / l1, the planarity of Demantke et al. (2011,
+    "Dimensionality based scale selection in 3D lidar point clouds"), is 1 on a plane and 0 on a line or in a ball.
     """
     index = index - index.min(axis=0)
     _, cell = np.unique(index // _COARSER, axis=0, return_inverse=True)

@@ -86,18 +86,8 @@ class Stem:
 
     def save(self, path: Path | str) -> None:
         """Write an .npz (schema 3)."""
-        write_npz(
-            path,
-            _KIND,
-            _SCHEMA,
-            node_ids=self.node_ids,
-            arc_length=self.arc_length,
-            attachments=self.attachments,
-            organ=self.organ,
-            fork=self.fork,
-            notes=np.array(self.notes, dtype=np.str_),
-            confidence=None if self.confidence is None else np.array(self.confidence),
-        )
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        write_npz(path, _KIND, _SCHEMA, **fields | {"notes": np.array(self.notes, dtype=np.str_)})
 
     @classmethod
     def load(cls, path: Path | str) -> Stem:

@@ -43,13 +43,7 @@ _LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it 
 
 
 def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
-    """Return (J,) the organ of every node.
-
-    Args:
-        skeleton: the tree; without widths no leaf can be told from a branch.
-        main: nodes of the main stem.
-        flowers_at: (F, 3) centres of flowers [m]; F may be 0.
-    """
+    """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given."""
     breadth = skeleton.breadth / stem_breadth(skeleton, main)
     bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, _FLOWER_REACH)
     axis = _axes(skeleton, main, breadth)
