@@ -12,6 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from colour_images import segment_images
 from numpy.typing import NDArray
 
 from anther import masks
@@ -39,7 +40,7 @@ STEM = "stem."
 def by_colour(rgb: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Look at one image by colour; nothing is found where the masks refuse it."""
     try:
-        labels = masks.segment_images(rgb[None], TOMATO).labels[0]
+        labels = segment_images(rgb[None], TOMATO).labels[0]
     except StageFailure:
         labels = np.zeros(rgb.shape[:2], dtype=np.uint8)
     return labels, slender(labels > 0)

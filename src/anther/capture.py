@@ -299,9 +299,6 @@ def _read_pose(view: int, frame: dict[str, Any]) -> Array:
     if np.abs(nearest - T[:3, :3]).max() < 1e-3:
         T[:3, :3] = nearest
     check_transform(name, T)
-    check_range(
-        f"frame {view} camera distance from the origin", float(np.linalg.norm(T[:3, 3])), 0, _PLAUSIBLE_POSITION, "m"
-    )
     return T
 
 

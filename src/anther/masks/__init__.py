@@ -22,11 +22,11 @@ from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
 from anther.masks._cells import kinds
-from anther.masks._light import COLOURFUL, GREEN, GREEN_NO_DEPTH, Light, green_rule, labels_of_image
+from anther.masks._light import GREEN, GREEN_NO_DEPTH
 from anther.masks._survey import VOXEL, survey
 from anther.masks._voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
-__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "segment_images", "without_ground"]
+__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "without_ground"]
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
 
@@ -114,8 +114,14 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         labels[view] = _add_pixels_without_depth(found, classes)
 
     in_threads(label_view, range(capture.views))
-    lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
-    _require_plant(labels, f"Is the plant within x, y, z = {lower} .. {lower + size} m?")
+    found = int((labels > 0).sum())
+    if found < LEAST_PIXELS:
+        lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
+        raise StageFailure(
+            "no_plant_found",
+            f"masks: {found} plant pixels in {len(labels)} views; at least {LEAST_PIXELS} are needed. "
+            f"Is the plant within x, y, z = {lower} .. {lower + size} m?",
+        )
     return Masks(labels, seen.source)
 
 
@@ -151,38 +157,6 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
 
     in_threads(clear_view, range(capture.views))
     return Masks(kept, masks.source)
-
-
-def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
-    """Return the plant and flower pixels of colour images (V, H, W, 3) uint8 without depth or poses.
-
-    Colour alone cannot tell plants behind from the plant in front, nor a green pot from leaves.
-
-    Raises:
-        StageFailure: `no_plant_found` when the images show too little green, or the light holds none.
-    """
-    params = params or Params()
-    images = check_array("images", rgb, (None, None, None, 3), dtype="uint8")
-    light = Light.on(images, params.green)
-    labels = np.zeros(images.shape[:3], dtype=np.uint8)
-    if light.holds_green:
-        rule, greys = green_rule(light, params), Light.on(images, params.green, COLOURFUL)
-
-        def label_image(view: int) -> None:
-            labels[view] = labels_of_image(images[view], rule, light, greys)
-
-        in_threads(label_image, range(len(images)))
-    _require_plant(labels, "Is it green, and the light not that of red grow lamps?")
-    return Masks(labels, "colour")
-
-
-def _require_plant(labels: NDArray[Any], question: str) -> None:
-    found = int((labels > 0).sum())
-    if found < LEAST_PIXELS:
-        raise StageFailure(
-            "no_plant_found",
-            f"masks: {found} plant pixels in {len(labels)} views; at least {LEAST_PIXELS} are needed. {question}",
-        )
 
 
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:

@@ -2,7 +2,6 @@
 
 Where the light holds green, plants are green once the white balance is right. Where it holds none (grow lamps of
 660 nm and 450 nm), the colours of plant and surroundings are learned from pixels that geometry is sure of.
-Colour images without depth are labelled by the same rule, and then only what hangs together counts. H x W pixels.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -156,65 +154,3 @@ def saturation(colour: NDArray[Any]) -> NDArray[Any]:
 def _alike(leaf: float) -> float:
     """Return how much colours of one thing may differ: 18 grey levels where leaves have 150 (measured by us)."""
     return float(np.clip(0.12 * leaf, 5, 18))
-
-
-_BESIDE = 5  # how close to green a petal comes [px]
-
-LEAST_SHADE = 0.25
-"""What is darker than this share of lit leaves is not looked at."""
-LEAST_PATCH, PETAL_PATCH, GOLDEN_PATCH = 2e-5, 1e-3, 2e-2
-"""Least share of the image that a green patch has, and greatest that a petal patch has: any, and a golden one."""
-GOLDEN_SATURATION, GOLDEN_GREEN, GOLDEN_GAIN = 0.65, 0.8, 0.7
-"""Least saturation of golden petals, 0..1, their least green relative to red (oranges and ripening fruit have less) and
-their least brightness relative to bright leaves. Chosen on half of the photographs of docs/reports/masks.md."""
-COLOURFUL = 0.5
-"""What is as saturated as this, 0..1, is left out when the lamp is estimated for petals."""
-WHITE_SCENE = 0.05
-"""Where more than this share of the image is white, small white patches are gaps in the foliage, not petals."""
-
-
-def labels_of_image(rgb: NDArray[Any], rule: ColourRule, light: Light, greys: Light) -> NDArray[np.uint8]:
-    """Return the labels (H, W) uint8 of one image (H, W, 3): 0 background, 1 plant, 2 flower.
-
-    `rule` and `light` take all that is not green for grey; `greys` leaves out what is `COLOURFUL`. Only petals are
-    looked for in the latter: under mixed grow lamps bluish leaves are green in the former alone.
-
-    What is much darker than lit leaves has no trustworthy colour: a black cloth in a JPEG is green in places. Green
-    patches smaller than `LEAST_PATCH` of the image are noise. Of the small patches that touch green, golden ones are
-    petals. White ones are, if they cover more than the golden ones, since a plant has petals of one colour and leaves
-    that shine; and if little else is white: before white film or sky each gap between leaves looks like a petal. Other
-    yellow ones are plant, because pods and young leaves are as yellow.
-    """
-    image = cv2.medianBlur(rgb, 3)
-    classes = rule.classes(image)
-    lit = image.max(axis=2) >= LEAST_SHADE * light.leaf
-    green = _patches((classes == GREEN) & lit, least=LEAST_PATCH * classes.size)
-    window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_BESIDE, _BESIDE))
-    near = cv2.dilate(green.astype(np.uint8), window) > 0
-    yellow, white = (
-        _patches(classes == colour, most=PETAL_PATCH * classes.size, touching=near) for colour in (YELLOW, WHITE)
-    )
-    petals = _patches(_golden(image, greys), most=GOLDEN_PATCH * classes.size, touching=near)
-    if (classes == WHITE).mean() <= WHITE_SCENE and white.sum() >= petals.sum():
-        petals = white
-    return np.where(petals, 2, green | yellow).astype(np.uint8)
-
-
-def _golden(rgb: NDArray[Any], light: Light) -> NDArray[np.bool_]:
-    """Return which pixels (H, W) are as yellow as a tomato's petals: as red as green, where leaves are greener."""
-    balanced = rgb * np.array(light.gains, dtype=np.float32)
-    red, green = balanced[..., 0], balanced[..., 1]
-    bright = balanced.max(axis=2) >= GOLDEN_GAIN * light.leaf
-    return bright & (saturation(balanced) >= GOLDEN_SATURATION) & (red >= green) & (green >= GOLDEN_GREEN * red)
-
-
-def _patches(
-    part: NDArray[np.bool_], *, least: float = 0, most: float = np.inf, touching: NDArray[np.bool_] | None = None
-) -> NDArray[np.bool_]:
-    """Return the connected patches of `part` (H, W) with `least` to `most` pixels that touch something."""
-    count, numbered, stats, _ = cv2.connectedComponentsWithStats(part.astype(np.uint8), connectivity=8)
-    patch, area = np.asarray(numbered, dtype=np.int32), stats[:, cv2.CC_STAT_AREA]
-    kept = (area >= least) & (area <= most)
-    if touching is not None:
-        kept &= np.bincount(patch[touching], minlength=count) > 0
-    return part & kept[patch]

@@ -147,15 +147,12 @@ def rooted(links: NDArray[Any], count: int, root: int) -> tuple[Parents, NDArray
     return parent, order
 
 
-def without_spurs(tree: RawTree, *, per_width: float, at_least: float) -> RawTree:
-    """Return the tree without side branches that are shorter than the organ they leave is wide.
-
-    A side branch goes when it is not longer than `per_width` times the half width at its fork, or than `at_least` [m].
-    """
+def without_spurs(tree: RawTree, longest: float) -> RawTree:
+    """Return the tree without side branches that are not longer than `longest` [m]."""
     length = edge_lengths(tree.nodes, tree.parent)
     keep = np.ones(len(tree.parent), dtype=bool)
     for chain in chains(tree.parent, length)[1:]:
-        if length[chain[1:]].sum() <= max(per_width * tree.width[chain[0]], at_least):
+        if length[chain[1:]].sum() <= longest:
             keep[chain[1:]] = False
     return _kept(tree, keep)
 
