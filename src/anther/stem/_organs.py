@@ -29,9 +29,6 @@ ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 PLANAR_BLADE, _PLANAR_DOUBT = 0.68, 0.25
 """Where the skeleton's flatness (planarity of the surroundings) is the first, blade is as likely as axis; where it is
 less by the second there is no doubt (both read off the development plants)."""
-_FLAT_BLADE = 1.5
-"""Without that, a section flatter than the main stem's by this factor is as likely blade; how flat a round stem looks
-tells what noise and one-sided views do to sections."""
 _NARROW = 4.0  # a section as broad as the main stem tells nothing, one narrower by this factor leaves no doubt
 _STUB = 2.5  # an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width
 SPUR = 3.0  # a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width
@@ -82,11 +79,11 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.
     narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum is
     found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
     """
-    if skeleton.width is None:
+    if skeleton.width is None or skeleton.flatness is None:  # of another program: no leaf can be told
         return np.ones(len(breadth), dtype=bool)
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     narrow = -np.log(breadth) / np.log(_NARROW)
-    gain = length * np.clip(narrow + _roundness(skeleton, main), -1, 1)
+    gain = length * np.clip(narrow + (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT, -1, 1)
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):
         gain[skeleton.parent[j]] += max(gain[j], 0)
@@ -104,15 +101,6 @@ def _stubs(parent: NDArray[Any], length: Array, axis: NDArray[np.bool_], least: 
     """
     limbs = (chain[1:] for chain in chains(parent, length * axis)[1:])
     return np.concatenate([np.zeros(0, dtype=np.int64), *(j for j in limbs if length[j][axis[j]].sum() < least)])
-
-
-def _roundness(skeleton: Skeleton, main: NDArray[Any]) -> Array:
-    """Return (J,) evidence against a blade: by the planarity of the surroundings, else by the section's flatness."""
-    if skeleton.flatness is not None:
-        return (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT
-    assert skeleton.width is not None
-    flatness = skeleton.width / skeleton.radius
-    return np.log(_FLAT_BLADE * np.median(flatness[main]) / flatness)
 
 
 def _limbs_named(
