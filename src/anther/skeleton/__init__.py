@@ -52,7 +52,9 @@ HOLLOW = 0.06
 _SURE = 0.75  # a root that is less likely is said
 _BRIDGE = 0.15  # gaps up to this share of the plant's size are bridged
 _SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
-_SPUR = 6.0  # side branches not longer than this are pruned [voxels]
+_SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
+"""Side branches shorter than the first times the half width of the organ they leave, or than the second [voxels], are
+pruned."""
 _VEIN = 2.5  # side branches that leave on a blade go if they hold less stem or petiole than this [voxels]
 _SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
 _FATTENING = 0.5
@@ -308,14 +310,15 @@ def _base(tree: RawTree) -> tuple[int, float, tuple[str, ...]]:
 
 
 def _parted(tree: RawTree, voxels: Voxels) -> RawTree:
-    """Return the tree without paths side by side and spurs."""
+    """Return the tree without paths side by side and the shortest spurs; a stem's foot may look like a longer one."""
     tree = parted(tree, stem_gain(tree))
-    return without_spurs(with_extents(tree.nodes, tree.parent, voxels), _SPUR * voxels.voxel)
+    return without_spurs(with_extents(tree.nodes, tree.parent, voxels), at_least=_SPUR * voxels.voxel)
 
 
 def _pruned(tree: RawTree, voxels: Voxels) -> RawTree:
     """Return the tree without what is not an organ: paths side by side, spurs, veins."""
-    return without_veins(_parted(tree, voxels), _VEIN * voxels.voxel)
+    tree = without_spurs(_parted(tree, voxels), per_width=_SPUR_PER_WIDTH)
+    return without_veins(tree, _VEIN * voxels.voxel)
 
 
 def _not_trivial(tree: RawTree, size: float) -> RawTree:

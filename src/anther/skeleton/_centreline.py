@@ -110,7 +110,6 @@ _BENT, _STRAIGHT = 2, 10
 """The first nodes of a side branch, bent towards the quick way down the stem, and the next ones, which point to where
 it leaves (measured on simulated captures: junctions within 10 mm rise from 0.80 to 0.91, and lie 0.3 mm too high, not
 2.7 mm too low)."""
-
 _BEYOND = 2.5
 """A host node farther than this times the nearest is not believed."""
 
@@ -198,17 +197,12 @@ def _recentred(curves: Curves, points: Array) -> Curves:
 
 _FEWEST = 8
 """Points needed to say anything about a cross-section."""
-
 _THICKER = 1.3
 """No organ is thicker than this times what carries it, the stem than its lower part: a curled leaf may look so."""
-
 _FLAT = 2.2
 """A section is flat when it is broader than thick by more than this."""
-
 _ROUND = 0.25
 """A section is round when half its points lie within this share of the radius from the fitted circle."""
-
-
 _ARC = 0.08
 """A stem that is an arc in the cloud, seen from one side or hollow: half its points are this near to the circle."""
 _CUT = 1  # node at the foot, whose section is cut off aslant

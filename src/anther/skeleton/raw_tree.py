@@ -147,12 +147,12 @@ def rooted(links: NDArray[Any], count: int, root: int) -> tuple[Parents, NDArray
     return parent, order
 
 
-def without_spurs(tree: RawTree, longest: float) -> RawTree:
-    """Return the tree without side branches that are not longer than `longest` [m]."""
+def without_spurs(tree: RawTree, *, per_width: float = 0, at_least: float = 0) -> RawTree:
+    """Return the tree without side branches not longer than so many half widths at their fork, or `at_least` [m]."""
     length = edge_lengths(tree.nodes, tree.parent)
     keep = np.ones(len(tree.parent), dtype=bool)
     for chain in chains(tree.parent, length)[1:]:
-        if length[chain[1:]].sum() <= longest:
+        if length[chain[1:]].sum() <= max(per_width * tree.width[chain[0]], at_least):
             keep[chain[1:]] = False
     return _kept(tree, keep)
 
