@@ -33,8 +33,8 @@ from scipy.optimize import minimize
 import anther.skeleton as skeleton_stage
 from anther.geometry import Array
 from anther.grasp._confidence import place_evidence
-from anther.skeleton._rooting import PlantBase, base_evidence, find_root
 from anther.skeleton.raw_tree import RawTree
+from anther.skeleton.support import PlantBase, base_evidence, find_root
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 GROWN, FIRST_GROWN = 48, 300

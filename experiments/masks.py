@@ -24,6 +24,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from colour_images import segment_images
 from masks_pictures import arabidopsis_sheet, light_sheet, overlaid
 from numpy.typing import NDArray
 from rich.console import Console
@@ -139,7 +140,7 @@ def arabidopsis(folder: Path) -> tuple[dict[str, float], NDArray[Any], Masks]:
     points = read_json(CHECK)
     rgb = np.stack([np.asarray(cv2.imread(str(folder / name)))[..., ::-1] for name in points])
     begin = time.perf_counter()
-    found = masks.segment_images(rgb)
+    found = segment_images(rgb)
     seconds = time.perf_counter() - begin
     near = [cv2.dilate((labels > 0).astype(np.uint8), np.ones((5, 5), np.uint8)) for labels in found.labels]
     stem, leaf = (

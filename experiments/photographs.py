@@ -49,7 +49,7 @@ from wide_truth import markdown
 
 from anther.files import read_json, write_json
 from anther.masks import FLOWER
-from anther.masks.weights import NETWORKS
+from anther.masks.by_words import NETWORKS
 
 LABELS = Path(__file__).parent / "real" / "photographs.json"
 FOLDER = os.environ.get("ANTHER_PHOTOS")

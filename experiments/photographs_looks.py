@@ -12,13 +12,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from colour_images import segment_images
 from numpy.typing import NDArray
 
 from anther import masks
 from anther.errors import StageFailure
 from anther.masks import FLOWER, PLANT
-from anther.masks.by_words import Networks, Params, load_networks, paint
-from anther.masks.weights import Method, find_models
+from anther.masks.by_words import Method, Networks, Params, find_models, load_networks, paint
 
 Look = Callable[[NDArray[Any]], tuple[NDArray[np.uint8], NDArray[np.bool_]]]
 """From an image (H, W, 3) uint8 to its labels (H, W) and its stems (H, W)."""
@@ -40,7 +40,7 @@ STEM = "stem."
 def by_colour(rgb: NDArray[Any]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     """Look at one image by colour; nothing is found where the masks refuse it."""
     try:
-        labels = masks.segment_images(rgb[None], TOMATO).labels[0]
+        labels = segment_images(rgb[None], TOMATO).labels[0]
     except StageFailure:
         labels = np.zeros(rgb.shape[:2], dtype=np.uint8)
     return labels, slender(labels > 0)

@@ -37,8 +37,7 @@ from skeletons import take
 from anther import cloud, masks
 from anther.arm import sawyer
 from anther.capture import Capture
-from anther.cloud import EDGE_DEPTH, EDGE_SUPPORT, EDGE_WINDOW
-from anther.cloud._pixels import supported_pixels
+from anther.cloud._fusion import supported_pixels
 from anther.cloud._registration import Params, register
 from anther.commands.simulated_cell import USUAL_DISTANCE, layout
 from anther.files import replacing, write_json
@@ -111,7 +110,7 @@ def register_all(
     for error in errors:
         given = believed_poses(truth, rng, *ERRORS[error])
         seen = Capture(capture.depth, capture.intrinsics, given, capture.rgb)
-        pixels = [p.points for p in cloud.plant_pixels(seen, labels, box, cloud.Params())]
+        pixels = [p.points for p in cloud.plant_pixels(seen, labels, box)]
         for method, params in METHODS.items():
             begin = time.perf_counter()
             found = register(pixels, given, params) if params else None
@@ -132,9 +131,7 @@ def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -
         keeps = {
             "none": masked,
             "gradient": masked & (_range(depth) <= GRADIENT),
-            "support": supported_pixels(
-                depth, masked, EDGE_WINDOW, EDGE_SUPPORT, EDGE_DEPTH
-            ),
+            "support": supported_pixels(depth, masked),
         }  # fmt: skip
         for name, keep in keeps.items():
             counts[name] += [(flies & ~keep).sum(), flies.sum(), (petiole & keep).sum(), petiole.sum()]

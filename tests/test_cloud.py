@@ -15,9 +15,7 @@ from scipy.spatial import KDTree
 
 from anther.capture import Capture
 from anther.cloud import Cloud, Params, fuse
-from anther.cloud._clusters import attached_points, clusters
-from anther.cloud._fusion import occupied_cells
-from anther.cloud._pixels import pixel_normals, supported_pixels
+from anther.cloud._fusion import attached_points, clusters, occupied_cells, pixel_normals, supported_pixels
 from anther.cloud.ply import read_ply, write_ply
 from anther.commands.convert_kinect import read_kinect
 from anther.errors import InputError, StageFailure
@@ -203,7 +201,7 @@ def test_flying_pixels_go_and_thin_lines_stay() -> None:
     mask[:, 20] = True
     depth[10, 10] = 0.4  # a pixel that hangs in the air
     mask[10, 10] = True
-    keep = supported_pixels(depth, mask, 2, 5, 0.003)
+    keep = supported_pixels(depth, mask)
     assert keep[2:-2, 20].all()
     assert not keep[10, 10]
 
@@ -251,7 +249,7 @@ def test_normals_are_those_of_the_surface() -> None:
     root = b**2 - (ray**2).sum(axis=2) * c
     mask = root > 0
     depth = np.where(mask, (b - np.sqrt(np.maximum(root, 0))) / (ray**2).sum(axis=2), 0).astype(np.float32)
-    normals = pixel_normals(depth, mask, camera, 0.003)
+    normals = pixel_normals(depth, mask, camera)
     points = camera.back_project(depth, mask)
     true = (points - centre) / radius
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
@@ -270,7 +268,7 @@ def test_the_pixel_filter_keeps_petioles_that_an_edge_filter_eats() -> None:
         near = np.stack([np.roll(truth.depth[v], (i, j), (0, 1)) for i in range(-2, 3) for j in range(-2, 3)])
         flies = masked & (np.abs(near - depth).min(axis=0) > 0.01)
         petiole = masked & ~flies & np.isin(truth.organ[v], (Organ.PETIOLE, Organ.RACHIS))
-        keep = supported_pixels(depth, masked, 2, 5, 0.003)
+        keep = supported_pixels(depth, masked)
         around = np.stack([np.roll(depth, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
         smooth = np.where(around > 0, np.abs(around - depth), 0).max(axis=0) <= 0.015
         flying += [(flies & ~keep).sum(), flies.sum()]

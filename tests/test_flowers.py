@@ -60,7 +60,8 @@ def test_a_flower_hangs_on_the_nearest_node() -> None:
 def test_a_blade_is_less_likely_to_carry_a_flower() -> None:
     width = np.full(53, 0.003)
     width[52] = 0.02
-    leafy = Skeleton(SKELETON.nodes, SKELETON.parent, SKELETON.radius, width=width)
+    flatness = np.where(width > 0.01, 1.0, 0.0)
+    leafy = Skeleton(SKELETON.nodes, SKELETON.parent, SKELETON.radius, width=width, flatness=flatness)
     found = find_flowers(cloud_of(flower([0.031, 0, 0.4])), leafy, find_stem(leafy))
     assert list(found.attachment) == [51]
 

@@ -20,8 +20,7 @@ from anther.cli import main
 from anther.errors import InputError, MissingExtra, StageFailure
 from anther.geometry import Intrinsics, look_at
 from anther.masks import BACKGROUND, FLOWER, PLANT, Masks
-from anther.masks.by_words import Params, label_views, paint, segment
-from anther.masks.weights import find_models
+from anther.masks.by_words import Params, find_models, label_views, paint, segment
 from anther.sim.capture import capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
@@ -203,9 +202,9 @@ def test_missing_extra_says_how_to_install(models: Path, monkeypatch: pytest.Mon
 def stand_in(monkeypatch: pytest.MonkeyPatch, networks: Any) -> list[Any]:
     """Let `networks` be what is loaded from the weights; return the list of loadings."""
     loaded = []
-    module = type(sys)("anther.masks._grounded_sam2")
+    module = type(sys)("anther.masks._networks")
     module.GroundedSam2 = type("Loader", (), {"load": lambda *a, **k: loaded.append(k) or networks})  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "anther.masks._grounded_sam2", module)
+    monkeypatch.setitem(sys.modules, "anther.masks._networks", module)
     return loaded
 
 
@@ -216,7 +215,7 @@ def test_result_is_kept_per_images_weights_and_parameters(
     cache, capture = tmp_path / "capture" / "masks", views(2)
     first = segment(capture, models, cache=cache)
     assert (first.source, len(loaded)) == (SOURCE, 1)
-    again = segment(capture, models, Params(batch=2, device="cpu"), cache=cache)  # how, not what
+    again = segment(capture, models, Params(batch=2), cache=cache)  # how, not what
     np.testing.assert_array_equal(again.labels, first.labels)
     assert len(loaded) == 1
     other_image = np.array(capture.rgb)
@@ -297,7 +296,7 @@ def test_reconstruct_with_the_networks_masks(models: Path, tmp_path: Path, monke
 
 def test_torch_is_not_imported_before_it_is_needed() -> None:
     code = (
-        "import sys, anther.pipeline, anther.commands.trial, anther.commands.mask_source, anther.masks.weights\n"
+        "import sys, anther.pipeline, anther.commands.trial, anther.commands.mask_source, anther.masks.by_words\n"
         "assert not {'torch', 'transformers'} & set(sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -23,11 +23,19 @@ from anther.capture import Capture  # noqa: E402
 from anther.errors import InputError  # noqa: E402
 from anther.geometry import Intrinsics, look_at  # noqa: E402
 from anther.masks import FLOWER, PLANT  # noqa: E402
-from anther.masks._grounded_sam2 import SAM2_MEAN, SAM2_STD, GroundedSam2, chosen_boxes, words_of_tokens  # noqa: E402
-from anther.masks._networks import full_size, normalised  # noqa: E402
-from anther.masks._sam3 import SAM3_MEAN, TEXT_LENGTH, Sam3  # noqa: E402
-from anther.masks.by_words import Params, segment  # noqa: E402
-from anther.masks.weights import find_models  # noqa: E402
+from anther.masks._networks import (  # noqa: E402
+    SAM2_MEAN,
+    SAM2_STD,
+    SAM3_MEAN,
+    TEXT_LENGTH,
+    GroundedSam2,
+    Sam3,
+    chosen_boxes,
+    full_size,
+    normalised,
+    words_of_tokens,
+)
+from anther.masks.by_words import Params, find_models, segment  # noqa: E402
 
 CPU = torch.device("cpu")
 WORDS = ("leaves.", "stem.", "flower.")
@@ -49,7 +57,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def networks(models: Path) -> GroundedSam2:
-    return GroundedSam2.load(find_models(models), device="auto", score=0.0, most=5)
+    return GroundedSam2.load(find_models(models), score=0.0, most=5)
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +160,7 @@ def test_boxes_agree_with_the_official_decoding(networks: GroundedSam2, models: 
         transformers.AutoTokenizer.from_pretrained(folder),
     )
     network = transformers.GroundingDinoForObjectDetection.from_pretrained(folder)
-    every = GroundedSam2.load(find_models(models), device="cpu", score=0.0, most=900).boxes(images, WORDS)
+    every = GroundedSam2.load(find_models(models), score=0.0, most=900).boxes(images, WORDS)
     for image, (ours, _) in zip(images, every, strict=True):
         asked = processor(images=[image], text=" ".join(WORDS), return_tensors="pt")
         with torch.inference_mode():
@@ -186,7 +194,7 @@ def test_masks_agree_with_the_whole_network_run_on_one_image(networks: GroundedS
 
 def test_sam3_agrees_with_the_whole_network_run_on_one_image(models: Path, images: Any) -> None:
     """Here a batch is encoded once for all words; the decoding is written anew."""
-    ours = Sam3.load(find_models(models, "sam3"), device="cpu", score=0.2, most=4).find(images, WORDS)
+    ours = Sam3.load(find_models(models, "sam3"), score=0.2, most=4).find(images, WORDS)
     whole = transformers.Sam3Model.from_pretrained(models / "sam3").eval()
     tokenizer = transformers.AutoTokenizer.from_pretrained(models / "sam3")
     for image, (masks, word) in zip(images, ours, strict=True):
@@ -218,7 +226,7 @@ def test_the_whole_chain_from_a_folder_of_weights(models: Path, tmp_path: Path, 
     assert (masks.labels > 0).any(axis=(1, 2)).all()
     assert masks.source == {"grounded-sam2": "Grounding DINO and SAM 2", "sam3": "SAM 3"}[method]
     assert told[-1] == (3, 3)
-    batched = segment(capture, models, Params(score=0.0, most=6, batch=3, device="cpu"), method=method)
+    batched = segment(capture, models, Params(score=0.0, most=6, batch=3), method=method)
     assert (batched.labels != masks.labels).mean() < 2e-3  # sums in another order
     kept = segment(capture, models, params, method=method, cache=tmp_path)
     np.testing.assert_array_equal(kept.labels, masks.labels)
@@ -227,12 +235,6 @@ def test_the_whole_chain_from_a_folder_of_weights(models: Path, tmp_path: Path, 
 def test_too_many_words_are_refused(networks: GroundedSam2, images: Any) -> None:
     with pytest.raises(InputError, match="at most 256 tokens"):
         networks.boxes(images[:1], ["stem."] * 200)
-
-
-def test_a_device_that_is_not_there(models: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(InputError, match="a GPU that torch sees"):
-        GroundedSam2.load(find_models(models), device="cuda", score=0.2, most=5)
 
 
 def test_too_little_gpu_memory_is_said(networks: GroundedSam2, images: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -267,4 +269,4 @@ def test_weights_that_are_no_good_are_refused(models: Path, tmp_path: Path, part
         save_file(numbers, path, metadata={"format": "pt"})
     kind, method = (Sam3, "sam3") if part == "sam3" else (GroundedSam2, "grounded-sam2")
     with pytest.raises(InputError, match=rf"{part}.*[Dd]ownload"):
-        kind.load(find_models(tmp_path / "models", method), device="cpu", score=0.2, most=5)
+        kind.load(find_models(tmp_path / "models", method), score=0.2, most=5)

@@ -11,7 +11,7 @@ from anther.commands.convert_kinect import read_kinect
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, Intrinsics, look_at, transform_points
 from anther.masks import BACKGROUND, FLOWER, PLANT, Masks, Params, segment
-from anther.masks._ground import ground_cells
+from anther.masks._survey import ground_cells
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
@@ -157,7 +157,7 @@ def test_ground_is_what_lies_below_a_wide_surface() -> None:
     solid[np.hypot(x, y) > 15, 4] = True  # bench, hidden under the pot
     solid[np.hypot(x, y) < 14, 25] = True  # soil
     solid[30, 30, 26:50] = True  # stem
-    below, rim = ground_cells(solid, 0.005, radius=0.035, sure_radius=0.035, margin=0.008, rim_height=0.05, rings=True)
+    below, rim = ground_cells(solid, 0.005, radius=0.035, sure_radius=0.035, rings=True)
     assert below[30, 30, 26]
     assert not below[30, 30, 28:].any()
     assert not rim[30, 30].any()
@@ -169,7 +169,7 @@ def test_a_leaf_over_the_bench_is_not_ground() -> None:
     solid = np.zeros((60, 60, 60), dtype=bool)
     solid[:, :, 4] = True
     solid[20:40, 20:40, 30] = True
-    below, _ = ground_cells(solid, 0.005, radius=0.035, sure_radius=0.035, margin=0.008, rim_height=0.05, rings=False)
+    below, _ = ground_cells(solid, 0.005, radius=0.035, sure_radius=0.035, rings=False)
     assert not below[:, :, 8:].any()
 
 
@@ -178,7 +178,7 @@ def test_a_pot_whose_soil_is_hidden_is_found_by_its_wall() -> None:
     wall = np.abs(np.hypot(x, y) - 15) < 1
     solid = np.zeros((60, 60, 60), dtype=bool)
     solid[wall, 2:30] = True
-    settings = {"radius": 0.035, "sure_radius": 0.035, "margin": 0.008, "rim_height": 0.05}
+    settings = {"radius": 0.035, "sure_radius": 0.035}
     assert ground_cells(solid, 0.005, rings=True, **settings)[0][30, 30, 20]
     assert not ground_cells(solid, 0.005, rings=False, **settings)[0][30, 30, 20]
 

@@ -12,7 +12,7 @@ from anther.capture import Capture
 from anther.errors import InputError
 from anther.geometry import Box
 from anther.masks import Masks, without_ground
-from anther.masks._ground import foot_cells
+from anther.masks._survey import foot_cells
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SOIL_Z, Organ
@@ -84,6 +84,6 @@ def test_a_stem_is_carried_on_down_and_a_wide_leaf_is_not() -> None:
     below[:, :, :8] = True
     plant[10:12, 10:12, 8:15] = True  # stem
     plant[20:35, 20:35, 8] = True  # leaf on the soil
-    foot = foot_cells(plant, below, 0.005, 0.008)
+    foot = foot_cells(plant, below, 0.005)
     assert foot[10:12, 10:12, 6:8].all()
     assert foot.sum() == 8

@@ -9,15 +9,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from colour_images import segment_images
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.capture import Capture
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box
-from anther.masks import BACKGROUND, FLOWER, PLANT, Params, segment, segment_images
+from anther.masks import BACKGROUND, FLOWER, PLANT, Params, segment
+from anther.masks._cells import stake_cells
 from anther.masks._light import GREEN, Light, green_rule
-from anther.masks._stakes import stake_cells
 from anther.sim._greenhouse import BLACK_PLASTIC, DIM, RED_LED, WARM, WHITE_FILM, Setting
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from anther.cloud import _registration
-from anther.cloud._pixels import slant
+from anther.cloud._fusion import slant
 from anther.cloud._registration import register
 from anther.geometry import Array, inverse, look_at, small_transform, transform_points
 

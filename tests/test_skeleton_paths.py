@@ -8,13 +8,11 @@ from made_plants import blade, segment_distance, simple_plant, tube
 
 from anther.cloud import Cloud
 from anther.skeleton import Params, skeletonize
-from anther.skeleton._cross_sections import cross_sections
-from anther.skeleton._geodesics import LevelSets, covering_paths, geodesic_tree, level_sets, shortest_paths
-from anther.skeleton._midribs import middled
-from anther.skeleton._rooting import distance_to_soil
-from anther.skeleton._surroundings import surroundings
+from anther.skeleton._centreline import cross_sections
+from anther.skeleton._paths import LevelSets, covering_paths, geodesic_tree, level_sets, middled, shortest_paths
 from anther.skeleton.raw_tree import RawTree, parted
-from anther.skeleton.voxel_solid import Voxels, VoxelSolid, neighbour_edges
+from anther.skeleton.support import distance_to_soil
+from anther.skeleton.voxel_solid import Voxels, neighbour_edges, surroundings
 
 
 def grid(*sizes: int) -> np.ndarray:
@@ -52,7 +50,7 @@ def voxels_of(index: np.ndarray, flat: np.ndarray) -> tuple[Voxels, np.ndarray]:
     """Voxels of edge 1, neighbours joined, and their indices."""
     order, ones = np.lexsort(index.T[::-1]), np.ones(len(index))
     index = index[order]
-    edges = neighbour_edges(VoxelSolid(index, np.zeros(3), 1.0, ones))
+    edges = neighbour_edges(index)
     return Voxels(index.astype(float), edges, 1.0, ones, flat[order].astype(float), 0 * ones), index
 
 

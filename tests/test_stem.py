@@ -117,7 +117,8 @@ def test_a_spur_is_neither_branch_nor_attachment() -> None:
 
 def test_a_leafless_plant_has_branches() -> None:
     plain = drawn(line([0, 0, 0], [0, 0, 0.4], 40), line([0, 0, 0.2], [0.1, 0, 0.25]), radius=[0.004, 0.002])
-    skeleton = Skeleton(plain.nodes, plain.parent, plain.radius, width=plain.radius)
+    round_ = {"width": plain.radius, "flatness": 0 * plain.radius}
+    skeleton = Skeleton(plain.nodes, plain.parent, plain.radius, **round_)
     assert np.all(find_stem(skeleton).organ[skeleton.nodes[:, 0] > 0] == BRANCH)
 
 
@@ -125,7 +126,8 @@ def leafy(*lines: list[list[float]], blade: list[list[float]]) -> Skeleton:
     """Return slender lines, 8 mm thick, and a blade of 30 mm that goes on from them."""
     plain = drawn(*lines, blade, radius=[0.004] * (len(lines) + 1))
     on_blade = np.arange(len(plain.nodes)) >= len(plain.nodes) - len(blade) + 1
-    return Skeleton(plain.nodes, plain.parent, plain.radius, width=np.where(on_blade, 0.015, 0.004))
+    width = np.where(on_blade, 0.015, 0.004)
+    return Skeleton(plain.nodes, plain.parent, plain.radius, width=width, flatness=on_blade.astype(float))
 
 
 def test_a_long_horizontal_leaf_is_cut_off() -> None:

@@ -24,7 +24,7 @@ def solid_of(index: np.ndarray) -> VoxelSolid:
 @pytest.mark.parametrize("width", [2, 3, 4, 6, 8])
 def test_straight_bars_of_any_width_survive(width: int) -> None:
     solid = solid_of(bar(width, width, 100))
-    left = medial_line(solid.index, neighbour_edges(solid))
+    left = medial_line(solid.index, neighbour_edges(solid.index))
     z = solid.index[left][:, 2]
     assert left.any()
     assert np.ptp(z) > 99 - 2 * width
@@ -34,7 +34,7 @@ def test_straight_bars_of_any_width_survive(width: int) -> None:
 def test_every_component_survives() -> None:
     index = np.concatenate([bar(4, 4, 60), bar(2, 2, 40) + np.array([30, 0, 0]), bar(1, 1, 1) + np.array([0, 40, 0])])
     solid = solid_of(index)
-    edges = neighbour_edges(solid)
+    edges = neighbour_edges(solid.index)
     label = components(len(index), edges)
     left = medial_line(solid.index, edges)
     assert set(label[left]) == {0, 1, 2}
@@ -45,7 +45,7 @@ def test_a_hollow_tube_is_filled_and_becomes_a_line() -> None:
     solid = solidify(points, 0.0015, close=2, fill=0.015)
     inside = solid.thickness.max()
     assert 0.004 < inside < 0.0085
-    edges = neighbour_edges(solid)
+    edges = neighbour_edges(solid.index)
     line = solid.points[medial_line(solid.index, edges)]
     axis = np.array([0.02, 0.01, 0.2]) / np.linalg.norm([0.02, 0.01, 0.2])
     aside = np.linalg.norm(line - (line @ axis)[:, None] * axis, axis=1)
@@ -81,7 +81,7 @@ def test_the_papers_steps_in_order_end_in_the_stem() -> None:
     index = np.concatenate([bar(5, 5, 200), limb])
     radius = np.concatenate([np.full(5 * 5 * 200, 2.5), np.full(len(limb), 1.5)])
     solid, order = solid_of(index), np.lexsort(index.T[::-1])
-    line = medial_line(solid.index, neighbour_edges(solid))  # P7
+    line = medial_line(solid.index, neighbour_edges(solid.index))  # P7
     nodes, radius = solid.points[line], radius[order][line]
     links = knn_links(nodes, 3.0)  # P8
     links = spanning_tree(len(nodes), links, link_costs(nodes, radius, links))  # P9

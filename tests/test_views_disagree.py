@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anther.capture import Capture
+from anther.capture import OPENGL_TO_OPENCV, Capture
 from anther.cloud import Cloud, fuse, likely_cause
-from anther.cloud._disagreement import MOST_SEEN_THROUGH, OPENGL_TO_OPENCV
+from anther.cloud._doubts import MOST_SEEN_THROUGH
 from anther.errors import StageFailure
 from anther.geometry import inverse
 from anther.masks import Masks, segment

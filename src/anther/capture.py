@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,7 +125,9 @@ class Capture:
             intrinsics=intrinsics,
             T_world_cam=poses @ OPENGL_TO_OPENCV,
             rgb=_read_colour(folder, frames, intrinsics),
-            joints=None if any(j is None for j in joints) else _joints_array(joints),
+            joints=None
+            if any(j is None for j in joints)
+            else check_array("joints of the frames", joints, (len(joints), None)),
         )
 
 
@@ -162,8 +164,7 @@ def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
 def _check_apart(poses: Array) -> None:
     """Refuse views that were all taken from one and the same place: nothing could be told about depth."""
     if len(poses) > 1 and np.abs(poses - poses[0]).max() < 1e-6:
-        raise bad_input(
-            "transforms.json",
+        raise _refused(
             given=f"{len(poses)} views with one and the same pose",
             allowed="a pose of its own for every view",
             do="Was the arm's pose read only once, or the camera not moved? Write each view's own pose.",
@@ -195,8 +196,14 @@ def _write_folder(capture: Capture, folder: Path) -> None:
     unit = next(u for u in _DEPTH_UNITS if furthest <= u * 65535)
     for name in ("depth", "rgb") if capture.rgb is not None else ("depth",):
         (folder / name).mkdir(parents=True)
-    steps = [(i, unit, folder) for i in range(capture.views)]
-    _in_threads(lambda step: _write_view(capture, *step), steps)
+
+    def write(view: int) -> None:
+        depth = np.round(capture.depth[view].astype(np.float64) / unit).astype(np.uint16)
+        _write_png(folder / f"depth/{view:04d}.png", depth)
+        if capture.rgb is not None:
+            _write_png(folder / f"rgb/{view:04d}.png", capture.rgb[view][..., ::-1])
+
+    in_threads(write, range(capture.views))
     camera = capture.intrinsics
     meta = {
         "camera_model": "PINHOLE",
@@ -212,18 +219,8 @@ def _write_folder(capture: Capture, folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
-def _write_view(capture: Capture, view: int, unit: float, folder: Path) -> None:
-    depth = np.round(capture.depth[view].astype(np.float64) / unit).astype(np.uint16)
-    _write_png(folder / f"depth/{view:04d}.png", depth)
-    if capture.rgb is not None:
-        _write_png(folder / f"rgb/{view:04d}.png", capture.rgb[view][..., ::-1])
-
-
 def _write_png(path: Path, image: NDArray[Any]) -> None:
-    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not ok:
-        raise InputError(f"{path}: the image of shape {image.shape} could not be encoded as PNG.")
-    path.write_bytes(data.tobytes())
+    path.write_bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
 def _frame(capture: Capture, view: int) -> dict[str, Any]:
@@ -235,20 +232,20 @@ def _frame(capture: Capture, view: int) -> dict[str, Any]:
     return frame | {"transform_matrix": (capture.T_world_cam[view] @ OPENGL_TO_OPENCV).tolist()}
 
 
+def _refused(given: str, allowed: str, do: str) -> InputError:
+    return bad_input("transforms.json", given=given, allowed=allowed, do=do)
+
+
 def _frames(meta: Any) -> list[dict[str, Any]]:
     frames = meta.get("frames") if isinstance(meta, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
-        raise bad_input(
-            "transforms.json",
-            given="no list of frames",
-            allowed="an object with a non-empty list 'frames'",
-            do="See docs/capture.md.",
+        raise _refused(
+            given="no list of frames", allowed="an object with a non-empty list 'frames'", do="See docs/capture.md."
         )
     for key in ("transform_matrix", "depth_file_path"):
         lacking = [i for i, frame in enumerate(frames) if key not in frame]
         if lacking:
-            raise bad_input(
-                "transforms.json",
+            raise _refused(
                 given=f"frame {lacking[0]} without '{key}' ({len(lacking)} of {len(frames)} lack it)",
                 allowed=f"every frame has '{key}'",
                 do="Anther needs a depth image and a pose for every view.",
@@ -262,16 +259,14 @@ def _read_intrinsics(meta: dict[str, Any], frames: list[dict[str, Any]]) -> Intr
     for i, frame in enumerate(frames):
         mixed = [k for k in _INTRINSICS_KEYS if k in frame and frame[k] != first.get(k)]
         if mixed or any((k in frame) != (k in frames[0]) for k in _INTRINSICS_KEYS):
-            raise bad_input(
-                "transforms.json",
+            raise _refused(
                 given=f"frame {i} with other intrinsics than frame 0 ({', '.join(mixed) or 'some frames have none'})",
                 allowed="one camera for all views",
                 do="Save each camera's views as a capture of its own, or resample them to one camera.",
             )
     bent = [k for k in _DISTORTION_KEYS if any(_number(k, source.get(k, 0)) != 0 for source in (meta, *frames))]
     if bent:
-        raise bad_input(
-            "transforms.json",
+        raise _refused(
             given=f"lens distortion ({', '.join(bent)})",
             allowed="a pinhole camera without distortion",
             do="Undistort the images first (ns-process-data or cv2.undistort), then set the coefficients to 0.",
@@ -304,14 +299,7 @@ def _read_pose(view: int, frame: dict[str, Any]) -> Array:
     if np.abs(nearest - T[:3, :3]).max() < 1e-3:
         T[:3, :3] = nearest
     check_transform(name, T)
-    check_range(
-        f"frame {view} camera distance from the origin", float(np.linalg.norm(T[:3, 3])), 0, _PLAUSIBLE_POSITION, "m"
-    )
     return T
-
-
-def _joints_array(joints: list[Any]) -> Array:
-    return check_array("joints of the frames", joints, (len(joints), None))
 
 
 def _read_depth(
@@ -334,7 +322,7 @@ def _read_depth(
             )
         np.multiply(image, np.float32(unit), out=depth[view])
 
-    _in_threads(read, range(len(frames)))
+    in_threads(read, range(len(frames)))
     return depth
 
 
@@ -343,8 +331,7 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
     if not named:
         return None
     if len(named) < len(frames):
-        raise bad_input(
-            "transforms.json",
+        raise _refused(
             given=f"'file_path' in {len(named)} of {len(frames)} frames",
             allowed="a colour image for every frame or for none",
             do="Add the missing images, or remove file_path everywhere for a depth-only capture.",
@@ -356,7 +343,7 @@ def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrins
         image = read_image(folder / str(frames[view]["file_path"]), cv2.IMREAD_COLOR, size)
         rgb[view] = image[..., ::-1]
 
-    _in_threads(read, range(len(frames)))
+    in_threads(read, range(len(frames)))
     return rgb
 
 
@@ -374,7 +361,7 @@ def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
     return camera.width, camera.height
 
 
-def _in_threads(work: Any, items: Iterable[Any]) -> None:
-    """Run `work` on every item in threads (OpenCV releases the GIL); the first error is raised."""
+def in_threads(work: Callable[[int], Any], items: Iterable[int]) -> list[Any]:
+    """Return what `work` makes of every number, in threads: OpenCV and numba release the GIL."""
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
-        list(pool.map(work, items))
+        return list(pool.map(work, items))

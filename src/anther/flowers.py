@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.checks import check_array, check_parameters, check_range
+from anther.checks import check_array
 from anther.cloud import Cloud
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import edge_lengths
+from anther.skeleton.raw_tree import edge_lengths, longest_way
 from anther.skeleton.voxel_solid import components
 from anther.stem import BRANCH, LEAF, TRUSS, Stem
-from anther.stem.organs import longest_way
 
 SUPPOSED = 0.015  # m, of a flower nobody saw from the end that carries it: a pedicel (9 to 22 mm; facts: pollination)
 _KIND, _SCHEMA = "flowers", 1
@@ -42,23 +41,10 @@ FARTHEST = 0.08
 ON_LEAF = 4.0
 """A node on a leaf counts as so many times farther away: flowers hang on trusses and stems."""
 _ROUNDS, _STARTS = 10, 400  # of mean shift, and so many points at most that are shifted
-
-
-@dataclass(frozen=True, slots=True)
-class Params:
-    """What a flower looks like in the cloud.
-
-    Attributes:
-        reach: radius of the kernel that splits a cluster of several flowers [m].
-        pedicel: a truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination).
-    """
-
-    reach: float = 0.008
-    pedicel: float = 0.025
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
-        check_range("reach", self.reach, 1e-4, 1, "m")
+REACH = 0.008
+"""Radius of the kernel that splits a cluster of several flowers [m]."""
+PEDICEL = 0.025
+"""A truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,9 +83,7 @@ class Flowers:
             return cls(a["positions"], a["attachment"], tuple(str(note) for note in a["notes"]))
 
 
-def find_flowers(
-    cloud: Cloud, skeleton: Skeleton, stem: Stem, params: Params | None = None, *, centres: Array | None = None
-) -> Flowers:
+def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array | None = None) -> Flowers:
     """Return the flowers among the points labelled so, each with the skeleton node that carries it.
 
     No flower is a valid result, with a note.
@@ -108,12 +92,10 @@ def find_flowers(
         cloud: points with labels, world frame.
         skeleton: the tree the flowers hang on.
         stem: its main stem and organs.
-        params: sizes in metres; flowers do not scale with the plant.
         centres: what `flower_centres` gave for this cloud, if that was asked before.
     """
-    params = params or Params()
-    centres = flower_centres(cloud, params) if centres is None else centres
-    distance, carrier = _carriers(centres, skeleton, stem, params)
+    centres = flower_centres(cloud) if centres is None else centres
+    distance, carrier = _carriers(centres, skeleton, stem)
     near = distance <= FARTHEST
     notes = []
     if not near.any():
@@ -123,18 +105,17 @@ def find_flowers(
     return Flowers(centres[near], carrier[near], tuple(notes))
 
 
-def flower_centres(cloud: Cloud, params: Params | None = None) -> Array:
+def flower_centres(cloud: Cloud) -> Array:
     """Return flower centres (F, 3) [m], wherever they hang: `find_stem` tells trusses by them.
 
     Clusters of points labelled flower and of a flower's size: large ones are split, pieces joined, specks dropped.
     """
-    params = params or Params()
     points = cloud.points[cloud.labels == FLOWER]
     if not len(points):
         return np.zeros((0, 3))
     _, first = np.unique(np.rint(points / GRID).astype(np.int64), axis=0, return_index=True)
     points = points[first]
-    pieces = [part for cluster in _clusters(points, GAP) for part in _split(cluster, params)]
+    pieces = [part for group in _groups(points, GAP) for part in _split(points[group])]
     middles = np.array([piece.mean(axis=0) for piece in pieces])
     joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, APART)]
     real = [flower.mean(axis=0) for flower in joined if _is_flower(flower)]
@@ -147,10 +128,6 @@ def _is_flower(points: Array) -> bool:
     return len(points) >= FEWEST and extent >= SMALLEST and covered >= FULLNESS
 
 
-def _clusters(points: Array, gap: float) -> list[Array]:
-    return [points[group] for group in _groups(points, gap)]
-
-
 def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
     """Return the indices of each set of points linked by steps not longer than `gap`."""
     pairs = KDTree(points).query_pairs(gap, output_type="ndarray")
@@ -158,7 +135,7 @@ def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
     return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
 
 
-def _split(cluster: Array, params: Params) -> list[Array]:
+def _split(cluster: Array) -> list[Array]:
     """Return a cluster too large for a flower as several, by mean shift with a flat kernel."""
     if _extent(cluster) <= LARGEST:
         return [cluster]
@@ -166,21 +143,21 @@ def _split(cluster: Array, params: Params) -> list[Array]:
     peaks = cluster[:: -(-len(cluster) // _STARTS)].copy()
     moving = np.arange(len(peaks))
     for _ in range(_ROUNDS):
-        shifted = _means_within(params.reach, tree, peaks[moving])
+        shifted = _means_within(tree, peaks[moving])
         moved = np.any(shifted != peaks[moving], axis=1)
         peaks[moving] = shifted
         moving = moving[moved]
         if not len(moving):
             break
-    weight = tree.query_ball_point(peaks, params.reach, return_length=True)
+    weight = tree.query_ball_point(peaks, REACH, return_length=True)
     modes = _heaviest(peaks[np.argsort(weight)[::-1]], APART)
     _, owner = KDTree(modes).query(cluster)
     return [cluster[owner == k] for k in range(len(modes)) if np.any(owner == k)]
 
 
-def _means_within(reach: float, tree: KDTree, centres: Array) -> Array:
-    """Return (F, 3) the mean of the tree's points within `reach` of each centre."""
-    near = tree.query_ball_point(centres, reach)
+def _means_within(tree: KDTree, centres: Array) -> Array:
+    """Return (F, 3) the mean of the tree's points within `REACH` of each centre."""
+    near = tree.query_ball_point(centres, REACH)
     count = np.array([len(group) for group in near])
     start = np.cumsum(count) - count
     return np.add.reduceat(tree.data[np.concatenate(near)], start) / count[:, None]
@@ -201,24 +178,24 @@ def _extent(points: Array) -> float:
     return float(np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2][0]))
 
 
-def _carriers(centres: Array, skeleton: Skeleton, stem: Stem, params: Params) -> tuple[Array, NDArray[Any]]:
+def _carriers(centres: Array, skeleton: Skeleton, stem: Stem) -> tuple[Array, NDArray[Any]]:
     """Return (distance, node) of the most plausible carrier of each flower."""
     if not len(centres):
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     away = np.linalg.norm(centres[:, None] - skeleton.nodes, axis=2)
     carrier = np.argmin(away * np.where(stem.organ == LEAF, ON_LEAF, 1.0), axis=1)
-    carrier = _pedicel_bases(skeleton, stem, params)[carrier]
+    carrier = _pedicel_bases(skeleton, stem)[carrier]
     return away[np.arange(len(centres)), carrier], carrier
 
 
-def _pedicel_bases(skeleton: Skeleton, stem: Stem, params: Params) -> NDArray[Any]:
+def _pedicel_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:
     """Return (J,) the node itself, but for a truss no longer than a pedicel the node it leaves: it is the pedicel."""
     base, foot = np.arange(len(stem.organ)), np.arange(len(stem.organ))
     way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
     for j in np.flatnonzero(stem.organ == TRUSS):
         p = skeleton.parent[j]
         foot[j] = foot[p] if stem.organ[p] == TRUSS else j
-        if way[foot[j]] <= params.pedicel:
+        if way[foot[j]] <= PEDICEL:
             base[j] = skeleton.parent[foot[j]]
     return base
 

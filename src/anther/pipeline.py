@@ -44,7 +44,6 @@ class Params:
     cloud: cloud.Params = field(default_factory=cloud.Params)
     skeleton: skeleton.Params = field(default_factory=skeleton.Params)
     stem: stem.Params = field(default_factory=stem.Params)
-    flowers: flowers.Params = field(default_factory=flowers.Params)
     grasp: grasp.Params = field(default_factory=grasp.Params)
     plant: plant.Params = field(default_factory=plant.Params)
     shake: shake.Params = field(default_factory=shake.Params)
@@ -141,12 +140,12 @@ def perceive(
             "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
         )
     tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
-    centres = flowers.flower_centres(fused, params.flowers)
+    centres = flowers.flower_centres(fused)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
     found = run.stage(
         "flowers",
         Flowers.load,
-        lambda _: flowers.find_flowers(fused, tree, main, params.flowers, centres=centres),
+        lambda _: flowers.find_flowers(fused, tree, main, centres=centres),
     )
     return Seen(labels, fused, tree, main, found)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import edge_lengths
+from anther.skeleton.raw_tree import edge_lengths, sum_above
 from anther.stem import LEAF, ORGAN_NAMES, Stem
 
 LEVELS = (10, 25, 50, 75, 90)
@@ -75,10 +75,11 @@ def measure(skeleton: Skeleton, stem: Stem) -> Traits:
     on_stem = np.zeros(len(length), dtype=bool)
     on_stem[stem.node_ids] = True
     origin = _origins(skeleton.parent, on_stem)
+    way = sum_above(skeleton.parent, np.where(on_stem, 0, length))
     position = {int(node): k for k, node in enumerate(stem.node_ids)}
     wanted = {int(stem.node_ids[k]) for k in stem.attachments}
     limbs = [
-        _limb(skeleton, stem, length, np.flatnonzero(origin == base), position[int(skeleton.parent[base])])
+        _limb(skeleton, stem, length, way, np.flatnonzero(origin == base), position[int(skeleton.parent[base])])
         for base in np.flatnonzero(~on_stem & np.isin(skeleton.parent, list(wanted)))
     ]
     rise = line[-1] - line[0]
@@ -103,16 +104,14 @@ def _origins(parent: NDArray[np.int64], on_stem: NDArray[np.bool_]) -> NDArray[n
     return origin
 
 
-def _limb(skeleton: Skeleton, stem: Stem, length: Array, nodes: NDArray[np.int64], at: int) -> Limb:
-    """Return the limb of these nodes, its first one first, that leaves the stem at its position `at`."""
-    way = np.zeros(len(skeleton.nodes))
-    for j in nodes:
-        way[j] = way[skeleton.parent[j]] + length[j]
+def _limb(skeleton: Skeleton, stem: Stem, length: Array, way: Array, nodes: NDArray[np.int64], at: int) -> Limb:
+    """Return the limb of these nodes, its first one first, that leaves the stem at its position `at`.
+
+    `length` (J,) is of the edge above each node, `way` (J,) from the stem to it [m].
+    """
     tip = int(nodes[way[nodes].argmax()])
-    axis = [tip]
-    while skeleton.parent[axis[-1]] != stem.node_ids[at]:
-        axis.append(int(skeleton.parent[axis[-1]]))
-    first = [j for j in axis[::-1] if way[j] <= REACH] or [axis[-1]]
+    axis = np.intersect1d(skeleton.path_from_root(tip), nodes)
+    first = axis[: max(np.count_nonzero(way[axis] <= REACH), 1)]
     out = skeleton.nodes[first[-1]] - skeleton.nodes[stem.node_ids[at]]
     below, above = skeleton.nodes[stem.node_ids[[max(at - 2, 0), min(at + 2, len(stem.node_ids) - 1)]]]
     up = above - below

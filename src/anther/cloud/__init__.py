@@ -1,15 +1,13 @@
 """Cloud: one coloured, labelled point cloud of the plant in the world frame. N points, M obstacle points.
 
-Masked depth is freed of flying pixels (`pixels.py`), the views are registered jointly (`registration.py`), fused in
-voxels, checked against what other views see (`fusion.py`), and reduced to the plant (`clusters.py`). What is not plant
-becomes coarse obstacles.
+Masked depth is freed of flying pixels, the views are registered jointly (`_registration.py`), fused in voxels, checked
+against what other views see, and reduced to the plant (`_fusion.py`). What is not plant becomes coarse obstacles.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,14 +15,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.capture import Capture, viewed_box
+from anther.capture import Capture, in_threads, viewed_box
 from anther.checks import check_array, check_parameters, check_range, check_transform
 from anther.cloud import _registration
-from anther.cloud._clusters import GAP, attached_points
-from anther.cloud._disagreement import disagreement, likely_cause
-from anther.cloud._doubts import cloud_doubts, coverage_doubts, refuse_ground, view_doubts
-from anther.cloud._fusion import ViewPoints, agreeing_points, fuse_voxels, occupied_cells
-from anther.cloud._pixels import pixel_normals, supported_pixels
+from anther.cloud._doubts import cloud_doubts, coverage_doubts, disagreement, likely_cause, refuse_ground, view_doubts
+from anther.cloud._fusion import (
+    GAP,
+    SurfacePoints,
+    agreeing_points,
+    attached_points,
+    fuse_voxels,
+    occupied_cells,
+    pixel_normals,
+    supported_pixels,
+)
 from anther.cloud.ply import read_ply, write_ply
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
@@ -42,12 +46,6 @@ _MOST_CELLS = 1e8  # of obstacles: 28 bytes each
 
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
-EDGE_WINDOW = 2
-"""Half-width of the window in which a pixel looks for support [px]."""
-EDGE_SUPPORT = 5
-"""Least number of pixels at its depth in that window: keeps a petiole one pixel wide, drops flying pixels."""
-EDGE_DEPTH = 0.003
-"""How far the depth of a supporting pixel may differ at 0.5 m; it grows with z squared [m]."""
 LEAST_POINTS = 200  # with fewer there is no plant
 OBSTACLE_VOXEL = 0.01
 """Spacing of the obstacle points [m]."""
@@ -104,40 +102,26 @@ class Cloud:
 
     def __post_init__(self) -> None:
         n = len(self.points)
-        object.__setattr__(self, "points", check_array("points", self.points, (n, 3)))
-        object.__setattr__(self, "obstacles", check_array("obstacles", self.obstacles, (None, 3)))
-        if self.normals is not None:
-            object.__setattr__(self, "normals", check_array("normals", self.normals, (n, 3)))
-        if self.colors is not None:
-            object.__setattr__(self, "colors", check_array("colors", self.colors, (n, 3), dtype="uint8"))
-        labels = np.ones(n, dtype=np.uint8) if self.labels is None else self.labels
-        object.__setattr__(self, "labels", check_array("labels", labels, (n,), dtype="uint8"))
-        if self.view_agreement is not None:
-            agreement = check_array("view_agreement", self.view_agreement, (None,), finite=False)
-            object.__setattr__(self, "view_agreement", agreement)
-        if self.view_used is not None:
-            object.__setattr__(self, "view_used", check_array("view_used", self.view_used, (None,), dtype="bool"))
+        if self.labels is None:
+            object.__setattr__(self, "labels", np.ones(n, dtype=np.uint8))
+        shapes = {"points": ((n, 3), "float64"), "obstacles": ((None, 3), "float64"), "normals": ((n, 3), "float64")}
+        shapes |= {"colors": ((n, 3), "uint8"), "labels": ((n,), "uint8"), "view_used": ((None,), "bool")}
+        shapes |= {"view_agreement": ((None,), "float64")}
+        for name, (shape, dtype) in shapes.items():
+            if getattr(self, name) is not None:
+                array = check_array(name, getattr(self, name), shape, dtype=dtype, finite=name != "view_agreement")
+                object.__setattr__(self, name, array)
         if self.T_world_cam is not None:
-            object.__setattr__(
-                self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, len(self.T_world_cam))
-            )
+            poses = check_transform("T_world_cam", self.T_world_cam, len(self.T_world_cam))
+            object.__setattr__(self, "T_world_cam", poses)
 
     def save(self, path: Path | str) -> None:
         """Write the points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
         path = Path(path)
         write_ply(path, self.points, normals=self.normals, colors=self.colors, labels=self.labels)
-        write_npz(
-            path.with_suffix(".npz"),
-            "cloud",
-            SCHEMA,
-            obstacles=self.obstacles,
-            T_world_cam=self.T_world_cam,
-            notes=json.dumps(self.notes),
-            view_agreement=self.view_agreement,
-            view_used=self.view_used,
-            footprint=self.footprint,
-            seen_through=self.seen_through,
-        )
+        names = ("obstacles", "T_world_cam", "view_agreement", "view_used", "footprint", "seen_through")
+        rest = {name: getattr(self, name) for name in names}
+        write_npz(path.with_suffix(".npz"), "cloud", SCHEMA, notes=json.dumps(self.notes), **rest)
 
     @classmethod
     def load(cls, path: Path | str) -> Cloud:
@@ -152,16 +136,9 @@ class Cloud:
             return cls(**fields)
         with understood(path.with_suffix(".npz")):
             rest = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
-            return cls(
-                **fields,
-                obstacles=rest["obstacles"],
-                T_world_cam=rest.get("T_world_cam"),
-                notes=tuple(json.loads(str(rest["notes"]))),
-                view_agreement=rest.get("view_agreement"),
-                view_used=rest.get("view_used"),
-                footprint=float(rest["footprint"]) if "footprint" in rest else None,
-                seen_through=float(rest.get("seen_through", 0.0)),
-            )
+            notes = tuple(json.loads(str(rest.pop("notes"))))
+            numbers = {name: float(rest.pop(name)) for name in ("footprint", "seen_through") if name in rest}
+            return cls(**fields, **rest, **numbers, notes=notes)
 
 
 def fuse(
@@ -189,14 +166,14 @@ def fuse(
     box.cells(OBSTACLE_VOXEL, _MOST_CELLS)
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
-    pixels = plant_pixels(capture, labels, box, params)
-    _require(sum(len(p.points) for p in pixels), params, "pixels with depth within the masks, within the workspace")
+    pixels = plant_pixels(capture, labels, box)
+    _require(sum(len(p.points) for p in pixels), "pixels with depth within the masks, within the workspace")
     report()
     notes = (*_unseen_views(pixels), *view_doubts(capture.depth, labels))
     poses, pixels, found = _registered(pixels, capture.T_world_cam, params)
     report()
     fused = fuse_voxels(pixels, poses, box, params.voxel)
-    _require(len(fused.points), params, "points within the workspace")
+    _require(len(fused.points), "points within the workspace")
     used = np.ones(capture.views, dtype=bool) if found is None else found.used
     seen = [capture.depth[v] for v in np.flatnonzero(used)]
     doubts, through = disagreement(capture, [p.points for p in pixels], poses, used)
@@ -206,7 +183,7 @@ def fuse(
     kept = attached_points(fused.points)
     notes += cloud_doubts(fused.points, kept, box) + coverage_doubts(fused.points[kept].mean(axis=0), poses[used])
     fused = fused.only(kept)
-    _require(len(fused.points), params, "points that hang together")
+    _require(len(fused.points), "points that hang together")
     report()
     obstacles = _background_cells(
         capture, labels, poses, box, plant=fused.points, voxel=OBSTACLE_VOXEL, used=np.flatnonzero(used)
@@ -227,42 +204,41 @@ def fuse(
     )
 
 
-def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, params: Params) -> list[ViewPoints]:
+def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box) -> list[SurfacePoints]:
     """Return every view's plant pixels as points of its camera frame, flying pixels left out.
 
     Args:
         capture: the views.
         labels: (V, H, W) of the masks.
         box: the workspace [m]; pixels more than `MARGIN` outside are left out.
-        params: see `Params`.
     """
-    return _in_threads(lambda v: _plant_pixels(capture, labels, box, v, params), capture.views)
+    wide = Box(box.lower - MARGIN, box.upper + MARGIN)
 
+    def of_view(view: int) -> SurfacePoints:
+        depth = capture.depth[view]
+        keep = supported_pixels(depth, labels[view] != BACKGROUND)
+        rows = np.flatnonzero(keep)
+        colors = np.zeros((len(rows), 3), np.uint8) if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
+        points = capture.intrinsics.back_project(depth, keep)
+        normals = pixel_normals(depth, keep, capture.intrinsics)
+        near = wide.contains(transform_points(capture.T_world_cam[view], points))
+        return SurfacePoints(points, normals, labels[view].ravel()[rows], colors).only(near)
 
-def _plant_pixels(capture: Capture, labels: NDArray[Any], box: Box, view: int, params: Params) -> ViewPoints:
-    """Return one view's plant pixels as camera-frame points, flying pixels and what is far from the box left out."""
-    depth = capture.depth[view]
-    keep = supported_pixels(depth, labels[view] != BACKGROUND, EDGE_WINDOW, EDGE_SUPPORT, EDGE_DEPTH)
-    rows = np.flatnonzero(keep)
-    colors = np.zeros((len(rows), 3), np.uint8) if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
-    points = capture.intrinsics.back_project(depth, keep)
-    normals = pixel_normals(depth, keep, capture.intrinsics, EDGE_DEPTH)
-    near = Box(box.lower - MARGIN, box.upper + MARGIN).contains(transform_points(capture.T_world_cam[view], points))
-    return ViewPoints(points, normals, labels[view].ravel()[rows], colors).only(near)
+    return in_threads(of_view, range(capture.views))
 
 
 def _registered(
-    pixels: list[ViewPoints], given: Array, params: Params
-) -> tuple[Array, list[ViewPoints], _registration.Registration | None]:
+    pixels: list[SurfacePoints], given: Array, params: Params
+) -> tuple[Array, list[SurfacePoints], _registration.Registration | None]:
     """Return the poses, the pixels freed of the sensor's bias (none of views to leave out), and the registration."""
     if params.registration is None:
         return given, pixels, None
     found = _registration.register([p.points for p in pixels], given, params.registration)
 
-    def corrected(view: int) -> ViewPoints:
+    def corrected(view: int) -> SurfacePoints:
         return pixels[view].unbiased(found.reach) if found.used[view] else pixels[view].only(np.array([], dtype=int))
 
-    return found.T_world_cam, _in_threads(corrected, len(pixels)), found
+    return found.T_world_cam, in_threads(corrected, range(len(pixels))), found
 
 
 def _background_cells(
@@ -279,13 +255,12 @@ def _background_cells(
         world = transform_points(poses[view], coarse.back_project(depth, labels[view][rows] == BACKGROUND))
         return world[box.contains(world)]
 
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        points = list(pool.map(background, used))
+    points = in_threads(background, used.tolist())
     views = np.repeat(used, [len(p) for p in points])
     return occupied_cells(np.concatenate(points), views, plant, voxel)
 
 
-def _require(count: int, params: Params, what: str) -> None:
+def _require(count: int, what: str) -> None:
     if count < LEAST_POINTS:
         raise StageFailure(
             "no_plant_found",
@@ -294,7 +269,7 @@ def _require(count: int, params: Params, what: str) -> None:
         )
 
 
-def _unseen_views(pixels: list[ViewPoints]) -> tuple[str, ...]:
+def _unseen_views(pixels: list[SurfacePoints]) -> tuple[str, ...]:
     empty = [str(v) for v, p in enumerate(pixels) if len(p.points) == 0]
     return (f"views without any plant pixel: {', '.join(empty)}",) if empty else ()
 
@@ -302,8 +277,3 @@ def _unseen_views(pixels: list[ViewPoints]) -> tuple[str, ...]:
 def _steps(progress: Progress | None, count: int) -> Callable[[], None]:
     done = iter(range(1, count + 1))
     return lambda: progress(next(done), count) if progress else None
-
-
-def _in_threads(work: Callable[[int], ViewPoints], views: int) -> list[ViewPoints]:
-    with ThreadPoolExecutor(max_workers=2) as pool:
-        return list(pool.map(work, range(views)))

@@ -1,25 +1,24 @@
 """Joint registration of all views with a kinematic prior.
 
 View by view to those before, ICP drifts on plants (facts: perception, 2.4-5.4 mm against 3.6 mm for the arm's own
-poses). Here every view may move a little: all views' corrections are found together (`joint.py`) on robust distances
-between neighbouring points of different views (`matching.py`), held back by what is known of the arm and the hand-eye
-calibration. Views that the others contradict are placed anew or left out (`wrong_views.py`).
+poses). Here every view may move a little: all views' corrections are found together on robust distances between
+neighbouring points of different views, held back by what is known of the arm and the hand-eye
+calibration. Views that the others contradict are placed anew or left out (`_wrong_views.py`).
 Dimensions: V views, N points, P pairs.
 """
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from anther.capture import in_threads
 from anther.checks import check_parameters, check_range
-from anther.cloud._wrong_views import THREADS, Estimate, Sample, agreement, match, mended, plane_distances
+from anther.cloud._wrong_views import Estimate, Sample, agreement, match, mended, plane_distances
 from anther.geometry import Array, inverse, small_transform
 
 ATTENUATION = 1 / 3
@@ -39,9 +38,6 @@ SOURCE_SHARE, HELD_OUT_SHARE = 0.4, 0.2
 """Share of these points for which neighbours are looked up in each round, and share that judges the result and takes no
 part in it."""
 
-NORMAL_ANGLE = float(np.deg2rad(25))
-"""Matched points' normals differ by at most this [rad]; it keeps the two sides of a stem apart."""
-
 POINT_SIGMA = 0.0015
 """Distance scale of the matches [m]; also the Welsch scale in the last round."""
 
@@ -52,13 +48,8 @@ HAND_EYE_SIGMA = float(np.deg2rad(0.2)), 0.001
 """Standard deviation of the error that is common to all views, in the camera frame, per axis [rad], [m]."""
 POINTS_PER_CONSTRAINT = 8.0
 """Neighbouring residuals are alike: so many count as one independent measurement."""
-SEARCH = 0.04
-"""How far around its given place a view that the others contradict is looked for [m]."""
-
 VOXEL = 0.004
 """Views are thinned to this spacing for matching [m]."""
-NEIGHBOURS = 12
-"""Candidates looked up for each point among all views' points."""
 MATCH_DISTANCES = 0.012, 0.009, 0.007, 0.006, 0.005
 """Greatest distance of a match [m], one per round; the map is rebuilt in each."""
 
@@ -124,41 +115,41 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
     found = _aligned(sample, given, source, params)
     if found is None:
         return _declined(given, "the views share no surface")
-    checked = _without_contradictions(sample, given, found, source, params)
-    return _judged(sample, given, checked, held_out)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """An estimate, (V,) how far its views agree and which can be used, and what to say about the others."""
-
-    found: Estimate
-    agreement: Array
-    used: NDArray[np.bool_]
-    notes: tuple[str, ...] = ()
+    found, agrees, used, notes = _without_contradictions(sample, given, found, source, params)
+    judges = held_out & used[sample.view]
+    before, after = (_disagreement(sample, Estimate(T, found.reach), judges) for T in (given, found.poses))
+    accepted, poses = after < (1 - LEAST_GAIN) * before, found.poses
+    if not accepted:
+        poses, agrees = given, agreement(sample, Estimate(given, found.reach), range(len(given)))
+        note = (
+            f"registration declined: held-out points disagree by {1e3 * after:.2f} mm after it, {1e3 * before:.2f} mm "
+            "before; the arm's own poses are used"
+        )
+        notes = (note, *notes)
+    return Registration(poses, accepted, before, after, found.reach, agrees, used, notes)
 
 
 def _without_contradictions(
     sample: Sample, given: Array, found: Estimate, source: NDArray[np.bool_], params: Params
-) -> _Judged:
-    """Place views that the others contradict anew, mark those that fit nowhere as unusable, and align once more.
+) -> tuple[Estimate, Array, NDArray[np.bool_], tuple[str, ...]]:
+    """Return the estimate with contradicted views placed anew, (V,) how far views agree, (V,) which are usable, notes.
 
     Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
     then about its new one.
     """
-    mend = mended(sample, given, found, SEARCH)
-    used, agrees, placed = mend.used, mend.agreement, Estimate(mend.poses, found.reach)
+    poses, wrong, used, agrees = mended(sample, given, found)
+    placed = Estimate(poses, found.reach)
     moved = _moved(sample, given, placed)
     far = used & (moved > UNEXPLAINED * max(_expected(sample, params), float(np.median(moved))))
-    anew = mend.wrong | far
+    anew = wrong | far
     if anew.any():
-        start, kept = np.where(anew[:, None, None], placed.poses, given), used[sample.view]
+        start, kept = np.where(anew[:, None, None], poses, given), used[sample.view]
         last = MATCH_DISTANCES[-2:]
         found = _jointly(sample.only(kept), placed, start, source[kept], last, params, reach_fixed=True) or placed
         found.poses[~used] = given[~used]
-    if mend.wrong.any():
+    if wrong.any():
         agrees = agreement(sample, found, range(len(given)))
-    return _Judged(found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far))
+    return found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far)
 
 
 def _moved(sample: Sample, given: Array, found: Estimate) -> Array:
@@ -209,25 +200,14 @@ def _jointly(
     reach_fixed: bool,
 ) -> Estimate | None:
     """Return the estimate after one round for each distance: match, then two Gauss-Newton steps."""
-    information = prior_information(
-        len(given),
-        (params.rotation_sigma, params.translation_sigma),
-        HAND_EYE_SIGMA,
-        REACH_SIGMA,
-    )
-    weight = 1 / (POINT_SIGMA**2 * POINTS_PER_CONSTRAINT)
+    information = _prior_information(len(given), params)
     for distance in distances:
-        pairs = _match(sample, at, source, distance)
+        pairs = match(sample, at, source, distance)
         if len(pairs) == 0:
             return None
-        problem = StepInput(sample, pairs, given, information, max(POINT_SIGMA, distance / 3), weight)
         for _ in range(2):
-            at = step(problem, at, reach_fixed=reach_fixed)
+            at = _step(sample, pairs, at, given, information, max(POINT_SIGMA, distance / 3), reach_fixed=reach_fixed)
     return at
-
-
-def _match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
-    return match(sample, at, use, neighbours=NEIGHBOURS, distance=distance, angle=NORMAL_ANGLE)
 
 
 def _declined(given: Array, why: str) -> Registration:
@@ -236,77 +216,51 @@ def _declined(given: Array, why: str) -> Registration:
     return Registration(given, False, np.nan, np.nan, 0.0, np.full(views, np.nan), used, (f"registration: {why}",))
 
 
-def _judged(sample: Sample, given: Array, checked: _Judged, held_out: NDArray[np.bool_]) -> Registration:
-    """Return the registration, or the arm's poses where held-out points disagree no less than under them."""
-    found, judges = checked.found, held_out & checked.used[sample.view]
-    before, after = (_disagreement(sample, Estimate(T, found.reach), judges) for T in (given, found.poses))
-    if after < (1 - LEAST_GAIN) * before:
-        return Registration(
-            found.poses, True, before, after, found.reach, checked.agreement, checked.used, checked.notes
-        )  # fmt: skip
-    note = (
-        f"registration declined: held-out points disagree by {1e3 * after:.2f} mm after it, {1e3 * before:.2f} mm "
-        "before; the arm's own poses are used"
-    )
-    agrees = agreement(sample, Estimate(given, found.reach), range(len(given)))
-    return Registration(given, False, before, after, found.reach, agrees, checked.used, (note, *checked.notes))
-
-
 def _disagreement(sample: Sample, at: Estimate, held_out: NDArray[np.bool_]) -> float:
     """Return the median distance [m] of held-out points to the surfaces of other views."""
-    pairs = _match(sample, at, held_out, MATCH_DISTANCES[0])
+    pairs = match(sample, at, held_out, MATCH_DISTANCES[0])
     return float(np.median(plane_distances(sample, at, pairs))) if len(pairs) else np.inf
 
 
-def prior_information(views: int, own: tuple[float, float], common: tuple[float, float], reach: float) -> Array:
-    """Return the (6V + 1, 6V + 1) inverse covariance of the unknowns.
+def _prior_information(views: int, params: Params) -> Array:
+    """Return the (6V + 1, 6V + 1) inverse covariance of V poses, with own and common errors, and of the reach."""
 
-    Args:
-        views: V.
-        own: standard deviations [rad], [m] per axis of each view's pose.
-        common: of the error that all views share in the camera frame, which is what a hand-eye calibration leaves.
-        reach: standard deviation of the window's reach about zero [rad].
-    """
+    def variances(rotation: float, translation: float) -> Array:
+        return np.diag(np.repeat(np.square([rotation, translation]), 3))
 
-    def variances(sigmas: tuple[float, float]) -> Array:
-        return np.diag(np.repeat(np.square(sigmas), 3))
-
-    covariance = np.kron(np.eye(views), variances(own)) + np.kron(np.ones((views, views)), variances(common))
+    own = variances(params.rotation_sigma, params.translation_sigma)
+    covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), variances(*HAND_EYE_SIGMA))
     information = np.zeros((6 * views + 1, 6 * views + 1))
     information[:-1, :-1] = np.linalg.inv(covariance)
-    information[-1, -1] = reach**-2
+    information[-1, -1] = REACH_SIGMA**-2
     return information
 
 
-class StepInput(NamedTuple):
-    """What a Gauss-Newton step needs besides the estimate.
+def _step(
+    sample: Sample,
+    pairs: NDArray[np.int64],
+    at: Estimate,
+    given: Array,
+    information: Array,
+    scale: float,
+    *,
+    reach_fixed: bool,
+) -> Estimate:
+    """Return the estimate after one Gauss-Newton step; with `reach_fixed` only the poses change.
 
-    Attributes:
-        sample: the points.
-        pairs: (P, 2) from `match`.
-        given: (V, 4, 4) poses the prior is about.
-        information: from `prior_information`.
-        scale: of the Welsch weights [m].
-        weight: inverse variance of one pair's distance [1/m^2].
+    The prior of `information` is about the `given` poses (V, 4, 4); `scale` is that of the Welsch weights [m].
     """
-
-    sample: Sample
-    pairs: NDArray[np.int64]
-    given: Array
-    information: Array
-    scale: float
-    weight: float
-
-
-def step(problem: StepInput, at: Estimate, *, reach_fixed: bool = False) -> Estimate:
-    """Return the estimate after one Gauss-Newton step; with `reach_fixed` only the poses change."""
-    information, weight = problem.information, problem.weight
-    hessian, gradient = _normal_equations(problem, at)
+    world, normals = sample.world(at)
+    points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
+    halves = in_threads(
+        lambda t: _accumulated(pairs[t::2], points, along, sample.view, world, normals, at.poses, scale), range(2)
+    )
+    hessian, gradient = (one + other for one, other in zip(*halves, strict=True))
     hessian += hessian.T - np.diag(np.diag(hessian))
-    error = inverse(problem.given) @ at.poses
+    error = inverse(given) @ at.poses
     turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
     moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
-    free = slice(-1) if reach_fixed else slice(None)
+    free, weight = slice(-1 if reach_fixed else None), 1 / (POINT_SIGMA**2 * POINTS_PER_CONSTRAINT)
     change = np.zeros(len(information))
     change[free] = np.linalg.solve(
         (weight * hessian + information)[free, free], -(weight * gradient + information @ moved)[free]
@@ -315,31 +269,14 @@ def step(problem: StepInput, at: Estimate, *, reach_fixed: bool = False) -> Esti
     return Estimate(np.stack(poses), at.reach + change[-1])
 
 
-def _normal_equations(problem: StepInput, at: Estimate) -> tuple[Array, Array]:
-    """Return the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient; threads share the pairs."""
-    sample, size = problem.sample, len(problem.information)
-    world, normals = sample.world(at)
-    points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
-    hessians, gradients = np.zeros((THREADS, size, size)), np.zeros((THREADS, size))
-
-    def accumulate(t: int) -> None:
-        pairs = problem.pairs[t::THREADS]
-        _accumulate(
-            pairs, points, along, sample.view, world, normals, at.poses, problem.scale, hessians[t], gradients[t]
-        )
-
-    with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(accumulate, range(THREADS)))
-    return hessians.sum(axis=0), gradients.sum(axis=0)
-
-
 @numba.njit(nogil=True, cache=True)
-def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessian, gradient):
-    """Add the pairs' Welsch-weighted normal equations; weight exp(-(r / scale)^2), Welsch (Holland 1977).
+def _accumulated(pairs, points, along, view, world, normals, poses, scale):
+    """Return the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient of the pairs' squared distances.
 
-    Of each two symmetric entries of the Hessian only one is added.
+    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977).
     """
-    last = len(gradient) - 1
+    last = 6 * len(poses)
+    hessian, gradient = np.zeros((last + 1, last + 1)), np.zeros(last + 1)
     row, index = np.empty(13), np.empty(13, dtype=np.int64)
     index[12] = last
     for p in range(pairs.shape[0]):
@@ -369,3 +306,4 @@ def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessia
             gradient[to] += weighted * r
             for q in range(k, 13):
                 hessian[to, index[q]] += weighted * row[q]
+    return hessian, gradient

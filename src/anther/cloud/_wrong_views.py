@@ -1,26 +1,46 @@
-"""Views that the others contradict: how to see it, and how to find where they belong. V views, N points.
+"""Which points of different views lie on the same surface; views that the others contradict, and where they belong.
 
-Points of different views that lie on the same surface. Dimensions: V views, N points, P pairs.
+Dimensions: V views, N points, P pairs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-import numba
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.cloud._clusters import voxel_means
-from anther.cloud._pixels import slant
+from anther.capture import in_threads
+from anther.cloud._fusion import slant, voxel_means
 from anther.geometry import Array
 
 THREADS = 2
+NORMAL_ANGLE = float(np.deg2rad(25))
+"""Matched points' normals differ by at most this [rad]; it keeps the two sides of a stem apart."""
+NEAR = 0.02
+"""A point is judged if other views see anything within this distance [m]."""
+ON_SURFACE = 0.002
+"""A point agrees if it lies within this of another view's surface [m]; two thirds of the kinematic error."""
+ALIKE = float(np.cos(np.deg2rad(40)))
+"""Least cosine between the normals of the same surface; a leaf's two sides count as one here."""
+LEAST_JUDGED = 50
+"""Fewer points than this cannot tell whether a view agrees."""
+THINNED = 4
+"""One point in so many is judged, against the same share of the others'."""
+SEARCH = 0.04
+"""How far around its given place a view that the others contradict is looked for [m]."""
+STEP = 0.01
+"""Spacing of the places tried for a lost view [m]: the alignment that follows finds its way from half of that."""
+LEAST_AGREEMENT = 0.7
+"""A view is contradicted when its agreement is below this share of the median view's."""
+NEIGHBOURS = 12
+"""Points that a normal is fitted to, and candidates looked up for each point among all views' points."""
+TIGHT = {"rotation_epsilon": 1e-5, "translation_epsilon": 1e-6}
+"""small_gicp's own tolerances, 0.1 deg and 1 mm, stop too early (facts: perception)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,20 +74,19 @@ class Sample:
     view: NDArray[np.int64]
 
     @classmethod
-    def of(cls, points_cam: list[Array], voxel: float, most: int, neighbours: int = 12) -> Sample:
-        """Return at most `most` points of each view, thinned to `voxel` [m]; normals are fitted to `neighbours`."""
+    def of(cls, points_cam: list[Array], voxel: float, most: int) -> Sample:
+        """Return at most `most` points of each view, thinned to `voxel` [m]; normals are fitted to `NEIGHBOURS`."""
         rng = np.random.default_rng(0)
         draws = [rng.permutation(len(cloud)) for cloud in points_cam]
 
-        def thinned(cloud: Array, order: NDArray[Any]) -> tuple[Array, Array]:
-            fine = voxel_means(cloud, voxel)
-            if len(fine) < neighbours:
+        def thinned(view: int) -> tuple[Array, Array]:
+            fine, order = voxel_means(points_cam[view], voxel), draws[view]
+            if len(fine) < NEIGHBOURS:
                 return np.zeros((0, 3)), np.zeros((0, 3))
             chosen = fine[order[order < len(fine)][:most]]
-            return chosen, _normals(chosen, fine, neighbours)
+            return chosen, _normals(chosen, fine)
 
-        with ThreadPoolExecutor(THREADS) as pool:
-            views = list(pool.map(thinned, points_cam, draws))
+        views = in_threads(thinned, range(len(points_cam)))
         p, n = (np.concatenate([np.zeros((0, 3)), *columns]) for columns in zip(*views, strict=True))
         return cls(p, n, slant(p, n), np.repeat(np.arange(len(views)), [len(q) for q, _ in views]))
 
@@ -89,41 +108,18 @@ class Sample:
         return points, normals
 
 
-def match(
-    sample: Sample, at: Estimate, use: NDArray[np.bool_], *, neighbours: int, distance: float, angle: float
-) -> NDArray[np.int64]:
-    """Return (P, 2) pairs of near points of different views with similar normals; the first ones are in `use`.
-
-    Args:
-        sample: the points.
-        at: where the views are.
-        use: (N,) points for which neighbours are looked up.
-        neighbours: candidates of each.
-        distance: greatest distance of a pair [m].
-        angle: greatest angle between the normals [rad].
-    """
+def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
+    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`."""
     points, normals = sample.world(at)
     first = np.flatnonzero(use)
     if len(first) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=THREADS)
-    near, squared = tree.batch_knn_search(points[first], neighbours, num_threads=THREADS)
-    return _pairs(first, near.astype(np.int64), squared, sample.view, normals, distance**2, np.cos(angle))
-
-
-@numba.njit(nogil=True, cache=True)
-def _pairs(first, near, squared, view, normals, distance2, cosine):
-    pairs = np.empty((near.size, 2), dtype=np.int64)
-    count = 0
-    for k in range(first.size):
-        a = first[k]
-        for c in range(near.shape[1]):
-            b = near[k, c]
-            alike = normals[a, 0] * normals[b, 0] + normals[a, 1] * normals[b, 1] + normals[a, 2] * normals[b, 2]
-            if squared[k, c] < distance2 and view[a] != view[b] and alike > cosine:
-                pairs[count, 0], pairs[count, 1] = a, b
-                count += 1
-    return pairs[:count]
+    near, squared = tree.batch_knn_search(points[first], NEIGHBOURS, num_threads=THREADS)
+    near, first = near.astype(np.int64), np.broadcast_to(first[:, None], near.shape)
+    alike = np.einsum("nki,nki->nk", normals[first], normals[near]) > np.cos(NORMAL_ANGLE)
+    pair = (squared < distance**2) & (sample.view[first] != sample.view[near]) & alike
+    return np.stack([first[pair], near[pair]], axis=1)
 
 
 def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
@@ -134,78 +130,31 @@ def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
     return np.abs(np.einsum("pi,pi->p", mean, world[pairs[:, 0]] - world[pairs[:, 1]]))
 
 
-def _normals(points: Array, cloud: Array, neighbours: int) -> Array:
+def _normals(points: Array, cloud: Array) -> Array:
     """Return the unit normals (N, 3), towards the camera, of planes through the nearest points of `cloud` (M, 3)."""
-    near, _ = small_gicp.KdTree(cloud).batch_knn_search(points, neighbours)
+    near, _ = small_gicp.KdTree(cloud).batch_knn_search(points, NEIGHBOURS)
     around = cloud[near.astype(np.int64)]
     around -= around.mean(axis=1, keepdims=True)
     n = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
     return np.where(np.einsum("ni,ni->n", n, points)[:, None] > 0, -n, n)
 
 
-NEAR = 0.02
-"""A point is judged if other views see anything within this distance [m]."""
+def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArray[Any], NDArray[Any], Array]:
+    """Place the views anew that the others contradict under the estimate `found`; `given` are the arm's poses.
 
-ON_SURFACE = 0.002
-"""A point agrees if it lies within this of another view's surface [m]; two thirds of the kinematic error."""
-
-ALIKE = float(np.cos(np.deg2rad(40)))
-"""Least cosine between the normals of the same surface; a leaf's two sides count as one here."""
-
-LEAST_JUDGED = 50
-"""Fewer points than this cannot tell whether a view agrees."""
-
-THINNED = 4
-"""One point in so many is judged, against the same share of the others'."""
-
-STEP = 0.01
-"""Spacing of the places tried for a lost view [m]: the alignment that follows finds its way from half of that."""
-
-
-LEAST_AGREEMENT = 0.7
-"""A view is contradicted when its agreement is below this share of the median view's."""
-
-NEIGHBOURS = 12
-"""Points that the normal of a point of a lost view is fitted to."""
-
-TIGHT = {"rotation_epsilon": 1e-5, "translation_epsilon": 1e-6}
-"""small_gicp's own tolerances, 0.1 deg and 1 mm, stop too early (facts: perception)."""
-
-
-class Mended(NamedTuple):
-    """What became of the views that the others contradict.
-
-    Attributes:
-        poses: (V, 4, 4) of all views: the contradicted ones where they fit, or as given where they fit nowhere.
-        wrong: (V,) bool, the contradicted ones.
-        used: (V,) bool, false for those that fit nowhere.
-        agreement: (V,) of all views before.
-    """
-
-    poses: Array
-    wrong: NDArray[np.bool_]
-    used: NDArray[np.bool_]
-    agreement: Array
-
-
-def mended(sample: Sample, given: Array, found: Estimate, search: float) -> Mended:
-    """Place the views anew that the others contradict.
-
-    Args:
-        sample: the points.
-        given: (V, 4, 4) poses from the arm.
-        found: the estimate under which views are judged.
-        search: how far around its present place such a view is looked for [m].
+    Returns:
+        (V, 4, 4) poses of all views: the contradicted ones where they fit, or as given where they fit nowhere; (V,)
+        which are contradicted; (V,) which are used, all but those that fit nowhere; (V,) agreement of all before.
     """
     agrees = agreement(sample, found, range(len(given)))
     bar = LEAST_AGREEMENT * np.nanmedian(agrees) if np.isfinite(agrees).any() else 0.0
     wrong, poses, used = agrees < bar, found.poses.copy(), np.ones(len(given), dtype=bool)
     for view in np.flatnonzero(wrong).tolist():
         others = sample.only(~wrong[sample.view] | (sample.view == view))
-        pose = placed_anew(others, found, view, search)
-        used[view] = agreement(others, _replaced(found, view, pose), [view])[0] >= bar
+        agreed, pose = placed_anew(others, found, view)
+        used[view] = agreed >= bar
         poses[view] = pose if used[view] else given[view]
-    return Mended(poses, wrong, used, agrees)
+    return poses, wrong, used, agrees
 
 
 def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
@@ -215,14 +164,13 @@ def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
     """
     sample = sample.only(np.arange(len(sample.view)) % THINNED == 0)
     points, normals = sample.world(at)
-    with ThreadPoolExecutor(THREADS) as pool:
-        return np.array(list(pool.map(lambda v: _agreement(points, normals, sample.view == v), views)))
+    return np.array(in_threads(lambda v: _agreement(points, normals, sample.view == v), views))
 
 
-def placed_anew(sample: Sample, at: Estimate, view: int, search: float) -> Array:
-    """Return the pose (4, 4) near the view's present one that fits the other views best.
+def placed_anew(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
+    """Return the pose (4, 4) near the view's present one that fits the other views best, and how well it agrees.
 
-    All shifts up to `search` [m] along each axis are scored by how close the points come to the other views'; the best
+    All shifts up to `SEARCH` along each axis are scored by how close the points come to the other views'; the best
     are refined by point-to-plane ICP, and the one that agrees best is returned.
     """
     points, _ = sample.world(at)
@@ -230,23 +178,16 @@ def placed_anew(sample: Sample, at: Estimate, view: int, search: float) -> Array
     others = points[~own]
     target, unbiased, tried = _with_normals(others), _with_normals(sample.unbiased(at.reach)[own]), []
     tree = small_gicp.KdTree(target, num_threads=THREADS)
-    for shift in _best_shifts(points[own], tree, search, most=3):
-        pose = at.poses[view].copy()
-        pose[:3, 3] += shift
+    for shift in _best_shifts(points[own], tree, most=3):
+        poses = at.poses.copy()
+        poses[view, :3, 3] += shift
         for distance in (2 * STEP, STEP / 2):
-            pose = np.asarray(small_gicp.align(
-                target, unbiased, tree, pose, registration_type="PLANE_ICP", max_correspondence_distance=distance,
-                num_threads=THREADS, max_iterations=60, **TIGHT,
+            poses[view] = np.asarray(small_gicp.align(
+                target, unbiased, tree, poses[view], registration_type="PLANE_ICP",
+                max_correspondence_distance=distance, num_threads=THREADS, max_iterations=60, **TIGHT,
             ).T_target_source)  # fmt: skip
-        tried.append((np.nan_to_num(agreement(sample, _replaced(at, view, pose), [view])[0]), pose))
-    return max(tried, key=lambda found: found[0])[1]
-
-
-def _replaced(at: Estimate, view: int, pose: Array) -> Estimate:
-    """Return the estimate with another pose (4, 4) of one view."""
-    poses = at.poses.copy()
-    poses[view] = pose
-    return Estimate(poses, at.reach)
+        tried.append((float(np.nan_to_num(agreement(sample, Estimate(poses, at.reach), [view])[0])), poses[view]))
+    return max(tried, key=lambda found: found[0])
 
 
 def _with_normals(points: Array) -> small_gicp.PointCloud:
@@ -269,10 +210,10 @@ def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
     return float(agrees[judged].mean())
 
 
-def _best_shifts(source: Array, target: small_gicp.KdTree, search: float, most: int) -> Array:
+def _best_shifts(source: Array, target: small_gicp.KdTree, most: int) -> Array:
     """Return the shifts (most, 3) [m] that bring the source points closest to the target's."""
     few = source[:: max(1, len(source) // 100)]
-    steps = np.arange(-search, search + STEP / 2, STEP)
+    steps = np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
     shifts = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     _, squared = target.batch_knn_search((few + shifts[:, None]).reshape(-1, 3), 1, num_threads=THREADS)
     score = np.exp(-squared.reshape(len(shifts), -1) / (STEP / 2) ** 2).mean(axis=1)

@@ -31,9 +31,8 @@ def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | 
     if source == "colour":
         return None
     from anther.masks import by_words, without_ground
-    from anther.masks.weights import find_models
 
-    find_models(models, source)
+    by_words.find_models(models, source)
 
     def find(capture: Capture, workspace: Box | None, progress: Advance) -> Masks:
         seen = by_words.segment(capture, models, params.by_words, method=source, cache=cache, progress=progress)

@@ -1,7 +1,7 @@
 """Masks: which pixels show the plant and its flowers. Dimensions: V views, H x W pixels.
 
 The default needs no weights. Every depth pixel in the workspace votes, with its colour, in a voxel grid that all
-views share. There the ground (bench, soil, pot) is found by geometry (`_ground.py`), brown stem parts are kept because
+views share. There the ground (bench, soil, pot) is found by geometry, brown stem parts are kept because
 they join green ones, and flowers are small yellow or white blobs at the plant. The decision is carried back to the
 pixels. Without colour, whatever stands above the ground is plant.
 """
@@ -16,18 +16,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.capture import Capture
+from anther.capture import Capture, in_threads
 from anther.checks import check_array, check_parameters, check_range
 from anther.errors import StageFailure
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Box
 from anther.masks._cells import kinds
-from anther.masks._images import COLOURFUL, labels_of_image
-from anther.masks._light import GREEN, GREEN_NO_DEPTH, Light, green_rule
-from anther.masks._survey import VOXEL, each_view, survey
+from anther.masks._light import GREEN, GREEN_NO_DEPTH
+from anther.masks._survey import VOXEL, survey
 from anther.masks._voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
-__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "segment_images", "without_ground"]
+__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "without_ground"]
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
 
@@ -114,9 +113,15 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         found = read_back(capture.depth[view], seen.cameras[view], classes, cells)
         labels[view] = _add_pixels_without_depth(found, classes)
 
-    each_view(label_view, capture.views)
-    lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
-    _require_plant(labels, f"Is the plant within x, y, z = {lower} .. {lower + size} m?")
+    in_threads(label_view, range(capture.views))
+    found = int((labels > 0).sum())
+    if found < LEAST_PIXELS:
+        lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
+        raise StageFailure(
+            "no_plant_found",
+            f"masks: {found} plant pixels in {len(labels)} views; at least {LEAST_PIXELS} are needed. "
+            f"Is the plant within x, y, z = {lower} .. {lower + size} m?",
+        )
     return Masks(labels, seen.source)
 
 
@@ -139,7 +144,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
     masked = np.zeros((1, *seen.grid.shape), dtype=np.uint16)
     for view in range(capture.views):
         depth = np.where(labels[view] > 0, capture.depth[view], np.float32(0))
-        vote(None, depth, camera=seen.cameras[view], rule=None, counts=masked)
+        vote(None, depth, seen.cameras[view], None, masked)
     foot = seen.foot((masked[0] >= 2) & ~seen.rim)
     rim = RIM if capture.rgb is not None else GROUND
     cells = np.where(seen.below & ~foot, GROUND, np.where(seen.rim & ~foot, rim, EMPTY)).astype(np.uint8)
@@ -150,40 +155,8 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
         kept[view] = clear(labels[view], depth, seen.cameras[view], classes, cells)
         _drop_pixels_without_depth(kept[view], labels[view], depth, classes)
 
-    each_view(clear_view, capture.views)
+    in_threads(clear_view, range(capture.views))
     return Masks(kept, masks.source)
-
-
-def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
-    """Return the plant and flower pixels of colour images (V, H, W, 3) uint8 without depth or poses.
-
-    Colour alone cannot tell plants behind from the plant in front, nor a green pot from leaves.
-
-    Raises:
-        StageFailure: `no_plant_found` when the images show too little green, or the light holds none.
-    """
-    params = params or Params()
-    images = check_array("images", rgb, (None, None, None, 3), dtype="uint8")
-    light = Light.on(images, params.green)
-    labels = np.zeros(images.shape[:3], dtype=np.uint8)
-    if light.holds_green:
-        rule, greys = green_rule(light, params), Light.on(images, params.green, COLOURFUL)
-
-        def label_image(view: int) -> None:
-            labels[view] = labels_of_image(images[view], rule, light, greys)
-
-        each_view(label_image, len(images))
-    _require_plant(labels, "Is it green, and the light not that of red grow lamps?")
-    return Masks(labels, "colour")
-
-
-def _require_plant(labels: NDArray[Any], question: str) -> None:
-    found = int((labels > 0).sum())
-    if found < LEAST_PIXELS:
-        raise StageFailure(
-            "no_plant_found",
-            f"masks: {found} plant pixels in {len(labels)} views; at least {LEAST_PIXELS} are needed. {question}",
-        )
 
 
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:

@@ -1,14 +1,19 @@
-"""What each cell of the grid is: ground, green, a brown part of the plant, or a flower. X x Y x Z cells."""
+"""What each cell of the grid is: ground, green, a brown part of the plant, or a flower. X x Y x Z cells.
+
+Stakes and strings beside a plant are long straight upright lines of cells that are not green.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from anther.capture import Capture
-from anther.masks._components import components, dilated
 from anther.masks._light import GREEN, WHITE, YELLOW
-from anther.masks._stakes import stake_cells
 from anther.masks._survey import Survey
 from anther.masks._voting import (
     BESIDE_FLOWER,
@@ -108,12 +113,18 @@ def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np
     return cells
 
 
+def _numbered(part: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the number (X, Y, Z) of the connected component of `part` each cell is in, corners connect; 0 outside."""
+    number = np.zeros(part.shape, dtype=np.int32)
+    for box in ndimage.find_objects(part.view(np.uint8)):  # one: labelling the whole grid would take longer
+        ndimage.label(part[box], np.ones((3, 3, 3)), output=number[box])
+    return number
+
+
 def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
-    cells, number = components(part)
-    large = np.zeros_like(part)
-    large[tuple(cells[np.bincount(number)[number] >= least].T)] = True
-    return large
+    number = _numbered(part)
+    return part & (np.bincount(number.ravel()) >= least)[number]
 
 
 def _parts_near(
@@ -121,21 +132,75 @@ def _parts_near(
 ) -> NDArray[np.bool_]:
     """Return the connected components of `part` that come within `distance` [m] of `plant` and are small.
 
-    Args:
-        axis: which of the three extents along the bounding box, sorted from the greatest, may not exceed `extent`:
-            0 bounds the size, 1 lets through slender parts of any length.
+    Of the three extents of the bounding box, sorted from the greatest, number `axis` may not exceed `extent` [m]: 0
+    bounds the size, 1 lets through slender parts of any length.
     """
-    cells, number = components(part)
-    if len(cells) == 0:
-        return part
-    near = dilated(plant, max(1, round(distance / voxel)))[tuple(cells.T)]
-    count = number.max() + 1
-    touches = np.bincount(number, weights=near, minlength=count) > 0
-    first, last = np.full((count, 3), np.iinfo(cells.dtype).max), np.zeros((count, 3), dtype=cells.dtype)
-    np.minimum.at(first, number, cells)
-    np.maximum.at(last, number, cells)
-    size = np.sort(last - first + 1, axis=1)[:, 2 - axis]
-    kept = (touches & (size * voxel <= extent + voxel))[number]
-    found = np.zeros_like(part)
-    found[tuple(cells[kept].T)] = True
-    return found
+    number = _numbered(part)
+    sizes = [sorted(side.stop - side.start for side in box)[2 - axis] for box in ndimage.find_objects(number)]
+    kept = np.zeros(len(sizes) + 1, dtype=bool)
+    kept[number[part & dilated(plant, max(1, round(distance / voxel)))]] = True
+    kept[1:] &= np.multiply(sizes, voxel) <= extent + voxel
+    return kept[number]
+
+
+def dilated(part: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Return the cells (X, Y, Z) within `reach` cells along every axis of one in `part`."""
+    square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    layers = np.stack([cv2.dilate(layer, square) for layer in np.ascontiguousarray(part).view(np.uint8)])
+    grown = cv2.dilate(layers.reshape(len(part), -1), square[:, :1])
+    return np.asarray(grown).reshape(part.shape).view(np.bool_)
+
+
+LENGTH = 0.20
+"""Least length of a stake [m]."""
+COVERED = 0.6
+"""Least share of the heights along a stake at which it is seen."""
+_TRIALS, _TAN_TILT, _RADIUS = 400, 0.35, 1.3  # lines tried, tangent of the greatest tilt, half width [cells]
+_MOST = 4  # stakes and strings looked for
+
+
+def stake_cells(bare: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
+    """Return the cells (X, Y, Z) in and beside a stake or string, from `bare` ones: seen, above ground, not green.
+
+    Lines through random pairs of cells, that through most heights is kept (RANSAC, Fischler and Bolles 1981).
+    """
+    cells = np.stack(np.unravel_index(np.flatnonzero(bare), bare.shape), axis=1).astype(np.float64)
+    found = np.zeros_like(bare)
+    rng = np.random.default_rng(0)
+    for _ in range(_MOST):
+        inside = _longest(cells, LENGTH / voxel, rng)
+        if not inside.any():
+            break
+        found[tuple(cells[inside].astype(int).T)] = True
+        cells = cells[~inside]
+    return dilated(found, 1)
+
+
+def _longest(cells: NDArray[Any], least: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return which cells (n, 3) lie on the upright line that is seen at most heights; none if it is too short."""
+    best, most = np.zeros(len(cells), dtype=bool), COVERED * least
+    if len(cells) < most:
+        return best
+    for a, b in cells[rng.integers(len(cells), size=(_TRIALS, 2))]:
+        rise = b[2] - a[2]
+        if abs(rise) < 0.3 * least or np.hypot(*(b - a)[:2]) > _TAN_TILT * abs(rise):
+            continue
+        on_line = a[:2] + (cells[:, 2:] - a[2]) * ((b - a)[:2] / rise)
+        near = np.hypot(*(cells[:, :2] - on_line).T) <= _RADIUS
+        heights = np.unique(cells[near, 2])
+        span = _longest_run(heights, gap=0.25 * least)
+        if span is not None and span[1] - span[0] >= least:
+            inside = near & (cells[:, 2] >= span[0]) & (cells[:, 2] <= span[1])
+            seen = int(((heights >= span[0]) & (heights <= span[1])).sum())
+            if seen > most and seen >= COVERED * (span[1] - span[0]):
+                best, most = inside, seen
+    return best
+
+
+def _longest_run(heights: NDArray[Any], gap: float) -> tuple[float, float] | None:
+    """Return first and last of the longest stretch of sorted heights without a gap."""
+    if len(heights) == 0:
+        return None
+    runs = np.split(heights, np.nonzero(np.diff(heights) > gap)[0] + 1)
+    longest = max(runs, key=lambda run: run[-1] - run[0])
+    return float(longest[0]), float(longest[-1])

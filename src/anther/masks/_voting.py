@@ -1,11 +1,12 @@
 """Voxel voting for the masks: each depth pixel in the workspace votes, with its colour class, in a shared grid.
 
-Dimensions: H x W pixels, X x Y x Z cells. The loops are compiled because 30 views hold 28 million pixels.
+Dimensions: H x W pixels, X x Y x Z cells.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numba
@@ -13,18 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.geometry import Array, Box, Intrinsics
-from anther.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, YELLOW, ColourRule
+from anther.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, WHITE, YELLOW, ColourRule
 
 EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, BESIDE_FLOWER = range(7)
 """What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is
 not green."""
 
-PETAL_VIEWS, LAST_PETAL_VIEW = 4, 5
-"""Layers of the vote grid after the four colours: in how many views petals voted, and the last of these plus one."""
-
-LAYERS = 6
-"""Number of layers of the vote grid."""
-
+PETAL_VIEWS, LAYERS = 4, 5
+"""Layer of the vote grid after the four colours: in how many views petals voted; and the number of all layers."""
 _BLEED_REACH, _BLEED_DEPTH = 3, 0.05  # [px], [m]
 
 
@@ -50,13 +47,7 @@ class Grid:
 
 
 def vote(
-    rgb: NDArray[Any] | None,
-    depth: NDArray[Any],
-    *,
-    camera: Array,
-    rule: ColourRule | None,
-    counts: NDArray[Any],
-    view: int = 0,
+    rgb: NDArray[Any] | None, depth: NDArray[Any], camera: Array, rule: ColourRule | None, counts: NDArray[Any]
 ) -> NDArray[Any]:
     """Add one view's pixels to `counts` and return their colour classes (H, W) uint8.
 
@@ -65,15 +56,21 @@ def vote(
         depth: (H, W) float32 [m].
         camera: (3, 4) from `pixels_to_cells`.
         rule: None without colour.
-        counts: (LAYERS, X, Y, Z) uint16, votes for OTHER, GREEN, YELLOW, WHITE and the petal layers; added to in
-            place. Without colour the first layer is enough.
-        view: its number.
+        counts: (LAYERS, X, Y, Z) uint16, added to in place; without colour the first layer is enough.
     """
-    classes = np.zeros(depth.shape, dtype=np.uint8)
-    if rgb is None or rule is None:
-        _vote_depth(depth, tuple(camera.ravel()), classes, counts)
-    else:
-        _vote_colour(rgb, depth, tuple(camera.ravel()), rule.table, rule.alike, classes, counts, view)
+    at = _cell_of(depth, camera, counts.shape[1:])
+    seen = at >= 0
+    classes = seen * np.uint8(OTHER)
+    if rgb is not None and rule is not None:
+        colour = rule.classes(rgb)
+        classes = np.where(seen, colour, np.uint8(OUTSIDE))
+        v, u = np.nonzero(classes >= YELLOW)
+        bleeding = _bleeds(rgb, depth, v, u, rule.alike)
+        classes[v[bleeding], u[bleeding]] = OTHER
+        counts[PETAL_VIEWS].ravel()[np.unique(at[classes >= YELLOW])] += 1
+        classes[(depth <= 0) & (colour == GREEN)] = GREEN_NO_DEPTH
+    layer = classes[seen] - np.int64(1)
+    np.add.at(counts.reshape(-1), layer * counts[0].size + at[seen], np.uint16(1))
     return classes
 
 
@@ -84,123 +81,61 @@ def pixels_to_cells(T_world_cam: Array, intrinsics: Intrinsics, grid: Grid) -> A
     return np.column_stack([T[:3, :3] @ rays, T[:3, 3] - grid.lower]) / grid.voxel
 
 
-@numba.njit(nogil=True, cache=True, inline="always")
-def _cell(u, v, z, m, shape):
-    """Return the cell (i, j, k) that a pixel's point lies in, or (-1, -1, -1); `m` is a tuple to stay in registers."""
-    x = (m[0] * u + (m[1] * v + m[2])) * z + m[3]
-    y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
-    w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
-    if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
-        return int(x), int(y), int(w)
-    return -1, -1, -1
-
-
-@numba.njit(nogil=True, cache=True, inline="always")
-def _bleeds(rgb, depth, v, u, like):
-    """Return whether a pixel has the colour of a background near it: then it is that background, wrongly placed."""
-    for dv in (-_BLEED_REACH, 0, _BLEED_REACH):
-        for du in (-_BLEED_REACH, 0, _BLEED_REACH):
-            j = min(max(v + dv, 0), depth.shape[0] - 1)
-            i = min(max(u + du, 0), depth.shape[1] - 1)
-            if depth[j, i] > depth[v, u] + _BLEED_DEPTH or depth[j, i] <= 0:
-                alike = True
-                for c in range(3):
-                    alike = alike and abs(float(rgb[j, i, c]) - float(rgb[v, u, c])) < like
-                if alike:
-                    return True
-    return False
+def _cell_of(depth: NDArray[Any], camera: Array, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return (H, W) the flat number of the cell that each pixel lies in; -1 beyond the grid or without depth."""
+    return _cells(depth, tuple(camera.ravel()), shape)
 
 
 @numba.njit(nogil=True, cache=True)
-def _vote_colour(rgb, depth, camera, table, like, classes, counts, view):
+def _cells(depth, m, shape):
+    """Compiled, because 30 views hold 28 million pixels; `m` is a tuple to stay in registers."""
+    at = np.full(depth.shape, -1, dtype=np.int64)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            i, j, k = _cell(u, v, depth[v, u], camera, counts.shape[1:])
-            if depth[v, u] > 0 and i < 0:
-                continue
-            kind = table[rgb[v, u, 0] >> 2, rgb[v, u, 1] >> 2, rgb[v, u, 2] >> 2]
-            if depth[v, u] <= 0:
-                classes[v, u] = GREEN_NO_DEPTH if kind == GREEN else OUTSIDE
-            else:
-                if kind >= YELLOW and _bleeds(rgb, depth, v, u, like):
-                    kind = OTHER
-                classes[v, u] = kind
-                counts[kind - 1, i, j, k] += 1
-                if kind >= YELLOW and counts[LAST_PETAL_VIEW, i, j, k] != view + 1:
-                    counts[LAST_PETAL_VIEW, i, j, k] = view + 1
-                    counts[PETAL_VIEWS, i, j, k] += 1
+            z = depth[v, u]
+            if z > 0:
+                x = (m[0] * u + (m[1] * v + m[2])) * z + m[3]
+                y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
+                w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
+                if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
+                    at[v, u] = (int(x) * shape[1] + int(y)) * shape[2] + int(w)
+    return at
 
 
-@numba.njit(nogil=True, cache=True)
-def _vote_depth(depth, camera, classes, counts):
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
-            if depth[v, u] > 0:
-                i, j, k = _cell(u, v, depth[v, u], camera, counts.shape[1:])
-                if i >= 0:
-                    classes[v, u] = OTHER
-                    counts[0, i, j, k] += 1
+def _bleeds(
+    rgb: NDArray[Any], depth: NDArray[Any], v: NDArray[Any], u: NDArray[Any], alike: float
+) -> NDArray[np.bool_]:
+    """Return (n,) which pixels have the colour of a background near them: then they are that, wrongly placed."""
+    bleeding, steps = np.zeros(len(v), dtype=bool), (-_BLEED_REACH, 0, _BLEED_REACH)
+    for dv, du in product(steps, steps):
+        j, i = np.clip(v + dv, 0, depth.shape[0] - 1), np.clip(u + du, 0, depth.shape[1] - 1)
+        behind = (depth[j, i] > depth[v, u] + np.float32(_BLEED_DEPTH)) | (depth[j, i] <= 0)
+        bleeding |= behind & (np.abs(rgb[j, i].astype(np.int16) - rgb[v, u]) < alike).all(axis=1)
+    return bleeding
 
 
-@numba.njit(nogil=True, cache=True)
-def _read_back(depth, camera, classes, cells, labels):
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
-            kind = classes[v, u]
-            if kind in (OUTSIDE, GREEN_NO_DEPTH):
-                continue
-            i, j, k = _cell(u, v, depth[v, u], camera, cells.shape)
-            cell = cells[i, j, k]
-            if kind == GREEN:
-                labels[v, u] = 1 if cell != GROUND else 0
-            elif cell == FLOWER_CELL or (cell == BESIDE_FLOWER and kind != OTHER):
-                labels[v, u] = 2
-            elif cell == BROWN_CELL or (cell == GREEN_CELL and kind == YELLOW):
-                labels[v, u] = 1
+_LABEL = np.zeros((6, 7), dtype=np.uint8)  # by the pixel's colour class and by its cell
+_LABEL[GREEN] = 1
+_LABEL[GREEN, GROUND] = 0
+_LABEL[[[OTHER], [YELLOW], [WHITE]], [BROWN_CELL, FLOWER_CELL]] = 1, 2
+_LABEL[YELLOW, GREEN_CELL] = 1
+_LABEL[[YELLOW, WHITE], BESIDE_FLOWER] = 2
 
 
-def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[Any]:
-    """Return one view's labels (H, W) uint8 (0 background, 1 plant, 2 flower) from what its cells were found to be.
+def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return one view's labels (H, W), 0 background, 1 plant, 2 flower, from what its cells (X, Y, Z) were found to be.
 
     A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: beside
     green parts they are background that the depth sensor's matching window fattened the plant with.
-
-    Args:
-        depth, camera: as in `vote`.
-        classes: (H, W) from `vote`.
-        cells: (X, Y, Z) uint8, see EMPTY and what follows.
     """
-    labels = np.zeros(depth.shape, dtype=np.uint8)
-    _read_back(depth, tuple(camera.ravel()), classes, cells, labels)
-    return labels
-
-
-@numba.njit(nogil=True, cache=True)
-def _clear(depth, camera, classes, cells, labels):
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
-            if labels[v, u] == 0 or depth[v, u] <= 0:
-                continue
-            i, j, k = _cell(u, v, depth[v, u], camera, cells.shape)
-            if i < 0 or cells[i, j, k] == GROUND or (cells[i, j, k] == RIM and classes[v, u] == OTHER):
-                labels[v, u] = 0
+    return _LABEL[classes, cells.ravel()[_cell_of(depth, camera, cells.shape)]]
 
 
 def clear(
-    labels: NDArray[Any],
-    depth: NDArray[Any],
-    camera: Array,
-    classes: NDArray[Any],
-    cells: NDArray[Any],
+    labels: NDArray[Any], depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]
 ) -> NDArray[Any]:
-    """Return labels (H, W) of any source freed of the ground, of the pot and of what lies outside the grid.
-
-    Args:
-        labels: (H, W) uint8, 0 = background.
-        depth, camera: as in `vote`.
-        classes: (H, W) from `vote`.
-        cells: (X, Y, Z) uint8, of which GROUND and RIM count.
-    """
-    kept = labels.copy()
-    _clear(depth, tuple(camera.ravel()), classes, cells, kept)
-    return kept
+    """Return labels (H, W) of any source freed of GROUND, of a pot's RIM and of what lies outside the cells."""
+    at = _cell_of(depth, camera, cells.shape)
+    cell = cells.ravel()[at]
+    gone = (at < 0) | (cell == GROUND) | ((cell == RIM) & (classes == OTHER))
+    return np.where((depth > 0) & gone, 0, labels).astype(np.uint8)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,17 +16,23 @@ from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.masks import FLOWER
-from anther.skeleton._bridging import bridges, without_specks
 from anther.skeleton._centreline import beginning, centred, extended, resample
-from anther.skeleton._geodesics import LevelSets, geodesic_tree, level_sets
-from anther.skeleton._midribs import middled
-from anther.skeleton._nearby import nearest
-from anther.skeleton._rooting import PlantBase, distance_to_soil, find_root, stem_gain
-from anther.skeleton._surroundings import surroundings
+from anther.skeleton._paths import LevelSets, geodesic_tree, level_sets, middled
 from anther.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
-from anther.skeleton.support import node_confidence
+from anther.skeleton.support import distance_to_soil, find_root, node_confidence, stem_gain
 from anther.skeleton.thinning import thinned_tree
-from anther.skeleton.voxel_solid import Voxels, VoxelSolid, components, neighbour_edges, point_spacing, solidify
+from anther.skeleton.voxel_solid import (
+    Voxels,
+    VoxelSolid,
+    bridges,
+    components,
+    nearest,
+    neighbour_edges,
+    point_spacing,
+    solidify,
+    surroundings,
+    without_specks,
+)
 
 _KIND, _SCHEMA = "skeleton", 2
 __all__ = ["Params", "Skeleton", "nearest_node", "skeletonize"]
@@ -50,7 +56,6 @@ _SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
 """Side branches shorter than the first times the half width of the organ they leave, or than the second [voxels], are
 pruned."""
 _VEIN = 2.5  # side branches that leave on a blade go if they hold less stem or petiole than this [voxels]
-_SMALLEST_RADIUS = 1e-4  # no radius is reported smaller [m]
 _SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
 _FATTENING = 0.5
 """How much farther than the radius the surface of a round organ lies from its axis in a fused cloud [pixels]: what the
@@ -122,15 +127,12 @@ class Skeleton:
         parent = check_array("skeleton parent", self.parent, (n,), dtype="int64")
         object.__setattr__(self, "parent", parent)
         object.__setattr__(self, "radius", check_array("skeleton radius", self.radius, (n,)))
-        if self.width is not None:
-            object.__setattr__(self, "width", check_array("skeleton width", self.width, (n,)))
+        for name in ("width", "confidence", "flatness"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, check_array(f"skeleton {name}", getattr(self, name), (n,)))
         if self.confidence is not None:
-            confidence = check_array("skeleton confidence", self.confidence, (n,))
-            object.__setattr__(self, "confidence", confidence)
-            for extreme in (confidence.min(), confidence.max()):
+            for extreme in (self.confidence.min(), self.confidence.max()):
                 check_range("skeleton confidence", float(extreme), 0, 1)
-        if self.flatness is not None:
-            object.__setattr__(self, "flatness", check_array("skeleton flatness", self.flatness, (n,)))
         if self.root_confidence is not None:
             check_range("skeleton root confidence", self.root_confidence, 0, 1)
         ordered = n >= 2 and parent[0] == -1 and bool(np.all((parent[1:] >= 0) & (parent[1:] < np.arange(1, n))))
@@ -155,6 +157,11 @@ class Skeleton:
         return np.bincount(self.parent[1:], minlength=len(self.nodes))
 
     @property
+    def breadth(self) -> Array:
+        """(J,) half width of the organ [m]; the radius where nobody knows."""
+        return self.radius if self.width is None else self.width
+
+    @property
     def rooted(self) -> float:
         """Probability that the plant stands at node 0; 1 where nobody knows."""
         return 1.0 if self.root_confidence is None else self.root_confidence
@@ -168,19 +175,8 @@ class Skeleton:
 
     def save(self, path: Path | str) -> None:
         """Write an .npz (schema 2)."""
-        write_npz(
-            path,
-            _KIND,
-            _SCHEMA,
-            nodes=self.nodes,
-            parent=self.parent,
-            radius=self.radius,
-            width=self.width,
-            confidence=self.confidence,
-            flatness=self.flatness,
-            root_confidence=self.root_confidence,
-            notes=np.array(self.notes, dtype=np.str_),
-        )
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        write_npz(path, _KIND, _SCHEMA, **fields | {"notes": np.array(self.notes, dtype=np.str_)})
 
     @classmethod
     def load(cls, path: Path | str) -> Skeleton:
@@ -191,10 +187,10 @@ class Skeleton:
         """
         with understood(path):
             a = read_npz(path, _KIND, _SCHEMA)
-            notes = tuple(str(note) for note in a["notes"])
-            more = (a.get("width"), a.get("confidence"), a.get("flatness"))
-            root = None if a.get("root_confidence") is None else float(a["root_confidence"])
-            return cls(a["nodes"], a["parent"], a["radius"], notes, *more, root)
+            a["notes"] = tuple(str(note) for note in a["notes"])
+            if "root_confidence" in a:
+                a["root_confidence"] = float(a["root_confidence"])
+            return cls(**{name: a[name] for name in cls.__slots__ if name in a})
 
 
 def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
@@ -217,22 +213,23 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
         check_range("voxel", params.voxel, size / _MOST_VOXELS, size / 10, "m")  # finer, hollows fill with millions
     voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
     solid = solidify(points, voxel, close=CLOSE, fill=HOLLOW * size)
-    voxels, notes = _connected(solid, size, params)
-    coarse, base = _coarse_tree(voxels, size, params)
+    voxels, notes = _connected(solid, size)
+    coarse, sure, doubts = _coarse_tree(voxels, size, params)
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
     surface = points[:: -(-len(points) // _ENOUGH_POINTS)]
-    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening, smallest=_SMALLEST_RADIUS)
+    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening)
     hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
     if hidden > 0:
         curves = extended(curves, hidden, spacing)
-        notes = (*notes, f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil")
+        notes += (f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil",)
     flatness = coarse.flatness[nearest(curves.nodes, coarse.nodes)[1]]
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
-    notes = (*notes, *base.notes)
-    return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness, base.sure)
+    return Skeleton(
+        curves.nodes, curves.parent, curves.radius, notes + doubts, curves.width, confidence, flatness, sure
+    )
 
 
 AWAY = 0.1
@@ -276,68 +273,55 @@ def _plant_size(points: Array) -> float:
     return size
 
 
-class _Rooted(NamedTuple):
-    """How sure the root is, and what is to be said of it."""
-
-    sure: float = 1.0
-    notes: tuple[str, ...] = ()
-
-
-def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, _Rooted]:
-    """Return the tree before centring, rooted where the stem leaves the soil."""
+def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, float, tuple[str, ...]]:
+    """Return the tree before centring, rooted where the stem leaves the soil, how sure that is, and notes."""
+    known = params.root
     if params.method == "thinning":
-        tree = _pruned(_not_trivial(thinned_tree(voxels), size, params), voxels)
-        if params.root is not None:
-            root = nearest_node("root", params.root, tree.nodes)
-            return tree.taking(*rerooted(tree.parent, root)), _Rooted()
-        found = find_root(tree)
-        return tree.taking(*rerooted(tree.parent, found.node)), _rooted(tree, found)
-    lowest = int(np.argmin(voxels.points[:, 2]))
-    source = lowest if params.root is None else nearest_node("root", params.root, voxels.points)
-    paths, levels = _paths(voxels, source, size, params)
-    rooted = _Rooted()
-    if params.root is None:
+        tree = _pruned(_not_trivial(thinned_tree(voxels), size), voxels)
+        root, *belief = (nearest_node("root", known, tree.nodes), 1.0, ()) if known else _base(tree)
+        return tree.taking(*rerooted(tree.parent, root)), *belief
+    source = nearest_node("root", known, voxels.points) if known else int(np.argmin(voxels.points[:, 2]))
+    paths, levels = _paths(voxels, source, size)
+    belief = (1.0, ())
+    if not known:
         tree = _parted(paths, voxels)
-        found = find_root(tree)
-        base, rooted = tree.nodes[found.node], _rooted(tree, found)
-        if np.linalg.norm(base - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
-            source = int(np.argmin(np.linalg.norm(voxels.points - base, axis=1)))
-            paths, levels = _paths(voxels, source, size, params)
+        root, *belief = _base(tree)
+        if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
+            source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[root], axis=1)))
+            paths, levels = _paths(voxels, source, size)
     pruned = _pruned(paths, voxels)
-    return middled(pruned, stem_gain(pruned), voxels, levels), rooted
+    return middled(pruned, stem_gain(pruned), voxels, levels), *belief
 
 
-def _paths(voxels: Voxels, source: int, size: float, params: Params) -> tuple[RawTree, LevelSets]:
+def _paths(voxels: Voxels, source: int, size: float) -> tuple[RawTree, LevelSets]:
     """Return the tree of shortest paths to a voxel, and its level sets."""
     levels = level_sets(voxels, source)
-    tree = geodesic_tree(voxels, source, levels, _SPUR * voxels.voxel)
-    return _not_trivial(tree, size, params), levels
+    return _not_trivial(geodesic_tree(voxels, source, levels, _SPUR * voxels.voxel), size), levels
 
 
-def _rooted(tree: RawTree, found: PlantBase) -> _Rooted:
-    """Return how sure a base is; where it is doubtful, with a note that names its rival."""
-    if found.probability >= _SURE:
-        return _Rooted(found.probability)
-    x, y, z = tree.nodes[found.rival]
-    words = f"root: with a probability of {found.probability:.0%}; else the plant may stand at {x:.3f},{y:.3f},{z:.3f}"
-    return _Rooted(found.probability, (f"{words} (--root names it)",))
+def _base(tree: RawTree) -> tuple[int, float, tuple[str, ...]]:
+    """Return the node where the plant stands, how sure that is; where it is doubtful, a note that names its rival."""
+    node, sure, rival = find_root(tree)
+    if sure >= _SURE:
+        return node, sure, ()
+    x, y, z = tree.nodes[rival]
+    words = f"root: with a probability of {sure:.0%}; else the plant may stand at {x:.3f},{y:.3f},{z:.3f}"
+    return node, sure, (f"{words} (--root names it)",)
 
 
 def _parted(tree: RawTree, voxels: Voxels) -> RawTree:
     """Return the tree without paths side by side and the shortest spurs; a stem's foot may look like a longer one."""
     tree = parted(tree, stem_gain(tree))
-    tree = with_extents(tree.nodes, tree.parent, voxels)
-    return without_spurs(tree, per_width=0, at_least=_SPUR * voxels.voxel)
+    return without_spurs(with_extents(tree.nodes, tree.parent, voxels), at_least=_SPUR * voxels.voxel)
 
 
 def _pruned(tree: RawTree, voxels: Voxels) -> RawTree:
     """Return the tree without what is not an organ: paths side by side, spurs, veins."""
-    tree = _parted(tree, voxels)
-    tree = without_spurs(tree, per_width=_SPUR_PER_WIDTH, at_least=0)
+    tree = without_spurs(_parted(tree, voxels), per_width=_SPUR_PER_WIDTH)
     return without_veins(tree, _VEIN * voxels.voxel)
 
 
-def _not_trivial(tree: RawTree, size: float, params: Params) -> RawTree:
+def _not_trivial(tree: RawTree, size: float) -> RawTree:
     if len(tree.nodes) < 2:
         raise StageFailure(
             "no_plant_found",
@@ -347,9 +331,9 @@ def _not_trivial(tree: RawTree, size: float, params: Params) -> RawTree:
     return tree
 
 
-def _connected(solid: VoxelSolid, size: float, params: Params) -> tuple[Voxels, tuple[str, ...]]:
+def _connected(solid: VoxelSolid, size: float) -> tuple[Voxels, tuple[str, ...]]:
     """Return the voxels that can be joined into one piece, and notes."""
-    points, edges = solid.points, neighbour_edges(solid)
+    points, edges = solid.points, neighbour_edges(solid.index)
     label = components(len(points), edges)
     kept = without_specks(points, label, _SPECK * size)
     label = np.where(kept, label, -1)

@@ -12,8 +12,7 @@ from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import KDTree
 
 from anther.geometry import Array
-from anther.skeleton._nearby import nearest
-from anther.skeleton.voxel_solid import Voxels
+from anther.skeleton.voxel_solid import Voxels, nearest
 
 Parents = NDArray[Any]
 
@@ -88,13 +87,29 @@ def path_gain(nodes: Array, parent: Parents, radius: Array) -> Array:
     return length * mean_radius**ALPHA * np.maximum(1 + V_BIAS * rise / np.maximum(length, 1e-12), 0)
 
 
-def subtree_best(parent: Parents, gain: Array) -> Array:
-    """Return (J,) the largest sum of `gain` over the edges of a path from each node down to a tip (>= 0)."""
-    best = [0.0] * len(parent)
+def longest_way(parent: Parents, gain: Array) -> Array:
+    """Return (J,) the largest sum of `gain` (>= 0) over a path from each node's parent through the node to a tip."""
     parents, gains = parent.tolist(), gain.tolist()
-    for node in range(len(parents) - 1, 0, -1):
-        best[parents[node]] = max(best[parents[node]], best[node] + gains[node])
-    return np.array(best)
+    way = gains.copy()
+    for node in range(len(way) - 1, 0, -1):
+        way[parents[node]] = max(way[parents[node]], gains[parents[node]] + way[node])
+    return np.array(way)
+
+
+def sum_above(parent: Parents, amount: Array) -> Array:
+    """Return (J,) the sum of `amount` over each node and all between it and the root."""
+    total = amount.copy()
+    for j in range(1, len(parent)):
+        total[j] += total[parent[j]]
+    return total
+
+
+def sum_below(parent: Parents, amount: Array) -> Array:
+    """Return (J,) the sum of `amount` over each node and all that hangs on it."""
+    total = np.array(amount, dtype=np.float64)
+    for j in range(len(parent) - 1, 0, -1):
+        total[parent[j]] += total[j]
+    return total
 
 
 def chains(parent: Parents, gain: Array) -> list[NDArray[Any]]:
@@ -102,14 +117,18 @@ def chains(parent: Parents, gain: Array) -> list[NDArray[Any]]:
 
     Every chain but the first starts with the node of an earlier chain that it leaves.
     """
-    through = subtree_best(parent, gain) + gain
+    nodes = np.arange(1, len(parent))
+    rising = nodes[np.lexsort((-nodes, longest_way(parent, gain)[1:]))]
     heir = np.full(len(parent), -1)
-    for node in range(1, len(parent)):
-        p = parent[node]
-        if heir[p] < 0 or through[node] > through[heir[p]]:
-            heir[p] = node
-    starts = [0] + [node for node in range(1, len(parent)) if heir[parent[node]] != node]
-    return [_follow(start, parent, heir) for start in starts]
+    heir[parent[rising]] = rising  # the last, and best, of a node's children stays
+    found = []
+    for start in [0, *nodes[heir[parent[1:]] != nodes].tolist()]:
+        chain, node = [int(parent[start])] if start else [], start
+        while node >= 0:
+            chain.append(node)
+            node = int(heir[node])
+        found.append(np.array(chain))
+    return found
 
 
 def rerooted(parent: Parents, root: int) -> tuple[Parents, NDArray[Any]]:
@@ -128,21 +147,8 @@ def rooted(links: NDArray[Any], count: int, root: int) -> tuple[Parents, NDArray
     return parent, order
 
 
-def subset(parent: Parents, keep: NDArray[np.bool_]) -> tuple[Parents, NDArray[Any]]:
-    """Return (parent, order) of the kept nodes; what is kept must be closed towards the root."""
-    order = np.flatnonzero(keep)
-    rank = np.cumsum(keep) - 1
-    return np.where(parent[order] >= 0, rank[parent[order]], -1), order
-
-
-def without_spurs(tree: RawTree, *, per_width: float, at_least: float) -> RawTree:
-    """Return the tree without side branches shorter than the organ they leave is wide.
-
-    Args:
-        tree: the tree.
-        per_width: a side branch goes when it is not longer than this times the lateral half extent at its fork.
-        at_least: and always when it is not longer than this [m].
-    """
+def without_spurs(tree: RawTree, *, per_width: float = 0, at_least: float = 0) -> RawTree:
+    """Return the tree without side branches not longer than so many half widths at their fork, or `at_least` [m]."""
     length = edge_lengths(tree.nodes, tree.parent)
     keep = np.ones(len(tree.parent), dtype=bool)
     for chain in chains(tree.parent, length)[1:]:
@@ -199,13 +205,5 @@ def _kept(tree: RawTree, keep: NDArray[np.bool_]) -> RawTree:
     """Return the kept nodes whose ancestors are all kept."""
     for node in range(1, len(keep)):
         keep[node] &= keep[tree.parent[node]]
-    return tree.taking(*subset(tree.parent, keep))
-
-
-def _follow(start: int, parent: Parents, heir: NDArray[Any]) -> NDArray[Any]:
-    path = [] if start == 0 else [int(parent[start])]
-    node = start
-    while node >= 0:
-        path.append(node)
-        node = int(heir[node])
-    return np.array(path)
+    order, rank = np.flatnonzero(keep), np.cumsum(keep) - 1
+    return tree.taking(np.where(tree.parent[order] >= 0, rank[tree.parent[order]], -1), order)

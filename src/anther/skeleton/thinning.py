@@ -20,9 +20,8 @@ from scipy.spatial import KDTree
 from skimage.morphology import skeletonize as thin
 
 from anther.geometry import Array
-from anther.skeleton._bridging import bridges
 from anther.skeleton.raw_tree import RawTree, rooted, with_extents
-from anther.skeleton.voxel_solid import Voxels, components
+from anther.skeleton.voxel_solid import Voxels, bridges, components
 
 _NEIGHBOURS = 12
 _LONGEST_LINK = 3.0  # [voxels]
@@ -44,14 +43,10 @@ def thinned_tree(voxels: Voxels) -> RawTree:
 
 
 def medial_line(index: NDArray[Any], touching: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return (N,) which voxels are left by Lee's thinning (1994), with what it wrongly deletes put back (P7).
+    """Return (N,) which voxels (N, 3) are left by Lee's thinning (1994), with what it wrongly deletes put back (P7).
 
     scikit-image deletes straight bars of even width altogether (scikit-image #3757). Voxels left far from any line
-    are therefore thinned once more, one voxel wider.
-
-    Args:
-        index: (N, 3) voxel indices.
-        touching: (E, 2) pairs of touching voxels.
+    are therefore thinned once more, one voxel wider. `touching` (E, 2) are pairs of touching voxels.
     """
     left = _lee(index)
     lost = _uncovered(index, left)

@@ -1,14 +1,14 @@
-"""The plant as a set of occupied voxels, its shells closed and filled. N voxels, K components.
+"""The plant as a set of occupied voxels: shells closed and filled, fragments joined, blades told from stems. N voxels.
 
 Scans are hollow: thinning a shell gives a cage, not a line (measured: 15,629 cycles on one mesh, 5 after
-closing and filling). Everything here works on the occupied voxels alone, never on a dense grid, so that a
-stray point far away costs nothing.
+closing and filling). A real robot's cloud of a leafy plant falls into dozens of pieces: the largest is 41 % of it,
+and gaps of 5 cm must be crossed to keep it whole (facts: skeleton peers, trap 3). Everything here works on the occupied
+voxels alone, never on a dense grid, so that a stray point far away costs nothing.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from scipy.spatial import KDTree
 
 from anther.geometry import Array
 
-_HALF_NEIGHBOURS = [o for o in product((-1, 0, 1), repeat=3) if o > (0, 0, 0)]
 _FACES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
 
@@ -74,14 +73,10 @@ def point_spacing(points: Array) -> float:
 
 
 def solidify(points: Array, voxel: float, *, close: int, fill: float) -> VoxelSolid:
-    """Voxelise points, close small gaps, fill hollow stems.
+    """Voxelise points (N, 3) [m], close gaps of up to `close` voxels along an axis, fill hollow stems.
 
-    Args:
-        points: (N, 3) [m].
-        voxel: edge length [m].
-        close: gaps of up to this many voxels along an axis are closed.
-        fill: a hollow narrower than this [m] along at least two axes is filled: a stem of any direction,
-            but not the space between two leaves.
+    A hollow narrower than `fill` [m] along at least two axes is filled: a stem of any direction, but not the space
+    between two leaves.
     """
     origin = points.min(axis=0) - voxel
     keys = _keys(np.rint((points - origin) / voxel).astype(np.int64))
@@ -93,16 +88,9 @@ def solidify(points: Array, voxel: float, *, close: int, fill: float) -> VoxelSo
     return VoxelSolid(index, origin, voxel, _thickness(keys) * voxel)
 
 
-def neighbour_edges(solid: VoxelSolid) -> NDArray[Any]:
-    """Return (E, 2) pairs of voxels that touch by face, edge or corner."""
-    keys = _keys(solid.index)
-    pairs = []
-    for offset in _HALF_NEIGHBOURS:
-        other = keys + _keys(np.array(offset))
-        at = np.minimum(np.searchsorted(keys, other), len(keys) - 1)
-        hit = np.flatnonzero(keys[at] == other)
-        pairs.append(np.stack([hit, at[hit]], axis=1))
-    return np.concatenate(pairs)
+def neighbour_edges(index: NDArray[Any]) -> NDArray[Any]:
+    """Return (E, 2) pairs of the voxels (N, 3) that touch by face, edge or corner."""
+    return KDTree(index).query_pairs(1.8, output_type="ndarray")  # a corner is sqrt(3) away, the next voxel 2
 
 
 def components(count: int, edges: NDArray[Any]) -> NDArray[Any]:
@@ -111,6 +99,73 @@ def components(count: int, edges: NDArray[Any]) -> NDArray[Any]:
     _, label = connected_components(graph, directed=False)
     order = np.argsort(-np.bincount(label), kind="stable")
     return np.argsort(order)[label]
+
+
+def without_specks(points: Array, label: NDArray[Any], smallest: float) -> NDArray[np.bool_]:
+    """Return (N,) which points to keep: fragments whose bounding box is shorter than `smallest` [m] are specks."""
+    count = int(label.max()) + 1
+    lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(lower, label, points)
+    np.maximum.at(upper, label, points)
+    keep = np.linalg.norm(upper - lower, axis=1) >= smallest
+    keep[0] = True
+    return keep[label]
+
+
+def bridges(points: Array, label: NDArray[Any], longest: float) -> NDArray[Any]:
+    """Return (B, 2) links up to `longest` [m] that join the fragments to fragment 0 (a minimum spanning tree).
+
+    Fragment 0 of the labels (N,) is the largest; negative ones are left alone, those farther away stay unlinked.
+    """
+    links = []
+    target = np.zeros(len(points), dtype=np.int64)
+    best = np.full(len(points), np.inf)
+    waiting = np.flatnonzero(label > 0)
+    joined = np.flatnonzero(label == 0)
+    while len(waiting):
+        distance, nearest = map(np.asarray, KDTree(points[joined]).query(points[waiting], distance_upper_bound=longest))
+        closer = distance < best[waiting]
+        best[waiting[closer]] = distance[closer]
+        target[waiting[closer]] = joined[nearest[closer]]
+        pick = waiting[np.argmin(best[waiting])]
+        if not np.isfinite(best[pick]):
+            break
+        links.append((target[pick], pick))
+        joined = waiting[label[waiting] == label[pick]]
+        waiting = waiting[label[waiting] != label[pick]]
+    return np.array(links, dtype=np.int64).reshape(-1, 2)
+
+
+_COARSER = 2
+"""The scatter is taken over cells of so many voxels: an eighth of the work, and no less sharp (measured)."""
+
+
+def surroundings(index: NDArray[Any], reach: float) -> tuple[Array, Array]:
+    """Return (N,) the planarity around each voxel (N, 3), and (N,) how far it is off their middle over the reach.
+
+    A blade is a plane, a stem or petiole a line. The eigenvalues l1 >= l2 >= l3 of the scatter of a voxel's
+    neighbourhood within `reach` [voxels] tell them apart: (l2 - l3) / l1, the planarity of Demantke et al. (2011,
+    "Dimensionality based scale selection in 3D lidar point clouds"), is 1 on a plane and 0 on a line or in a ball.
+    """
+    index = index - index.min(axis=0)
+    _, cell = np.unique(index // _COARSER, axis=0, return_inverse=True)
+    count = np.bincount(cell)
+    centre = np.stack([np.bincount(cell, weights=column) / count for column in index.T], axis=1)
+    first, second = KDTree(centre).query_pairs(reach, output_type="ndarray").T
+    half = sparse.coo_array((np.ones(len(first)), (first, second)), shape=(len(count), len(count))).tocsr()
+    squares = (centre[:, :, None] * centre[:, None, :]).reshape(-1, 9)
+    moments = np.column_stack([np.ones(len(count)), centre, squares]) * count[:, None]
+    moments = moments + half @ moments + half.T @ moments
+    mean, square = np.split(moments[:, 1:] / moments[:, :1], [3], axis=1)
+    values = np.linalg.eigvalsh(square.reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :])
+    flat = (values[:, 1] - values[:, 0]) / np.maximum(values[:, 2], 1e-12)
+    return flat[cell], (np.linalg.norm(mean - centre, axis=1) / reach)[cell]
+
+
+def nearest(points: Array, nodes: Array) -> tuple[Array, NDArray[Any]]:
+    """Return (N,) distance from each point to its nearest node, and (N,) which node that is; on all cores."""
+    distance, node = KDTree(nodes).query(points, workers=-1)
+    return np.asarray(distance), np.asarray(node)
 
 
 def _keys(index: NDArray[Any]) -> NDArray[Any]:
@@ -143,7 +198,7 @@ def _thickness(keys: NDArray[Any]) -> Array:
     Voxels with an empty face neighbour, which are most, are at distance 1 and need no search.
     """
     around = [keys + _keys(np.array(face)) for face in _FACES]
-    occupied = [_contains(keys, beside) for beside in around]
+    occupied = [np.isin(beside, keys) for beside in around]
     inside = np.all(occupied, axis=0)
     shell = _distinct(np.concatenate([beside[~held] for beside, held in zip(around, occupied, strict=True)]))
     distance = np.ones(len(keys))
@@ -155,8 +210,3 @@ def _distinct(keys: NDArray[Any]) -> NDArray[Any]:
     """Return the sorted distinct keys (sorting is several times faster here than numpy's hashing `unique`)."""
     keys = np.sort(keys)
     return keys[np.concatenate([[True], keys[1:] != keys[:-1]])] if len(keys) else keys
-
-
-def _contains(keys: NDArray[Any], wanted: NDArray[Any]) -> NDArray[np.bool_]:
-    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return keys[at] == wanted

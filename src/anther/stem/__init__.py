@@ -9,20 +9,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.checks import check_array
+from anther.checks import check_array, check_parameters
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 from anther.geometry import Array
 from anther.skeleton import Skeleton, nearest_node
-from anther.skeleton.raw_tree import chains, edge_lengths
+from anther.skeleton.raw_tree import chains, edge_lengths, longest_way
 from anther.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
-from anther.stem._params import Params
+from anther.stem._organs import BRANCH, LEAF, ORGAN_NAMES, SPUR, STEM, TRUSS, classify, stem_breadth
 from anther.stem.confidence import doubt, rise_share, second_stem, stem_confidence
-from anther.stem.organs import BRANCH, LEAF, ORGAN_NAMES, SPUR, STEM, TRUSS, classify, longest_way, stem_breadth
 
 __all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
 
 _KIND, _SCHEMA = "stem", 3
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What a person may know better. What makes a path the main stem stands as constants beside its use.
+
+    Attributes:
+        tip: where the main stem ends [m], by who knows better; None: it is found.
+    """
+
+    tip: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        check_parameters(self, places=("tip",))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,16 +64,16 @@ class Stem:
 
     def __post_init__(self) -> None:
         n = len(self.node_ids)
-        object.__setattr__(self, "node_ids", check_array("stem nodes", self.node_ids, (n,), dtype="int64"))
-        object.__setattr__(self, "arc_length", check_array("stem arc length", self.arc_length, (n,)))
-        object.__setattr__(self, "attachments", check_array("attachments", self.attachments, (None,), dtype="int64"))
-        object.__setattr__(self, "organ", check_array("organ", self.organ, (None,), dtype="uint8"))
+        shapes = {"node_ids": ((n,), "int64"), "arc_length": ((n,), "float64")}
+        shapes |= {"attachments": ((None,), "int64"), "organ": ((None,), "uint8")}
+        for name, (shape, dtype) in shapes.items():
+            object.__setattr__(self, name, check_array(f"stem {name}", getattr(self, name), shape, dtype=dtype))
         if n < 2 or np.any(np.diff(self.arc_length) <= 0):
             raise bad_input("stem", given=f"{n} nodes", allowed="two or more, root first", do="Order the nodes.")
         if np.any(self.organ >= len(ORGAN_NAMES)):
             given, allowed = f"kind {int(self.organ.max())}", f"0 to {len(ORGAN_NAMES) - 1}: {', '.join(ORGAN_NAMES)}"
             raise bad_input("organ", given=given, allowed=allowed, do="Find the stem again.")
-        if n and not 0 <= self.node_ids.min() <= self.node_ids.max() < len(self.organ):
+        if not 0 <= self.node_ids.min() <= self.node_ids.max() < len(self.organ):
             given, allowed = f"node {int(self.node_ids.max())}", f"one of the {len(self.organ)} with an organ"
             raise bad_input("stem nodes", given=given, allowed=allowed, do="Find the stem again.")
         if not -n <= self.fork < n:
@@ -73,18 +86,8 @@ class Stem:
 
     def save(self, path: Path | str) -> None:
         """Write an .npz (schema 3)."""
-        write_npz(
-            path,
-            _KIND,
-            _SCHEMA,
-            node_ids=self.node_ids,
-            arc_length=self.arc_length,
-            attachments=self.attachments,
-            organ=self.organ,
-            fork=self.fork,
-            notes=np.array(self.notes, dtype=np.str_),
-            confidence=None if self.confidence is None else np.array(self.confidence),
-        )
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        write_npz(path, _KIND, _SCHEMA, **fields | {"notes": np.array(self.notes, dtype=np.str_)})
 
     @classmethod
     def load(cls, path: Path | str) -> Stem:
@@ -95,9 +98,9 @@ class Stem:
         """
         with understood(path):
             a = read_npz(path, _KIND, _SCHEMA)
-            notes = tuple(str(note) for note in a["notes"])
-            sure = None if a.get("confidence") is None else float(a["confidence"])
-            return cls(a["node_ids"], a["arc_length"], a["attachments"], a["organ"], int(a["fork"]), notes, sure)
+            notes = tuple(str(note) for note in a.pop("notes"))
+            sure = float(a.pop("confidence")) if "confidence" in a else None
+            return cls(**a, notes=notes, confidence=sure)
 
 
 def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: Array | None = None) -> Stem:

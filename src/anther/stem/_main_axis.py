@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import edge_lengths, path_gain
-from anther.stem.organs import BRANCH, PLANAR_BLADE, SPUR, longest_way, stem_breadth
+from anther.skeleton.raw_tree import edge_lengths, longest_way, path_gain
+from anther.stem._organs import BRANCH, PLANAR_BLADE, SPUR, stem_breadth
 
 SHORTEST = 0.05
 """A shorter stem is not believed (share of the plant's size)."""
@@ -83,9 +83,7 @@ def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:
 def path_score(skeleton: Skeleton) -> Array:
     """Return what each edge adds to the path score (P10); less on a blade, by how much broader than thick it is."""
     gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius)
-    if skeleton.width is None:
-        return gain
-    return gain * np.minimum(_ROUND * skeleton.radius / skeleton.width, 1)
+    return gain * np.minimum(_ROUND * skeleton.radius / skeleton.breadth, 1)
 
 
 def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
@@ -134,7 +132,7 @@ def _stem_like(
     """Return for each step of the path, over the window ahead of it, (S - 1,) each: whether it keeps the growth axis
     and is not thin; whether it is not broader than the stem below; whether its surroundings are not a plane."""
     nodes, radius = skeleton.nodes[path], skeleton.radius[path]
-    width = radius if skeleton.width is None else skeleton.width[path]
+    width = skeleton.breadth[path]
     flatness = np.ones(len(path)) if skeleton.flatness is None else skeleton.flatness[path]
     ahead = np.minimum(np.searchsorted(arc, arc + window), len(path) - 1)
     coming = [slice(i, max(ahead[i], i + 1) + 1) for i in range(len(path) - 1)]

@@ -48,10 +48,6 @@ def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
 
     Straightness is 0 less the mean turn from one node to the next [rad]: most wrong stems are right up to their top,
     where they run on into a leaf or a truss.
-
-    Args:
-        skeleton: with its confidence.
-        node_ids: (S,) the stem, root first.
     """
     assert skeleton.confidence is not None
     top = skeleton.nodes[node_ids[-max(int(TOP * len(node_ids)), 2) - 2 :]]
@@ -66,14 +62,9 @@ def plant_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
 
     The log-odds that it begins where the plant stands; the logarithm of the share of the plant's height that it rises
     by (a drooping leaf's tip is low and short); and of how thick its sections are for their breadth (a blade is thin).
-
-    Args:
-        skeleton: the plant.
-        node_ids: (S,) the stem, root first.
     """
     rise = max(rise_share(skeleton, node_ids), LEAST_RISE)
-    width = skeleton.radius if skeleton.width is None else skeleton.width
-    thick = float(np.median(skeleton.radius[node_ids] / width[node_ids]))
+    thick = float(np.median(skeleton.radius[node_ids] / skeleton.breadth[node_ids]))
     return np.array([logit(skeleton.rooted), np.log(rise), np.log(thick)])
 
 

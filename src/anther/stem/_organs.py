@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from anther.geometry import Array
 from anther.skeleton import Skeleton
-from anther.skeleton.raw_tree import chains, edge_lengths
+from anther.skeleton.raw_tree import chains, edge_lengths, sum_below
 
 STEM, BRANCH, TRUSS, LEAF = range(4)
 ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
@@ -29,9 +29,6 @@ ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 PLANAR_BLADE, _PLANAR_DOUBT = 0.68, 0.25
 """Where the skeleton's flatness (planarity of the surroundings) is the first, blade is as likely as axis; where it is
 less by the second there is no doubt (both read off the development plants)."""
-_FLAT_BLADE = 1.5
-"""Without that, a section flatter than the main stem's by this factor is as likely blade; how flat a round stem looks
-tells what noise and one-sided views do to sections."""
 _NARROW = 4.0  # a section as broad as the main stem tells nothing, one narrower by this factor leaves no doubt
 _STUB = 2.5  # an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width
 SPUR = 3.0  # a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width
@@ -43,43 +40,23 @@ _LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it 
 
 
 def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
-    """Return (J,) the organ of every node.
-
-    Args:
-        skeleton: the tree; without widths no leaf can be told from a branch.
-        main: nodes of the main stem.
-        flowers_at: (F, 3) centres of flowers [m]; F may be 0.
-    """
-    breadth = _relative_breadth(skeleton, main)
+    """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given."""
+    breadth = skeleton.breadth / stem_breadth(skeleton, main)
     bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, _FLOWER_REACH)
     axis = _axes(skeleton, main, breadth)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    is_truss = _sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
-    is_truss &= _sum_below(skeleton.parent, bears) > 0
-    is_bare = (organ == BRANCH) & (_sum_below(skeleton.parent, organ == LEAF) == 0)
+    is_truss = sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
+    is_truss &= sum_below(skeleton.parent, bears) > 0
+    is_bare = (organ == BRANCH) & (sum_below(skeleton.parent, organ == LEAF) == 0)
     is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
     return _limbs_named(skeleton.parent, organ, is_truss, is_bare)
 
 
 def stem_breadth(skeleton: Skeleton, main: NDArray[Any]) -> float:
     """Return the median half width of the main stem [m]."""
-    return float(np.median((skeleton.radius if skeleton.width is None else skeleton.width)[main]))
-
-
-def longest_way(parent: NDArray[Any], length: Array) -> Array:
-    """Return (J,) the longest way from each node's parent through the node to a tip [m]."""
-    way = length.copy()
-    for j in range(len(parent) - 1, 0, -1):
-        way[parent[j]] = max(way[parent[j]], length[parent[j]] + way[j])
-    return way
-
-
-def _relative_breadth(skeleton: Skeleton, main: NDArray[Any]) -> Array:
-    """Return (J,) how much broader each node is than the main stem."""
-    width = skeleton.radius if skeleton.width is None else skeleton.width
-    return width / stem_breadth(skeleton, main)
+    return float(np.median(skeleton.breadth[main]))
 
 
 def _flower_bearers(
@@ -102,11 +79,11 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.
     narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum is
     found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
     """
-    if skeleton.width is None:
+    if skeleton.width is None or skeleton.flatness is None:  # of another program: no leaf can be told
         return np.ones(len(breadth), dtype=bool)
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     narrow = -np.log(breadth) / np.log(_NARROW)
-    gain = length * np.clip(narrow + _roundness(skeleton, main), -1, 1)
+    gain = length * np.clip(narrow + (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT, -1, 1)
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):
         gain[skeleton.parent[j]] += max(gain[j], 0)
@@ -124,15 +101,6 @@ def _stubs(parent: NDArray[Any], length: Array, axis: NDArray[np.bool_], least: 
     """
     limbs = (chain[1:] for chain in chains(parent, length * axis)[1:])
     return np.concatenate([np.zeros(0, dtype=np.int64), *(j for j in limbs if length[j][axis[j]].sum() < least)])
-
-
-def _roundness(skeleton: Skeleton, main: NDArray[Any]) -> Array:
-    """Return (J,) evidence against a blade: by the planarity of the surroundings, else by the section's flatness."""
-    if skeleton.flatness is not None:
-        return (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT
-    assert skeleton.width is not None
-    flatness = skeleton.width / skeleton.radius
-    return np.log(_FLAT_BLADE * np.median(flatness[main]) / flatness)
 
 
 def _limbs_named(
@@ -153,11 +121,3 @@ def _limbs_named(
         elif begins and is_bare[j]:
             organ[j] = LEAF
     return organ
-
-
-def _sum_below(parent: NDArray[Any], amount: Array) -> Array:
-    """Return (J,) the sum of `amount` over each node and all that hangs on it."""
-    total = np.asarray(amount, dtype=np.float64).copy()
-    for j in range(len(parent) - 1, 0, -1):
-        total[parent[j]] += total[j]
-    return total

@@ -1,4 +1,4 @@
-"""Masks of colour images without depth: the same colour rule, then only what hangs together. H x W pixels."""
+"""Plant and flowers in colour images without depth: the colour rule, then only what hangs together. H x W pixels."""
 
 from __future__ import annotations
 
@@ -8,25 +8,48 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.masks._light import GREEN, WHITE, YELLOW, ColourRule, Light, saturation
+from anther.checks import check_array
+from anther.errors import StageFailure
+from anther.masks import LEAST_PIXELS, Masks, Params
+from anther.masks._light import GREEN, WHITE, YELLOW, ColourRule, Light, green_rule, saturation
 
 _BESIDE = 5  # how close to green a petal comes [px]
 
 LEAST_SHADE = 0.25
 """What is darker than this share of lit leaves is not looked at."""
-
 LEAST_PATCH, PETAL_PATCH, GOLDEN_PATCH = 2e-5, 1e-3, 2e-2
 """Least share of the image that a green patch has, and greatest that a petal patch has: any, and a golden one."""
-
 GOLDEN_SATURATION, GOLDEN_GREEN, GOLDEN_GAIN = 0.65, 0.8, 0.7
 """Least saturation of golden petals, 0..1, their least green relative to red (oranges and ripening fruit have less) and
 their least brightness relative to bright leaves. Chosen on half of the photographs of docs/reports/masks.md."""
-
 COLOURFUL = 0.5
 """What is as saturated as this, 0..1, is left out when the lamp is estimated for petals."""
-
 WHITE_SCENE = 0.05
 """Where more than this share of the image is white, small white patches are gaps in the foliage, not petals."""
+
+
+def segment_images(rgb: NDArray[Any], params: Params | None = None) -> Masks:
+    """Return the plant and flower pixels of colour images (V, H, W, 3) uint8 without depth or poses.
+
+    Colour alone cannot tell plants behind from the plant in front, nor a green pot from leaves.
+
+    Raises:
+        StageFailure: `no_plant_found` when the images show too little green, or the light holds none.
+    """
+    params = params or Params()
+    images = check_array("images", rgb, (None, None, None, 3), dtype="uint8")
+    light = Light.on(images, params.green)
+    labels = np.zeros(images.shape[:3], dtype=np.uint8)
+    if light.holds_green:
+        rule, greys = green_rule(light, params), Light.on(images, params.green, COLOURFUL)
+        for view in range(len(images)):
+            labels[view] = labels_of_image(images[view], rule, light, greys)
+    found = int((labels > 0).sum())
+    if found < LEAST_PIXELS:
+        raise StageFailure(
+            "no_plant_found", f"{found} plant pixels; is it green, and the light not that of red grow lamps?"
+        )
+    return Masks(labels, "colour")
 
 
 def labels_of_image(rgb: NDArray[Any], rule: ColourRule, light: Light, greys: Light) -> NDArray[np.uint8]:
