@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_range
-from anther.elastic_rod._assembly import Blocks, assemble, new_blocks
-from anther.elastic_rod._edges import Tangent, assemble_edges, by_edges, hangs_together, tangent
-from anther.elastic_rod._equilibrium import static_state
+from anther.elastic_rod._assembly import Blocks, assemble, assemble_edges, new_blocks, on_nodes
+from anther.elastic_rod._equilibrium import Tangent, by_edges, hangs_together, static_state, tangent
 from anther.elastic_rod._model import Model, build_model
 from anther.elastic_rod._motion import Clamp
 from anther.elastic_rod._newton import State
@@ -84,15 +83,10 @@ def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float =
 
 def _mass(model: Model) -> Blocks:
     blocks = new_blocks(len(model.mass))
+    _add_diagonal(blocks, np.repeat(model.rotary[:, None], 3, axis=1))
+    on_nodes(model, blocks)
     _add_diagonal(blocks, np.repeat(model.mass[:, None], 3, axis=1))
     blocks.diagonal[:, 3, 3] = model.spin_inertia
-    j = np.arange(1, len(model.mass))
-    p, rotary, three = model.parent[1:], model.rotary[1:, None], np.arange(3)
-    near = (model.near[1:] == p)[:, None]
-    blocks.diagonal[j[:, None], three, three] += rotary
-    np.add.at(blocks.diagonal, (p[:, None], three, three), rotary)
-    blocks.near[j[:, None], three, three] -= np.where(near, rotary, 0)
-    blocks.far[j[:, None], three, three] -= np.where(near, 0, rotary)
     return blocks
 
 
@@ -198,7 +192,7 @@ def _damping_of(system: Linear, vectors: Array) -> Array:
     turns[1:, :3] -= v[model.parent[1:], :3]
     faster, still = new_blocks(len(v)), new_blocks(len(v))
     for rate, blocks in ((1.0, faster), (0.0, still)):
-        assemble_edges(model, system.state.x, system.state.frames, rate, blocks)
+        assemble_edges(model, system.state.x, system.state.x, system.state.frames, system.state.v, rate, blocks)
     viscous = Blocks(*(a - b for a, b in zip(faster, still, strict=True)))
     drag = np.einsum("n,nik->k", model.drag, v[:, :3] ** 2)
     return drag + np.einsum("nik,nik->k", turns, product(by_edges(model), viscous, turns))

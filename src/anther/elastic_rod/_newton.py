@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from anther.elastic_rod._assembly import Blocks, assemble, move_frames
+from anther.elastic_rod._assembly import Blocks, assemble_edges, move_frames, on_nodes
 from anther.elastic_rod._model import Frames, Model
 from anther.elastic_rod._rods import Array
 from anther.elastic_rod._tree_solver import constrain, factor, solve
@@ -57,8 +57,19 @@ def new_state(x: Array, frames: Frames) -> State:
 
 
 @compiled
+def _add_rotary(model: Model, blocks: Blocks, old: State, new: State, rate: float) -> None:
+    """Add the inertia of what turns with the edges to the residual (blocks.gradient) and to the matrix by edges."""
+    g, D, parent, v, v_old, rotary = blocks.gradient, blocks.diagonal, model.parent, new.v, old.v, model.rotary
+    for j in range(1, len(rotary)):
+        p = parent[j]
+        for i in range(3):
+            g[j, i] += rotary[j] * rate * ((v[j, i] - v[p, i]) - (v_old[j, i] - v_old[p, i]))
+            D[j, i, i] += rotary[j] * rate * rate
+
+
+@compiled
 def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: float) -> None:
-    """Add inertia, drag and weight to the residual (blocks.gradient) and to the matrix."""
+    """Add inertia, drag and weight to the residual (blocks.gradient) and to the matrix by nodes."""
     g, D, mass, drag, weight = blocks.gradient, blocks.diagonal, model.mass, model.drag, model.weight
     v, v_old, spin_inertia = new.v, old.v, model.spin_inertia
     for j in range(len(mass)):
@@ -69,21 +80,6 @@ def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: flo
             D[j, i, i] += stiff
         g[j, 3] += spin_inertia[j] * rate * (v[j, 3] - v_old[j, 3])
         D[j, 3, 3] += rate * rate * spin_inertia[j]
-    parent, near, U, V = model.parent, model.near, blocks.near, blocks.far
-    for j in range(1, len(mass)):
-        rotary = model.rotary[j]
-        if rotary != 0:
-            p = parent[j]
-            for i in range(3):
-                change = rotary * rate * ((v[j, i] - v[p, i]) - (v_old[j, i] - v_old[p, i]))
-                g[j, i] += change
-                g[p, i] -= change
-                D[j, i, i] += rotary * rate * rate
-                D[p, i, i] += rotary * rate * rate
-                if near[j] == p:
-                    U[j, i, i] -= rotary * rate * rate
-                else:
-                    V[j, i, i] -= rotary * rate * rate
 
 
 @compiled
@@ -138,7 +134,9 @@ def _evaluate(model: Model, old: State, new: State, start: Any, turn: Any, rate:
         v[j, 3] = rate * turn[j]
         for i in range(3):
             v[j, i] = rate * (x[j, i] - x_old[j, i])
-    assemble(model, start, x, new.frames, v, rate, blocks)
+    assemble_edges(model, start, x, new.frames, v, rate, blocks)
+    _add_rotary(model, blocks, old, new, rate)
+    on_nodes(model, blocks)
     _add_inertia(model, blocks, old, new, rate)
 
 

@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from anther.checks import check_array, check_range, check_room
-from anther.elastic_rod._assembly import move_frames, new_blocks
+from anther.elastic_rod._assembly import move_frames, new_blocks, new_lanes
 from anther.elastic_rod._equilibrium import static_state
-from anther.elastic_rod._lanes import new_lanes
 from anther.elastic_rod._model import Model, build_model
 from anther.elastic_rod._motion import Clamp, Motion, gripped_edges
 from anther.elastic_rod._newton import State, Work, new_state
