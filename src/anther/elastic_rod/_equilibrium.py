@@ -132,32 +132,31 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
     Raises:
         StageFailure: as there.
     """
-    n, parent, lengths = len(rods.nodes), rods.parent, np.maximum(rods.lengths, 1e-300)
-    stiffness, weights = tangent(model, free, rods.nodes, frames, new_blocks(n)), joint_stiffness(model)
+    n, along = len(rods.nodes), np.zeros_like(rods.nodes)
+    stiffness = tangent(model, free, rods.nodes, frames, new_blocks(n))
     slopes, unknown, _ = joint_slopes(model, rods.nodes, frames.m1)
-    along = (rods.nodes - rods.nodes[parent]) / lengths[:, None]
-    along[0] = 0
-    strain, stretch = np.zeros((n, 3)), np.zeros(n)
+    along[1:] = (rods.nodes[1:] - rods.nodes[rods.parent[1:]]) / rods.lengths[1:, None] ** 2
+    stretching = np.hstack([0 * along, -along, along, np.zeros((n, 2))])[:, None]  # the fourth strain
+    strains = np.concatenate([slopes, stretching], axis=1)
+    forces = np.concatenate(
+        [joint_stiffness(model) @ slopes, (model.stretch * model.length)[:, None, None] * stretching], 1
+    )
+    strain = np.zeros((n, 4))
     load_left = load = np.where(free, np.pad(model.weight, ((0, 0), (0, 1))), 0)
     for _ in range(4):  # iterative refinement
-        sag = stiffness.solve(load_left)
-        strained = np.einsum("nki,ni->nk", slopes, sag.ravel()[unknown])
-        stretched = np.sum(along * (sag - sag[parent])[:, :3], axis=1) / lengths
-        pulled = np.einsum("nki,nkl,nl->ni", slopes, weights, strained)
-        force = np.bincount(unknown.ravel(), pulled.ravel(), 4 * n).reshape(n, 4)
-        tension = (model.stretch * stretched)[:, None] * along
-        force[:, :3] += tension
-        np.subtract.at(force, (parent[1:], slice(3)), tension[1:])
-        strain, stretch, load_left = strain + strained, stretch + stretched, load_left - np.where(free, force, 0)
+        strained = np.einsum("nki,ni->nk", strains, stiffness.solve(load_left).ravel()[unknown])
+        force = np.einsum("nki,nk->ni", forces, strained)
+        strain += strained
+        load_left = load_left - np.where(free, np.bincount(unknown.ravel(), force.ravel(), 4 * n).reshape(n, 4), 0)
     if not np.abs(load_left).max() < 1e-8 * np.abs(load).max() + 1e-12:
         raise StageFailure(
             "no_convergence",
             "rods: no natural shape lets the clamp balance the weight. One clamped node is only a pin, about which the "
             "rods would swing: clamp both ends of an edge.",
         )
-    if np.any(stretch <= -0.5):
+    if np.any(strain[:, 3] <= -0.5):
         raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
-    return NaturalShape(rods.lengths / (1 + stretch), model.curvature - strain[:, :2], -strain[:, 2])
+    return NaturalShape(rods.lengths / (1 + strain[:, 3]), model.curvature - strain[:, :2], -strain[:, 2])
 
 
 def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Array:

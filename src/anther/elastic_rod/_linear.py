@@ -1,6 +1,7 @@
 """The rods linearised about their equilibrium under gravity: M q'' + C q' + K q = 0, in tree-structured blocks.
 
-Natural frequencies, mode shapes and damping ratios, by a block Lanczos method with the tree solver.
+Natural frequencies, mode shapes and damping ratios, by a block Lanczos method with the tree solver; and what a shaken
+base does.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anther.checks import check_range
+from anther.checks import check_array, check_range
 from anther.elastic_rod._assembly import Blocks, assemble, assemble_edges, new_blocks, on_nodes
 from anther.elastic_rod._equilibrium import Tangent, by_edges, hangs_together, static_state, tangent
 from anther.elastic_rod._model import Model, build_model
-from anther.elastic_rod._motion import Clamp
+from anther.elastic_rod._motion import Clamp, ComplexArray, unit_direction
 from anther.elastic_rod._newton import State
 from anther.elastic_rod._rods import GRAVITY, Array, Rods
-from anther.elastic_rod._tree_solver import constrain
+from anther.elastic_rod._tree_solver import constrain, factor, solve
 from anther.elastic_rod._vectors import compiled
-from anther.errors import StageFailure
+from anther.errors import StageFailure, bad_input
 
 MATRIX = ("diagonal", "near", "far")
 
@@ -251,3 +252,58 @@ def _orthonormal(block: Array, basis: Array, weights: Array, mass: Operator) -> 
         mix = (mix / size[:, None])[:, sound] / np.sqrt(values[sound])
         block, weight = mix.T @ block, mix.T @ weight
     return block, weight
+
+
+def base_response(
+    rods: Rods,
+    clamp: Clamp,
+    direction: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    gravity: ArrayLike = GRAVITY,
+    loss_factor: float = 0.0,
+) -> ComplexArray:
+    """Return (Q, N, 3) displacement of every node per metre of base displacement, at (Q,) frequencies [Hz].
+
+    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn. What the
+    rods do relative to it answers their own inertia and the still air's drag: of u = d + w with the base's motion d,
+    (K + i w C - w^2 M) w = w^2 M d - i w C_air d.
+
+    Args:
+        rods: the rods.
+        clamp: what moves with the base.
+        direction: (3,) of its motion.
+        frequencies: (Q,) [Hz].
+        gravity: (3,) [m/s^2].
+        loss_factor: see `response_map`.
+
+    Raises:
+        InputError: a frequency out of range, a direction of no length, nothing clamped.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    hertz = checked_hertz(frequencies)
+    check_range("loss_factor", loss_factor, 0, 10)
+    if not len(clamp.nodes):
+        raise bad_input("clamp", given="no node", allowed="the nodes that move with the base", do="Use Clamp.root.")
+    system = linearise(rods, clamp, gravity, loss_factor)
+    carried = np.zeros((len(rods.nodes), 4))
+    carried[:, :3] = unit_direction(direction)
+    inertia = product(system.model, system.mass, carried[..., None])[..., 0]
+    air = system.model.drag[:, None] * carried
+    out = np.empty((len(hertz), len(rods.nodes), 3), np.complex128)
+    dynamic = new_blocks(len(system.free), np.complex128)
+    for q, omega in enumerate(2 * np.pi * hertz):
+        set_dynamic(system, float(omega), dynamic)
+        factor(system.model, dynamic)
+        relative = np.where(system.free, omega**2 * inertia - 1j * omega * air, 0)
+        solve(system.model, dynamic, relative)
+        out[q] = (carried + relative)[:, :3]
+    return out
+
+
+def checked_hertz(frequencies: ArrayLike) -> Array:
+    """Return (Q,) frequencies, each in range [Hz]."""
+    hertz = check_array("frequencies", frequencies, (None,))
+    for value in hertz:
+        check_range("frequency", value, 0, 1e5, "Hz")
+    return hertz

@@ -13,6 +13,8 @@ from anther.checks import check_array, check_range
 from anther.elastic_rod._rods import Array, Rods
 from anther.errors import bad_input
 
+ComplexArray = NDArray[np.complex128]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clamp:
@@ -287,3 +289,59 @@ class Burst(Straight):
         t = np.minimum(np.mod(np.asarray(times, dtype=np.float64), length + self.rest), length)
         wave = (0.5 - 0.5 * np.cos(2 * np.pi * t / length)) * np.sin(2 * np.pi * self.frequency * t)
         return (self.amplitude * wave)[..., None] * self.direction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rocking:
+    """Pads that swing and turn at one frequency: x(t) = Im(phasor exp(i w t)) less what it is at the start.
+
+    Attributes:
+        nodes: between the pads; they turn about the first.
+        displacement_phasor: (3,) of the first node [m].
+        rotation_phasor: (3,) [rad]; small, since rotation vectors are added.
+        frequency: [Hz].
+    """
+
+    nodes: tuple[int, ...]
+    displacement_phasor: ComplexArray
+    rotation_phasor: ComplexArray
+    frequency: float
+
+    def displacement(self, times: ArrayLike) -> Array:
+        """Return (T, 3) displacements [m] from the start position at (T,) times [s]."""
+        return self._swung(times, self.displacement_phasor)
+
+    def rotation(self, times: ArrayLike) -> Array:
+        """Return (T, 3) rotation vectors [rad] about the first node, from the start, at (T,) times [s]."""
+        return self._swung(times, self.rotation_phasor)
+
+    def _swung(self, times: ArrayLike, phasor: ComplexArray) -> Array:
+        turned = np.exp(2j * np.pi * self.frequency * np.asarray(times, dtype=np.float64)) - 1
+        moved: Array = np.imag(turned[..., None] * phasor)
+        return moved
+
+
+@dataclass(frozen=True, slots=True)
+class Springs:
+    """Between gripper and pads, alike in all directions, about the grip's first node; infinite: nothing gives.
+
+    Attributes:
+        translation: [N/m].
+        rotation: [N m/rad]; towards 0 the grip becomes a pin.
+    """
+
+    translation: float = np.inf
+    rotation: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name, unit in (("translation", "N/m"), ("rotation", "N m/rad")):
+            if getattr(self, name) != np.inf:
+                check_range(f"stiffness in {name}", getattr(self, name), 1e-9, 1e15, unit)
+
+    @property
+    def compliance(self) -> Array:
+        """(6,) displacement per force [m/N], rotation per moment [rad/(N m)]."""
+        return np.repeat([1 / self.translation, 1 / self.rotation], 3)
+
+
+RIGID = Springs()
