@@ -69,7 +69,7 @@ def test_a_small_shake_that_begins_in_the_steady_state_stays_in_it(plant: PlantM
     motion, pads = steady_motion(rods, plant.clamp, drive, springs=springs)
     rigid = np.allclose(motion[list(drive.nodes), :3], 1e-6 * WAY, rtol=0, atol=1e-15)
     assert rigid == (springs == RIGID)
-    swung = Rocking(drive.nodes, pads[:3], pads[3:], 1 / (steps * dt))
+    swung = Rocking(drive.node, drive.also, pads[:3], pads[3:], 1 / (steps * dt))
     path = simulate(
         rods, plant.clamp, swung, 5 * steps * dt, dt, start="scanned",
         tolerance=1e-11, moving=(motion.imag, 2 * np.pi * f * motion.real),

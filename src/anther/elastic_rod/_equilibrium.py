@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from anther.elastic_rod._assembly import Blocks, assemble_edges, elastic_energy, move_frames, new_blocks, on_nodes
 from anther.elastic_rod._model import Frames, Model, build_model
 from anther.elastic_rod._motion import Clamp
-from anther.elastic_rod._newton import LARGEST_TURN, POSITION_FLOOR, State, new_state
 from anther.elastic_rod._rods import GRAVITY, Array, NaturalShape, Rods
+from anther.elastic_rod._stepping import LARGEST_TURN, POSITION_FLOOR, State, new_state
 from anther.elastic_rod._strains import joint_slopes, joint_stiffness
 from anther.elastic_rod._tree_solver import constrain, factor, solve
 from anther.elastic_rod._vectors import add, compiled, dot, load, norm, scale, store
@@ -183,7 +183,7 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
             f"rods: no static equilibrium found; residual {residual:.3g} N after {NEWTON_LIMIT} Newton iterations. "
             "They may be too soft or thin for their weight, or swing about a pin: check radius, stiffness and clamp.",
         )
-    if unstable_directions(model, free, state, blocks):
+    if tangent(model, free, state.x, state.frames, blocks).unstable:
         raise StageFailure(
             "no_convergence",
             "rods: the equilibrium under gravity is not stable: they buckle under their own weight (the tangent "
@@ -191,11 +191,6 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
             "[kg/m^3], lumped masses, and that the clamp holds both ends of an edge.",
         )
     return state
-
-
-def unstable_directions(model: Model, free: Any, state: State, blocks: Blocks) -> int:
-    """Return how many directions have no positive stiffness: 0 where the equilibrium is stable."""
-    return tangent(model, free, state.x, state.frames, blocks).unstable
 
 
 def _potential(model: Model, x: Array, frames: Frames) -> float:
@@ -280,7 +275,7 @@ def standing(rods: Rods, clamp: Clamp) -> Rods | None:
         except StageFailure:
             return None
         model = model._replace(length=natural.length, curvature=natural.curvature, natural_twist=natural.twist)
-    if unstable_directions(model, free, new_state(rods.nodes, frames), new_blocks(len(rods.nodes))):
+    if tangent(model, free, rods.nodes, frames, new_blocks(len(rods.nodes))).unstable:
         return None
     return rods if rods.natural is natural else replace(rods, natural=natural)
 

@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.checks import check_array, check_range
 from anther.elastic_rod._assembly import Blocks, assemble, assemble_edges, new_blocks, on_nodes
-from anther.elastic_rod._equilibrium import Tangent, by_edges, hangs_together, static_state, tangent
+from anther.elastic_rod._equilibrium import Tangent, by_edges, static_state, tangent
 from anther.elastic_rod._model import Model, build_model
 from anther.elastic_rod._motion import Clamp, ComplexArray, unit_direction
-from anther.elastic_rod._newton import State
 from anther.elastic_rod._rods import GRAVITY, Array, Rods
+from anther.elastic_rod._stepping import State
 from anther.elastic_rod._tree_solver import constrain, factor, solve
 from anther.elastic_rod._vectors import compiled
 from anther.errors import StageFailure, bad_input
@@ -185,10 +185,8 @@ def _times_mass(system: Linear, rows: Array) -> Array:
 
 
 def _damping_of(system: Linear, vectors: Array) -> Array:
-    """Return (K,) v^T C v of vectors (K, N, 4); of what hangs together by its edges, see `edges`."""
+    """Return (K,) v^T C v of vectors (K, N, 4), what viscosity adds by edges, which rounds less."""
     v, model = np.moveaxis(vectors, 0, 2), system.model
-    if not hangs_together(model, system.free):
-        return np.einsum("nik,nik->k", v, product(model, system.damping, v))
     turns = v.copy()
     turns[1:, :3] -= v[model.parent[1:], :3]
     faster, still = new_blocks(len(v)), new_blocks(len(v))

@@ -22,11 +22,19 @@ from anther.checks import check_array, check_range, check_room
 from anther.elastic_rod._assembly import new_blocks
 from anther.elastic_rod._linear import checked_hertz, linearise, set_dynamic
 from anther.elastic_rod._model import Model
-from anther.elastic_rod._motion import RIGID, Clamp, ComplexArray, Drive, Springs, gripped_edges, unit_direction
+from anther.elastic_rod._motion import (
+    RIGID,
+    Clamp,
+    ComplexArray,
+    Drive,
+    Springs,
+    check_node,
+    gripped_edges,
+    unit_direction,
+)
 from anther.elastic_rod._rods import GRAVITY, Array, Rods
 from anther.elastic_rod._tree_solver import factor, solve_columns, substitute_columns
 from anther.elastic_rod._vectors import compiled
-from anther.errors import bad_input
 
 FINE = "Nodes a few millimetres apart are fine enough: thin them out, or ask for less at once."
 """What to do about rods that are divided too finely."""
@@ -112,11 +120,12 @@ def response_map(
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     pads = [np.atleast_1d(np.asarray(pad)) for pad in grip_nodes]
-    gripped, seen = _node_list("grip node", np.concatenate(pads), rods), _node_list("observed node", observe, rods)
-    hertz = checked_hertz(frequencies)
+    seen, hertz = np.array(check_array("observed node", observe, (None,), dtype=np.int64)), checked_hertz(frequencies)
+    for node in seen:
+        check_node("observed node", int(node), len(rods.nodes))
     check_range("loss_factor", loss_factor, 0, 10)
     units = np.stack([unit_direction(d) for d in np.atleast_2d(np.asarray(directions, dtype=np.float64))])
-    clamp.free(rods, [int(grip) for grip in gripped])
+    clamp.free(rods, [int(node) for pad in pads for node in pad])
     operator = displacements(seen, len(rods.nodes))
     found = observed_response(rods, clamp, pads, operator, hertz, loss_factor=loss_factor, gravity=gravity)
     return np.moveaxis(found.vectors @ units.T, -1, 2)
@@ -147,16 +156,6 @@ def steady_motion(
     )
     motion, pads = (drive.amplitude * part[0, 0] @ drive.direction for part in (found.vectors, found.pads))
     return Steady(motion.reshape(n, 6)[:, :4], pads)
-
-
-def _node_list(name: str, nodes: ArrayLike, rods: Rods) -> NDArray[Any]:
-    numbers = np.array(check_array(name, np.asarray(nodes), (None,), dtype=np.int64))
-    wrong = numbers[(numbers < 0) | (numbers >= len(rods.nodes))]
-    if wrong.size:
-        raise bad_input(
-            name, given=int(wrong[0]), allowed=f"0 <= {name} <= {len(rods.nodes) - 1}", do="Check the node numbers."
-        )
-    return numbers
 
 
 def observed_response(

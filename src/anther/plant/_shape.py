@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from scipy.stats import theilslopes
 
 from anther.cloud import Cloud
-from anther.elastic_rod import Clamp, Rods, stands
+from anther.elastic_rod import Clamp, Rods, least_stiffness, stands
 from anther.flowers import Flowers
 from anther.geometry import Array, occupied_cells
 from anther.masks import FLOWER
@@ -270,9 +270,6 @@ SOFTEST, STIFFEST = 1e4, 1e12
 def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening: Array) -> float | None:
     """Return Young's modulus of the main stem at which the rods just stand [Pa], within 2 %; None if none helps.
 
-    The weight's torques do not depend on the stiffness, so the tangent stiffness is E A - B and there is one such
-    value; it is bisected on a logarithmic scale.
-
     Args:
         rods: the rods; their natural shape is found anew for every value.
         clamp: what is held.
@@ -280,19 +277,8 @@ def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening:
         stiffening: (N,) Young's modulus of the others over the main stem's [-].
     """
 
-    def stands_with(log_youngs: float) -> bool:
-        youngs = np.where(fixed, rods.youngs, np.exp(log_youngs) * stiffening)
-        return stands(replace(rods, youngs=youngs, natural=None), clamp)
-
-    low, high = np.log(SOFTEST), np.log(STIFFEST)
-    if not stands_with(high):
-        return None
-    if stands_with(low):
-        return SOFTEST
-    while high - low > 0.02:
-        middle = (low + high) / 2
-        low, high = (low, middle) if stands_with(middle) else (middle, high)
-    return float(np.exp(high))
+    unit = replace(rods, youngs=np.where(fixed, rods.youngs, stiffening))
+    return least_stiffness(unit, clamp, fixed=fixed, between=(SOFTEST, STIFFEST), within=0.02)
 
 
 def branch_stiffening(
