@@ -29,6 +29,8 @@ BRANCH_SHARE = 0.7
 8-12 mm (facts: pollination 2 [R])."""
 LEAST_RADIUS = 0.5e-3
 """Of any stem or branch edge [m]."""
+LEAF_VOXEL = 0.006
+"""Size of the cubes that count leaf area, larger where the cloud is sparser [m]."""
 PEDUNCLE_RADIUS = 1.25e-3
 """Of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R])."""
 
@@ -89,7 +91,7 @@ def bar_radius(a: float, b: float) -> float:
     return float((3 * (a * b) ** 3 / (a * a + a * b + b * b)) ** 0.25)
 
 
-def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float, voxel: float) -> Array:
+def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float) -> Array:
     """Return the leaf mass (J,) that hangs at each node [kg]: blade area seen in the cloud times areal density.
 
     Points beside the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
@@ -101,14 +103,13 @@ def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: fl
         stem: which nodes are main stem.
         cloud: the plant's points; points labelled flower are left out.
         areal_density: of a blade [kg/m2].
-        voxel: side h of the cubes [m]; larger where the cloud is sparser.
     """
     mass = np.zeros(len(skeleton.nodes))
     points = _leaf_points(skeleton, stem, cloud)
     branch = np.flatnonzero(~_on_main_stem(stem, len(mass)))
     if len(points) < 10 or not len(branch):
         return mass
-    h = max(voxel, 2 * _spacing(points))
+    h = max(LEAF_VOXEL, 2 * _spacing(points))
     cubes = occupied_cells(points, h)
     nearest = branch[KDTree(skeleton.nodes[branch]).query((cubes + 0.5) * h)[1]]
     area = len(cubes) * h**3 / (1.5 * h + _thickness(points))
@@ -199,9 +200,7 @@ def _length(skeleton: Skeleton, j: int) -> float:
 
 
 def _on_main_stem(stem: Stem, count: int) -> NDArray[np.bool_]:
-    on_stem = np.zeros(count, dtype=bool)
-    on_stem[stem.node_ids] = True
-    return on_stem
+    return np.isin(np.arange(count), stem.node_ids)
 
 
 def _smooth(skeleton: Skeleton, stem: Stem) -> Array:
