@@ -22,7 +22,7 @@ os.environ["NUMBA_DISABLE_JIT"] = "1"
 import numpy as np
 from networks import reference_network
 
-from anther.elastic_rod import GRAVITY, Clamp, _assembly, _model, _newton, _tree_solver, _vectors
+from anther.elastic_rod import GRAVITY, Clamp, _assembly, _model, _stepping, _tree_solver, _vectors
 from anther.files import write_json
 
 COUNT: Counter[str] = Counter()
@@ -92,24 +92,24 @@ def numbers(thing: Any) -> Any:
 
 def count() -> dict[str, float]:
     """Return operations per node of each kernel."""
-    _vectors.math = _newton.math = CountingMath()  # type: ignore[assignment]
+    _vectors.math = _stepping.math = CountingMath()  # type: ignore[assignment]
     rods = reference_network()
     constants, frames = _model.build_model(rods, GRAVITY)
     free = Clamp(np.array([0, 1])).free(rods, [20])
-    shape = _newton.new_state(rods.nodes, frames)
+    shape = _stepping.new_state(rods.nodes, frames)
     n, rng = len(rods.nodes), np.random.default_rng(0)
     shape.x[2:] += 1e-5 * rng.standard_normal((n - 2, 3))
-    constants, old, new = numbers(constants), numbers(_newton.new_state(rods.nodes, frames)), numbers(shape)
+    constants, old, new = numbers(constants), numbers(_stepping.new_state(rods.nodes, frames)), numbers(shape)
     blocks, turn, move = numbers(_assembly.new_blocks(n)), numbers(np.zeros(n)), numbers(np.zeros((n, 4)))
     rate = Number(1000)
     steps: dict[str, Callable[[], Any]] = {
-        "evaluate": lambda: _newton._evaluate(constants, old, new, new.x, turn, rate, blocks),
-        "residual": lambda: _newton._residual(free, blocks.gradient, constants.length),
+        "evaluate": lambda: _stepping._evaluate(constants, old, new, new.x, turn, rate, blocks),
+        "residual": lambda: _stepping._residual(free, blocks.gradient, constants.length),
         "constrain": lambda: _tree_solver.constrain(constants, free, blocks),
         "factor": lambda: _tree_solver.factor(constants, blocks),
         "solve": lambda: _tree_solver.solve(constants, blocks, blocks.gradient),
-        "limit": lambda: _newton._largest_turn(constants.parent, new.x, move),
-        "move": lambda: _newton._move(new.x, turn, move, Number(1)),
+        "limit": lambda: _stepping._largest_turn(constants.parent, new.x, move),
+        "move": lambda: _stepping._move(new.x, turn, move, Number(1)),
     }
     result: dict[str, float] = {}
     for name, step in steps.items():

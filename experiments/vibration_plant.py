@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+from expectation import amplitude_at
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from shaken_plant import Params as ShakenParams
@@ -257,7 +259,9 @@ def predictors(
     radius = float(np.mean(plant.stem_centreline()[1]))
     paper, soft = paper_model(seen, case.species, radius)
     scripts, _ = paper_model(seen, case.species, radius, as_scripted=True)
-    out: dict[str, tuple[Predictor, str]] = {name: (belief.amplitude_at, "seen") for name, belief in beliefs.items()}
+    out: dict[str, tuple[Predictor, str]] = {
+        name: (partial(amplitude_at, belief), "seen") for name, belief in beliefs.items()
+    }
     out |= {"paper": (paper.response, "seen"), "paper as scripted": (scripts.response, "seen")}
     stiff = {"youngs": float(plant.youngs[0]), "damping_ratio": float(plant.damping_ratio[0])}
     notes = []

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+from expectation import amplitude_at, expect, flowers_at, loads_at
 from grasping_trial import truth_of
 from numpy.typing import NDArray
 from shaken_plant import ShakenPlant
@@ -30,7 +31,7 @@ from anther.commands.simulated_cell import (
 from anther.devices import Frame
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.identification import Felt, ObservedShake, Refinement, expect, flowers_at, loads_at, refine
+from anther.identification import Felt, ObservedShake, Refinement, refine
 from anther.plant import PlantModel
 from anther.response import measure_response, stem_near
 from anther.shake import Crop, ShakePlan
@@ -141,7 +142,7 @@ def tone_amplitudes(belief: Refinement, point: Array) -> Array:
     So far that the middle flower, if one is known, should move 8 mm, which a camera can follow; not beyond 4 mm nor
     2 m/s2.
     """
-    gains = belief.amplitude_at(point[None], DIRECTION, np.array(TONES))[0]
+    gains = amplitude_at(belief, point[None], DIRECTION, np.array(TONES))[0]
     most = np.minimum(4e-3, 2.0 / (2 * np.pi * np.array(TONES)) ** 2)
     return np.minimum(most, 8e-3 / np.median(gains, axis=1)) if gains.size else most
 

@@ -231,7 +231,7 @@ def test_rods_too_finely_divided_are_refused(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("anther.checks.MOST_BYTES", 1e3)
     asks = {
         "a skeleton of 41 nodes": lambda: observed_response(*args),
-        "loads": lambda: frequency_response(rods, Clamp.root(rods), 20, [1, 0, 0], np.array([10.0])),
+        "of 41 nodes": lambda: frequency_response(rods, Clamp.root(rods), 20, [1, 0, 0], np.array([10.0])),
         "a record of 100 moments of 41 nodes": lambda: new_output(100, 41),
     }
     for what, ask in asks.items():

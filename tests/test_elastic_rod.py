@@ -19,8 +19,7 @@ from anther.elastic_rod import (
     stands,
     with_gravity_equilibrium,
 )
-from anther.elastic_rod._assembly import assemble, elastic_energy, move_frames, new_blocks
-from anther.elastic_rod._lanes import new_lanes
+from anther.elastic_rod._assembly import assemble, elastic_energy, move_frames, new_blocks, new_lanes
 from anther.elastic_rod._linear import dense
 from anther.elastic_rod._model import Frames, build_model
 from anther.elastic_rod._tree_solver import constrain, factor, solve

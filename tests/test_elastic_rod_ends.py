@@ -18,8 +18,8 @@ from anther.elastic_rod import (
     simulate,
     with_gravity_equilibrium,
 )
-from anther.elastic_rod._assembly import assemble, new_blocks
-from anther.elastic_rod._edges import assemble_edges, by_edges, to_nodes
+from anther.elastic_rod._assembly import assemble, assemble_edges, new_blocks
+from anther.elastic_rod._equilibrium import by_edges, to_nodes
 from anther.elastic_rod._linear import dense
 from anther.elastic_rod._model import build_model
 from anther.elastic_rod._simulation import _refuse_free_energy
@@ -126,7 +126,7 @@ def test_the_stiffness_by_edges_is_that_by_nodes(planted):
     x = rods.nodes + 1e-3 * np.random.default_rng(0).normal(size=(n, 3))
     by_node, by_edge = new_blocks(n), new_blocks(n)
     assemble(model, x, x, frames, np.zeros((n, 4)), 0.0, by_node)
-    assemble_edges(model, x, frames, 0.0, by_edge)
+    assemble_edges(model, x, x, frames, np.zeros((n, 4)), 0.0, by_edge)
     moves = np.eye(4 * n).reshape(-1, n, 4)
     for move in moves:
         to_nodes(rods.parent, move)

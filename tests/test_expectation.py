@@ -8,10 +8,11 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from expectation import expect, flowers_at, loads_at
 from sample_plants import branched
 
 from anther.elastic_rod import Array
-from anther.identification import Felt, ObservedShake, Params, Refinement, expect, flowers_at, loads_at, refine
+from anther.identification import Felt, ObservedShake, Params, Refinement, refine
 from anther.plant import TOMATO, PlantModel, build_plant
 from anther.shake import PADS, Pads, ShakePlan
 from anther.shake.observables import semi_major

@@ -9,9 +9,8 @@ import pytest
 from dense_grip import dense_answer
 from made_rods import cantilever, random_tree
 
-from anther.elastic_rod import Clamp, Springs
-from anther.elastic_rod._grip import rigid_motion
-from anther.elastic_rod._response import driven_response
+from anther.elastic_rod import Clamp, Springs, equilibrium, observed_response
+from anther.elastic_rod._response import displacements, rigid_motion
 from anther.errors import InputError
 
 HERTZ = np.array([2.0, 11.0, 30.0])
@@ -23,13 +22,19 @@ def test_the_answer_is_that_of_one_matrix_with_the_springs_in_it(springs: Spring
     rods = random_tree(5, n=16, youngs=3e7, lumped_mass=2e-4, viscous_time=3e-3)
     below = int(rods.parent[9])
     pad = [9, below, int(rods.parent[below])]
-    given = {"observe": np.arange(16), "springs": springs}
-    found = driven_response(rods, Clamp.root(rods), [[12], pad], WAYS, HERTZ, **given)
+    still = equilibrium(rods, Clamp.root(rods))
+    lever = still[below] - still[9]
+    grips, everything = [np.array([12]), np.array(pad)], displacements(np.arange(16), 16)
+    found = observed_response(rods, Clamp.root(rods), grips, everything, HERTZ, springs=springs)
     for q, hertz in enumerate(HERTZ):
         expected = dense_answer(rods, pad, springs, float(hertz), WAYS)
-        np.testing.assert_allclose(found.motion[q, 1], expected[:, :, :3], atol=1e-6 * np.abs(expected).max())
+        motion, force = np.moveaxis(found.vectors[q, 1] @ WAYS.T, 2, 0), (found.force[q, 1] @ WAYS.T).T
+        np.testing.assert_allclose(motion, expected[:, :, :3], atol=1e-6 * np.abs(expected).max())
         given_way = WAYS - expected[:, pad[0], :3]
-        np.testing.assert_allclose(found.force[q, 1], springs.translation * given_way, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(force, springs.translation * given_way, rtol=1e-4, atol=1e-6)
+        turned = -(found.moment[q, 1] @ WAYS.T).T / springs.rotation
+        swung = expected[:, below, :3] - expected[:, 9, :3]
+        np.testing.assert_allclose(np.cross(turned, lever), swung, atol=1e-5 * np.abs(expected).max())
 
 
 def test_stiff_springs_are_the_rigid_grip_and_those_that_let_it_turn_are_a_pin() -> None:
@@ -37,7 +42,9 @@ def test_stiff_springs_are_the_rigid_grip_and_those_that_let_it_turn_are_a_pin()
     clamp = Clamp.root(rods)
 
     def held(pad: list[int], springs: Springs) -> Any:
-        return driven_response(rods, clamp, [pad], WAYS, HERTZ, observe=np.arange(21), springs=springs).motion[:, 0]
+        everything = displacements(np.arange(21), 21)
+        found = observed_response(rods, clamp, [np.array(pad)], everything, HERTZ, springs=springs)
+        return np.moveaxis(found.vectors[:, 0] @ WAYS.T, 3, 1)
 
     rigid, stiff = held([10, 11, 9], Springs()), held([10, 11, 9], Springs(1e12, 1e12))
     np.testing.assert_allclose(stiff, rigid, atol=1e-6)
@@ -50,15 +57,15 @@ def test_stiff_springs_are_the_rigid_grip_and_those_that_let_it_turn_are_a_pin()
 
 def test_a_slow_pull_stretches_stem_and_pads_in_series() -> None:
     rods, k = cantilever(40), 30.0
-    held = driven_response(
-        rods, Clamp.root(rods), [[40, 39]], np.eye(3)[2:], [1e-3], observe=[40], gravity=(0, 0, 0),
-        springs=Springs(k, 1e-9),
+    held = observed_response(
+        rods, Clamp.root(rods), [np.array([40, 39])], displacements(np.array([40]), 41), np.array([1e-3]),
+        gravity=(0, 0, 0), springs=Springs(k, 1e-9),
     )  # fmt: skip
     stem = 3 * 2e8 * np.pi * 3e-3**4 / 4 / 0.3**3
-    assert held.force[0, 0, 0, 2].real == pytest.approx(1 / (1 / stem + 1 / k), rel=0.02)
-    assert abs(held.moment[0, 0, 0]).max() < 1e-6
-    assert held.pads[0, 0, 0, 2].real == pytest.approx(k / (stem + k), rel=0.02)
-    assert held.pads[0, 0, 0, 4].real == pytest.approx(-1.5 / 0.3 * k / (stem + k), rel=0.05)  # a cantilever's tip
+    assert held.force[0, 0, 2, 2].real == pytest.approx(1 / (1 / stem + 1 / k), rel=0.02)
+    assert abs(held.moment[0, 0, :, 2]).max() < 1e-6
+    assert held.pads[0, 0, 2, 2].real == pytest.approx(k / (stem + k), rel=0.02)
+    assert held.pads[0, 0, 4, 2].real == pytest.approx(-1.5 / 0.3 * k / (stem + k), rel=0.05)  # a cantilever's tip
 
 
 def test_a_body_that_turns_about_its_first_node_turns_its_edges() -> None:

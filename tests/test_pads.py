@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from dense_grip import dense_answer
+from expectation import amplitude_at
 from sample_plants import branched
 
 from anther.elastic_rod import Springs
@@ -62,7 +63,7 @@ def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, be
 def miss(plant: PlantModel, truth: Pads, belief: Refinement, frequencies: list[float]) -> float:
     """Return the mean error of ln amplitude at another grip."""
     points = plant.rods.nodes[plant.stem_nodes[[OTHER]]]
-    told = belief.amplitude_at(points, WAY, np.array(frequencies))[0]
+    told = amplitude_at(belief, points, WAY, np.array(frequencies))[0]
     true = [semi_major(dense_motion(plant, OTHER, truth, f)[plant.flower_nodes]) for f in frequencies]
     return float(np.abs(np.log(told / true)).mean())
 

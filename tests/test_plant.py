@@ -63,7 +63,7 @@ def test_leaf_mass_is_area_times_areal_density_whatever_the_attitude() -> None:
     for noise in np.repeat([0.0, 0.0005, 0.001], 4):
         points = skeleton.nodes[30] + [0.02, 0.05, 0.05] + sheet(rng, 0.1, 0.001, noise)
         cloud = Cloud(np.concatenate([skeleton.nodes[:25], points]))
-        masses.append(leaf_mass(skeleton, stem, cloud, areal_density=0.3, voxel=0.006))
+        masses.append(leaf_mass(skeleton, stem, cloud, areal_density=0.3))
     total = np.sum(masses, axis=1)
     assert np.mean(total) == pytest.approx(0.3 * 0.01, rel=0.2)
     assert np.ptp(total) < 0.5 * np.mean(total)
@@ -77,7 +77,7 @@ def test_stem_points_and_flowers_weigh_nothing() -> None:
     around = around + 4e-3 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     petals = skeleton.nodes[30] + np.random.default_rng(0).normal(0, 0.01, (200, 3))
     cloud = Cloud(np.concatenate([around, petals]), labels=np.array([1] * len(around) + [2] * 200, dtype=np.uint8))
-    assert leaf_mass(skeleton, stem, cloud, areal_density=0.3, voxel=0.006).sum() < 5e-5
+    assert leaf_mass(skeleton, stem, cloud, areal_density=0.3).sum() < 5e-5
 
 
 def test_first_frequency_of_a_stiff_stem_is_euler_bernoulli() -> None:

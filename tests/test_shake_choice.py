@@ -11,8 +11,8 @@ import pytest
 from sample_plants import branched, grasps_on, stem_along, straight_stem
 
 from anther import shake
-from anther.elastic_rod import Clamp, Drive, Rods
-from anther.elastic_rod._response import driven_response
+from anther.elastic_rod import Clamp, Drive, Rods, observed_response
+from anther.elastic_rod._response import displacements
 from anther.errors import InputError, StageFailure
 from anther.escalation._knowledge import limits_of
 from anther.flowers import Flowers
@@ -74,9 +74,9 @@ def test_the_grips_force_is_that_of_a_cantilever() -> None:
     skeleton = straight_stem(count=161, radius=(3e-3, 3e-3))
     rods = Rods(skeleton.nodes, skeleton.parent, 3e-3, 1e8, 1000.0)
     node = 120
-    force = driven_response(
-        rods, Clamp.root(rods), [node], np.eye(3)[:1], [1e-3], observe=[node], gravity=(0, 0, 0)
-    ).force[0, 0, 0]
+    held, seen = np.array([node]), displacements(np.array([node]), len(rods.nodes))
+    found = observed_response(rods, Clamp.root(rods), [held], seen, np.array([1e-3]), gravity=(0, 0, 0))
+    force = found.force[0, 0, :, 0]
     free = skeleton.nodes[node, 2] - skeleton.nodes[1, 2]
     assert force[0].real == pytest.approx(3 * 1e8 * np.pi * 3e-3**4 / 4 / free**3, rel=0.03)
     assert np.abs(force[1:]).max() < 1e-6 * abs(force[0])

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.elastic_rod import Clamp, Drive, Rods, simulate
-from anther.elastic_rod._assembly import assemble, elastic_energy, move_frames, new_blocks
-from anther.elastic_rod._lanes import new_lanes
+from anther.elastic_rod._assembly import assemble, elastic_energy, move_frames, new_blocks, new_lanes
 from anther.elastic_rod._linear import dense
 from anther.elastic_rod._model import Frames, Model, build_model
 from rod_cases.beams import NO_GRAVITY, X_AXIS

@@ -6,11 +6,26 @@ modes and their damping ratios, `base_response` for a shaking table.
 """
 
 from anther.elastic_rod._equilibrium import equilibrium, least_stiffness, standing, stands, with_gravity_equilibrium
-from anther.elastic_rod._grip import RIGID, Rocking, Springs
-from anther.elastic_rod._linear import Modes, natural_frequencies
-from anther.elastic_rod._motion import Burst, Chirp, Clamp, Drive, Motion, SampledDrive, unit_direction
-from anther.elastic_rod._observed import Observed, observed_response
-from anther.elastic_rod._response import base_response, frequency_response, response_map, steady_motion
+from anther.elastic_rod._linear import Modes, base_response, natural_frequencies
+from anther.elastic_rod._motion import (
+    RIGID,
+    Burst,
+    Chirp,
+    Clamp,
+    Drive,
+    Motion,
+    Rocking,
+    SampledDrive,
+    Springs,
+    unit_direction,
+)
+from anther.elastic_rod._response import (
+    Observed,
+    frequency_response,
+    observed_response,
+    response_map,
+    steady_motion,
+)
 from anther.elastic_rod._rods import GRAVITY, Array, Discretisation, NaturalShape, Rods
 from anther.elastic_rod._simulation import Trajectory, simulate
 from anther.elastic_rod._strains import joints, strain_changes

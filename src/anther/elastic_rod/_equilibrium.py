@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from anther.elastic_rod import _springs
-from anther.elastic_rod._assembly import Blocks, elastic_energy, move_frames, new_blocks
-from anther.elastic_rod._edges import Tangent, tangent
+from anther.elastic_rod._assembly import Blocks, assemble_edges, elastic_energy, move_frames, new_blocks, on_nodes
 from anther.elastic_rod._model import Frames, Model, build_model
 from anther.elastic_rod._motion import Clamp
-from anther.elastic_rod._newton import LARGEST_TURN, POSITION_FLOOR, State, new_state
 from anther.elastic_rod._rods import GRAVITY, Array, NaturalShape, Rods
-from anther.elastic_rod._tree_solver import solve
-from anther.elastic_rod._vectors import add, compiled, dot, halves, load, merged, norm, scale, six, store, subtract
+from anther.elastic_rod._stepping import LARGEST_TURN, POSITION_FLOOR, State, new_state
+from anther.elastic_rod._strains import joint_slopes, joint_stiffness
+from anther.elastic_rod._tree_solver import constrain, factor, solve
+from anther.elastic_rod._vectors import add, compiled, dot, load, norm, scale, store
 from anther.errors import StageFailure
 
 SETTLED = 1e-8
@@ -24,6 +23,92 @@ SETTLED = 1e-8
 
 NEWTON_LIMIT = 500
 """Newton iterations of a static solve; a cantilever that bends through 90 degrees needs some tens."""
+
+
+def by_edges(model: Model) -> Model:
+    """Return the constants with the couplings of this matrix: none beyond the near row."""
+    return model._replace(far=np.full(len(model.far), -1))
+
+
+def hangs_together(model: Model, free: NDArray[np.bool_]) -> bool:
+    """Return whether free (N, 4) holds the root, and other nodes only where their parent is held.
+
+    Then a held node is an edge that does not move, and the unknowns that are free are the same in both descriptions.
+    """
+    held = ~free[:, 0]
+    return bool(held[0] and np.all(held[model.parent[1:]] | ~held[1:]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tangent:
+    """The factored stiffness of rods, by edges where these hang together, by nodes where they do not.
+
+    Attributes:
+        model: the constants, with the couplings of that matrix.
+        free: (N, 4) which unknowns are free.
+        blocks: the factors; and the elastic gradient.
+        together: whether the unknowns are those of edges.
+        unstable: how many directions have no positive stiffness.
+    """
+
+    model: Model
+    free: NDArray[np.bool_]
+    blocks: Blocks
+    together: bool
+    unstable: int
+
+    def forces(self, loads: Array) -> Array:
+        """Return forces on nodes (N, 4) as those on the free unknowns."""
+        own = loads.copy()
+        if self.together:
+            to_edges(self.model.parent, own)
+        own[~self.free] = 0
+        return own
+
+    def moves(self, own: Array) -> Array:
+        """Return motions of the unknowns (N, 4) as those of nodes."""
+        moves = own.copy()
+        if self.together:
+            to_nodes(self.model.parent, moves)
+        return moves
+
+    def solve(self, loads: Array) -> Array:
+        """Return the motion of nodes (N, 4) under forces on nodes (N, 4)."""
+        own = self.forces(loads)
+        solve(self.model, self.blocks, own)
+        return self.moves(own)
+
+
+def tangent(model: Model, free: Any, x: Array, frames: Frames, blocks: Blocks, shift: float = 0.0) -> Tangent:
+    """Return the factored stiffness at positions x (N, 3), in the given blocks, with `shift` added to its diagonal."""
+    together = hangs_together(model, free)
+    assemble_edges(model, x, x, frames, np.zeros((len(x), 4)), 0.0, blocks)
+    if together:
+        model = by_edges(model)
+    else:
+        on_nodes(model, blocks)
+    blocks.diagonal[:, range(4), range(4)] += shift * np.array([1, 1, 1, 1e-4])
+    gradient = blocks.gradient.copy()
+    constrain(model, free, blocks)
+    unstable = int(factor(model, blocks))
+    blocks.gradient[:] = gradient
+    return Tangent(model, free, blocks, together, unstable)
+
+
+@compiled
+def to_nodes(parent: Any, moves: Any) -> None:
+    """Turn motions of edges (N, 4) into motions of nodes."""
+    for j in range(1, len(parent)):
+        for i in range(3):
+            moves[j, i] += moves[parent[j], i]
+
+
+@compiled
+def to_edges(parent: Any, forces: Any) -> None:
+    """Turn forces on nodes (N, 4) into those on edges: the sum over all that an edge carries."""
+    for j in range(len(parent) - 1, 0, -1):
+        for i in range(3):
+            forces[parent[j], i] += forces[j, i]
 
 
 def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAVITY) -> Rods:
@@ -47,75 +132,31 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
     Raises:
         StageFailure: as there.
     """
-    n = len(rods.nodes)
+    n, along = len(rods.nodes), np.zeros_like(rods.nodes)
     stiffness = tangent(model, free, rods.nodes, frames, new_blocks(n))
-    tension, moments = np.zeros(n), np.zeros((n, 3))
-    load_left = scale_of_load = np.where(free, np.pad(model.weight, ((0, 0), (0, 1))), 0)
+    slopes, unknown, _ = joint_slopes(model, rods.nodes, frames.m1)
+    along[1:] = (rods.nodes[1:] - rods.nodes[rods.parent[1:]]) / rods.lengths[1:, None] ** 2
+    stretching = np.hstack([0 * along, -along, along, np.zeros((n, 2))])[:, None]  # the fourth strain
+    strains = np.concatenate([slopes, stretching], axis=1)
+    forces = np.concatenate(
+        [joint_stiffness(model) @ slopes, (model.stretch * model.length)[:, None, None] * stretching], 1
+    )
+    strain = np.zeros((n, 4))
+    load_left = load = np.where(free, np.pad(model.weight, ((0, 0), (0, 1))), 0)
     for _ in range(4):  # iterative refinement
-        sag = stiffness.solve(load_left)
-        load_left = load_left - np.where(free, _stress_of(model, rods.nodes, frames, sag, tension, moments), 0)
-    if not np.abs(load_left).max() < 1e-8 * np.abs(scale_of_load).max() + 1e-12:
+        strained = np.einsum("nki,ni->nk", strains, stiffness.solve(load_left).ravel()[unknown])
+        force = np.einsum("nki,nk->ni", forces, strained)
+        strain += strained
+        load_left = load_left - np.where(free, np.bincount(unknown.ravel(), force.ravel(), 4 * n).reshape(n, 4), 0)
+    if not np.abs(load_left).max() < 1e-8 * np.abs(load).max() + 1e-12:
         raise StageFailure(
             "no_convergence",
             "rods: no natural shape lets the clamp balance the weight. One clamped node is only a pin, about which the "
             "rods would swing: clamp both ends of an edge.",
         )
-    return _natural_shape(model, rods, tension, moments)
-
-
-def _natural_shape(model: Model, rods: Rods, tension: Array, moments: Array) -> NaturalShape:
-    w11, w12, w22, w13, w23, w33 = np.where(model.joint[:, :1] > 0, model.joint, [1.0, 0, 1, 0, 0, 1]).T
-    stiffness = np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
-    strain: Array = np.linalg.solve(stiffness, moments[:, :, None])[:, :, 0].astype(np.float64)
-    stretch = np.divide(tension, model.stretch, out=np.zeros_like(tension), where=model.stretch > 0)
-    if np.any(stretch <= -0.5):
+    if np.any(strain[:, 3] <= -0.5):
         raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
-    return NaturalShape(rods.lengths / (1 + stretch), model.curvature - strain[:, :2], -strain[:, 2])
-
-
-@compiled
-def _stress_of(model: Model, x: Any, frames: Frames, move: Any, tension: Any, moments: Any) -> Any:
-    """Add the tension and moments [N, N m] of a small move (N, 4) to the given ones; return the force of the move."""
-    force = np.zeros_like(move)
-    for j in range(1, len(x)):
-        p = model.parent[j]
-        f, by_f = subtract(load(x, j), load(x, p)), subtract(load(move, j), load(move, p))
-        t = scale(1 / model.length[j], f)
-        change = model.stretch[j] / model.length[j] * dot(t, by_f)
-        tension[j] += change
-        _pull(force, j, p, change, t)
-        if model.joint[j, 0] == 0:
-            continue
-        a, o, sign = model.near[j], model.far[j], 1.0
-        if o < 0:  # the soil: its director, and no motion
-            o = p
-            e, m1e = halves(model.soil, j)
-        else:
-            if model.swapped[j]:
-                o, sign = a, -1.0
-            e, m1e = subtract(load(x, p), load(x, o)), load(frames.m1, a)
-        by_e, turn = subtract(load(move, p), load(move, o)), sign * move[a, 3]
-        slopes = _springs.gradients(_springs.bent(e, f), m1e, load(frames.m1, j))
-        k1 = _springs.rate_of(slopes[0], by_e, by_f, turn, move[j, 3])
-        k2 = _springs.rate_of(slopes[1], by_e, by_f, turn, move[j, 3])
-        tau = _springs.rate_of(slopes[2], by_e, by_f, turn, move[j, 3])
-        stress = _springs.moments(six(model.joint, j), (k1, k2, tau))
-        for k in range(3):
-            moment = stress[k]
-            moments[j, k] += moment
-            _pull(force, p, o, moment, slopes[k].e)
-            _pull(force, j, p, moment, slopes[k].f)
-            force[a, 3] += sign * moment * slopes[k].spin_e
-            force[j, 3] += moment * slopes[k].spin_f
-    return force
-
-
-@merged
-def _pull(force: Any, j: int, p: int, size: float, along: Any) -> None:
-    """Add size * along to row j and take it from row p."""
-    for i in range(3):
-        force[j, i] += size * along[i]
-        force[p, i] -= size * along[i]
+    return NaturalShape(rods.lengths / (1 + strain[:, 3]), model.curvature - strain[:, :2], -strain[:, 2])
 
 
 def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Array:
@@ -142,7 +183,7 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
             f"rods: no static equilibrium found; residual {residual:.3g} N after {NEWTON_LIMIT} Newton iterations. "
             "They may be too soft or thin for their weight, or swing about a pin: check radius, stiffness and clamp.",
         )
-    if unstable_directions(model, free, state, blocks):
+    if tangent(model, free, state.x, state.frames, blocks).unstable:
         raise StageFailure(
             "no_convergence",
             "rods: the equilibrium under gravity is not stable: they buckle under their own weight (the tangent "
@@ -150,11 +191,6 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
             "[kg/m^3], lumped masses, and that the clamp holds both ends of an edge.",
         )
     return state
-
-
-def unstable_directions(model: Model, free: Any, state: State, blocks: Blocks) -> int:
-    """Return how many directions have no positive stiffness: 0 where the equilibrium is stable."""
-    return tangent(model, free, state.x, state.frames, blocks).unstable
 
 
 def _potential(model: Model, x: Array, frames: Frames) -> float:
@@ -225,17 +261,13 @@ def _turn_edges(parent: Any, edges: Any, step: Any, x: Any) -> None:
         store(x, j, add(load(x, parent[j]), scale(size, turned)))
 
 
-RANGE = (1e-5, 1e4)
-"""Factors on Young's modulus that are searched."""
-
-
-def standing(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Rods | None:
+def standing(rods: Rods, clamp: Clamp) -> Rods | None:
     """Return rods whose scanned shape hangs in stable equilibrium: its tangent stiffness is positive definite.
 
     Rods without a natural shape get the one of `with_gravity_equilibrium`. None if it is not stable, or none balances.
     """
     free = clamp.free(rods)
-    model, frames = build_model(rods, gravity, clamp.planted)
+    model, frames = build_model(rods, GRAVITY, clamp.planted)
     natural = rods.natural
     if natural is None:
         try:
@@ -243,31 +275,47 @@ def standing(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Rods 
         except StageFailure:
             return None
         model = model._replace(length=natural.length, curvature=natural.curvature, natural_twist=natural.twist)
-    if unstable_directions(model, free, new_state(rods.nodes, frames), new_blocks(len(rods.nodes))):
+    if tangent(model, free, rods.nodes, frames, new_blocks(len(rods.nodes))).unstable:
         return None
     return rods if rods.natural is natural else replace(rods, natural=natural)
 
 
-def stands(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> bool:
+def stands(rods: Rods, clamp: Clamp) -> bool:
     """Return whether the scanned shape hangs in stable equilibrium; see `standing`."""
-    return standing(rods, clamp, gravity=gravity) is not None
+    return standing(rods, clamp) is not None
 
 
-def least_stiffness(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> float | None:
-    """Return the factor on Young's modulus at which the rods just stand, within 1 %; None if none in RANGE does.
+def least_stiffness(
+    rods: Rods,
+    clamp: Clamp,
+    *,
+    fixed: Any = False,
+    between: tuple[float, float] = (1e-5, 1e4),
+    within: float = 0.01,
+) -> float | None:
+    """Return the factor on Young's modulus at which the rods just stand; None if none of those searched does.
 
     The moments of the weight do not depend on the stiffness: the tangent stiffness is E A - B, so there is one such
     factor, found by bisection of its logarithm.
+
+    Args:
+        rods: the rods; their natural shape is found anew for every factor.
+        clamp: what is held.
+        fixed: (N,) edges that keep their own Young's modulus.
+        between: the factors that are searched.
+        within: relative error of the factor.
     """
-    low, high = np.log(RANGE)
 
     def holds(logarithm: float) -> bool:
-        stiffer = np.asarray(rods.youngs) * np.exp(logarithm)
-        return stands(replace(rods, youngs=stiffer, natural=None), clamp, gravity=gravity)
+        youngs = np.where(fixed, rods.youngs, np.asarray(rods.youngs) * np.exp(logarithm))
+        return stands(replace(rods, youngs=youngs, natural=None), clamp)
 
+    low, high = np.log(between)
     if not holds(high):
         return None
-    while high - low > 0.01:
+    if holds(low):
+        return between[0]
+    while high - low > within:
         middle = (low + high) / 2
         low, high = (low, middle) if holds(middle) else (middle, high)
     return float(np.exp(high))

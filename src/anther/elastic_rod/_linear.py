@@ -1,6 +1,7 @@
 """The rods linearised about their equilibrium under gravity: M q'' + C q' + K q = 0, in tree-structured blocks.
 
-Natural frequencies, mode shapes and damping ratios, by a block Lanczos method with the tree solver.
+Natural frequencies, mode shapes and damping ratios, by a block Lanczos method with the tree solver; and what a shaken
+base does.
 """
 
 from __future__ import annotations
@@ -13,17 +14,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anther.checks import check_range
-from anther.elastic_rod._assembly import Blocks, assemble, new_blocks
-from anther.elastic_rod._edges import Tangent, assemble_edges, by_edges, hangs_together, tangent
-from anther.elastic_rod._equilibrium import static_state
+from anther.checks import check_array, check_range
+from anther.elastic_rod._assembly import Blocks, assemble, assemble_edges, new_blocks, on_nodes
+from anther.elastic_rod._equilibrium import Tangent, by_edges, static_state, tangent
 from anther.elastic_rod._model import Model, build_model
-from anther.elastic_rod._motion import Clamp
-from anther.elastic_rod._newton import State
+from anther.elastic_rod._motion import Clamp, ComplexArray, unit_direction
 from anther.elastic_rod._rods import GRAVITY, Array, Rods
-from anther.elastic_rod._tree_solver import constrain
+from anther.elastic_rod._stepping import State
+from anther.elastic_rod._tree_solver import constrain, factor, solve
 from anther.elastic_rod._vectors import compiled
-from anther.errors import StageFailure
+from anther.errors import StageFailure, bad_input
 
 MATRIX = ("diagonal", "near", "far")
 
@@ -84,15 +84,10 @@ def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float =
 
 def _mass(model: Model) -> Blocks:
     blocks = new_blocks(len(model.mass))
+    _add_diagonal(blocks, np.repeat(model.rotary[:, None], 3, axis=1))
+    on_nodes(model, blocks)
     _add_diagonal(blocks, np.repeat(model.mass[:, None], 3, axis=1))
     blocks.diagonal[:, 3, 3] = model.spin_inertia
-    j = np.arange(1, len(model.mass))
-    p, rotary, three = model.parent[1:], model.rotary[1:, None], np.arange(3)
-    near = (model.near[1:] == p)[:, None]
-    blocks.diagonal[j[:, None], three, three] += rotary
-    np.add.at(blocks.diagonal, (p[:, None], three, three), rotary)
-    blocks.near[j[:, None], three, three] -= np.where(near, rotary, 0)
-    blocks.far[j[:, None], three, three] -= np.where(near, 0, rotary)
     return blocks
 
 
@@ -190,15 +185,13 @@ def _times_mass(system: Linear, rows: Array) -> Array:
 
 
 def _damping_of(system: Linear, vectors: Array) -> Array:
-    """Return (K,) v^T C v of vectors (K, N, 4); of what hangs together by its edges, see `edges`."""
+    """Return (K,) v^T C v of vectors (K, N, 4), what viscosity adds by edges, which rounds less."""
     v, model = np.moveaxis(vectors, 0, 2), system.model
-    if not hangs_together(model, system.free):
-        return np.einsum("nik,nik->k", v, product(model, system.damping, v))
     turns = v.copy()
     turns[1:, :3] -= v[model.parent[1:], :3]
     faster, still = new_blocks(len(v)), new_blocks(len(v))
     for rate, blocks in ((1.0, faster), (0.0, still)):
-        assemble_edges(model, system.state.x, system.state.frames, rate, blocks)
+        assemble_edges(model, system.state.x, system.state.x, system.state.frames, system.state.v, rate, blocks)
     viscous = Blocks(*(a - b for a, b in zip(faster, still, strict=True)))
     drag = np.einsum("n,nik->k", model.drag, v[:, :3] ** 2)
     return drag + np.einsum("nik,nik->k", turns, product(by_edges(model), viscous, turns))
@@ -257,3 +250,58 @@ def _orthonormal(block: Array, basis: Array, weights: Array, mass: Operator) -> 
         mix = (mix / size[:, None])[:, sound] / np.sqrt(values[sound])
         block, weight = mix.T @ block, mix.T @ weight
     return block, weight
+
+
+def base_response(
+    rods: Rods,
+    clamp: Clamp,
+    direction: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    gravity: ArrayLike = GRAVITY,
+    loss_factor: float = 0.0,
+) -> ComplexArray:
+    """Return (Q, N, 3) displacement of every node per metre of base displacement, at (Q,) frequencies [Hz].
+
+    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn. What the
+    rods do relative to it answers their own inertia and the still air's drag: of u = d + w with the base's motion d,
+    (K + i w C - w^2 M) w = w^2 M d - i w C_air d.
+
+    Args:
+        rods: the rods.
+        clamp: what moves with the base.
+        direction: (3,) of its motion.
+        frequencies: (Q,) [Hz].
+        gravity: (3,) [m/s^2].
+        loss_factor: see `response_map`.
+
+    Raises:
+        InputError: a frequency out of range, a direction of no length, nothing clamped.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    hertz = checked_hertz(frequencies)
+    check_range("loss_factor", loss_factor, 0, 10)
+    if not len(clamp.nodes):
+        raise bad_input("clamp", given="no node", allowed="the nodes that move with the base", do="Use Clamp.root.")
+    system = linearise(rods, clamp, gravity, loss_factor)
+    carried = np.zeros((len(rods.nodes), 4))
+    carried[:, :3] = unit_direction(direction)
+    inertia = product(system.model, system.mass, carried[..., None])[..., 0]
+    air = system.model.drag[:, None] * carried
+    out = np.empty((len(hertz), len(rods.nodes), 3), np.complex128)
+    dynamic = new_blocks(len(system.free), np.complex128)
+    for q, omega in enumerate(2 * np.pi * hertz):
+        set_dynamic(system, float(omega), dynamic)
+        factor(system.model, dynamic)
+        relative = np.where(system.free, omega**2 * inertia - 1j * omega * air, 0)
+        solve(system.model, dynamic, relative)
+        out[q] = (carried + relative)[:, :3]
+    return out
+
+
+def checked_hertz(frequencies: ArrayLike) -> Array:
+    """Return (Q,) frequencies, each in range [Hz]."""
+    hertz = check_array("frequencies", frequencies, (None,))
+    for value in hertz:
+        check_range("frequency", value, 0, 1e5, "Hz")
+    return hertz

@@ -10,7 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 from anther.checks import check_array
 from anther.elastic_rod import _springs
 from anther.elastic_rod._rods import Array, NaturalShape, Rods
-from anther.elastic_rod._vectors import compiled, cross, load, norm, scale, spin, store, subtract, transport
+from anther.elastic_rod._vectors import (
+    compiled,
+    cross,
+    halves,
+    load,
+    merged,
+    norm,
+    scale,
+    spin,
+    store,
+    subtract,
+    transport,
+)
 from anther.errors import bad_input
 
 SOFTER = 1.2
@@ -324,3 +336,13 @@ def spring_edges(x: Any, parent: Any, near: Any, far: Any, swapped: Any, j: int)
     if swapped[j]:
         e = scale(-1.0, e)
     return e, subtract(load(x, j), load(x, parent[j]))
+
+
+@merged
+def joint_ends(model: Model, x: Any, m1: Any, j: int) -> Any:
+    """Return the edge before joint j with its director, which of a planted root are the soil's, and edge j."""
+    if model.far[j] < 0:
+        e, m1e = halves(model.soil, j)
+        return e, m1e, subtract(load(x, j), load(x, model.parent[j]))
+    e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
+    return e, load(m1, model.near[j]), f

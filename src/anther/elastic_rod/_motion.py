@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from anther.checks import check_array, check_range
 from anther.elastic_rod._rods import Array, Rods
 from anther.errors import bad_input
+
+ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,14 +57,14 @@ class Clamp:
         """
         n = len(rods.nodes)
         for node in self.nodes:
-            _check_node("clamped node", int(node), n)
+            check_node("clamped node", int(node), n)
         held = np.isin(np.arange(n), self.nodes)
         free = np.ones((n, 4), dtype=np.bool_)
         free[held, :3] = False
         free[0, 3] = False
         free[1:, 3] = ~held[rods.parent[1:]] | (~held[1:] & (self.planted | (rods.parent[1:] != 0)))
         for node in driven:
-            _check_node("grip node", node, n)
+            check_node("grip node", node, n)
             if held[node]:
                 raise bad_input("grip node", given=node, allowed="a node that is not clamped", do="Grip higher up.")
             free[node, :3] = False
@@ -72,25 +74,8 @@ class Clamp:
         return free
 
 
-class Motion(Protocol):
-    """A prescribed motion of the grip."""
-
-    @property
-    def nodes(self) -> tuple[int, ...]:
-        """The driven nodes, the grip node first; they move as one body, and edges between them cannot twist in it."""
-        ...
-
-    def displacement(self, times: ArrayLike) -> Array:
-        """Return (T, 3) displacements [m] from the start position at (T,) times [s]."""
-        ...
-
-    def rotation(self, times: ArrayLike) -> Array:
-        """Return (T, 3) rotation vectors [rad] of the grip about its first node, from the start, at (T,) times [s]."""
-        ...
-
-
-class Straight:
-    """A grip that keeps its orientation, and holds `node` and the nodes of `also`."""
+class Motion:
+    """A prescribed motion of a grip that holds `node` and the nodes of `also`."""
 
     __slots__ = ()
     node: int
@@ -98,16 +83,20 @@ class Straight:
 
     @property
     def nodes(self) -> tuple[int, ...]:
-        """The driven nodes."""
+        """The driven nodes, the grip node first; they move as one body, and edges between them cannot twist in it."""
         return (self.node, *self.also)
 
+    def displacement(self, times: ArrayLike) -> Array:
+        """Return (T, 3) displacements [m] from the start position at (T,) times [s]."""
+        raise NotImplementedError
+
     def rotation(self, times: ArrayLike) -> Array:
-        """Return (T, 3) zeros: the grip keeps its orientation."""
+        """Return (T, 3) rotation vectors [rad] of the grip about its first node, from the start; here 0."""
         return np.zeros((*np.shape(times), 3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drive(Straight):
+class Drive(Motion):
     """A sinusoidal shake of the grip: amplitude * sin(2 pi frequency t) along a direction.
 
     Attributes:
@@ -141,7 +130,7 @@ class Drive(Straight):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SampledDrive(Straight):
+class SampledDrive(Motion):
     """Any motion of the grip, given by samples and interpolated linearly, for instance a recorded one.
 
     Attributes:
@@ -207,13 +196,14 @@ def unit_direction(direction: ArrayLike) -> Array:
     return check_array("direction", vector / length, (3,))
 
 
-def _check_node(name: str, node: int, count: int) -> None:
+def check_node(name: str, node: int, count: int) -> None:
+    """Refuse a node number outside 0 .. count - 1."""
     if not 0 <= node < count:
         raise bad_input(name, given=node, allowed=f"0 <= {name} <= {count - 1}", do="Check the node number.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Chirp(Straight):
+class Chirp(Motion):
     """A sweep: amplitude * sin of a phase whose frequency rises or falls linearly, then rest.
 
     Attributes:
@@ -253,7 +243,7 @@ class Chirp(Straight):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Burst(Straight):
+class Burst(Motion):
     """Repeated bursts of whole cycles that swell and fade (Hann window), with rests between them.
 
     Attributes:
@@ -287,3 +277,61 @@ class Burst(Straight):
         t = np.minimum(np.mod(np.asarray(times, dtype=np.float64), length + self.rest), length)
         wave = (0.5 - 0.5 * np.cos(2 * np.pi * t / length)) * np.sin(2 * np.pi * self.frequency * t)
         return (self.amplitude * wave)[..., None] * self.direction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rocking(Motion):
+    """Pads that swing and turn at one frequency: x(t) = Im(phasor exp(i w t)) less what it is at the start.
+
+    Attributes:
+        node: the grip node, about which the pads turn.
+        also: further nodes between the pads.
+        displacement_phasor: (3,) of the first node [m].
+        rotation_phasor: (3,) [rad]; small, since rotation vectors are added.
+        frequency: [Hz].
+    """
+
+    node: int
+    also: tuple[int, ...]
+    displacement_phasor: ComplexArray
+    rotation_phasor: ComplexArray
+    frequency: float
+
+    def displacement(self, times: ArrayLike) -> Array:
+        """Return (T, 3) displacements [m] from the start position at (T,) times [s]."""
+        return self._swung(times, self.displacement_phasor)
+
+    def rotation(self, times: ArrayLike) -> Array:
+        """Return (T, 3) rotation vectors [rad] about the first node, from the start, at (T,) times [s]."""
+        return self._swung(times, self.rotation_phasor)
+
+    def _swung(self, times: ArrayLike, phasor: ComplexArray) -> Array:
+        turned = np.exp(2j * np.pi * self.frequency * np.asarray(times, dtype=np.float64)) - 1
+        moved: Array = np.imag(turned[..., None] * phasor)
+        return moved
+
+
+@dataclass(frozen=True, slots=True)
+class Springs:
+    """Between gripper and pads, alike in all directions, about the grip's first node; infinite: nothing gives.
+
+    Attributes:
+        translation: [N/m].
+        rotation: [N m/rad]; towards 0 the grip becomes a pin.
+    """
+
+    translation: float = np.inf
+    rotation: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name, unit in (("translation", "N/m"), ("rotation", "N m/rad")):
+            if getattr(self, name) != np.inf:
+                check_range(f"stiffness in {name}", getattr(self, name), 1e-9, 1e15, unit)
+
+    @property
+    def compliance(self) -> Array:
+        """(6,) displacement per force [m/N], rotation per moment [rad/(N m)]."""
+        return np.repeat([1 / self.translation, 1 / self.rotation], 3)
+
+
+RIGID = Springs()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,21 +11,30 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from anther.checks import check_array, check_range, check_room
-from anther.elastic_rod._assembly import move_frames, new_blocks
+from anther.elastic_rod._assembly import move_frames, new_blocks, new_lanes
 from anther.elastic_rod._equilibrium import static_state
-from anther.elastic_rod._lanes import new_lanes
 from anther.elastic_rod._model import Model, build_model
 from anther.elastic_rod._motion import Clamp, Motion, gripped_edges
-from anther.elastic_rod._newton import State, Work, new_state
 from anther.elastic_rod._response import FINE
 from anther.elastic_rod._rods import GRAVITY, Array, Rods
-from anther.elastic_rod._stepping import Grip, Output, Settings, advance, energies, record
+from anther.elastic_rod._stepping import (
+    Grip,
+    Output,
+    Settings,
+    State,
+    Work,
+    advance,
+    energies,
+    new_state,
+    record,
+)
 from anther.errors import StageFailure, bad_input
 from anther.files import read_npz, understood, write_npz
 
 SCHEMA = 3
 
-PREDICTORS = ("inertia", "guess displacement", "none")
+NEWTON_LIMIT = 30
+"""Newton iterations of a step before it is split."""
 
 HALVINGS = 8
 """A step that Newton cannot solve, or that creates energy, is split in two, and its parts again, this many times."""
@@ -64,13 +73,10 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         t = len(self.times)
-        object.__setattr__(self, "times", check_array("trajectory times", self.times, (t,)))
-        object.__setattr__(self, "positions", check_array("trajectory positions", self.positions, (t, None, 3)))
-        object.__setattr__(self, "directors", check_array("directors", self.directors, self.positions.shape))
-        object.__setattr__(self, "energy", check_array("trajectory energy", self.energy, (t,)))
-        object.__setattr__(self, "grip_force", check_array("grip force", self.grip_force, (t, 3)))
-        object.__setattr__(self, "grip_moment", check_array("grip moment", self.grip_moment, (t, 3)))
-        object.__setattr__(self, "work", check_array("work", self.work, (t,)))
+        shapes = {"times": (t,), "positions": (t, None, 3), "directors": np.shape(self.positions), "energy": (t,)}
+        shapes |= {"grip_force": (t, 3), "grip_moment": (t, 3), "work": (t,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, check_array(f"trajectory {name}", getattr(self, name), shape))
 
     def displacement(self, node: int) -> Array:
         """Return (T, 3) displacement of a node from its start [m]."""
@@ -78,20 +84,9 @@ class Trajectory:
 
     def save(self, path: Path | str) -> None:
         """Write an .npz (kind 'rod trajectory', schema 3)."""
-        counts = np.array([self.newton_iterations, self.split_steps])
-        write_npz(
-            path,
-            "rod trajectory",
-            SCHEMA,
-            times=self.times,
-            positions=self.positions,
-            directors=self.directors,
-            energy=self.energy,
-            grip_force=self.grip_force,
-            grip_moment=self.grip_moment,
-            work=self.work,
-            counts=counts,
-        )
+        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
+        counts = [arrays.pop(name) for name in ("newton_iterations", "split_steps")]
+        write_npz(path, "rod trajectory", SCHEMA, **arrays, counts=counts)
 
     @classmethod
     def load(cls, path: Path | str) -> Trajectory:
@@ -114,8 +109,6 @@ def simulate(
     start: Literal["equilibrium", "scanned"] = "equilibrium",
     tolerance: float = 1e-8,
     record_every: int = 1,
-    newton_limit: int = 30,
-    predictor: Literal["inertia", "guess displacement", "none"] = "inertia",
     moving: tuple[Array, Array] | None = None,
 ) -> Trajectory:
     """Step the rods through time.
@@ -133,10 +126,6 @@ def simulate(
         tolerance: accepted norm of the residual force [N]; a step is also accepted when Newton's correction has
             fallen to rounding noise (1e-12 m).
         record_every: keep every k-th step.
-        newton_limit: Newton iterations per step before it is split.
-        predictor: where Newton starts: each node goes on with its velocity; the four nodes on either side of the grip
-            go along with it, less the farther away (the paper's guess displacement, P21); or nothing moves. The
-            result does not depend on it beyond the tolerance.
         moving: displacements [m] and spins [rad] (N, 4) from `start`, and their rates (N, 4), with which to begin
             instead of at rest, for instance those of `steady_motion`; the drive must begin likewise.
 
@@ -145,49 +134,22 @@ def simulate(
         StageFailure: kind "no_convergence", with the time and the residual, when a step cannot be solved even after
             splitting, or when no stable equilibrium exists.
     """
-    run = prepare(
-        rods, clamp, drive, duration, dt, gravity, integrator, start, tolerance, record_every, newton_limit, predictor,
-        moving,
-    )  # fmt: skip
-    return run.trajectory()
-
-
-def prepare(
-    rods: Rods,
-    clamp: Clamp,
-    drive: Motion | None,
-    duration: float,
-    dt: float,
-    gravity: ArrayLike,
-    integrator: str,
-    start: str,
-    tolerance: float,
-    record_every: int,
-    newton_limit: int = 30,
-    predictor: str = "inertia",
-    moving: tuple[Array, Array] | None = None,
-) -> Integration:
-    """Return a simulation ready to be stepped; arguments and errors as of `simulate`."""
     steps = _check_steps(duration, dt, record_every)
     if integrator not in ("midpoint", "implicit_euler"):
         raise bad_input("integrator", given=integrator, allowed="midpoint or implicit_euler", do="Check the spelling.")
     if start not in ("equilibrium", "scanned"):
         raise bad_input("start", given=start, allowed="equilibrium or scanned", do="Check the spelling.")
-    if predictor not in PREDICTORS:
-        raise bad_input("predictor", given=predictor, allowed=", ".join(PREDICTORS), do="Check the spelling.")
+    nodes = () if drive is None else drive.nodes
     model, frames = build_model(rods, gravity, clamp.planted)
-    free = clamp.free(rods, () if drive is None else drive.nodes)
+    free = clamp.free(rods, nodes)
     if start == "equilibrium":
         state = static_state(model, frames, rods.nodes, clamp.free(rods))
     else:
         state = new_state(rods.nodes, frames)
     if moving is not None:
-        state = _set_moving(model, state, *moving, () if drive is None else drive.nodes)
-    settings = Settings(dt, integrator == "midpoint", float(predictor == "inertia"), tolerance, newton_limit, True)
-    run = Integration(model, free, state, drive, settings, steps, record_every)
-    if predictor == "guess displacement":
-        run.guess = _guess_shares(rods.parent, run.nodes)
-    return run
+        state = _set_moving(model, state, *moving, nodes)
+    settings = Settings(dt, integrator == "midpoint", tolerance, NEWTON_LIMIT, balance=True)
+    return _Run(model, free, state, drive, settings).trajectory(steps, record_every)
 
 
 def _set_moving(model: Model, rest: State, displacement: Array, rate: Array, grip: tuple[int, ...]) -> State:
@@ -215,19 +177,6 @@ def _set_moving(model: Model, rest: State, displacement: Array, rate: Array, gri
     return state
 
 
-def _guess_shares(parent: Any, grip: Any) -> Array:
-    """Return (N,) the share of the grip's displacement that Newton first gives each node: 0.8 .. 0.2, then 0."""
-    shares = np.zeros(len(parent))
-    shares[grip] = 1
-    for share in (0.8, 0.6, 0.4, 0.2):
-        reached = shares > 0
-        beside = np.zeros_like(reached)
-        beside[1:] = reached[parent[1:]]
-        np.logical_or.at(beside, parent[1:], reached[1:])
-        shares[beside & ~reached] = share
-    return shares
-
-
 def _check_steps(duration: float, dt: float, record_every: int) -> int:
     check_range("time step", dt, 1e-9, 10, "s")
     check_range("duration", duration, dt, 1e7 * dt, "s")
@@ -236,62 +185,39 @@ def _check_steps(duration: float, dt: float, record_every: int) -> int:
     return steps // record_every * record_every
 
 
-class Integration:
+class _Run:
     """One simulation: the constants, the moving state, and the splitting of steps that do not converge."""
 
-    def __init__(
-        self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings, steps: int, every: int
-    ) -> None:
+    def __init__(self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings) -> None:
         n, frames = len(state.x), state.frames
         self.model, self.free, self.state, self.drive, self.settings = model, free, state, drive, settings
-        self.steps, self.every = steps, every
         self.nodes = np.array(() if drive is None else drive.nodes, dtype=np.int64)
         self.edges = gripped_edges(model.parent, tuple(self.nodes.tolist()))
-        self.home, self.director = state.x[self.nodes].copy(), frames.m1[self.edges].copy()
-        self.guess = np.zeros(n)
+        self.home, self.director = state.x[self.nodes], frames.m1[self.edges]
         mid, end = new_state(state.x, frames), new_state(state.x, frames)
         self.work = Work(mid, end, np.zeros(n), np.zeros((n, 4)), new_blocks(n), np.zeros(3))
-        stored, total = energies(model, state)
-        self.work.energy[:] = total, stored, 0
-        self.first_x, self.first_m1 = state.x.copy(), frames.m1.copy()
-        self.first_energy, self.first_stored = total, stored
+        self.work.energy[1], self.work.energy[0] = energies(model, state)
         self.iterations = self.splits = 0
 
-    def trajectory(self) -> Trajectory:
-        """Take all steps."""
-        steps, every, dt = self.steps, self.every, self.settings.dt
-        out, grip = new_output(steps // every, len(self.state.x)), self.grip(self.step_times())
+    def trajectory(self, steps: int, every: int) -> Trajectory:
+        """Take all steps.
+
+        Raises:
+            StageFailure: kind "no_convergence": a step cannot be taken, or the energy grows by itself.
+        """
+        dt, stored = self.settings.dt, self.work.energy[1]
+        times = np.arange(steps + 1, dtype=np.float64) * dt
+        out, grip = new_output(steps // every + 1, len(self.state.x)), self.grip(times)
+        record(self.model, grip, self.state, self.work, out, 0)
         done, residual = self._advance(grip, self.settings, 0, steps, every, out)
         while done < steps:
             self._split(done * dt, dt, residual, HALVINGS)
             done += 1
             if done % every == 0:
-                record(self.model, grip, self.state, self.work, out, done // every - 1)
+                record(self.model, grip, self.state, self.work, out, done // every)
             done, residual = self._advance(grip, self.settings, done, steps, every, out)
-        return self.recorded(out)
-
-    def step_times(self) -> Array:
-        """Return (S + 1,) the ends of the steps [s]."""
-        return np.arange(self.steps + 1, dtype=np.float64) * self.settings.dt
-
-    def recorded(self, out: Output) -> Trajectory:
-        """Return what was recorded, after the start.
-
-        Raises:
-            StageFailure: kind "no_convergence": the energy grows by itself.
-        """
-        trajectory = Trajectory(
-            times=self.step_times()[:: self.every],
-            positions=np.concatenate([self.first_x[None], out.x]),
-            directors=np.concatenate([self.first_m1[None], out.director]),
-            energy=np.concatenate([[self.first_energy], out.energy]),
-            grip_force=np.concatenate([np.zeros((1, 3)), out.force]),
-            grip_moment=np.concatenate([np.zeros((1, 3)), out.moment]),
-            work=np.concatenate([[0.0], out.work]),
-            newton_iterations=self.iterations,
-            split_steps=self.splits,
-        )
-        _refuse_free_energy(trajectory, self.model, self.first_stored)
+        trajectory = Trajectory(times[::every], *out, newton_iterations=self.iterations, split_steps=self.splits)
+        _refuse_free_energy(trajectory, self.model, stored)
         return trajectory
 
     def _split(self, t0: float, dt: float, residual: float, halvings: int) -> None:
@@ -314,11 +240,11 @@ class Integration:
         """Return what the gripper prescribes at (S + 1,) times [s]."""
         if self.drive is None:
             nothing = np.zeros((len(times), 0, 3))
-            return Grip(self.nodes, self.edges, nothing, nothing, self.guess)
+            return Grip(self.nodes, self.edges, nothing, nothing)
         turn = Rotation.from_rotvec(self.drive.rotation(times)).as_matrix()
         levers = np.einsum("tij,pj->tpi", turn, self.home - self.home[0])
         x = self.home[0] + self.drive.displacement(times)[:, None] + levers
-        return Grip(self.nodes, self.edges, x, np.einsum("tij,qj->tqi", turn, self.director), self.guess)
+        return Grip(self.nodes, self.edges, x, np.einsum("tij,qj->tqi", turn, self.director))
 
     def _advance(
         self, grip: Grip, settings: Settings, first: int, steps: int, every: int, out: Output

@@ -1,33 +1,58 @@
-"""Bend and twist of one spring, between edge m (from node o to m) and edge j (from m to j): energy and derivatives.
+"""Bend and twist of one spring, between edge e and edge f, which goes on where e ends: energy and derivatives.
 
 Discrete elastic rods (Bergou et al. 2008, 2010; curvatures as in the paper's row P19). Derivatives are taken at the
 point where the frames are (a spin-free change of an edge carries its frame by parallel transport), so that the Hessian
 is the symmetric one of an energy (as in Panetta et al. 2019, X-shells). A material frame is its first director m1; the
-second is m2 = t x m1. Stretch E = EA/2 eps^2 l (P18) of edge j is added to its spring.
+second is m2 = t x m1. Stretch E = EA/2 eps^2 l (P18) of edge f is added to its spring.
 
-Names: e and f are the vectors of edges m and j, t their unit tangents, kb the curvature binormal, chi = 1 + te . tf.
+Names: e and f are the vectors of the edges, t their unit tangents, kb the curvature binormal, chi = 1 + te . tf.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from anther.elastic_rod import _lanes as lanes
-from anther.elastic_rod._lanes import LANES, get, get3, get6, put, put3, put6, put9
 from anther.elastic_rod._vectors import (
+    LANES,
     Vector,
     add,
     combine,
     compiled,
     cross,
     dot,
+    get,
+    get3,
+    get6,
     merged,
     norm,
+    put,
+    put3,
+    put6,
+    put9,
     scale,
     spin,
-    subtract,
     transport,
+    twist_angle,
 )
+
+EDGE_E, EDGE_F, DIRECTOR_E, DIRECTOR_F, SPEED_E, SPEED_F = 0, 3, 6, 9, 12, 15  # three rows each
+SPIN_E, SPIN_F, TWIST = 18, 19, 20
+JOINT, VISCOUS, CURVATURE_1, CURVATURE_2, NATURAL_TWIST = 21, 27, 28, 29, 30  # JOINT has six rows
+STRETCH, LENGTH, START_F = 31, 32, 33  # START_F has three rows
+"""Input rows of the lanes, of a spring between edges e and f: geometry, then material."""
+
+FORCE_E, FORCE_F, MOMENT_E, MOMENT_F = 36, 39, 42, 43
+EE, FF, FE = 44, 50, 56  # symmetric: 00, 01, 11, 02, 12, 22; FE has nine rows: rows of f, columns of e
+SPIN_E_E, SPIN_E_F, SPIN_F_E, SPIN_F_F = 65, 68, 71, 74  # spin of one against the vector of the other
+SPINS = 77  # of e with e, e with f, f with f
+ROWS = 80
+"""Output rows: gradient and Hessian by the vectors and the spins of both edges."""
+
+SINE, COSINE = 36, 37
+"""Output rows for the twist: its sine and cosine."""
+
+OLD_EDGE, NEW_EDGE, OLD_DIRECTOR, TURN, NEW_DIRECTOR = 0, 3, 6, 9, 10
+"""Rows for moving the frame of an edge: four inputs, one output."""
 
 
 class Bent(NamedTuple):
@@ -70,29 +95,37 @@ def curvatures(b: Bent, m1e: Vector, m1f: Vector) -> Any:
 
 @merged
 def twist_parts(b: Bent, m1e: Vector, m1f: Vector) -> tuple[float, float]:
-    """Return sine and cosine of the twist from edge m to edge j."""
+    """Return sine and cosine of the twist from edge e to edge f."""
     carried = transport(m1e, b.te, b.tf)
     return dot(cross(carried, m1f), b.tf), dot(carried, m1f)
 
 
 @merged
+def strains(b: Bent, m1e: Vector, m1f: Vector, twist: float) -> Vector:
+    """Return (kappa1, kappa2, twist [rad]), the twist on the branch nearest to the given one."""
+    k1, k2 = curvatures(b, m1e, m1f)
+    sine, cosine = twist_parts(b, m1e, m1f)
+    return k1, k2, twist_angle(sine, cosine, twist)
+
+
+@merged
 def twist_lanes(buffer: Any) -> None:
-    """Fill the rows SINE and COSINE of all lanes."""
+    """Fill the rows SINE and COSINE of all"""
     for i in range(LANES):
-        b = bent(get3(buffer, lanes.EDGE_M, i), get3(buffer, lanes.EDGE_J, i))
-        sine, cosine = twist_parts(b, get3(buffer, lanes.DIRECTOR_M, i), get3(buffer, lanes.DIRECTOR_J, i))
-        put(buffer, lanes.SINE, i, sine)
-        put(buffer, lanes.COSINE, i, cosine)
+        b = bent(get3(buffer, EDGE_E, i), get3(buffer, EDGE_F, i))
+        sine, cosine = twist_parts(b, get3(buffer, DIRECTOR_E, i), get3(buffer, DIRECTOR_F, i))
+        put(buffer, SINE, i, sine)
+        put(buffer, COSINE, i, cosine)
 
 
 @merged
 def frame_lanes(b: Any) -> None:
     """Carry the directors of all lanes from their old edges to the new ones and spin them."""
     for i in range(LANES):
-        old, new = get3(b, lanes.OLD_EDGE, i), get3(b, lanes.NEW_EDGE, i)
+        old, new = get3(b, OLD_EDGE, i), get3(b, NEW_EDGE, i)
         t_old, t_new = scale(1 / norm(old), old), scale(1 / norm(new), new)
-        carried = transport(get3(b, lanes.OLD_DIRECTOR, i), t_old, t_new)
-        put3(b, lanes.NEW_DIRECTOR, i, spin(carried, t_new, get(b, lanes.TURN, i)))
+        carried = transport(get3(b, OLD_DIRECTOR, i), t_old, t_new)
+        put3(b, NEW_DIRECTOR, i, spin(carried, t_new, get(b, TURN, i)))
 
 
 @merged
@@ -143,12 +176,6 @@ def _sum(a: Any, b: Any) -> Any:
 @merged
 def _plus_identity(s: float, a: Any) -> Any:
     return (a[0] + s, a[1], a[2] + s, a[3], a[4], a[5] + s)
-
-
-@merged
-def _rows(s: Any) -> Any:
-    """Return the rows of a symmetric matrix."""
-    return (s[0], s[1], s[3]), (s[1], s[2], s[4]), (s[3], s[4], s[5])
 
 
 @merged
@@ -213,10 +240,10 @@ def _crossed(b: Bent, on_e: Vector, on_f: Vector, wt: Vector, k: float, s3: floa
 
 
 @merged
-def _put_position_blocks(
+def _put_edge_blocks(
     buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: Any, we: Vector, wf: Vector, stretch: Any
 ) -> None:
-    """Write the Hessian in the positions of nodes j, m, o. Bending is both curvatures at once.
+    """Write the Hessian in the edge vectors. Bending is both curvatures at once.
 
     stress1 kappa1 + stress2 kappa2 = kb . (we + wf) / 2 with w = stress1 m2 - stress2 m1.
     """
@@ -234,14 +261,9 @@ def _put_position_blocks(
     fe = _sum9(1.0, _outer(g1.f, h1), 1.0, _outer(g2.f, h2))
     fe = _sum9(1.0, fe, 1.0, _outer(g3.f, h3))
     fe = _sum9(1.0, fe, per_e * per_f, _crossed(b, on_e, on_f, wt, k, s3))
-    ef = (fe[0][0], fe[1][0], fe[2][0]), (fe[0][1], fe[1][1], fe[2][1]), (fe[0][2], fe[1][2], fe[2][2])
-    put6(buffer, lanes.JJ, i, ff)
-    put6(buffer, lanes.OO, i, ee)
-    mm = _sum9(1.0, _sum9(1.0, _rows(ee), 1.0, _rows(ff)), -1.0, _sum9(1.0, fe, 1.0, ef))
-    put6(buffer, lanes.MM, i, (mm[0][0], mm[0][1], mm[1][1], mm[0][2], mm[1][2], mm[2][2]))
-    put9(buffer, lanes.JM, i, _sum9(1.0, fe, -1.0, _rows(ff)))
-    put9(buffer, lanes.JO, i, _sum9(-1.0, fe, 0.0, fe))
-    put9(buffer, lanes.MO, i, _sum9(1.0, fe, -1.0, _rows(ee)))
+    put6(buffer, FF, i, ff)
+    put6(buffer, EE, i, ee)
+    put9(buffer, FE, i, fe)
 
 
 @merged
@@ -264,7 +286,7 @@ def _along(G: Any, u: Vector) -> Any:
 
 @merged
 def _put_spin_blocks(buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: Any, m1: Any, w: Any) -> None:
-    """Write the Hessian in the spins of edges j and m, against each other and against the positions."""
+    """Write the Hessian in the spins of both edges, against each other and against the edge vectors."""
     s1, s2, _ = stress
     (m1e, m1f), (we, wf) = m1, w
     spin_e = (G[0].spin_e, G[1].spin_e, G[2].spin_e)
@@ -272,19 +294,14 @@ def _put_spin_blocks(buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: An
     moment_e, moment_f = moments(W, spin_e), moments(W, spin_f)
     by_e, by_f = _along(G, moment_e)
     on_e, on_f = _turned(b, combine(-s1, m1e, -s2, cross(b.te, m1e)))
-    on_e, on_f = add(by_e, on_e), add(by_f, on_f)
-    put3(buffer, lanes.TURN_M_J, i, on_f)
-    put3(buffer, lanes.TURN_M_M, i, subtract(on_e, on_f))
-    put3(buffer, lanes.TURN_M_O, i, scale(-1.0, on_e))
+    put3(buffer, SPIN_E_E, i, add(by_e, on_e))
+    put3(buffer, SPIN_E_F, i, add(by_f, on_f))
     by_e, by_f = _along(G, moment_f)
     on_e, on_f = _turned(b, combine(-s1, m1f, -s2, cross(b.tf, m1f)))
-    on_e, on_f = add(by_e, on_e), add(by_f, on_f)
-    put3(buffer, lanes.TURN_J_J, i, on_f)
-    put3(buffer, lanes.TURN_J_M, i, subtract(on_e, on_f))
-    put3(buffer, lanes.TURN_J_O, i, scale(-1.0, on_e))
-    put(buffer, lanes.TURN_MM, i, dot(moment_e, spin_e) - 0.5 * dot(b.kb, we))
-    put(buffer, lanes.TURN_MJ, i, dot(moment_e, spin_f))
-    put(buffer, lanes.TURN_JJ, i, dot(moment_f, spin_f) - 0.5 * dot(b.kb, wf))
+    put3(buffer, SPIN_F_E, i, add(by_e, on_e))
+    put3(buffer, SPIN_F_F, i, add(by_f, on_f))
+    ee, ff = dot(moment_e, spin_e) - 0.5 * dot(b.kb, we), dot(moment_f, spin_f) - 0.5 * dot(b.kb, wf)
+    put3(buffer, SPINS, i, (ee, dot(moment_e, spin_f), ff))
 
 
 @merged
@@ -292,32 +309,30 @@ def _put_forces(buffer: Any, i: int, G: Any, stress: Vector, tension: Vector) ->
     g1, g2, _ = G
     s1, s2, s3 = stress
     by_e, by_f = _along(G, stress)
-    by_f = add(by_f, tension)
-    put3(buffer, lanes.FORCE_J, i, by_f)
-    put3(buffer, lanes.FORCE_M, i, subtract(by_e, by_f))
-    put3(buffer, lanes.FORCE_O, i, scale(-1.0, by_e))
-    put(buffer, lanes.MOMENT_J, i, s1 * g1.spin_f + s2 * g2.spin_f + s3)
-    put(buffer, lanes.MOMENT_M, i, s1 * g1.spin_e + s2 * g2.spin_e - s3)
+    put3(buffer, FORCE_E, i, by_e)
+    put3(buffer, FORCE_F, i, add(by_f, tension))
+    put(buffer, MOMENT_E, i, s1 * g1.spin_e + s2 * g2.spin_e - s3)
+    put(buffer, MOMENT_F, i, s1 * g1.spin_f + s2 * g2.spin_f + s3)
 
 
 @merged
 def _stress(buffer: Any, i: int, k: Any, G: Any, ve: Vector, vf: Vector) -> Vector:
     """Return the moments of bend and twist [N m]: stiffness times (strain + viscous time times strain rate)."""
     spin_e, spin_f, lag = (
-        get(buffer, lanes.SPIN_M, i),
-        get(buffer, lanes.SPIN_J, i),
-        get(buffer, lanes.VISCOUS, i),
+        get(buffer, SPIN_E, i),
+        get(buffer, SPIN_F, i),
+        get(buffer, VISCOUS, i),
     )
-    s1 = k[0] - get(buffer, lanes.CURVATURE_1, i) + lag * rate_of(G[0], ve, vf, spin_e, spin_f)
-    s2 = k[1] - get(buffer, lanes.CURVATURE_2, i) + lag * rate_of(G[1], ve, vf, spin_e, spin_f)
-    s3 = get(buffer, lanes.TWIST, i) - get(buffer, lanes.NATURAL_TWIST, i)
+    s1 = k[0] - get(buffer, CURVATURE_1, i) + lag * rate_of(G[0], ve, vf, spin_e, spin_f)
+    s2 = k[1] - get(buffer, CURVATURE_2, i) + lag * rate_of(G[1], ve, vf, spin_e, spin_f)
+    s3 = get(buffer, TWIST, i) - get(buffer, NATURAL_TWIST, i)
     s3 += lag * rate_of(G[2], ve, vf, spin_e, spin_f)
-    return moments(get6(buffer, lanes.JOINT, i), (s1, s2, s3))
+    return moments(get6(buffer, JOINT, i), (s1, s2, s3))
 
 
 @merged
 def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) -> Any:
-    """Return the tension of edge j as a vector [N], and its Hessian.
+    """Return the tension of edge f as a vector [N], and its Hessian.
 
     The elastic force is EA (1/l - 1/r) f with r the length of f. In a midpoint step, f is the edge at its middle and r
     the mean of the lengths at its start and end: then the force does exactly the work by which the stretch energy
@@ -326,11 +341,11 @@ def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) 
     what is left out lets an error across the edge cause one along it, but not the reverse, so Newton hardly notices.
     """
     EA, natural, lag = (
-        get(buffer, lanes.STRETCH, i),
-        get(buffer, lanes.LENGTH, i),
-        get(buffer, lanes.VISCOUS, i),
+        get(buffer, STRETCH, i),
+        get(buffer, LENGTH, i),
+        get(buffer, VISCOUS, i),
     )
-    start = get3(buffer, lanes.START_J, i)
+    start = get3(buffer, START_F, i)
     end = combine(2.0, f, -1.0, start)
     per_end = 1 / norm(end)
     per_r = 2 / (norm(start) + 1 / per_end)
@@ -349,20 +364,20 @@ def spring_lanes(buffer: Any, rate: float) -> None:
     The Hessian of the Kelvin-Voigt part leaves out the change of the gradient with position, which is unsymmetric.
     """
     for i in range(LANES):
-        m1e, m1f = get3(buffer, lanes.DIRECTOR_M, i), get3(buffer, lanes.DIRECTOR_J, i)
-        ve, vf = get3(buffer, lanes.SPEED_M, i), get3(buffer, lanes.SPEED_J, i)
-        f = get3(buffer, lanes.EDGE_J, i)
-        b = bent(get3(buffer, lanes.EDGE_M, i), f)
+        m1e, m1f = get3(buffer, DIRECTOR_E, i), get3(buffer, DIRECTOR_F, i)
+        ve, vf = get3(buffer, SPEED_E, i), get3(buffer, SPEED_F, i)
+        f = get3(buffer, EDGE_F, i)
+        b = bent(get3(buffer, EDGE_E, i), f)
         G = gradients(b, m1e, m1f)
         stress = _stress(buffer, i, curvatures(b, m1e, m1f), G, ve, vf)
         tension, stretch = stretched(buffer, i, rate, b, f, vf)
         _put_forces(buffer, i, G, stress, tension)
-        stiffer = 1 + get(buffer, lanes.VISCOUS, i) * rate
-        a, c = get3(buffer, lanes.JOINT, i), get3(buffer, lanes.JOINT + 3, i)
+        stiffer = 1 + get(buffer, VISCOUS, i) * rate
+        a, c = get3(buffer, JOINT, i), get3(buffer, JOINT + 3, i)
         a, c = scale(stiffer, a), scale(stiffer, c)
         W = (a[0], a[1], a[2], c[0], c[1], c[2])
         s1, s2, _ = stress
         we = combine(s1, cross(b.te, m1e), -s2, m1e)
         wf = combine(s1, cross(b.tf, m1f), -s2, m1f)
-        _put_position_blocks(buffer, i, b, G, stress, W, we, wf, stretch)
+        _put_edge_blocks(buffer, i, b, G, stress, W, we, wf, stretch)
         _put_spin_blocks(buffer, i, b, G, stress, W, (m1e, m1f), (we, wf))

@@ -8,24 +8,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from anther.elastic_rod import _springs
-from anther.elastic_rod._model import Model, build_model, spring_edges
+from anther.elastic_rod._model import Model, build_model, joint_ends
 from anther.elastic_rod._rods import Array, Rods
-from anther.elastic_rod._vectors import (
-    add,
-    compiled,
-    cross,
-    halves,
-    load,
-    merged,
-    norm,
-    scale,
-    store,
-    subtract,
-    twist_angle,
-)
+from anther.elastic_rod._vectors import add, compiled, cross, load, norm, scale, store
 
 
 class Joints(NamedTuple):
@@ -49,20 +38,12 @@ def joints(rods: Rods, planted: bool = False) -> Joints:
     stresses is the moment, at kinks too. Viscous stresses are left out: strain is what is bent.
     """
     model, frames = build_model(rods, (0, 0, 0), planted)
-    n = len(rods.nodes)
-    slopes, turning = np.zeros((n, 3, 11)), np.zeros((n, 3, 3))
-    _slopes(model, rods.nodes, frames.m1, slopes, turning)
+    n, (slopes, unknown, turning) = len(rods.nodes), joint_slopes(model, rods.nodes, frames.m1)
     j = np.flatnonzero(model.joint[:, 0] > 0)
-    o, p = np.maximum(np.where(model.swapped, model.near, model.far), 0)[j], model.parent[j]
-    axes, spin = np.arange(3), np.full((len(j), 1), 3)
-    places = [4 * o[:, None] + axes, 4 * p[:, None] + axes, 4 * j[:, None] + axes]
-    unknown = np.concatenate([*places, 4 * model.near[j, None] + spin, 4 * j[:, None] + spin], axis=1)
-    column = np.repeat(unknown[:, None], 3, axis=1)
-    row = np.broadcast_to((3 * j[:, None] + axes)[..., None], column.shape)
+    column = np.repeat(unknown[j, None], 3, axis=1)
+    row = np.broadcast_to((3 * j[:, None] + np.arange(3))[..., None], column.shape)
     strains = csr_array((slopes[j].ravel(), (row.ravel(), column.ravel())), (3 * n, 4 * n))
-    w11, w12, w22, w13, w23, w33 = model.joint.T
-    stiffness = np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
-    return Joints(strains, turning @ stiffness)
+    return Joints(strains, turning @ joint_stiffness(model))
 
 
 def strain_changes(rods: Rods, positions: Array, directors: Array, planted: bool = False) -> Array:
@@ -80,13 +61,34 @@ def strain_changes(rods: Rods, positions: Array, directors: Array, planted: bool
     return out - rest
 
 
+def joint_stiffness(model: Model) -> Array:
+    """Return (N, 3, 3) the joints' stiffness on (kappa1, kappa2, twist) [N m]."""
+    w11, w12, w22, w13, w23, w33 = model.joint.T
+    return np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
+
+
+def joint_slopes(model: Model, x: Array, m1: Array) -> tuple[Array, NDArray[Any], Array]:
+    """Return the first derivatives of the joints' strains at positions and directors (N, 3).
+
+    They are slopes (N, 3, 11), the numbers (N, 11) of the unknowns by which they are (three nodes' positions, the spins
+    of the edge before and of edge j), and the columns m_k (N, 3, 3) of `joints`. Without a joint they are 0.
+    """
+    n = len(x)
+    slopes, turning, j = np.zeros((n, 3, 11)), np.zeros((n, 3, 3)), np.arange(n)[:, None]
+    _slopes(model, x, m1, slopes, turning)
+    o, p, a = (
+        np.maximum(k, 0)[:, None] for k in (np.where(model.swapped, model.near, model.far), model.parent, model.near)
+    )
+    axes = np.arange(3)
+    return slopes, np.hstack([4 * o + axes, 4 * p + axes, 4 * j + axes, 4 * a + 3, 4 * j + 3]), turning
+
+
 @compiled
 def _slopes(model: Model, x: Any, m1: Any, slopes: Any, turning: Any) -> None:
-    """Fill slopes (N, 3, 11) by x_o, x_p, x_j, spin of the near edge, spin of edge j, and turning: m_k by columns."""
     for j in range(1, len(x)):
         if model.joint[j, 0] == 0:
             continue
-        e, m1e, f = _ends(model, x, m1, j)
+        e, m1e, f = joint_ends(model, x, m1, j)
         gradients, moves = _springs.gradients(_springs.bent(e, f), m1e, load(m1, j)), model.far[j] >= 0
         for k in range(3):
             g = gradients[k]
@@ -100,25 +102,11 @@ def _slopes(model: Model, x: Any, m1: Any, slopes: Any, turning: Any) -> None:
             slopes[j, k, 10] = g.spin_f
 
 
-@merged
-def _ends(model: Model, x: Any, m1: Any, j: int) -> Any:
-    """Return the edge before joint j with its director, which of a planted root are the soil's, and edge j."""
-    if model.far[j] < 0:
-        e, m1e = halves(model.soil, j)
-        return e, m1e, subtract(load(x, j), load(x, model.parent[j]))
-    e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
-    return e, load(m1, model.near[j]), f
-
-
 @compiled
 def _strains(model: Model, x: Any, m1: Any, out: Any) -> None:
     """Fill (T, N, 3) the curvatures and the twist of every joint."""
     for t in range(len(x)):
         for j in range(1, len(model.far)):
-            if model.joint[j, 0] == 0:
-                continue
-            e, m1e, f = _ends(model, x[t], m1[t], j)
-            b, m1f = _springs.bent(e, f), load(m1[t], j)
-            kappa1, kappa2 = _springs.curvatures(b, m1e, m1f)
-            sine, cosine = _springs.twist_parts(b, m1e, m1f)
-            store(out[t], j, (kappa1, kappa2, twist_angle(sine, cosine, 0.0)))
+            if model.joint[j, 0] > 0:
+                e, m1e, f = joint_ends(model, x[t], m1[t], j)
+                store(out[t], j, _springs.strains(_springs.bent(e, f), m1e, load(m1[t], j), 0.0))

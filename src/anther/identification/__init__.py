@@ -13,25 +13,27 @@ from anther.identification._clamped_stem import (
     youngs_from_deflection,
     youngs_from_first_mode,
 )
-from anther.identification._estimates import Quantity, combine, disagreement, propagate
 from anther.identification._free_vibration import FreeVibration, fit_free_vibration, fitted_motion, mean_vibration
 from anther.identification._material_test import (
     Density,
     Identification,
     InstrumentErrors,
     MaterialTest,
+    Quantity,
+    combine,
     density_from_samples,
+    disagreement,
     identify,
+    propagate,
     read_material,
     write_material,
 )
 from anther.identification._observed import Felt, ObservedShake, feel
-from anther.identification._refinement import Expected, Params, Refinement, expect, flowers_at, loads_at, refine
+from anther.identification._refinement import Params, Refinement, refine
 
 __all__ = [
     "ClampedStem",
     "Density",
-    "Expected",
     "Felt",
     "FreeVibration",
     "Identification",
@@ -45,14 +47,11 @@ __all__ = [
     "combine",
     "density_from_samples",
     "disagreement",
-    "expect",
     "feel",
     "first_frequency",
     "fit_free_vibration",
     "fitted_motion",
-    "flowers_at",
     "identify",
-    "loads_at",
     "mean_vibration",
     "propagate",
     "read_material",

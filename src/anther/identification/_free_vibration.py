@@ -69,10 +69,13 @@ def fit_free_vibration(times: ArrayLike, displacement: ArrayLike) -> FreeVibrati
     bounds = ([0.2 * start, -0.2], [5 * start, 0.95])
     trials = [least_squares(residual, [start, z], bounds=bounds) for z in (0.01, 0.05, 0.2)]
     fit = min(trials, key=lambda trial: trial.cost)
-    spread = _standard_errors(fit, t, x / scale)
-    frequency, ratio = fit.x
-    explained = _explained(t, x / scale, fit)
-    return FreeVibration(float(frequency), float(ratio), float(spread[0]), float(spread[1]), explained)
+    errors = _standard_errors(fit, t, x / scale)
+    frequency, ratio = (float(value) for value in fit.x)
+    decay = max(ratio, 1e-9) / np.sqrt(1 - ratio**2) * 2 * np.pi * frequency
+    loud = t - t[0] <= max(np.log(10) / decay, 5 / frequency)
+    swing = (x / scale)[loud]
+    left = float(np.sum(fit.fun[loud] ** 2) / max(np.sum((swing - swing.mean()) ** 2), 1e-300))
+    return FreeVibration(frequency, ratio, float(errors[0]), float(errors[1]), 1 - left)
 
 
 def fitted_motion(fit: FreeVibration, times: ArrayLike, displacement: ArrayLike, at: ArrayLike | None = None) -> Array:
@@ -125,13 +128,6 @@ def _standard_errors(fit: Any, t: Array, x: Array) -> Array:
     variance = float(np.sum(fit.fun**2)) / max(len(t) - 5, 1)
     variance *= max(1.0, _colour(t, fit.fun, float(fit.x[0])))
     return np.sqrt(np.diag(np.linalg.pinv(J.T @ J))[:2] * variance)
-
-
-def _explained(t: Array, x: Array, fit: Any) -> float:
-    frequency, ratio = fit.x
-    decay = max(ratio, 1e-9) / np.sqrt(1 - ratio**2) * 2 * np.pi * frequency
-    loud = t - t[0] <= max(np.log(10) / decay, 5 / frequency)
-    return 1 - float(np.sum(fit.fun[loud] ** 2) / max(np.sum((x[loud] - x[loud].mean()) ** 2), 1e-300))
 
 
 def _colour(t: Array, residual: Array, frequency: float) -> float:

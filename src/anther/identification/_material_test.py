@@ -1,8 +1,13 @@
-"""A material test of one stem: density, stiffness and damping with uncertainty, and the material they make (P22)."""
+"""A material test of one stem: density, stiffness and damping with uncertainty, and the material they make (P22).
+
+Every source of error (radius, length, frequency, ...) has a standard error. An estimate keeps by how much its logarithm
+changes for one standard error of each source, so that errors shared by two estimates cancel in their difference and do
+not average out in their mean.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -20,15 +25,87 @@ from anther.identification._clamped_stem import (
     youngs_from_deflection,
     youngs_from_first_mode,
 )
-from anther.identification._estimates import DISAGREEMENT, Quantity, combine, disagreement, propagate
 from anther.identification._free_vibration import FreeVibration, mean_vibration
 from anther.plant import TOMATO, Material
 
 SCHEMA = 1
+DISAGREEMENT = 2.0
+"""Estimates farther apart than so many standard errors of their difference are called in disagreement [-]."""
 LEAST_EXPLAINED = 0.7
 """A fit that explains less of a trace's variance while it decays is warned about [-]."""
 LARGE_DROOP = 0.2
 """A horizontal stem that hangs lower than this share of its length is warned about [-]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A positive quantity with its error.
+
+    Attributes:
+        name: what it rests on.
+        value: in SI units.
+        shares: change of ln value per standard error of each source of error [-], signed; sources are independent.
+    """
+
+    name: str
+    value: float
+    shares: Mapping[str, float]
+
+    @property
+    def relative_error(self) -> float:
+        """Standard error of ln value [-]."""
+        return float(np.sqrt(sum(share**2 for share in self.shares.values())))
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error, in the value's units."""
+        return self.value * self.relative_error
+
+
+def propagate(
+    name: str, function: Callable[[Mapping[str, float]], float], errors: Mapping[str, float], **own: float
+) -> Quantity:
+    """Return the estimate function({}) with the errors of its inputs.
+
+    Linearised in the logarithm by central differences one standard error wide (GUM, JCGM 100:2008, 5.1.3 and its note
+    on numerical sensitivities), so that moderate curvature is averaged rather than missed.
+
+    Args:
+        name: of the estimate.
+        function: value for given shifts of the sources; a source not named is not shifted.
+        errors: standard error of each source, in the units in which `function` shifts it.
+        own: relative standard errors that belong to this estimate alone.
+    """
+    shares = {}
+    for source, error in errors.items():
+        if error > 0:
+            shares[source] = 0.5 * float(np.log(function({source: error}) / function({source: -error})))
+    return Quantity(name, function({}), shares | {k.replace("_", " "): v for k, v in own.items() if v > 0})
+
+
+def disagreement(a: Quantity, b: Quantity) -> float:
+    """Return |ln a - ln b| in standard errors of that difference."""
+    sources = a.shares.keys() | b.shares.keys()
+    error = np.sqrt(sum((a.shares.get(s, 0.0) - b.shares.get(s, 0.0)) ** 2 for s in sources))
+    return float(abs(np.log(a.value / b.value)) / max(error, 1e-12))
+
+
+def combine(a: Quantity, b: Quantity) -> Quantity:
+    """Return the geometric mean of two estimates that has the least variance.
+
+    The weights allow for shared errors and stay within 0 and 1. Where the two disagree, one of them has an error that
+    nobody stated: the weights are then equal, and half the distance is added as an error of its own.
+    """
+    sources = a.shares.keys() | b.shares.keys()
+    shared = sum(a.shares.get(s, 0.0) * b.shares.get(s, 0.0) for s in sources)
+    spread = a.relative_error**2 + b.relative_error**2 - 2 * shared
+    apart = disagreement(a, b) > DISAGREEMENT
+    weight = 0.5 if apart or spread < 1e-24 else float(np.clip((b.relative_error**2 - shared) / spread, 0, 1))
+    shares = {s: weight * a.shares.get(s, 0.0) + (1 - weight) * b.shares.get(s, 0.0) for s in sorted(sources)}
+    if apart:
+        shares["disagreement"] = 0.5 * float(abs(np.log(a.value / b.value)))
+    value = float(np.exp(weight * np.log(a.value) + (1 - weight) * np.log(b.value)))
+    return Quantity(f"{a.name} and {b.name}", value, shares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +240,7 @@ def identify(test: MaterialTest, prior: Material = TOMATO) -> Identification:
     Raises:
         InputError: nothing that gives a density, or a stem and readings that cannot belong together.
     """
-    samples = _samples(test)
-    density = _density(test, samples)
+    samples, density = _density(test)
     vibration = mean_vibration(test.plucks) if test.plucks else None
     estimates = tuple(e for e in (_from_vibration(test, density, vibration), _from_deflection(test, density)) if e)
     youngs = combine(*estimates) if len(estimates) == 2 else next(iter(estimates), None)
@@ -179,22 +255,17 @@ def identify(test: MaterialTest, prior: Material = TOMATO) -> Identification:
     )
 
 
-def _samples(test: MaterialTest) -> Density | None:
+def _density(test: MaterialTest) -> tuple[Density | None, Quantity]:
+    """Return the cut samples', and the density used; a single sample has the spread of the prior as its error."""
     if test.density is not None:
-        return None
+        check_range("density", test.density[0], 10, 5000, "kg/m3")
+        return None, propagate("given", test.density_at, {"density": test.density[1]})
     if not len(test.sample_mass):
         raise InputError("density: not given. Give cut samples (mass, radius, length), or a density [kg/m3].")
-    return density_from_samples(test.sample_mass, test.sample_radius, test.sample_length)
-
-
-def _density(test: MaterialTest, samples: Density | None) -> Quantity:
-    """Return the density; a single sample has the spread of the prior as its error."""
-    if samples is None:
-        assert test.density is not None
-        check_range("density", test.density[0], 10, 5000, "kg/m3")
-        return propagate("given", test.density_at, {"density": test.density[1]})
+    samples = density_from_samples(test.sample_mass, test.sample_radius, test.sample_length)
     scatter = samples.standard_error if len(test.sample_mass) > 1 else TOMATO.density_spread * samples.mean
-    return propagate("cut samples", test.density_at, {"density": scatter, "radius": test.errors.radius})
+    errors = {"density": scatter, "radius": test.errors.radius}
+    return samples, propagate("cut samples", test.density_at, errors)
 
 
 def _shape_errors(test: MaterialTest, density: Quantity) -> dict[str, float]:

@@ -1,27 +1,32 @@
-"""Refinement: a plant's material after shakes that were measured. F flowers, M members of an ensemble, K shakes."""
+"""Refinement: a plant's material after shakes that were measured.
+
+F flowers, S points of the stem, M members of an ensemble, D data.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from anther.checks import check_array, check_range
-from anther.elastic_rod import Array, unit_direction
+from anther.checks import check_range
+from anther.elastic_rod import Array
 from anther.errors import StageFailure, bad_input
-from anther.identification._observed import Errors, Misses, ObservedShake, log_amplitude, misses, told
+from anther.identification._observed import ObservedShake
 from anther.plant import LEARNED, Material, PlantModel
-from anther.shake.observables import semi_major
+from anther.shake.observables import ComplexArray, branch_of, semi_major
 from anther.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
-from anther.shake.params import FLOWER_SPREAD, LOAD_ERROR
-from anther.shake.search import Version, deviates, drawn_version, flower_motion, gains
+from anther.shake.search import Phasors, Version, answer, deviates, drawn_version, flower_motion
 
 CLOCK_ERROR = 0.02
 """Standard deviation of the camera's clock against the gripper's [s]; frames are stamped on arrival, up to a frame
 late at 30 Hz. It is learned with the plant."""
+STEPS, SEED = 4, 1
+"""In how many steps the measurements are told to the members, each time with errors so much larger that all steps
+together tell them once; and of the draws."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +35,6 @@ class Params:
 
     Attributes:
         members: drawn from the present belief.
-        steps: in which the measurements are told to the members, each time with errors so much larger that all steps
-            together tell them once.
         branch_spread: standard deviation of ln of a branch's stiffness about the stem's: scanned radii of branches are
             off by 15 %, stiffness goes with the fourth power (docs/reports/vibration_accuracy.md).
         model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what the draws explain
@@ -40,21 +43,17 @@ class Params:
         grip_error: standard deviation of ln of the modelled force in the grip, and of the modelled motion of the stem
             beside the pads relative to itself [-]; a guess, below that of flowers since no branch lies between.
         likeness: correlation of these errors between flowers of one branch [-], measured by us likewise.
-        seed: of the draws.
     """
 
     members: int = 128
-    steps: int = 4
     branch_spread: float = 0.5
     model_error: float = 0.3
     phase_error: float = 0.3
     grip_error: float = 0.25
     likeness: float = 0.5
-    seed: int = 1
 
     def __post_init__(self) -> None:
         check_range("members", self.members, 8, 100_000)
-        check_range("steps", self.steps, 1, 100)
         check_range("branch_spread", self.branch_spread, 0, 3)
         check_range("model_error", self.model_error, 0.01, 10)
         check_range("phase_error", self.phase_error, 0.01, 100)
@@ -69,41 +68,14 @@ class Refinement:
     Attributes:
         material: the belief afterwards; its stiffness and damping have moved and their spreads shrunk.
         pads: the same of the gripper's pads.
-        predicted_amplitude: (K, F) what the ensemble would now predict for the same shakes [m].
         notes: what the user should know.
         members: (M,) plants and pads that agree with what was measured, as far as is known.
     """
 
     material: Material
     pads: Pads
-    predicted_amplitude: Array
     notes: tuple[str, ...]
     members: Sequence[Version] = field(repr=False)
-
-    @property
-    def weights(self) -> Array:
-        """(M,) of the members, sum 1: all count alike."""
-        return np.full(len(self.members), 1 / len(self.members))
-
-    def amplitude_at(self, points: Array, direction: Array, frequencies: Array) -> Array:
-        """Return (G, Q, F) flower amplitudes per metre of other shakes: the geometric mean over the members.
-
-        A member's own amplitude near a resonance is that of its own stiffness; the mean of a belief's members, and not
-        what the mean material does, is what is believed of the amplitude.
-
-        Args:
-            points: (G, 3) where the stem is held, world [m].
-            direction: (3,) unit vector of the shake.
-            frequencies: (Q,) [Hz].
-        """
-        grips = self.grips(points)
-        logs = [log_amplitude(flower_motion(member, grips, direction, frequencies)) for member in self.members]
-        return np.swapaxes(np.exp(np.mean(logs, axis=0)), 0, 1)
-
-    def grips(self, points: Array) -> list[NDArray[Any]]:
-        """Return the rod nodes between the pads at each of (G, 3) points."""
-        plant, pads = self.members[0]
-        return pad_nodes(plant, grip_rows(plant, points), pads.width)
 
 
 def refine(
@@ -115,14 +87,14 @@ def refine(
     gain; the pads' two stiffnesses; and each branch's own stiffness), each member's flowers' motion in every shake
     follows from linear theory times the nonlinear correction of the plan. The members are then moved towards what was
     measured by an ensemble smoother with multiple data assimilation (Emerick and Reynolds 2013, "Ensemble smoother with
-    multiple data assimilation", Computers & Geosciences 55): `steps` Kalman updates of all drawn numbers, the gains
-    from the members' own covariances, the measurements perturbed for each member and their variances times `steps`.
+    multiple data assimilation", Computers & Geosciences 55): `STEPS` Kalman updates of all drawn numbers, the gains
+    from the members' own covariances, the measurements perturbed for each member and their variances times `STEPS`.
     What is told is ln amplitude and phase of every flower that was seen, the force in the grip, and the stem's motion
     beside the pads, which tell how far these give. The camera's clock is drawn besides. Flowers of one branch err alike
     (`likeness`). What all members miss by far has its error enlarged, as a Student-t likelihood with 4 degrees of
     freedom would, so that a flower mistaken for another does not decide alone.
     Of what `plant.LEARNED` names, the new material is moved and narrowed as the members were, and the pads likewise;
-    `Refinement.amplitude_at` predicts with the members themselves.
+    The members themselves predict.
 
     A flower that was followed but moved too little to be measured is left-censored: it counts with a member that moves
     it more than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.
@@ -146,20 +118,18 @@ def refine(
             given = f"{len(one.amplitude)} flowers"
             raise bad_input("response", given=given, allowed=f"the plant's {flowers}", do="Use its own response.")
     believed, useful = Version(plant, pads), [one for one in observed if not one.useless]
-    drawn = deviates(plant, params.members, params.seed)
-    rng = np.random.default_rng([params.seed, 1])
+    drawn = deviates(plant, params.members, SEED)
+    rng = np.random.default_rng([SEED, 1])
     first, z = _standing(believed, np.concatenate([drawn, rng.normal(size=(len(drawn), 1))], axis=1), params)
-    members, errors = first, Errors(params.model_error, params.phase_error, params.grip_error)
-    for _ in range(params.steps if useful else 0):
-        wrong = misses(plant, told(believed, members, useful), useful, CLOCK_ERROR * z[:, -1], errors)
+    members = first
+    for _ in range(STEPS if useful else 0):
+        wrong = misses(plant, told(believed, members, useful), useful, CLOCK_ERROR * z[:, -1], params)
         members, z = _standing(believed, z + _update(z, wrong, params, rng), params)
     before, after = ([m.plant.material for m in ms] for ms in (first, members))
     held_before, held_after = ([m.pads for m in ms] for ms in (first, members))
-    amplitude = [np.exp(log_amplitude(said.flowers).mean(axis=0)) for said in told(believed, members, observed)]
     return Refinement(
         plant.material.changed(**_moved(plant.material, before, after, LEARNED)) if useful else plant.material,
         replace(pads, **_moved(pads, held_before, held_after, PADS_LEARNED)) if useful else pads,
-        np.array(amplitude).reshape(len(observed), flowers),
         tuple(f"refinement: {one.useless}; the shake teaches nothing." for one in observed if one.useless),
         members,
     )
@@ -186,7 +156,7 @@ def _update(z: Array, wrong: Misses, params: Params, rng: np.random.Generator) -
     np.fill_diagonal(error, wrong.model**2 + wrong.own**2)
     usual = off.mean(axis=0) ** 2 / (np.diag(error) + off.var(axis=0))
     larger = np.sqrt(np.maximum((4 + usual) / 5, 1.0))  # weight of a Student-t with 4 degrees of freedom, inverted
-    error *= params.steps * np.outer(larger, larger)
+    error *= STEPS * np.outer(larger, larger)
     noise = rng.normal(size=off.shape) @ np.linalg.cholesky(error + 1e-12 * np.eye(len(error))).T
     said, drawn = wrong.miss.mean(axis=0) - wrong.miss, z - z.mean(axis=0)
     gain = np.linalg.solve(said.T @ said + (len(z) - 1) * error, said.T @ drawn)
@@ -208,112 +178,139 @@ def _moved(before: Any, drawn: Sequence[Any], now: Sequence[Any], learned: Mappi
     return moved
 
 
-NINETY = 1.645
-"""Standard deviations on either side that hold 90 % of a normal distribution."""
-
-SAME_PLACE, SAME_WAY, SAME_PITCH = 0.008, np.radians(5.0), 0.01
-"""A grip is the same within half the pads' width [m], a direction within this angle [rad], a frequency within this
-share: the response is another one at other grips and within 40 % of frequency (measured on simulated plants)."""
-
-NOT_LINEAR = 0.05
-"""Standard deviation of ln of how far a flower's gain changes when the shake grows: drag, wind, large bending."""
+ON_STEM = -1
+"""Of data that no branch has."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Expected:
-    """What a shake should do to the flowers.
+class Misses(NamedTuple):
+    """What members get wrong of D data.
 
     Attributes:
-        amplitude: (F,) semi-major axis of each flower's swing [m].
-        interval: (F, 2) that holds it in 90 % of cases [m].
-        measured: (F,) bool: this flower's motion was measured in the same shake, of whatever size.
+        miss: (M, D) measured minus predicted: of ln amplitude, of phase [rad], or relative.
+        bound: (D,) bool: the measurement is an upper bound, so that only a negative miss is one.
+        model: (D,) standard deviation of what the model gets wrong, alike where `kind` and `branch` are the same.
+        own: (D,) of the measurement itself.
+        kind: (D,) amplitudes, phases, ... of one shake have the same number.
+        branch: (D,) of the plant, or `ON_STEM`.
     """
 
-    amplitude: Array
-    interval: Array
-    measured: NDArray[np.bool_]
+    miss: Array
+    bound: NDArray[np.bool_]
+    model: Array
+    own: Array
+    kind: NDArray[Any]
+    branch: NDArray[Any]
 
 
-def expect(
-    learned: Refinement,
-    observed: Sequence[ObservedShake],
-    point: ArrayLike,
-    direction: ArrayLike,
-    frequency: float,
-    amplitude: float,
-) -> Expected:
-    """Return what a shake should do to the flowers.
+class Predicted(NamedTuple):
+    """What the members say of one shake, as phasors: flowers (M, F, 3) [m], stem (M, S, 3) [m], force (M, 3) [N]."""
 
-    A flower that was measured while the plant was held at the same place and shaken along the same direction at the
-    same frequency answers in proportion. Of the others the members of the ensemble speak.
+    flowers: ComplexArray
+    stem: ComplexArray
+    force: ComplexArray
+
+
+def told(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
+    """Return what the members say of every shake; the plan's flowers are reproduced for what it was made with.
+
+    Shakes in one hold are answered together, which costs little more than one of them.
 
     Args:
-        learned: from `refine`.
-        observed: the shakes it learned from.
-        point: (3,) where the stem is to be held, world [m].
-        direction: (3,) of the shake.
-        frequency: [Hz].
-        amplitude: of the gripper [m].
+        believed: the plant of the plans; the pads may be believed otherwise since.
+        members: M of them.
+        observed: the shakes.
     """
-    point, direction = check_array("grip point", point, (3,)), unit_direction(direction)
-    low, middle, high = amplitude * flowers_at(learned, point[None], direction, np.array([frequency]))[0, 0].T
-    known = np.zeros(len(middle), dtype=bool)
-    for one in observed:
-        if not _same(one, point, direction, frequency):
-            continue
-        moved = one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
-        seen = one.seen & (one.amplitude > 0)
-        middle = np.where(seen, amplitude / moved * one.amplitude, middle)
-        error = np.hypot(one.uncertainty / np.where(seen, one.amplitude, 1.0), NOT_LINEAR)
-        low, high = (
-            np.where(seen, middle * np.exp(side * NINETY * error), bound) for side, bound in ((-1, low), (1, high))
-        )
-        known |= seen
-    return Expected(middle, np.stack([low, high], axis=1), known)
+    holds = dict[tuple[float, ...], list[int]]()
+    for k, one in enumerate(observed):
+        holds.setdefault((*one.shake.grasp.point, *one.shake.direction), []).append(k)
+    out = dict[int, Predicted]()
+    for which in holds.values():
+        out |= zip(which, _of_one_hold(believed, members, [observed[k] for k in which]), strict=True)
+    return [out[k] for k in range(len(observed))]
 
 
-def flowers_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> Array:
-    """Return (G, Q, F, 3) the 5 %, 50 % and 95 % quantile of the flowers' amplitudes per metre of gripper motion.
+def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
+    (plant, pads), place = believed, observed[0].shake
+    grip = pad_nodes(plant, grip_rows(plant, place.grasp.point[None]), pads.width)
+    beside = [plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)] for one in observed]
+    frequencies, starts = np.array([one.shake.frequency for one in observed]), np.cumsum([len(b) for b in beside])
+    answers = [answer(member, grip, place.direction, frequencies, np.concatenate(beside)) for member in members]
+    flowers, stem, force = (np.array([a[k][:, 0] for a in answers]) for k in range(len(Phasors._fields)))
+    parts = np.split(stem, starts[:-1], axis=2)
+    out = list[Predicted]()
+    for k, one in enumerate(observed):
+        shake, moved = one.shake, one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
+        planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequencies[k : k + 1])[0, 0]
+        gain = shake.predicted_amplitude / shake.amplitude / np.maximum(semi_major(planned), 1e-12)
+        out.append(Predicted(moved * gain[:, None] * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
+    return out
 
-    The spread of the members, and by how far one flower differs from its plant whatever the material.
+
+def _nearest(nodes: Array, points: Array) -> NDArray[Any]:
+    return np.linalg.norm(nodes - points[:, None], axis=2).argmin(axis=1)
+
+
+def misses(
+    plant: PlantModel, said: Sequence[Predicted], observed: Sequence[ObservedShake], late: Array, params: Params
+) -> Misses:
+    """Return what members get wrong of all shakes.
 
     Args:
-        learned: from `refine`.
-        points: (G, 3) where the stem is held, world [m].
-        direction: (3,) unit vector of the shake.
-        frequencies: (Q,) [Hz].
+        plant: whose flowers they are.
+        said: by the members, of each shake.
+        observed: the shakes.
+        late: (M,) by which the camera's clock is late on the gripper's [s].
+        params: of the refinement.
     """
-    grips = learned.grips(points)
-    logs = np.array([_log(semi_major(flower_motion(m, grips, direction, frequencies))) for m in learned.members])
-    return np.moveaxis(_quantiles(logs, FLOWER_SPREAD), 1, 0)
+    branch = branch_of(plant)[plant.flower_nodes]
+    parts = list[Misses]()
+    for one, told_of in zip(observed, said, strict=True):
+        turned = np.exp(-2j * np.pi * one.shake.frequency * late)[:, None]
+        for part in (*_of_flowers(told_of, one, turned, branch, params), *_of_the_grip(told_of, one, turned, params)):
+            parts.append(part._replace(kind=np.full(len(part.own), len(parts))))
+    if not parts:
+        return _part(np.zeros((len(late), 0)), 0.0, 0.0)
+    return Misses(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
 
 
-def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> dict[str, Array]:
-    """Return, by kind, (G, Q, 3) the 5 %, 50 % and 95 % quantile of a plant's largest loads per metre of motion.
-
-    Kinds are those of `shake.params.LOAD_ERROR`; arguments as of `flowers_at`.
-    """
-    grips = learned.grips(points)
-    ways = np.broadcast_to(direction, (len(grips), 1, 3))
-    answer = gains(learned.members, grips, np.ascontiguousarray(ways), frequencies)
-    return {
-        kind: median * np.moveaxis(_quantiles(_log(getattr(answer, kind)[..., 0]), spread), 1, 0)
-        for kind, (median, spread) in LOAD_ERROR.items()
-    }
+def _part(miss: Array, model: float, own: Any, branch: Any = ON_STEM, *, bound: bool = False) -> Misses:
+    count = miss.shape[1]
+    own, branch = np.broadcast_to(own, count), np.broadcast_to(branch, count)
+    return Misses(miss, np.full(count, bound), np.full(count, model), own, np.zeros(count, int), branch)
 
 
-def _same(one: ObservedShake, point: Array, direction: Array, frequency: float) -> bool:
-    shake = one.shake
-    near = np.linalg.norm(shake.grasp.point - point) <= SAME_PLACE
-    along = abs(float(shake.direction @ direction)) >= np.cos(SAME_WAY)
-    return bool(near and along and abs(np.log(shake.frequency / frequency)) <= SAME_PITCH) and not one.useless
+def _of_flowers(
+    said: Predicted, one: ObservedShake, turned: ComplexArray, branch: NDArray[Any], params: Params
+) -> tuple[Misses, ...]:
+    """Return what is wrong with the flowers' amplitudes, bounds and phases."""
+    predicted, seen, faint = log_amplitude(said.flowers), one.seen, one.faint
+    certain = np.maximum(one.amplitude, one.uncertainty)[seen]
+    timed = np.isfinite(one.phase) & np.isfinite(one.phase_std)
+    along = turned * np.einsum("mfi,fi->mf", said.flowers[:, timed], one.axis[timed])
+    ahead = np.angle(along * np.exp(-1j * one.phase[timed]))
+    return (
+        _part(np.log(certain) - predicted[:, seen], params.model_error, one.uncertainty[seen] / certain, branch[seen]),
+        _part(np.log(one.at_most[faint]) - predicted[:, faint], params.model_error, 0.0, branch[faint], bound=True),
+        _part(-ahead, params.phase_error, one.phase_std[timed], branch[timed]),
+    )
 
 
-def _log(values: Array) -> Array:
-    return np.log(np.maximum(values, 1e-12))
+def _of_the_grip(said: Predicted, one: ObservedShake, turned: ComplexArray, params: Params) -> list[Misses]:
+    """Return what is wrong with the grip's force and with the stem's motion beside the pads."""
+    felt, beside, parts = one.felt, one.beside, list[Misses]()
+    if np.isfinite(felt.force):
+        square = np.sum(said.force**2, axis=1, keepdims=True)
+        larger = np.log(felt.force) - 0.5 * np.log(np.maximum(np.abs(square), 1e-18))
+        ahead = 0.5 * np.angle(square * np.exp(-2j * felt.force_phase))
+        parts += [_part(miss, params.grip_error, felt.force_std / felt.force) for miss in (larger, -ahead)]
+    if len(beside.points):
+        along = turned * np.einsum("msi,si->ms", said.stem, beside.axis)
+        size = np.maximum(np.abs(beside.motion), 1e-12)
+        wrong = (beside.motion - along) * np.exp(-1j * np.angle(beside.motion)) / size
+        parts += [_part(miss, params.grip_error, beside.std / size) for miss in (wrong.real, wrong.imag)]
+    return parts
 
 
-def _quantiles(logs: Array, spread: float) -> Array:
-    """Return (..., 3) quantiles of values with these logarithms (M, ...), of which each errs by `spread` besides."""
-    mean, deviation = logs.mean(axis=0), np.sqrt(logs.var(axis=0) + spread**2)
-    return np.exp(mean[..., None] + NINETY * deviation[..., None] * np.array([-1.0, 0.0, 1.0]))
+def log_amplitude(motion: ComplexArray) -> Array:
+    """Return ln of the semi-major axes of motion (..., 3)."""
+    return np.log(np.maximum(semi_major(motion), 1e-12))

@@ -31,8 +31,6 @@ __all__ = [
 
 SCHEMA = 3
 PEDICEL_PIECES = 3  # edges per pedicel
-LEAF_VOXEL = 0.006
-"""Size of the cubes that count leaf area [m]."""
 BLADE_STIFFNESS = 10.0
 """Bending stiffness of a blade with its rib over that of the rib alone [-]. An estimate: a strip 60 mm wide, 0.25 mm
 thick, of 75 MPa, folded by 2 to 5 mm, has 10 to 70 times that of a rib of 0.8 mm."""
@@ -212,8 +210,9 @@ def build_plant(
     """
     _check(skeleton, stem, flowers)
     rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
-    stem_edges, blade = (_marked(rods, ids) for ids in (stem.node_ids, np.flatnonzero(in_blade(skeleton, stem))))
-    stiffening = branch_stiffening(rods, stem_edges, is_pedicel, blade, BLADE_STIFFNESS)
+    edge = np.arange(len(rods.nodes))
+    on_stem, blade = (np.isin(edge, ids) for ids in (stem.node_ids, np.flatnonzero(in_blade(skeleton, stem))))
+    stiffening = branch_stiffening(rods, on_stem, is_pedicel, blade, BLADE_STIFFNESS)
     least = least_youngs(rods, Clamp.root(rods), is_pedicel, stiffening)
     if least is None:
         raise StageFailure(
@@ -268,13 +267,7 @@ def _rods(
     new = len(stalks.nodes)
     mass = np.zeros(len(radius) + new)
     if cloud is not None:
-        mass[: len(radius)] = leaf_mass(
-            skeleton,
-            stem,
-            cloud,
-            areal_density=params.areal_density,
-            voxel=LEAF_VOXEL,
-        )
+        mass[: len(radius)] = leaf_mass(skeleton, stem, cloud, areal_density=params.areal_density)
     leaves, inertia = float(mass.sum()), 0 * mass
     mass[stalks.tips] += params.flower_mass
     inertia[stalks.tips] = 0.4 * params.flower_mass * FLOWER_RADIUS**2
@@ -290,10 +283,6 @@ def _rods(
         lumped_inertia=inertia,
     )
     return rods, is_pedicel, stalks.tips, leaves
-
-
-def _marked(rods: Rods, nodes: NDArray[Any]) -> NDArray[np.bool_]:
-    return np.isin(np.arange(len(rods.nodes)), nodes)
 
 
 def _youngs_that_holds(material: Material, least: float, params: Params) -> tuple[Material, tuple[str, ...]]:

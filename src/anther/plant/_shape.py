@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from scipy.stats import theilslopes
 
 from anther.cloud import Cloud
-from anther.elastic_rod import Clamp, Rods, stands
+from anther.elastic_rod import Clamp, Rods, least_stiffness, stands
 from anther.flowers import Flowers
 from anther.geometry import Array, occupied_cells
 from anther.masks import FLOWER
@@ -29,6 +29,8 @@ BRANCH_SHARE = 0.7
 8-12 mm (facts: pollination 2 [R])."""
 LEAST_RADIUS = 0.5e-3
 """Of any stem or branch edge [m]."""
+LEAF_VOXEL = 0.006
+"""Size of the cubes that count leaf area, larger where the cloud is sparser [m]."""
 PEDUNCLE_RADIUS = 1.25e-3
 """Of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R])."""
 
@@ -89,7 +91,7 @@ def bar_radius(a: float, b: float) -> float:
     return float((3 * (a * b) ** 3 / (a * a + a * b + b * b)) ** 0.25)
 
 
-def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float, voxel: float) -> Array:
+def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float) -> Array:
     """Return the leaf mass (J,) that hangs at each node [kg]: blade area seen in the cloud times areal density.
 
     Points beside the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
@@ -101,14 +103,13 @@ def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: fl
         stem: which nodes are main stem.
         cloud: the plant's points; points labelled flower are left out.
         areal_density: of a blade [kg/m2].
-        voxel: side h of the cubes [m]; larger where the cloud is sparser.
     """
     mass = np.zeros(len(skeleton.nodes))
     points = _leaf_points(skeleton, stem, cloud)
     branch = np.flatnonzero(~_on_main_stem(stem, len(mass)))
     if len(points) < 10 or not len(branch):
         return mass
-    h = max(voxel, 2 * _spacing(points))
+    h = max(LEAF_VOXEL, 2 * _spacing(points))
     cubes = occupied_cells(points, h)
     nearest = branch[KDTree(skeleton.nodes[branch]).query((cubes + 0.5) * h)[1]]
     area = len(cubes) * h**3 / (1.5 * h + _thickness(points))
@@ -199,9 +200,7 @@ def _length(skeleton: Skeleton, j: int) -> float:
 
 
 def _on_main_stem(stem: Stem, count: int) -> NDArray[np.bool_]:
-    on_stem = np.zeros(count, dtype=bool)
-    on_stem[stem.node_ids] = True
-    return on_stem
+    return np.isin(np.arange(count), stem.node_ids)
 
 
 def _smooth(skeleton: Skeleton, stem: Stem) -> Array:
@@ -270,9 +269,6 @@ SOFTEST, STIFFEST = 1e4, 1e12
 def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening: Array) -> float | None:
     """Return Young's modulus of the main stem at which the rods just stand [Pa], within 2 %; None if none helps.
 
-    The weight's torques do not depend on the stiffness, so the tangent stiffness is E A - B and there is one such
-    value; it is bisected on a logarithmic scale.
-
     Args:
         rods: the rods; their natural shape is found anew for every value.
         clamp: what is held.
@@ -280,19 +276,8 @@ def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening:
         stiffening: (N,) Young's modulus of the others over the main stem's [-].
     """
 
-    def stands_with(log_youngs: float) -> bool:
-        youngs = np.where(fixed, rods.youngs, np.exp(log_youngs) * stiffening)
-        return stands(replace(rods, youngs=youngs, natural=None), clamp)
-
-    low, high = np.log(SOFTEST), np.log(STIFFEST)
-    if not stands_with(high):
-        return None
-    if stands_with(low):
-        return SOFTEST
-    while high - low > 0.02:
-        middle = (low + high) / 2
-        low, high = (low, middle) if stands_with(middle) else (middle, high)
-    return float(np.exp(high))
+    unit = replace(rods, youngs=np.where(fixed, rods.youngs, stiffening))
+    return least_stiffness(unit, clamp, fixed=fixed, between=(SOFTEST, STIFFEST), within=0.02)
 
 
 def branch_stiffening(

@@ -90,7 +90,7 @@ def steadily_shaken(plant: PlantModel, drive: Drive, springs: Springs = RIGID) -
     dt = float(np.tan(np.pi / STEPS) / (np.pi * drive.frequency))
     omega, rods = 2 * np.pi * drive.frequency, plant.rods_at(drive.frequency)
     linear = steady_motion(rods, plant.clamp, drive, springs=springs)
-    rocking = Rocking(drive.nodes, linear.pads[:3], linear.pads[3:], 1 / (STEPS * dt))
+    rocking = Rocking(drive.node, drive.also, linear.pads[:3], linear.pads[3:], 1 / (STEPS * dt))
     path = simulate(
         rods,
         plant.clamp,
