@@ -24,7 +24,7 @@ from anther.geometry import Array, transform
 from anther.sim import _plant_mechanics, arm_model
 from anther.sim._blades import add_blades
 from anther.sim._plant_mechanics import PlantMechanics
-from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant
 from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
 
@@ -330,7 +330,7 @@ def _world(timestep: float, plant: SimPlant) -> Any:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     option = spec.option
-    option.timestep, option.gravity = timestep, [0, 0, -9.81]
+    option.timestep, option.gravity = timestep, [0, 0, -GRAVITY]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
@@ -339,8 +339,8 @@ def _world(timestep: float, plant: SimPlant) -> Any:
     spec.worldbody.add_geom(
         name="pot",
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        pos=pot.centre - [0, 0, pot.height / 2],
-        size=[pot.radius_top, pot.height / 2, 0],
+        pos=pot.centre - [0, 0, POT_HEIGHT / 2],
+        size=[pot.radius, POT_HEIGHT / 2, 0],
         **bits,
     )
     spec.worldbody.add_geom(

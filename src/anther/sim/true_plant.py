@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.sim import _plant_mechanics
-from anther.sim._growth import AREAL_DENSITY
+from anther.sim._growth import AREAL_DENSITY, buckling_factor, supported_youngs
 from anther.sim._plant_mechanics import PlantMechanics, add_plant, mujoco
-from anther.sim._stiffness import buckling_factor, supported_youngs
 from anther.sim.plant import GRAVITY, Organ, SimPlant
 from anther.sim.truth import NOMINAL, Truth
 
