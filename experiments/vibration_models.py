@@ -20,7 +20,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.plant import PEPPER, TOMATO, Material, PlantModel
 from anther.shake.observables import semi_major
-from anther.sim._plant_mechanics import TWISTING
+from anther.sim._pieces import TWISTING
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem

@@ -11,8 +11,8 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.errors import InputError
 from anther.shake.observables import semi_major
-from anther.sim._plant_mechanics import Params
 from anther.sim._growth import buckling_factor
+from anther.sim._plant_mechanics import Params
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.sway import swaying

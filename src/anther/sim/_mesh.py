@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from trimesh.util import append_faces
 
 from anther.geometry import Array
 
@@ -109,11 +108,10 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Mesh:
     return np.vstack(vertices), np.vstack(faces).astype(np.int32)
 
 
-def join(meshes: list[tuple[Any, Any]]) -> Mesh:
+def join(meshes: list[Mesh]) -> Mesh:
     """Return several meshes as one."""
-    offsets = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
-    faces = [f + o for (_, f), o in zip(meshes, offsets, strict=True)]
-    return np.vstack([v for v, _ in meshes]), np.vstack(faces).astype(np.int32)
+    vertices, faces = append_faces(*zip(*meshes, strict=True))
+    return vertices, faces.astype(np.int32)
 
 
 def star(

@@ -22,7 +22,6 @@ from anther.arm.sawyer import SAWYER
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
 from anther.sim import _plant_mechanics, arm_model
-from anther.sim._blades import add_blades
 from anther.sim._plant_mechanics import PlantMechanics
 from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant
 from anther.sim.sway import Air
@@ -109,8 +108,7 @@ class Cell:
         """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open."""
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
         spec = _world(self.params.timestep, plant)
-        pieces = _plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
-        add_blades(spec, plant, pieces, contype=PLANT_BIT, conaffinity=0)
+        pieces = _plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
         arm_model.add_arm(spec, arm, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)

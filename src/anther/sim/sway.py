@@ -92,7 +92,7 @@ def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
     params, spec = _plant_mechanics.Params(), mujoco.MjSpec()
     spec.compiler.degree, spec.option.gravity, spec.option.timestep = False, [0, 0, -GRAVITY], TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    pieces = _plant_mechanics.add_plant(spec, plant, params, contype=0, conaffinity=0)
+    pieces = _plant_mechanics.add_plant(spec, plant, params)
     model = spec.compile()
     mechanics, data, inertia = PlantMechanics(model, plant, pieces, params), mujoco.MjData(model), np.empty(model.nv)
     air = Air(mechanics, wind, plant.seed)

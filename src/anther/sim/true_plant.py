@@ -174,5 +174,5 @@ def natural_frequencies(plant: SimPlant, params: _plant_mechanics.Params) -> Arr
     """
     spec = mujoco.MjSpec()
     spec.compiler.degree, spec.option.gravity = False, [0, 0, -GRAVITY]
-    pieces = add_plant(spec, plant, params, contype=0, conaffinity=0)
+    pieces = add_plant(spec, plant, params)
     return PlantMechanics(spec.compile(), plant, pieces, params).frequencies
