@@ -135,7 +135,7 @@ class ShakenPlant:
         held, self.point = _nearest_piece(finer, pieces, np.asarray(point, dtype=np.float64))
         _add_carriage(spec, self.point, self.direction, f"plant_{held}", self._pads, params.timestep)
         self.model: Any = spec.compile()
-        self.mechanics = PlantMechanics(self.model, finer, pieces, params.plant)
+        self.mechanics = PlantMechanics(self.model, finer, pieces)
         self.air = Air(self.mechanics, truth.wind, plant.seed)
         self._held = int(self.mechanics.bodies[held])
         self._carriage = int(self.model.joint("carriage").dofadr[0])

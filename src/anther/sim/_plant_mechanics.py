@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.sim._pieces import Params, Pieces, cut, mass_properties
-from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
@@ -179,6 +179,19 @@ def _beta(ratio: Any, flutter: float, dt: float) -> Any:
     return np.maximum(ratio / (np.pi * flutter), 0.7 * dt)
 
 
+def alone(plant: SimPlant, params: Params, timestep: float = 2e-3) -> PlantMechanics:
+    """Return a plant in its pot in a world of its own, to be stepped by `timestep` [s].
+
+    Raises:
+        StageFailure: "no_convergence": it cannot carry its own weight.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.option.gravity, spec.option.timestep = False, [0, 0, -GRAVITY], timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    pieces = add_plant(spec, plant, params)
+    return PlantMechanics(spec.compile(), plant, pieces)
+
+
 class PlantMechanics:
     """The compiled plant: hangs in equilibrium, is damped, and tells where its segments are.
 
@@ -188,7 +201,7 @@ class PlantMechanics:
         mass_damping: the Rayleigh coefficient alpha [1/s].
     """
 
-    def __init__(self, model: Any, plant: SimPlant, pieces: Pieces, params: Params) -> None:
+    def __init__(self, model: Any, plant: SimPlant, pieces: Pieces) -> None:
         self.model, self.plant, self.pieces = model, plant, pieces
         self.bodies = np.array([model.body(f"plant_{b}").id for b in range(len(pieces.first))])
         self.joints = np.concatenate(

@@ -1,4 +1,10 @@
-"""An arm and its gripper as MuJoCo bodies with servos. Numbers of the robot come from its description."""
+"""An arm and its gripper as MuJoCo bodies with servos. Numbers of the robot come from its description.
+
+The motor in the gripper is a carriage between hand and fingers, on flexures, driven by a voice coil. It slides along
+the closing axis. So the pads push the stem by their shape, one after the other, and what is asked is what the stem
+does; along the two other axes only friction would carry it, of which the grip has 10 N. It is a design of ours, not a
+product: its numbers are guesses of what one of that size has.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm.model import BASE, FLANGE, ArmModel, Capsule, Solid
 from anther.geometry import Array
-from anther.sim import carriage
 from anther.sim.truth import NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
@@ -29,6 +34,18 @@ GRIP_STIFFNESS = 40e3
 """Of the gripper's position servo [N/m]."""
 PAD_SOFTNESS = 0.004
 """Time constant of pad contact [s]."""
+COIL_FORCE = 25.0
+"""Of the motor's voice coil at most [N]."""
+CARRIAGE_MASS = 0.12
+"""Of coil, slide and the fingers' drive, which ride on it [kg]; the fingers come besides."""
+SPRING = 2e3
+"""Of the flexures that centre it [N/m]: alone with the fingers it swings at 16 Hz."""
+DAMPING = 2.0
+"""Of flexures and slide [N s/m]: 5 % of critical."""
+BANDWIDTH = 100.0
+"""Of its position servo [Hz]."""
+STOP = 2e-3
+"""Either way, where it strikes [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +54,11 @@ class Params:
 
     Attributes:
         grip_force: what the gripper holds with at most, both fingers alike [N]: about 30 % of 35 N (facts: sawyer 3).
-        motor: the one in the gripper that shakes the fingers; None: there is none.
+        coil_force: of the motor that shakes the fingers, at most [N]; 0: there is none.
     """
 
     grip_force: float = 10.0
-    motor: carriage.Params | None = None
+    coil_force: float = 0.0
 
 
 def flex_name(joint: str) -> str:
@@ -77,8 +94,8 @@ def add_arm(
     # one motor drives both fingers through the coupling, so it carries twice a finger's force
     grip.set_to_position(kp=2 * GRIP_STIFFNESS, kv=2 * 0.005 * GRIP_STIFFNESS)
     grip.forcelimited, grip.forcerange = 1, [-2 * params.grip_force, 2 * params.grip_force]
-    if params.motor is not None:
-        carriage.add_coil(spec, params.motor, FINGER_MASS)
+    if params.coil_force:
+        _add_coil(spec)
 
 
 def tune_servos(model: Any, arm: ArmModel, truth: Truth) -> None:
@@ -141,7 +158,7 @@ def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, params: Params, truth: Tr
     _solids(flange, (tool.body, *tool.camera), bits)
     pad_z = tool.tip - tool.pad[2] / 2
     half_z = (tool.tip - tool.finger) / 2
-    holder = flange if params.motor is None else carriage.add_carriage(flange, params.motor)
+    holder = _add_carriage(flange, params.coil_force) if params.coil_force else flange
     for side, sign, wear in (("left", 1, truth.pad_wear), ("right", -1, 0.0)):
         finger = holder.add_body(name=f"{side}_finger", gravcomp=1)
         _inertial(finger, FINGER_MASS, (0, 0.01 * sign, pad_z), (2e-5, 2e-5, 4e-6, 0, 0, 0))
@@ -197,6 +214,35 @@ def _pad_holder(
         joint.stiffness, joint.armature = [stiffness, 0, 0], _least_inertia(stiffness)
         joint.damping = [2 * ratio * stiffness / (2 * np.pi * frequency), 0, 0]
     return pad, np.zeros(3)
+
+
+def _add_carriage(flange: Any, force: float) -> Any:
+    """Put the motor's carriage, 30 x 30 x 20 mm, on the flange and return it. Its joint is `motor` [m]."""
+    body = flange.add_body(name="carriage", gravcomp=1)
+    body.explicitinertial, body.mass, body.ipos = True, CARRIAGE_MASS, [0, 0, 0.05]
+    body.inertia = CARRIAGE_MASS / 12 * np.array([0.03**2 + 0.02**2, 0.03**2 + 0.02**2, 2 * 0.03**2])
+    joint = body.add_joint(name="motor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0])
+    joint.range, joint.limited = [-STOP, STOP], 1
+    joint.stiffness, joint.damping = [SPRING, 0, 0], [DAMPING, 0, 0]
+    joint.actgravcomp, joint.actfrclimited, joint.actfrcrange = 1, 1, [-force, force]
+    return body
+
+
+def _add_coil(spec: Any) -> None:
+    """Add the voice coil: a critically damped servo in place and in speed, and a force on top, limited together."""
+    mass, omega = CARRIAGE_MASS + 2 * FINGER_MASS, 2 * np.pi * BANDWIDTH
+    gains = {"position": mass * omega**2 - SPRING, "velocity": 2 * mass * omega - DAMPING, "force": 1.0}
+    for kind, gain in gains.items():
+        actuator = spec.add_actuator(name=f"motor_{kind}", target="motor", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gainprm[0] = gain
+        if kind != "force":
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[1 if kind == "position" else 2] = -gain
+
+
+def motor_load(place: Any, speed: Any, acceleration: Any) -> Any:
+    """Return the force that a motion asks of the coil [N] with nothing between the fingers."""
+    return (CARRIAGE_MASS + 2 * FINGER_MASS) * acceleration + DAMPING * speed + SPRING * place
 
 
 def _least_inertia(stiffness: float) -> float:

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Any
 
-import mujoco as mujoco_module
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -21,13 +20,11 @@ from anther.arm.model import ArmModel
 from anther.arm.sawyer import SAWYER
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
-from anther.sim import _plant_mechanics, arm_model
-from anther.sim._plant_mechanics import PlantMechanics
+from anther.sim import _pieces, arm_model
+from anther.sim._plant_mechanics import PlantMechanics, add_plant, mujoco
 from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant
 from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
-
-mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
 POT, BENCH = -1, -2
 """What a contact's `other` says when it is not a plant segment."""
@@ -48,8 +45,8 @@ class Params:
     """
 
     timestep: float = 1e-3
-    plant: _plant_mechanics.Params = field(
-        default_factory=lambda: _plant_mechanics.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
+    plant: _pieces.Params = field(
+        default_factory=lambda: _pieces.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
     )
     arm: arm_model.Params = field(default_factory=arm_model.Params)
 
@@ -108,7 +105,7 @@ class Cell:
         """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open."""
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
         spec = _world(self.params.timestep, plant)
-        pieces = _plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
+        pieces = add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
         arm_model.add_arm(spec, arm, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
@@ -125,7 +122,7 @@ class Cell:
         self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, arm.tool.stroke / 2
         self.data.ctrl[: arm.count], self.data.ctrl[self._grip] = joints, arm.tool.stroke / 2
         arm_model.tune_servos(self.model, arm, truth)
-        self.mechanics = PlantMechanics(self.model, plant, pieces, self.params.plant)
+        self.mechanics = PlantMechanics(self.model, plant, pieces)
         self._air = Air(self.mechanics, truth.wind, plant.seed)
         self._codes = _contact_codes(self.model)
         self._samples: list[tuple[Any, ...]] = []
@@ -250,10 +247,8 @@ class Cell:
 
     def _coil(self, motor: Array) -> Array:
         """Return the voice coil's controls (3,): place, speed, and the force that mass and flexures ask for."""
-        assert self.params.arm.motor is not None
         place, speed, acceleration = self.truth.motor_gain * motor
-        load = self.params.arm.motor.load(arm_model.FINGER_MASS, place, speed, acceleration)
-        return np.array([place, speed, load])
+        return np.array([place, speed, arm_model.motor_load(place, speed, acceleration)])
 
     def _note(self) -> None:
         d, sample = self.data, len(self._samples)

@@ -340,5 +340,5 @@ def robot_of(
         late=cell.truth.clock_offset,
         exposure=cell.truth.exposure_time,
     )
-    motor = None if cell.params.arm.motor is None else SimMotor(cell)
+    motor = SimMotor(cell) if cell.params.arm.coil_force else None
     return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side, motor)
