@@ -1,6 +1,11 @@
 """Taking RGB-D views of a simulated plant: what the planner gets, and apart from it what was true.
 
 The camera is never quite where the robot believes: the arm errs at every pose, and the hand-eye transform is not exact.
+A D455 measures disparity d = f B / z [px], so its noise, quantisation, range, fat stems, lost twigs and ragged edges
+are modelled there. Sources, facts: perception, "Depth sensors": sigma_z = z^2 s / (f B), s about 0.08 px (librealsense
+#3904); Z_min = f B / 126 (realsense-ros #2367); thin stems look fat because of the matching window; correlated noise,
+1/32 px quantisation, flying and dropped edge pixels, loss of thin structures. The sizes of the edge effects are
+estimates.
 V views, H x W pixels.
 """
 
@@ -12,21 +17,65 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.capture import Capture
 from anther.checks import check_array, check_range, check_transform
+from anther.devices import Frame
 from anther.geometry import Array, Intrinsics, look_at, small_transform
-from anther.sim._depth_noise import DepthNoise, noisy_depth
 from anther.sim.plant import SimPlant
-from anther.sim.render import Scene, d455
+from anther.sim.render import Image, Scene, d455
 from anther.sim.truth import Truth
 
 Progress = Callable[[int, int], None]
 """Called with the number of views done and the number of all."""
 Sight = SimPlant | Scene | Callable[[int], Scene]
 """What is looked at: a plant, its scene, or the scene as each view finds it."""
+
+
+FAR = 1000.0
+"""Stands for "no surface" while filtering [m]."""
+BASELINE = 0.095
+"""Between a D455's two imagers [m]."""
+CORRELATION = 1.5
+"""Standard deviation of the Gaussian that correlates the disparity's error between neighbours [px]."""
+MAX_DISPARITY = 126.0
+"""Largest disparity searched [px]; sets the minimum range."""
+EDGE = 2.0
+"""Disparity step that makes an edge [px]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepthNoise:
+    """Parameters of the depth sensor; the defaults are a D455.
+
+    Attributes:
+        subpixel: standard deviation of the disparity error, s [px]; 0.08 typical, 0.032 at best.
+        quantum: disparity step [px].
+        max_range: readings beyond are dropped [m].
+        fattening: how far the matching window lets a nearer surface spread over a farther one [px]: 1 to this.
+        thin: structures narrower than this are lost [px]; up to twice this they are lost in patches.
+        edge_dropped: share of edge pixels without a reading.
+        edge_flying: share of edge pixels that float between the two surfaces.
+        stereo_shadow: whether surfaces that only one imager sees are dropped, as is what lies left of its view.
+    """
+
+    subpixel: float = 0.08
+    quantum: float = 1 / 32
+    max_range: float = 6.0
+    fattening: int = 2
+    thin: int = 3
+    edge_dropped: float = 0.35
+    edge_flying: float = 0.1
+    stereo_shadow: bool = True
+
+    def __post_init__(self) -> None:
+        check_range("depth noise subpixel", self.subpixel, 0.0, 2.0, "px")
+        check_range("depth noise edge_dropped + edge_flying", self.edge_dropped + self.edge_flying, 0.0, 1.0)
+        check_range("depth noise fattening", self.fattening, 0, 15, "px")
+        check_range("depth noise thin", self.thin, 0, 15, "px")
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +245,105 @@ def noisy_rgb(rgb: NDArray[Any], rng: np.random.Generator, errors: CameraErrors 
     sigma = np.sqrt(np.float32(errors.read_noise**2) + np.float32(errors.shot_noise) * level)
     level += sigma * rng.standard_normal(rgb.shape, dtype=np.float32)
     return np.clip(level + 0.5, 0, 255).astype(np.uint8)
+
+
+def sensed(image: Image, time: float, eye: Intrinsics, rng: np.random.Generator, errors: CameraErrors) -> Frame:
+    """Return the frame of `time` [s] that the sensors make of an ideal image."""
+    depth = noisy_depth(image.depth, eye, rng, errors.depth)
+    return Frame(time, noisy_rgb(image.rgb, rng, errors), depth)
+
+
+def noisy_depth(
+    depth: NDArray[Any], intrinsics: Intrinsics, rng: np.random.Generator, params: DepthNoise | None = None
+) -> NDArray[np.float32]:
+    """Return what the sensor reads (H, W) [m], 0 = no reading.
+
+    Args:
+        depth: (H, W) exact z-depth [m], 0 = no surface.
+        intrinsics: of the image.
+        rng: source of the noise; the same state gives the same reading.
+        params: of the sensor; None is a D455.
+    """
+    params = params or DepthNoise()
+    exact = check_array("exact depth", depth, (intrinsics.height, intrinsics.width), dtype=np.float32)
+    focal = np.float32(intrinsics.fx * BASELINE)
+    z = np.where(exact > 0, exact, np.float32(FAR))
+    patches = _field(exact.shape, 4.0, rng)
+    z = _fattened(_without_twigs(z, patches, params), patches, params)
+    disparity = focal / z
+    seen = z < params.max_range
+    if params.stereo_shadow:
+        seen &= ~_shadowed(disparity)
+    disparity, dropped = _ragged_edges(disparity, rng, params)
+    disparity += np.float32(params.subpixel) * _field(exact.shape, CORRELATION, rng)
+    if params.quantum > 0:
+        disparity = np.round(disparity / np.float32(params.quantum)) * np.float32(params.quantum)
+    seen &= ~dropped & (disparity >= focal / params.max_range) & (disparity <= MAX_DISPARITY)
+    return np.where(seen, focal / np.maximum(disparity, np.float32(1e-3)), np.float32(0))
+
+
+def _field(shape: tuple[int, ...], correlation: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    """A random field of mean 0, standard deviation 1 and Gaussian correlation [px]."""
+    white = rng.standard_normal(shape, dtype=np.float32)
+    size = 2 * int(np.ceil(3 * correlation)) + 1
+    kernel = cv2.getGaussianKernel(size, correlation)
+    smooth = cv2.sepFilter2D(white, -1, kernel, kernel)
+    return (smooth / np.float32((kernel**2).sum())).astype(np.float32)
+
+
+def _ellipse(size: int) -> NDArray[Any]:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+
+
+def _without_twigs(z: NDArray[Any], patches: NDArray[Any], params: DepthNoise) -> NDArray[Any]:
+    """Replace near structures narrower than `thin` by what is behind them; those up to twice as wide in patches."""
+    if params.thin < 2:
+        return z
+    narrow = cv2.morphologyEx(z, cv2.MORPH_CLOSE, _ellipse(params.thin))
+    wider = cv2.morphologyEx(z, cv2.MORPH_CLOSE, _ellipse(2 * params.thin - 1))
+    return np.where(patches > 1.0, wider, narrow)
+
+
+def _fattened(z: NDArray[Any], patches: NDArray[Any], params: DepthNoise) -> NDArray[Any]:
+    """Let nearer surfaces spread by 1 to `fattening` px, patch by patch."""
+    if params.fattening < 1:
+        return z
+    little = cv2.erode(z, _ellipse(3))
+    much = cv2.erode(z, _ellipse(2 * params.fattening + 1))
+    return np.where(patches > 0, little, much)
+
+
+def _ragged_edges(
+    disparity: NDArray[Any], rng: np.random.Generator, params: DepthNoise
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the disparity with flying pixels at its edges, and (H, W) which edge pixels have no reading."""
+    window = np.ones((3, 3), np.uint8)
+    near, far = cv2.dilate(disparity, window), cv2.erode(disparity, window)
+    edge = near - far > EDGE
+    chance = rng.random(disparity.shape, dtype=np.float32)
+    flying = edge & (chance < params.edge_flying)
+    between = far + (near - far) * rng.random(disparity.shape, dtype=np.float32)
+    dropped = edge & (chance >= params.edge_flying) & (chance < params.edge_flying + params.edge_dropped)
+    return np.where(flying, between, disparity), dropped
+
+
+@numba.njit(cache=True, nogil=True)
+def _shadowed(disparity: NDArray[Any]) -> NDArray[Any]:
+    """(H, W) whether the second imager, on the right, sees another surface there or is not pointed there."""
+    height, width = disparity.shape
+    out = np.zeros((height, width), np.bool_)
+    nearest = np.empty(width, disparity.dtype)
+    for row in range(height):
+        nearest[:] = 0
+        for column in range(width):
+            x = int(column - disparity[row, column] + 0.5)
+            if x >= 0 and disparity[row, column] > nearest[x]:
+                nearest[x] = disparity[row, column]
+        for column in range(width):
+            x = int(column - disparity[row, column] + 0.5)
+            if x < 0 or nearest[x] > disparity[row, column] + 1.5:
+                out[row, column] = True
+    return out
 
 
 def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> Array:

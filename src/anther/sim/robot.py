@@ -26,9 +26,8 @@ from anther.devices import (
     Watch,
 )
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.sim._depth_noise import noisy_depth
 from anther.sim._motor import CYCLE, SimMotor, contact_force
-from anther.sim.capture import CameraErrors, noisy_rgb
+from anther.sim.capture import CameraErrors, sensed
 from anther.sim.cell import Cell, CellLog
 from anther.sim.render import Scene, Still, d455
 
@@ -37,6 +36,10 @@ SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames 
 SHOTS = ((-0.33, -0.25, -0.25), (0.0, 0.25, 0.0), (0.33, -0.1, 0.25))
 """Of a frame: moment [exposures], and place in each pixel [px]. A pixel gathers light from all of its area: by one ray
 alone, what moves by half a pixel seems to jump. About flowers and what is blurred only: it takes time."""
+
+
+SIDE = Intrinsics(480, 480, 424.0, 424.0, 239.5, 239.5)
+"""Of the side camera: the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, quick to render."""
 
 
 class SimArm:
@@ -285,14 +288,7 @@ class SimCamera:
         rgb = np.rint(np.mean(shots, axis=0)).astype(np.uint8)
         if self.errors is None:
             return Frame(time + self._late, rgb, image.depth)
-        depth = noisy_depth(image.depth, eye, rng, self.errors.depth)
-        return Frame(time + self._late, noisy_rgb(rgb, rng, self.errors), depth)
-
-
-def cut_out(whole: Intrinsics, width: int, height: int) -> Intrinsics:
-    """Return the intrinsics of the middle `width` x `height` pixels of an image."""
-    left, top = (whole.width - width) // 2, (whole.height - height) // 2
-    return Intrinsics(width, height, whole.fx, whole.fy, whole.cx - left, whole.cy - top)
+        return sensed(replace(image, rgb=rgb), time + self._late, eye, rng, self.errors)
 
 
 def side_pose(cell: Cell, distance: float = 0.55) -> Array:
@@ -318,8 +314,6 @@ def robot_of(
 ) -> Robot:
     """Return the devices of a cell: arm, gripper, both cameras (wrist 1280 x 720), and the motor if there is one.
 
-    The side camera is the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, and quick to render.
-
     Args:
         cell: the world.
         errors: of both cameras' sensors; None is ideal cameras.
@@ -333,7 +327,7 @@ def robot_of(
     side = SimCamera(
         cell,
         scene,
-        cut_out(d455(848, 480), 480, 480),
+        SIDE,
         lambda: T_side,
         errors,
         seed=seed + 1,
