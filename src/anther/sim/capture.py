@@ -132,12 +132,6 @@ class CaptureTruth:
     depth: NDArray[Any]
     organ: NDArray[Any]
 
-    def __post_init__(self) -> None:
-        views = len(self.depth)
-        object.__setattr__(self, "T_world_cam", check_transform("true T_world_cam", self.T_world_cam, views))
-        object.__setattr__(self, "depth", check_array("true depth", self.depth, (views, None, None), dtype="float32"))
-        object.__setattr__(self, "organ", check_array("true organ", self.organ, self.depth.shape, dtype="uint8"))
-
 
 def capture_views(
     plant: Sight,
