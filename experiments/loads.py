@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grasping_page import insert
+from grasping_page import insert, markdown
 from grasping_trial import truth_of
 from rich.console import Console
 from rich.progress import track
@@ -32,7 +32,6 @@ from shaken_plant import ShakenPlant
 from vibration_models import PRIOR, scanned
 from vibration_plant import stem_points
 from wide_plant import KINDS, loads_of, looks, scanned_plant
-from wide_truth import markdown
 
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
 from anther.devices import Frame
