@@ -32,7 +32,7 @@ LAST = FIRST.then([0.0], 0.2, 0.2)
 
 def holding(truth: Truth = NOMINAL, coil: float = arm_model.COIL_FORCE, plant: SimPlant | None = None) -> Cell:
     """Return a cell whose gripper holds the stem of a plant, and in which a motor shakes it."""
-    cell = Cell(plant or straight_plant(), Q, Params(arm=arm_model.Params(coil_force=coil)), truth)
+    cell = Cell(plant or straight_plant(), Q, Params(coil_force=coil), truth)
     SimGripper(cell).move(0.0)
     return cell
 

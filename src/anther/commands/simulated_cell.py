@@ -194,7 +194,7 @@ def build(
     noise = np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit])
     scene = Scene.of_plant(plant)
     coil = arm_model.COIL_FORCE if actuator == "gripper" else 0.0
-    mujoco = world.Cell(plant, arm.waiting, world.Params(arm=arm_model.Params(coil_force=coil)), truth, arm)
+    mujoco = world.Cell(plant, arm.waiting, world.Params(coil_force=coil), truth, arm)
     robot = robot_of(
         mujoco,
         errors=camera_errors(truth),

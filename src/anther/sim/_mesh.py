@@ -17,12 +17,6 @@ def unit(v: ArrayLike) -> Array:
     return a / np.linalg.norm(a, axis=-1, keepdims=True)
 
 
-def perpendicular(v: ArrayLike) -> Array:
-    """Return a unit vector at right angles to v (3,)."""
-    v = unit(v)
-    return unit(np.cross(v, [0, 0, 1.0] if abs(v[2]) < 0.9 else [1.0, 0, 0]))
-
-
 def grid_faces(rows: int, columns: int, *, closed: bool) -> NDArray[np.int32]:
     """Return the faces of a rows x columns grid of vertices, row by row; closed joins last and first column."""
     i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns if closed else columns - 1), indexing="ij")
@@ -51,7 +45,9 @@ def transport(points: Array, first: ArrayLike) -> Array:
 
 def tube(points: Array, radii: ArrayLike, *, sides: int = 8, tip: bool = True) -> Mesh:
     """Return a tube along a polyline (n, 3) with one ring of `sides` vertices per point, and a closing tip vertex."""
-    t, n1 = tangents(points), transport(points, perpendicular(points[1] - points[0]))
+    t = tangents(points)
+    first = unit(points[1] - points[0])
+    n1 = transport(points, unit(np.cross(first, [0, 0, 1.0] if abs(first[2]) < 0.9 else [1.0, 0, 0])))
     n2 = np.cross(t, n1)
     angle = np.arange(sides) * 2 * np.pi / sides
     around = np.cos(angle)[:, None] * n1[:, None] + np.sin(angle)[:, None] * n2[:, None]

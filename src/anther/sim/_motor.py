@@ -53,12 +53,12 @@ class SimMotor:
     The force of its readings is the mean of ten, over 0.1 s: what the motor does to and fro is no pressing on anything.
 
     Args:
-        cell: built with a motor (`arm_model.Params`).
+        cell: built with a motor (`cell.Params`).
     """
 
     def __init__(self, cell: Cell) -> None:
-        if not cell.params.arm.coil_force:
-            raise bad_input("motor", given="a cell without", allowed="arm params with a motor", do="Build it with one.")
+        if not cell.params.coil_force:
+            raise bad_input("motor", given="a cell without", allowed="params with a motor", do="Build it with one.")
         self.cell = cell
         self._felt: deque[Array] = deque(maxlen=10)
 
@@ -120,7 +120,7 @@ class SimMotor:
         force = arm_model.motor_load(place[:-1], speed, acceleration)
         for what, value, most, unit in (
             ("place", np.abs(place).max(), arm_model.STOP, "m"),
-            ("force without a stem", np.abs(force).max(), self.cell.params.arm.coil_force, "N"),
+            ("force without a stem", np.abs(force).max(), self.cell.params.coil_force, "N"),
         ):
             if value > most:
                 raise DeviceError(f"motor {what}: got {value:.3g} {unit}; it has {most:.3g}. Swing less or slower.")

@@ -162,7 +162,7 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
     across = np.cross(along, plant.oval[k] if plant.oval[k].any() else np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     oval = float(np.exp(np.linalg.norm(plant.oval[k]) / 2))
-    beta = float(_beta(plant.damping_ratio[k], FLUTTER, dt))
+    beta = float(_beta(plant.damping_ratio[k], dt))
     fastest = params.foliage if plant.organ[k] in (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF) else params.stiffest
     for axis, stiffness in ((across, bending * oval), (np.cross(along, across), bending / oval), (along, twist)):
         if stiffness == 0:
@@ -174,9 +174,9 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
         joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
 
 
-def _beta(ratio: Any, flutter: float, dt: float) -> Any:
+def _beta(ratio: Any, dt: float) -> Any:
     # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
-    return np.maximum(ratio / (np.pi * flutter), 0.7 * dt)
+    return np.maximum(ratio / (np.pi * FLUTTER), 0.7 * dt)
 
 
 def alone(plant: SimPlant, params: Params, timestep: float = 2e-3) -> PlantMechanics:
@@ -209,6 +209,7 @@ class PlantMechanics:
         )
         self.dofs = model.jnt_dofadr[self.joints]
         self._bends = np.concatenate([np.arange(n) < 2 for n in model.body_jntnum[self.bodies]])
+        self._ratio = np.repeat(plant.damping_ratio[pieces.first], model.body_jntnum[self.bodies])
         data = mujoco.MjData(model)
         self._hang(data)
         self.frequencies, self._first = self._modes(data)
@@ -223,8 +224,7 @@ class PlantMechanics:
 
     def damp(self, timestep: float) -> None:
         """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
-        ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()]
-        self.model.dof_damping[self.dofs] = _beta(ratio, FLUTTER, timestep) * self.model.jnt_stiffness[self.joints]
+        self.model.dof_damping[self.dofs] = _beta(self._ratio, timestep) * self.model.jnt_stiffness[self.joints]
         self.mass_damping = self._air_damping(*self._first)
 
     def _modes(self, data: Any) -> tuple[Array, tuple[float, Array]]:
@@ -276,13 +276,9 @@ class PlantMechanics:
         """Return alpha so that a bending mode's ratio is the strain-energy mean of the segments' ratios."""
         m = self.model
         energy = m.jnt_stiffness[self.joints[self._bends]] * shape**2
-        ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()[self._bends]]
-        wanted = float(energy @ ratio / energy.sum())
+        wanted = float(energy @ self._ratio[self._bends] / energy.sum())
         hinge = float(m.dof_damping[self.dofs[self._bends]] @ shape**2)
         return max(2 * omega * wanted - hinge, 0.0)
-
-    def _piece_of_joint(self) -> NDArray[Any]:
-        return np.repeat(np.arange(len(self.bodies)), self.model.body_jntnum[self.bodies])
 
     def segment_poses(self, data: Any) -> Array:
         """Return T_world_rest (K, 4, 4): maps a segment's generated position to the present one."""

@@ -8,7 +8,6 @@ product: its numbers are guesses of what one of that size has.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco as mujoco_module
@@ -30,6 +29,8 @@ FLEX_DAMPING = 0.05  # ratio of each joint's spring with its motor still, at neu
 FASTEST = (
     150.0  # Hz: springs carry so much rotor inertia that none swings faster, since each step takes them explicitly
 )
+GRIP_FORCE = 10.0
+"""Of the gripper, usually at most [N]: about 30 % of 35 N (facts: sawyer 3)."""
 GRIP_STIFFNESS = 40e3
 """Of the gripper's position servo [N/m]."""
 PAD_SOFTNESS = 0.004
@@ -48,26 +49,20 @@ STOP = 2e-3
 """Either way, where it strikes [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Params:
-    """The gripper.
-
-    Attributes:
-        grip_force: what the gripper holds with at most, both fingers alike [N]: about 30 % of 35 N (facts: sawyer 3).
-        coil_force: of the motor that shakes the fingers, at most [N]; 0: there is none.
-    """
-
-    grip_force: float = 10.0
-    coil_force: float = 0.0
-
-
 def flex_name(joint: str) -> str:
     """Return the name of the hinge by which a joint's link runs ahead of its motor."""
     return f"{joint}_flex"
 
 
 def add_arm(
-    spec: Any, arm: ArmModel, params: Params, truth: Truth = NOMINAL, *, contype: int, conaffinity: int
+    spec: Any,
+    arm: ArmModel,
+    truth: Truth = NOMINAL,
+    *,
+    grip_force: float = GRIP_FORCE,
+    coil_force: float = 0.0,
+    contype: int,
+    conaffinity: int,
 ) -> None:
     """Add base, links, riders, flange, gripper, wrist camera and their actuators to a world.
 
@@ -77,6 +72,14 @@ def add_arm(
     those of `flex_name` [rad], and of each pad on its finger, in the flange's frame, `left_pad_x`, `left_pad_z` [m] and
     `left_pad_turn` about y [rad]. With a motor also
     `motor` [m], along the flange's y.
+
+    Args:
+        spec: the world.
+        arm: its description.
+        truth: of its joints, servos and pads.
+        grip_force: what the gripper holds with at most, both fingers alike [N].
+        coil_force: of the motor that shakes the fingers, at most [N]; 0: there is none.
+        contype, conaffinity: MuJoCo's collision bits.
     """
     bits = {"contype": contype, "conaffinity": conaffinity}
     base = spec.worldbody.add_body(name=BASE)
@@ -85,7 +88,7 @@ def add_arm(
     body = base
     for i in range(arm.count):
         body = _add_link(body, arm, i, truth, bits)
-    _add_gripper(spec, body, arm, params, truth, bits)
+    _add_gripper(spec, body, arm, coil_force, truth, bits)
     for kind in ("position", "velocity", "torque"):
         for name in arm.joints:
             actuator = spec.add_actuator(name=f"{kind}_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -93,8 +96,8 @@ def add_arm(
     grip = spec.add_actuator(name="grip", target="left_finger", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     # one motor drives both fingers through the coupling, so it carries twice a finger's force
     grip.set_to_position(kp=2 * GRIP_STIFFNESS, kv=2 * 0.005 * GRIP_STIFFNESS)
-    grip.forcelimited, grip.forcerange = 1, [-2 * params.grip_force, 2 * params.grip_force]
-    if params.coil_force:
+    grip.forcelimited, grip.forcerange = 1, [-2 * grip_force, 2 * grip_force]
+    if coil_force:
         _add_coil(spec)
 
 
@@ -147,7 +150,7 @@ def _add_link(parent: Any, arm: ArmModel, i: int, truth: Truth, bits: dict[str, 
     return body
 
 
-def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, params: Params, truth: Truth, bits: dict[str, int]) -> None:
+def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, coil_force: float, truth: Truth, bits: dict[str, int]) -> None:
     T, tool = arm.T_last_flange, arm.tool
     quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     flange = wrist.add_body(name=FLANGE, pos=T[:3, 3], quat=quat, gravcomp=1)
@@ -158,7 +161,7 @@ def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, params: Params, truth: Tr
     _solids(flange, (tool.body, *tool.camera), bits)
     pad_z = tool.tip - tool.pad[2] / 2
     half_z = (tool.tip - tool.finger) / 2
-    holder = _add_carriage(flange, params.coil_force) if params.coil_force else flange
+    holder = _add_carriage(flange, coil_force) if coil_force else flange
     for side, sign, wear in (("left", 1, truth.pad_wear), ("right", -1, 0.0)):
         finger = holder.add_body(name=f"{side}_finger", gravcomp=1)
         _inertial(finger, FINGER_MASS, (0, 0.01 * sign, pad_z), (2e-5, 2e-5, 4e-6, 0, 0, 0))

@@ -41,14 +41,17 @@ class Params:
     Attributes:
         timestep: of the integrator [s]. With implicitfast every hinge needs damping/stiffness >= 0.7 dt, so the
             timestep bounds the damping of pedicels from below: 3.3 % at 30 Hz with 0.5 ms, 6.6 % with 1 ms.
-        plant, arm: of the parts.
+        plant: how it is cut and damped.
+        grip_force: what the gripper holds with at most, both fingers alike [N].
+        coil_force: of the motor that shakes the fingers, at most [N]; 0: there is none.
     """
 
     timestep: float = 1e-3
     plant: _pieces.Params = field(
         default_factory=lambda: _pieces.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
     )
-    arm: arm_model.Params = field(default_factory=arm_model.Params)
+    grip_force: float = arm_model.GRIP_FORCE
+    coil_force: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +109,8 @@ class Cell:
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
         spec = _world(self.params.timestep, plant)
         pieces = add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
-        arm_model.add_arm(spec, arm, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
+        forces = {"grip_force": self.params.grip_force, "coil_force": self.params.coil_force}
+        arm_model.add_arm(spec, arm, truth, **forces, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
         self._arm = np.array([self.model.joint(name).qposadr[0] for name in arm.joints])

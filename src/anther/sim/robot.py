@@ -323,5 +323,5 @@ def robot_of(
         late=cell.truth.clock_offset,
         exposure=cell.truth.exposure_time,
     )
-    motor = SimMotor(cell) if cell.params.arm.coil_force else None
+    motor = SimMotor(cell) if cell.params.coil_force else None
     return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side, motor)
