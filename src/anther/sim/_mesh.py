@@ -107,7 +107,7 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Mesh:
 def join(meshes: list[Mesh]) -> Mesh:
     """Return several meshes as one."""
     vertices, faces = append_faces(*zip(*meshes, strict=True))
-    return vertices, faces.astype(np.int32)
+    return np.asarray(vertices, dtype=np.float64), faces.astype(np.int32)
 
 
 def star(

@@ -167,9 +167,8 @@ def capture_views(
     T_believed = check_transform("T_flange_cam_believed", T_flange_cam_believed)
     flange = np.stack([forward(q) for q in joints])
     true = flange @ _pose_errors(len(joints), errors, rng) @ T_true
-    capture, truth = _capture(
-        plant, true, flange @ T_believed, rng=rng, intrinsics=intrinsics, errors=errors, progress=progress
-    )
+    how: dict[str, Any] = {"rng": rng, "intrinsics": intrinsics, "errors": errors, "progress": progress}
+    capture, truth = capture_from_poses(plant, flange @ T_believed, T_world_cam_true=true, **how)
     return replace(capture, joints=joints), truth
 
 
@@ -181,12 +180,34 @@ def capture_from_poses(
     intrinsics: Intrinsics | None = None,
     errors: CameraErrors | None = None,
     progress: Progress | None = None,
+    T_world_cam_true: ArrayLike | None = None,
 ) -> tuple[Capture, CaptureTruth]:
-    """Return the capture of a camera believed at T_world_cam (V, 4, 4), without an arm; see `capture_views`."""
-    errors = errors or CameraErrors()
+    """Return the capture of a camera believed at T_world_cam (V, 4, 4), and the truth about it; see `capture_views`.
+
+    Where it truly is, is drawn as for an arm, unless it is given. Views are rendered on two threads, each with a random
+    stream of its own: the order does not matter.
+    """
+    errors, intrinsics = errors or CameraErrors(), intrinsics or d455()
     believed = check_transform("T_world_cam", np.asarray(T_world_cam).reshape(-1, 4, 4))
-    true = believed @ _pose_errors(len(believed), errors, rng)
-    return _capture(plant, true, believed, rng=rng, intrinsics=intrinsics, errors=errors, progress=progress)
+    drawn = believed @ _pose_errors(len(believed), errors, rng) if T_world_cam_true is None else T_world_cam_true
+    true = check_transform("T_world_cam_true", drawn)
+    still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
+    count, size = len(true), (intrinsics.height, intrinsics.width)
+    rgb, organ = np.empty((count, *size, 3), np.uint8), np.empty((count, *size), np.uint8)
+    depth, exact = np.empty((count, *size), np.float32), np.empty((count, *size), np.float32)
+    streams = rng.spawn(count)
+
+    def take(view: int) -> None:
+        scene = still if isinstance(still, Scene) else still(view)
+        image = scene.render(intrinsics, true[view])
+        rgb[view], organ[view], exact[view] = noisy_rgb(image.rgb, streams[view], errors), image.organ, image.depth
+        depth[view] = noisy_depth(image.depth, intrinsics, streams[view], errors.depth)
+
+    with ThreadPoolExecutor(2) as pool:
+        for done, _ in enumerate(pool.map(take, range(count)), start=1):
+            if progress:
+                progress(done, count)
+    return Capture(depth, intrinsics, believed, rgb), CaptureTruth(true, exact, organ)
 
 
 def perturbed_hand_eye(
@@ -344,34 +365,3 @@ def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> 
     turn, shift = rng.normal(size=(2, count, 3))
     parts = zip(errors.pose_rotation * turn, errors.pose_translation * shift, strict=True)
     return np.stack([small_transform(a, b) for a, b in parts])
-
-
-def _capture(
-    plant: Sight,
-    true: Array,
-    believed: Array,
-    *,
-    rng: np.random.Generator,
-    intrinsics: Intrinsics | None,
-    errors: CameraErrors,
-    progress: Progress | None,
-) -> tuple[Capture, CaptureTruth]:
-    """Render all views on two threads, each view with a random stream of its own: the order does not matter."""
-    still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
-    intrinsics = intrinsics or d455()
-    count, size = len(true), (intrinsics.height, intrinsics.width)
-    rgb, organ = np.empty((count, *size, 3), np.uint8), np.empty((count, *size), np.uint8)
-    depth, exact = np.empty((count, *size), np.float32), np.empty((count, *size), np.float32)
-    streams = rng.spawn(count)
-
-    def take(view: int) -> None:
-        scene = still if isinstance(still, Scene) else still(view)
-        image = scene.render(intrinsics, true[view])
-        rgb[view], organ[view], exact[view] = noisy_rgb(image.rgb, streams[view], errors), image.organ, image.depth
-        depth[view] = noisy_depth(image.depth, intrinsics, streams[view], errors.depth)
-
-    with ThreadPoolExecutor(2) as pool:
-        for done, _ in enumerate(pool.map(take, range(count)), start=1):
-            if progress:
-                progress(done, count)
-    return Capture(depth, intrinsics, believed, rgb), CaptureTruth(true, exact, organ)
