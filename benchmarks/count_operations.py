@@ -124,7 +124,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the counts here")
     parser.add_argument("--quick", action="store_true", help="for uniformity; it takes two seconds")
-    parser.add_argument("--seed", type=int, default=0, help="for uniformity; the count does not depend on numbers")
     args = parser.parse_args()
     counts = {f"operations_per_node_{name}": value for name, value in count().items()}
     for name, value in counts.items():

@@ -382,7 +382,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="smaller cases, fewer repeats")
-    parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
     parser.add_argument("--dismech", type=Path, help="a checkout of dismech-python, to be run as well")
     parser.add_argument("--pyelastica", type=Path, help="a Python that has PyElastica, to be run as well")
     parser.add_argument("--page", type=Path, help="write the table as a docs page")

@@ -18,17 +18,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from grasping_page import insert, rows_of
 from rich.console import Console
 from rich.progress import track
 
 from anther.commands.skeletonize import main_stem, read_source
-from anther.files import read_object, write_json, write_text
+from anther.files import read_object, write_json
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
-BEGIN, END = "<!-- authors_plants.py -->", "<!-- end -->"
-HEAD = (
-    "| plant | main stem rises | planned | flowers should feel | grips mapped, first mode | shaken 4 mm at 1.3 Hz |\n"
-    "|---|---|---|---|---|---|"
+HEADS = (
+    "plant",
+    "main stem rises",
+    "planned",
+    "flowers should feel",
+    "grips mapped, first mode",
+    "shaken 4 mm at 1.3 Hz",
 )
 
 
@@ -44,7 +48,7 @@ def _crop(path: Path) -> str:
     return "pepper" if path.stem.startswith("pepper") else "tomato"
 
 
-def one_plant(path: Path, folder: Path, console: Console) -> tuple[dict[str, float], str]:
+def one_plant(path: Path, folder: Path, console: Console) -> tuple[dict[str, float], list[str]]:
     """Return a plant's numbers, and its row of the table."""
     refused = {name: asked(name, path, folder) for name in ("plan", "respond", "shake")}
     for name, why in refused.items():
@@ -73,7 +77,7 @@ def one_plant(path: Path, folder: Path, console: Console) -> tuple[dict[str, flo
     if motion:
         found["amplitude_ratio"] = motion["amplitude_ratio"]
         cells += [f"flower {1e3 * motion['flower_amplitude_m']:.1f} mm"]
-    return found, "| " + " | ".join(cells) + " |"
+    return found, cells
 
 
 def _told(path: Path, refused: str) -> dict[str, Any]:
@@ -88,12 +92,11 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--page", type=Path, help="write the table into this page")
     parser.add_argument("--quick", action="store_true", help="the smallest plant only")
-    parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
     args = parser.parse_args()
     console = Console()
     paths = sorted(args.data.glob("*.txt"), key=lambda path: path.stat().st_size)[: 1 if args.quick else None]
     plants = {path.stem: one_plant(path, args.out / path.stem, console) for path in track(paths, console=console)}
-    table = "\n".join([HEAD, *(row for _, (_, row) in sorted(plants.items()))])
+    table = rows_of(HEADS, [cells for _, (_, cells) in sorted(plants.items())])
     print(table)
     numbers = {f"{name}_{key}": value for name, (row, _) in plants.items() for key, value in row.items()}
     shares = ("planned", "mapped", "shaken")
@@ -102,8 +105,7 @@ def main() -> None:
         kept = {key: value for key, value in numbers.items() if not key.endswith(shares)}
         write_json(args.json, {"plants": len(plants), **found, **kept})
     if args.page:
-        before, _, rest = args.page.read_text().partition(BEGIN)
-        write_text(args.page, f"{before}{BEGIN}\n{table}\n{END}{rest.partition(END)[2]}")
+        insert(args.page, table)
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from anther.files import write_json
 from anther.geometry import Array, Box
 from anther.shake import Crop
 from anther.sim.cell import Cell
+from anther.sim.plant import POT_HEIGHT
 from anther.sim.robot import SimArm
 
 LOOK = 0.2  # s to either side of a view
@@ -131,8 +132,8 @@ def main() -> None:
         views = views_at(USUAL_DISTANCE, PRESETS[name])
         species: Crop = get_args(Crop)[len(rows) % 2]
         pot = grow(species, args.seed, 0.0, USUAL_DISTANCE).pot
-        width = np.array([pot.radius_top, pot.radius_top, 0])
-        body = Box(pot.centre - width - [0, 0, pot.height], pot.centre + width)
+        width = np.array([pot.radius, pot.radius, 0])
+        body = Box(pot.centre - width - [0, 0, POT_HEIGHT], pot.centre + width)
         rows[name] = judged(views, body) | driven(views, species, args.seed)
     table = Table("", *rows, caption=f"clearances beyond {1000 * SIGHT:.0f} mm are not measured")
     for what in next(iter(rows.values())):

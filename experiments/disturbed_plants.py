@@ -21,11 +21,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from grasping_page import insert
+from grasping_page import insert, markdown
 from real.strict import Judged, judged_all, metrics, reported, table
 from rich.console import Console
 from rich.progress import track
-from wide_truth import markdown
 
 from anther.files import write_json
 from anther.stem.confidence import DOUBTFUL
@@ -43,7 +42,6 @@ def main() -> None:
     parser.add_argument("--page", type=Path, help="write the table into this docs page")
     parser.add_argument("--figure", type=Path, help="draw how often grasps are right by their confidence")
     parser.add_argument("--quick", action="store_true", help="every 31st seedling")
-    parser.add_argument("--seed", type=int, default=0, help="for uniformity; what is random is the same in each run")
     args = parser.parse_args()
     console = Console()
     rows = judged_all(track(reported(args.data, quick=args.quick), "plants", console=console))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from grasping_table import MEASURES, PAPER, PAPER_SECONDS, PHASES, Row, lost
+from rich.table import Table
 
 from anther.files import write_text
 
@@ -106,6 +107,12 @@ def failures(rows: Sequence[Row]) -> str:
             plant = f"{row['species']} {row['seed']} at {row['viewpoint']}°, {row['preset']}"
             lines.append((plant, row["ours"]["failure"], row["ours"]["message"]))
     return rows_of(("failed trial", "kind", "what happened"), lines) if lines else ""
+
+
+def markdown(table: Table) -> str:
+    """Return a console's table in Markdown."""
+    heads = [str(column.header) for column in table.columns]
+    return rows_of(heads, zip(*(column.cells for column in table.columns), strict=True))
 
 
 def rows_of(heads: Sequence[str], lines: Iterable[Sequence[object]]) -> str:

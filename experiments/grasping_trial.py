@@ -25,7 +25,7 @@ from anther.execution import EARLY, execute
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
-from anther.shake import ArmShaker, Crop, plan_shake
+from anther.shake import ArmShaker, Crop, ShakePlan, plan_shake
 from anther.sim.judge import judge
 from anther.sim.truth import NOMINAL, Truth, draw
 
@@ -209,17 +209,22 @@ def performed(
 
 def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     """Take and shake the plant by the paper's rule (P12-P14), seen as in `run`; it has one try, as in the paper."""
-    params = Params()
     seen = Seen(*(run.results[name] for name in ("masks", "cloud", "skeleton", "stem", "flowers")))
+    planner, shake, material = paper_plan(cell, seen, material)
+    robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)
+    return Done(shake, execute(planner, shake, robot, cell.robot_side.limits), None, material)
+
+
+def paper_plan(cell: SimulatedCell, seen: Seen, material: Material) -> tuple[Planner, ShakePlan, Material]:
+    """Return how the arm takes a plant by the paper's rule and shakes it as Anther would, and the model's material."""
+    params = Params()
     planner = cell.robot_side.plan_around(seen.cloud)
     assert isinstance(planner, Planner)
     grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
     rods = model_plant(seen, material, params)
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
     shake = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
-    robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)
-    trial = execute(planner, shake, robot, cell.robot_side.limits)
-    return Done(shake, trial, None, rods.material)
+    return planner, shake, rods.material
 
 
 def notes(run: Memory) -> list[str]:

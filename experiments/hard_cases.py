@@ -69,10 +69,6 @@ class Case:
     species: Crop
     seed: int
 
-    def file(self, out: Path) -> Path:
-        """Where its result is kept."""
-        return out / f"{self.kind.replace(' ', '-')}-{self.species}-{self.seed}.json"
-
 
 def plant_of(case: Case, plant: SimPlant, rng: np.random.Generator) -> SimPlant:
     """Return the plant as the case has it."""

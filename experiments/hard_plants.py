@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
 from anther.geometry import Array, transform
-from anther.sim._stiffness import supported_youngs
+from anther.sim._growth import supported_youngs
 from anther.sim.cell import Cell
 from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 

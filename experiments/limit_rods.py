@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from anther.elastic_rod import Clamp, Rods, with_gravity_equilibrium
 from anther.geometry import Array
 from anther.plant import PEPPER, TOMATO, PlantModel
-from anther.sim._plant_mechanics import TWISTING
+from anther.sim._pieces import TWISTING
 from anther.sim.plant import Organ, SimPlant
 
 PRIOR = {"tomato": TOMATO, "pepper": PEPPER}

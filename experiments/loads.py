@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grasping_page import insert
+from grasping_page import insert, markdown
 from grasping_trial import truth_of
 from rich.console import Console
 from rich.progress import track
@@ -32,7 +32,6 @@ from shaken_plant import ShakenPlant
 from vibration_models import PRIOR, scanned
 from vibration_plant import stem_points
 from wide_plant import KINDS, loads_of, looks, scanned_plant
-from wide_truth import markdown
 
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
 from anther.devices import Frame
@@ -49,8 +48,8 @@ from anther.shake.observables import ComplexArray, semi_major
 from anther.shake.params import RINGING, load_error
 from anther.shake.plant_limits import FAST
 from anther.sim.plant import Organ, SimPlant
-from anther.sim.render import Scene, d455
-from anther.sim.robot import cut_out
+from anther.sim.render import Scene
+from anther.sim.robot import SIDE
 
 TONES = np.array([2.0, 2.7, 3.6, 4.8, 6.4, 8.5, 11.3, 14.1, 15.4, 16.9, 18.5, 20.3, 24.0, 34.0])
 SHAKEN = np.clip(TONES / 3, 1.0, 5.0)
@@ -77,10 +76,10 @@ def one(species: Crop, seed: int) -> list[dict[str, Any]]:
     except StageFailure:
         return []
     model = scanned(seen, PRIOR[species])
-    pose, intrinsics = layout(USUAL_DISTANCE).T_world_side_camera, cut_out(d455(848, 480), 480, 480)
-    image = Scene.of_plant(plant).render(intrinsics, pose)
+    pose = layout(USUAL_DISTANCE).T_world_side_camera
+    image = Scene.of_plant(plant).render(SIDE, pose)
     points = watch_points(model)
-    at = sight(Frame(0.0, image.rgb, image.depth), intrinsics, pose, seen.flowers.positions, model.rods.nodes[points])
+    at = sight(Frame(0.0, image.rgb, image.depth), SIDE, pose, seen.flowers.positions, model.rods.nodes[points])
     rng = np.random.default_rng(seed)
     angle = rng.uniform(0, np.pi)
     direction, rows = np.array([np.cos(angle), np.sin(angle), 0.0]), []

@@ -159,7 +159,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="one plant of each species only")
-    parser.add_argument("--seed", type=int, default=0, help="for uniformity; the plants are fixed")
     args = parser.parse_args()
     console = Console()
     plants = [PLANTS[1], PLANTS[5]] if args.quick else PLANTS

@@ -73,7 +73,7 @@ class Surroundings:
                 spec.worldbody.add_geom(
                     name=name, type=kind, pos=(box.lower + box.upper) / 2, size=size, contype=SCENERY, conaffinity=ROBOT
                 )
-        arm_model.add_arm(spec, arm, arm_model.Params(), contype=ROBOT, conaffinity=ROBOT | SCENERY)
+        arm_model.add_arm(spec, arm, contype=ROBOT, conaffinity=ROBOT | SCENERY)
         for pair in arm.neighbours:
             first, second = (_BODIES.get(link, (link,)) for link in pair)
             for a, b in ((a, b) for a in first for b in second if a != b):

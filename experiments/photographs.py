@@ -37,7 +37,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from grasping_page import insert
+from grasping_page import insert, markdown
 from grasping_table import interval
 from numpy.typing import NDArray
 from photographs_looks import Look, by_colour, by_words
@@ -45,7 +45,6 @@ from photographs_sheet import Judged, contact_sheet
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from wide_truth import markdown
 
 from anther.files import read_json, write_json
 from anther.masks import FLOWER

@@ -195,7 +195,6 @@ def main() -> None:
         )
     parser.add_argument("--peers-every", type=int, default=1, metavar="N", help="peers see every Nth seedling only")
     parser.add_argument("--quick", action="store_true", help="every eighth seedling only")
-    parser.add_argument("--seed", type=int, default=0, help="for uniformity; nothing here is random")
     args = parser.parse_args()
     console, found = Console(), Run()
     wanted = [(name, python) for name in WORKERS if (python := getattr(args, name))]

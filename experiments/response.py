@@ -31,6 +31,7 @@ from rich.table import Table
 from shaken_plant import Params as ShakenParams
 from shaken_plant import Shaken, ShakenPlant
 from swept import swept
+from vibration_plant import filmed
 
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout
 from anther.devices import Frame
@@ -41,11 +42,9 @@ from anther.geometry import Array, inverse, transform_points
 from anther.oscillation import choose_rate, fit_swing
 from anther.response import measure_response
 from anther.shake import Crop
-from anther.sim._depth_noise import noisy_depth
-from anther.sim.capture import CameraErrors, noisy_rgb
 from anther.sim.plant import SimPlant
-from anther.sim.render import Scene, d455
-from anther.sim.robot import RATES, cut_out
+from anther.sim.render import Scene
+from anther.sim.robot import RATES, SIDE
 
 SHAKES = ((0.001, 10.0), (0.002, 6.0), (0.004, 3.0), (0.008, 6.0), (0.012, 1.5), (0.001, 30.0))
 """(median amplitude of the flowers [m], frequency [Hz])."""
@@ -54,7 +53,6 @@ BLIND = ((0.001, 30.0, 30.0), (0.001, 30.0, 60.0), (0.002, 15.0, 30.0))
 FRAMES = 60
 PLACED = 0.0015
 """Standard deviation per axis with which perception places a flower [m]; 1.2 mm measured on ten plants."""
-CAMERA = cut_out(d455(848, 480), 480, 480)
 CROPS: tuple[Crop, ...] = ("tomato", "pepper")
 BANDS = {"1mm": (0.0, 1.5e-3), "3mm": (1.5e-3, 5e-3), "12mm": (5e-3, 1.0)}
 
@@ -84,14 +82,9 @@ def film(plant: SimPlant, amplitude: float, frequency: float, rate: float, seed:
     done = held.steady(min(amplitude / float(np.median(gain)), 0.02), frequency)
     wanted = done.times[0] + np.arange(0, done.times[-1] - done.times[0], 1 / rate)[:FRAMES]
     samples = np.abs(done.times - wanted[:, None]).argmin(axis=1)
-    scene, errors, pose = Scene.of_plant(plant), CameraErrors(), layout(USUAL_DISTANCE).T_world_side_camera
-    streams = np.random.default_rng([seed, 11]).spawn(len(samples))
-    frames = []
-    for i, rng in zip(samples, streams, strict=True):
-        moved = scene.moved(plant.posed_vertices(held.segment_poses(done.qpos[i])))
-        image = moved.render(CAMERA, pose)
-        depth = noisy_depth(image.depth, CAMERA, rng, errors.depth)
-        frames.append(Frame(float(done.times[i]), noisy_rgb(image.rgb, rng, errors), depth))
+    scene, pose = Scene.of_plant(plant), layout(USUAL_DISTANCE).T_world_side_camera
+    shapes = [plant.posed_vertices(held.segment_poses(done.qpos[i])) for i in samples]
+    frames = filmed(scene, shapes, done.times[samples], pose, np.random.default_rng([seed, 11]))
     return frames, replace(done, times=done.times[samples], flowers=done.flowers[samples], qpos=done.qpos[samples])
 
 
@@ -102,8 +95,8 @@ def in_sight(plant: SimPlant) -> Array:
     offsets = [np.cos(a) * across[0] + np.sin(a) * across[1] for a in np.arange(8) * np.pi / 4]
     scene = Scene.of_plant(plant)
     seen = np.mean([scene.visible(plant.flower_position + o, pose[:3, 3], 0.02) for o in offsets], axis=0) >= 0.5
-    pixels = CAMERA.project(transform_points(inverse(pose), plant.flower_position))
-    inside = np.all((pixels >= 8) & (pixels < [CAMERA.width - 8, CAMERA.height - 8]), axis=1)
+    pixels = SIDE.project(transform_points(inverse(pose), plant.flower_position))
+    inside = np.all((pixels >= 8) & (pixels < [SIDE.width - 8, SIDE.height - 8]), axis=1)
     return seen & inside
 
 
@@ -111,7 +104,7 @@ def judge(plant: SimPlant, frames: Sequence[Frame], true: Shaken, frequency: flo
     """Measure the frames and compare with the true motion."""
     count, rng = len(true.amplitude), np.random.default_rng([plant.seed, 12])
     flowers = Flowers(plant.flower_position + rng.normal(0, PLACED, (count, 3)), np.zeros(count, dtype=int))
-    found = measure_response(frames, CAMERA, layout(USUAL_DISTANCE).T_world_side_camera, flowers, frequency)
+    found = measure_response(frames, SIDE, layout(USUAL_DISTANCE).T_world_side_camera, flowers, frequency)
     together = {int(k) - 1 for note in found.notes if "overlap" in note for k in re.findall(r"\d+", note)}
     return [
         Measured(

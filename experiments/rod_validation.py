@@ -58,7 +58,6 @@ def main() -> None:
     parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the page; with --quick, not written")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="shorter runs and coarser steps, in two minutes")
-    parser.add_argument("--seed", type=int, default=0, help="for uniformity; the cases fix their own seeds")
     args = parser.parse_args()
     console = Console()
     begin = time.perf_counter()

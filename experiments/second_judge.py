@@ -45,7 +45,7 @@ from shaken_plant import Params, ShakenPlant
 
 from anther.files import write_json
 from anther.shake.observables import semi_major
-from anther.sim import _plant_mechanics
+from anther.sim import _pieces, _plant_mechanics
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
 from anther.sim.tomato import grow_tomato
@@ -128,7 +128,7 @@ def difference(found: ComplexArray, reference: ComplexArray) -> Array:
 
 def framed(plant: SimPlant, point: Array, size: float = ELEMENT) -> FramedPlant:
     """Return the plant as a frame in which the judge's organs twist."""
-    return FramedPlant(plant, point, ALONG, size=size, twisting=_plant_mechanics.TWISTING)
+    return FramedPlant(plant, point, ALONG, size=size, twisting=_pieces.TWISTING)
 
 
 def bare_params(piece: float) -> _plant_mechanics.Params:

@@ -131,11 +131,11 @@ class ShakenPlant:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         finer, self._part = divided(plant, params.plant.piece)
-        pieces = _plant_mechanics.add_plant(spec, finer, params.plant, contype=0, conaffinity=0)
+        pieces = _plant_mechanics.add_plant(spec, finer, params.plant)
         held, self.point = _nearest_piece(finer, pieces, np.asarray(point, dtype=np.float64))
         _add_carriage(spec, self.point, self.direction, f"plant_{held}", self._pads, params.timestep)
         self.model: Any = spec.compile()
-        self.mechanics = PlantMechanics(self.model, finer, pieces, params.plant)
+        self.mechanics = PlantMechanics(self.model, finer, pieces)
         self.air = Air(self.mechanics, truth.wind, plant.seed)
         self._held = int(self.mechanics.bodies[held])
         self._carriage = int(self.model.joint("carriage").dofadr[0])

@@ -21,25 +21,23 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import shaking_table
 from grasping_page import insert
-from grasping_trial import Memory, performed, truth_of
-from paper_grasp import paper_grasp
+from grasping_trial import Memory, paper_plan, performed, truth_of
 from swept import failed, swept
 from vibration_plant import matched
 
-from anther.arm.planner import Planner
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, build
 from anther.execution import execute
 from anther.files import write_json
-from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
+from anther.pipeline import Done, Params, Seen, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance
 from anther.safety import GuardedArm
-from anther.shake import ArmShaker, Crop, EarlierShake, ShakePlan, plan_shake
+from anther.shake import Crop, EarlierShake, ShakePlan
 from anther.sim.truth import WIDE
 
 SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
@@ -49,7 +47,6 @@ PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
 """Of the paper's largest and fastest shakes (docs/paper.md)."""
 PAPER_FORCE = 150.0
 """The paper's shakes pull with 15 to 141 N (facts: pollination 6); a guard's 10 N would stop most."""
-LEAST_SHAKE = 1e-6  # m: the paper's grasp is not refused because the plant bears no useful shake there
 WAYS = ("paper", "plan", "escalated", "again", "motor")
 
 
@@ -132,18 +129,15 @@ def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dic
 
 def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     """Take the plant by the paper's rule (P12-P14) and shake it as the paper's most vigorous runs."""
-    params, side = Params(), cell.robot_side
-    seen: Seen = perceive(run.stage("capture", None, side.take_views), side.workspace, run, params)
-    planner = cast(Planner, side.plan_around(seen.cloud))
-    grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
-    rods = model_plant(seen, material, params)
-    limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
-    plan = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
-    shake: ShakePlan = replace(plan, press=float(side.limits.pressing.most(grasp.stem_diameter)), **PAPER_SHAKE)
+    side = cell.robot_side
+    seen: Seen = perceive(run.stage("capture", None, side.take_views), side.workspace, run, Params())
+    planner, plan, material = paper_plan(cell, seen, material)
+    press = float(side.limits.pressing.most(plan.grasp.stem_diameter))
+    shake: ShakePlan = replace(plan, press=press, **PAPER_SHAKE)
     limits = replace(side.limits, contact_force=PAPER_FORCE)
     arm = GuardedArm(side.robot.arm._arm, limits)  # the cell's own guard would stop it
     robot = replace(side.robot, arm=arm, side_camera=None, T_world_side_camera=None)
-    return Done(shake, execute(planner, shake, robot, limits), None, rods.material)
+    return Done(shake, execute(planner, shake, robot, limits), None, material)
 
 
 def seen_and_true(cell: SimulatedCell, run: Memory, done: Done, case: Case) -> dict[str, Any]:

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from grasping_page import rows_of
 from grasping_table import interval
-from rich.table import Table
-from wide_truth import markdown
 
 from anther.response import MOVED
 
@@ -97,15 +96,15 @@ def report(rows: Sequence[Row]) -> str:
         "way, crop", "plants", "median flower [m/s²] (95 %)", "least", "above 5", "above 10", "stem", "pedicel", "base",
         "leaf [g]", "past a limit", "harm", "slip [mm]", "held", "shaking [s]", "pollen freed",
     )  # fmt: skip
-    table = Table(*heads)
-    for way in dict.fromkeys(row["way"] for row in rows):
-        for species in ("tomato", "pepper"):
-            mine = of(rows, way, species)
-            if mine:
-                table.add_row(f"{way}, {species}", *_cells(mine))
+    table = [
+        (f"{way}, {species}", *_cells(mine))
+        for way in dict.fromkeys(row["way"] for row in rows)
+        for species in ("tomato", "pepper")
+        if (mine := of(rows, way, species))
+    ]
     lost = [row for row in rows if not row.get("held") or harmed(row)]
     lines = [f"- {r['way']}, {r['species']} {r['seed']}: {r.get('message')}" for r in lost]
-    return "\n\n".join([markdown(table), "\n".join(lines) or "Nothing failed."])
+    return "\n\n".join([rows_of(heads, table), "\n".join(lines) or "Nothing failed."])
 
 
 def _cells(rows: Sequence[Row]) -> list[str]:

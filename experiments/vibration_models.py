@@ -6,24 +6,23 @@ Each gives, by linear theory, every flower's amplitude per metre of grip motion.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from grasping_trial import Memory
 from numpy.typing import NDArray
 from true_rods import Builder
 
-from anther import cloud, flowers, masks, plant, skeleton, stem
+from anther import pipeline, plant, skeleton
 from anther.capture import Capture
-from anther.cloud import Cloud
 from anther.elastic_rod import Clamp, Rods, least_stiffness, response_map, with_gravity_equilibrium
-from anther.flowers import Flowers
 from anther.geometry import Array, Box
+from anther.pipeline import Seen
 from anther.plant import PEPPER, TOMATO, Material, PlantModel
 from anther.shake.observables import semi_major
-from anther.sim._plant_mechanics import TWISTING
+from anther.sim._pieces import TWISTING
 from anther.sim.plant import SimPlant
-from anther.skeleton import Skeleton
-from anther.stem import Stem
 
 PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 PAPER_YOUNGS = {"tomato": 21.6e6, "pepper": 31.6e6}
@@ -42,23 +41,9 @@ MARGIN = 1.5
 """A model of the paper that would buckle gets this times the Young's modulus at which it just stands."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """What perception made of one capture."""
-
-    cloud: Cloud
-    skeleton: Skeleton
-    stem: Stem
-    flowers: Flowers
-
-
 def perceive(capture: Capture, workspace: Box) -> Seen:
     """Return what the pipeline sees."""
-    fused = cloud.fuse(capture, masks.segment(capture, workspace), workspace)
-    tree = skeleton.skeletonize(fused)
-    centres = flowers.flower_centres(fused)
-    main = stem.find_stem(tree, flowers_at=centres)
-    return Seen(fused, tree, main, flowers.find_flowers(fused, tree, main, centres=centres))
+    return pipeline.perceive(capture, workspace, Memory(Path()), pipeline.Params())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

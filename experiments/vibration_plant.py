@@ -5,7 +5,7 @@ R shakes, F flowers that were seen and are there, G grips.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from expectation import amplitude_at
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from shaken_plant import Params as ShakenParams
-from shaken_plant import Shaken, ShakenPlant
+from shaken_plant import ShakenPlant
 from vibration_models import PRIOR, Seen, anther_model, paper_model, perceive, scanned, true_model
 
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, photograph, views_at
@@ -34,11 +34,10 @@ from anther.shake._limits import sawyer_limit
 from anther.shake._verification import steadily_shaken
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes
-from anther.sim._depth_noise import noisy_depth
-from anther.sim.capture import CameraErrors, noisy_rgb
+from anther.sim.capture import CameraErrors, sensed
 from anther.sim.plant import SimPlant
-from anther.sim.render import Scene, d455
-from anther.sim.robot import cut_out
+from anther.sim.render import Scene
+from anther.sim.robot import SIDE
 
 HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Grips, in shares of the main stem's length."""
@@ -216,12 +215,14 @@ def probed(
     """Shake in bursts; return what is believed before and after, and after with perfect sight, and the numbers."""
     by_camera, by_truth, told = [], [], []
     rng = np.random.default_rng(seed)
-    intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
+    pose = layout(USUAL_DISTANCE).T_world_side_camera
     for f in PROBE_FREQUENCIES:
         camera = replace(STEP, samples=round(CAMERA_RATE / f), measure=1.5)
         shaken = ShakenPlant(grip.plant, grip.point, DIRECTION, camera)
         done = shaken.steady(PROBE_AMPLITUDE, f)
-        answer = measure_response(filmed(scene, shaken, done, pose, seed), intrinsics, pose, seen.flowers, f)
+        shapes = [shaken.plant.posed_vertices(shaken.segment_poses(qpos)) for qpos in done.qpos]
+        frames = filmed(scene, shapes, done.times, pose, np.random.default_rng(seed))
+        answer = measure_response(frames, SIDE, pose, seen.flowers, f)
         expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([f]))[0, 0]
         facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "pads": PADS}
         place, predicted = SimpleNamespace(point=grip.point), PROBE_AMPLITUDE * expected
@@ -237,15 +238,18 @@ def probed(
     return beliefs, {**whole, "notes": list(beliefs["probe"].notes)}
 
 
-def filmed(scene: Scene, shaken: ShakenPlant, done: Shaken, pose: Array, seed: int) -> list[Frame]:
-    """Return what the side camera sees of a shake."""
-    intrinsics, errors = cut_out(d455(848, 480), 480, 480), CameraErrors()
-    frames = []
-    for time, qpos, rng in zip(done.times, done.qpos, np.random.default_rng(seed).spawn(len(done.times)), strict=True):
-        moved = scene.moved(shaken.plant.posed_vertices(shaken.segment_poses(qpos)))
-        image = moved.render(intrinsics, pose)
-        depth = noisy_depth(image.depth, intrinsics, rng, errors.depth)
-        frames.append(Frame(float(time), noisy_rgb(image.rgb, rng, errors), depth))
+def filmed(
+    scene: Scene,
+    shapes: Sequence[Array],
+    times: Array,
+    pose: Array,
+    rng: np.random.Generator,
+    errors: CameraErrors | None = None,
+) -> list[Frame]:
+    """Return what the side camera at `pose` sees of a plant in these shapes (Nv, 3) [m] at times (T,) [s]."""
+    errors, frames = errors or CameraErrors(), []
+    for shape, time, stream in zip(shapes, times, rng.spawn(len(times)), strict=True):
+        frames.append(sensed(scene.moved(shape).render(SIDE, pose), float(time), SIDE, stream, errors))
     return frames
 
 

@@ -17,7 +17,7 @@ from grasping_trial import truth_of
 from numpy.typing import NDArray
 from shaken_plant import ShakenPlant
 from vibration_models import PRIOR, Seen, perceive, scanned
-from vibration_plant import matched, stem_points
+from vibration_plant import filmed, matched, stem_points
 
 from anther.commands.simulated_cell import (
     PRESETS,
@@ -38,11 +38,10 @@ from anther.shake import Crop, ShakePlan
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes
 from anther.shake.search import Version, flower_motion
-from anther.sim._depth_noise import noisy_depth
-from anther.sim.capture import camera_errors, noisy_rgb
+from anther.sim.capture import camera_errors
 from anther.sim.plant import Organ
-from anther.sim.render import Scene, d455
-from anther.sim.robot import cut_out
+from anther.sim.render import Scene
+from anther.sim.robot import SIDE
 from anther.sim.sway import swaying
 from anther.sim.truth import NOMINAL, Truth
 
@@ -151,13 +150,13 @@ def _probe(
     model: PlantModel, grip: ShakenPlant, seen: Seen, frequency: float, amplitude: float, swayed: Array, truth: Truth
 ) -> ObservedShake:
     """Shake at one tone, in the wind; return what camera and arm measured of it."""
-    intrinsics, pose = cut_out(d455(848, 480), 480, 480), layout(USUAL_DISTANCE).T_world_side_camera
+    pose = layout(USUAL_DISTANCE).T_world_side_camera
     frames = _filmed(grip, amplitude, frequency, pose, truth, swayed)
     ids = seen.stem.node_ids
     nodes, arc = seen.skeleton.nodes[ids], seen.stem.arc_length
     held = float(arc[np.argmin(np.linalg.norm(nodes - grip.point, axis=1))])
     beside = stem_near(nodes, arc, seen.skeleton.radius[ids], held)
-    answer = measure_response(frames, intrinsics, pose, seen.flowers, frequency, stem=beside)
+    answer = measure_response(frames, SIDE, pose, seen.flowers, frequency, stem=beside)
     where = pad_nodes(model, grip_rows(model, grip.point[None]))
     linear = semi_major(flower_motion(Version(model), where, DIRECTION, np.array([frequency]))[0, 0])
     facts = {"direction": DIRECTION, "amplitude": amplitude, "frequency": frequency, "pads": PADS}
@@ -193,15 +192,11 @@ def _filmed(
 
     The swing is that of MuJoCo's linear equations with the drag at its amplitude, and the wind's motion besides.
     """
-    plant, scene, errors, times = grip.plant, Scene.of_plant(grip.plant), camera_errors(truth), _times(frequency)
-    intrinsics, frames = cut_out(d455(848, 480), 480, 480), []
+    plant, times = grip.plant, _times(frequency)
     shapes = [plant.posed_vertices(grip.segment_poses(q)) for q in grip.swing(amplitude, frequency, times)]
-    streams = np.random.default_rng(plant.seed).spawn(len(times))
-    for time, shape, sway, rng in zip(times, shapes, swayed, streams, strict=True):
-        image = scene.moved(shape + sway).render(intrinsics, pose)
-        depth = noisy_depth(image.depth, intrinsics, rng, errors.depth)
-        frames.append(Frame(float(time) + truth.clock_offset, noisy_rgb(image.rgb, rng, errors), depth))
-    return frames
+    shapes = [shape + sway for shape, sway in zip(shapes, swayed, strict=True)]
+    rng = np.random.default_rng(plant.seed)
+    return filmed(Scene.of_plant(plant), shapes, times + truth.clock_offset, pose, rng, camera_errors(truth))
 
 
 def _felt(grip: ShakenPlant, amplitude: float, frequency: float, seed: int) -> Felt:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from rich.table import Table
+from grasping_page import rows_of
 from wide_plant import HELD, KINDS, SLOW, TONES
 
 from anther.geometry import Array
@@ -67,15 +67,15 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     return out | {"bias_amplitude": float(np.median(logs)), "spread_amplitude": float(np.std(logs))}
 
 
-def ranking(by_truth: dict[str, dict[str, float]], names: Sequence[str]) -> Table:
-    """Return a table of some metrics by truth: nominal, everything drawn, then one group at a time, the worst first."""
-    table = Table("only this is not nominal", *names)
+def ranking(by_truth: dict[str, dict[str, float]], names: Sequence[str]) -> str:
+    """Return some metrics by truth in Markdown: nominal, everything drawn, then each group alone, the worst first."""
+    lines = []
     first = [name for name in ("nominal", "wide") if name in by_truth]
     rest = sorted(set(by_truth) - set(first), key=lambda name: -by_truth[name].get(names[0], 0.0))
     for name in (*first, *rest):
         title = {"nominal": "nothing", "wide": "**everything**"}.get(name, name)
-        table.add_row(title, *(f"{by_truth[name].get(key, np.nan):.3g}" for key in names))
-    return table
+        lines.append((title, *(f"{by_truth[name].get(key, np.nan):.3g}" for key in names)))
+    return rows_of(("only this is not nominal", *names), lines)
 
 
 def tones() -> str:

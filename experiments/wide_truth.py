@@ -28,11 +28,10 @@ from pathlib import Path
 
 import wide_grasping
 import wide_table
-from grasping_page import insert
+from grasping_page import insert, rows_of
 from grasping_trial import asked, crashed, one_trial
 from rich.console import Console
 from rich.markdown import Markdown
-from rich.table import Table
 from swept import swept
 from wide_plant import Case, one_plant
 
@@ -97,22 +96,13 @@ def report(predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, 
     """Return the tables as Markdown."""
     parts = []
     if "wide" in predicted:
-        table = Table("everything drawn", "value")
-        for name, value in predicted["wide"].items():
-            table.add_row(name, f"{value:.3g}")
-        parts += [f"Probed at {wide_table.tones()}.", markdown(table)]
-        parts.append(markdown(wide_table.ranking(predicted, PREDICTED)))
+        told = [(name, f"{value:.3g}") for name, value in predicted["wide"].items()]
+        parts += [f"Probed at {wide_table.tones()}.", rows_of(("everything drawn", "value"), told)]
+        parts.append(wide_table.ranking(predicted, PREDICTED))
     if grasped:
-        parts.append(markdown(wide_table.ranking(grasped, GRASPED)))
+        parts.append(wide_table.ranking(grasped, GRASPED))
         parts.append("\n".join(f"- {line}" for line in failed) or "No trial failed.")
     return "\n\n".join(parts)
-
-
-def markdown(table: Table) -> str:
-    heads = [str(column.header) for column in table.columns]
-    cells = zip(*(list(column.cells) for column in table.columns), strict=True)
-    lines = [heads, ["---"] * len(heads), *cells]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
 
 
 def main() -> None:

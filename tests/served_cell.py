@@ -39,7 +39,7 @@ from anther.arm.model import ArmModel
 from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
 from anther.commands.simulated_cell import grow, layout, usual_distance
 from anther.shake import Crop
-from anther.sim import arm_model, cell
+from anther.sim import cell
 from anther.sim._motor import contact_vector
 from anther.sim.capture import camera_errors, perturbed_hand_eye
 from anther.sim.judge import judge
@@ -76,7 +76,7 @@ class Plant:
 
     def world(self) -> cell.Cell:
         truth = self.drawn()
-        params, arm = cell.Params(arm=arm_model.Params(grip_force=FORCE)), self.model
+        params, arm = cell.Params(grip_force=FORCE), self.model
         return cell.Cell(grow(self.species, self.seed, 0.0, self.distance, truth), arm.waiting, params, truth, arm)
 
 

@@ -46,7 +46,7 @@ def plant_of(*chains: dict, damping_ratio: float = 0.05, flower: int | None = No
         face_organ=np.array([Organ.POT]),
         vertex_color=np.zeros((3, 3)),
         vertex_segment=np.array([-1, -1, -1]),
-        pot=Pot(centre=BASE, radius_top=0.09, radius_bottom=0.07),
+        pot=Pot(centre=BASE, radius=0.09),
     )
 
 

@@ -52,7 +52,7 @@ def postures(arm: ArmModel, count: int) -> Array:
 def test_forward_kinematics_are_mujoco_s(arm: ArmModel) -> None:
     spec = mujoco.MjSpec()  # type: ignore[attr-defined]
     spec.compiler.degree = False
-    arm_model.add_arm(spec, arm, arm_model.Params(), contype=1, conaffinity=1)
+    arm_model.add_arm(spec, arm, contype=1, conaffinity=1)
     model = spec.compile()
     data = mujoco.MjData(model)  # type: ignore[attr-defined]
     at = [model.joint(name).qposadr[0] for name in arm.joints]

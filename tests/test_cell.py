@@ -14,7 +14,7 @@ from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 from anther.arm import sawyer
 from anther.errors import StageFailure
 from anther.sim import _growth, _plant_mechanics
-from anther.sim._blades import blades_of
+from anther.sim._plant_mechanics import leaf_boxes
 from anther.sim.cell import LOG_EVERY, Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
@@ -197,28 +197,28 @@ def test_leaf_blades_are_boxes_that_touch_and_midribs_are_not() -> None:
     )
     middle = np.add(BASE, [0.05, 0, 0.2])
     leafy = with_blade(leafy, middle, [0, 0, 1], segment=4)
-    boxes = blades_of(leafy)
-    assert 4 * (boxes.half[:, 0] * boxes.half[:, 1]).sum() == pytest.approx(0.6 * 0.06**2, rel=0.4)
-    assert boxes.centre.mean(axis=0) == pytest.approx(middle, abs=1e-3)
+    _, centre, _, half = (np.array(x) for x in zip(*leaf_boxes(leafy), strict=True))
+    assert 4 * (half[:, 0] * half[:, 1]).sum() == pytest.approx(0.6 * 0.06**2, rel=0.4)
+    assert centre.mean(axis=0) == pytest.approx(middle, abs=1e-3)
     model = Cell(leafy).model
     assert model.geom("segment_3").contype[0] == 1
     assert model.geom("segment_4").contype[0] == 0
     blades = [model.geom(i) for i in range(model.ngeom) if model.geom(i).name.startswith("blade_")]
-    assert len(blades) == len(boxes.segment)
+    assert len(blades) == len(centre)
     assert all(g.contype[0] == 1 and g.name.endswith("_4") for g in blades)
     cell = Cell(leafy)
     at = np.array([cell.data.geom(g.name).xpos for g in blades])
-    assert at == pytest.approx(boxes.centre, abs=1e-6)
+    assert at == pytest.approx(centre, abs=1e-6)
 
 
 @pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
 def test_the_blades_of_a_grown_plant_cover_its_leaves(grow) -> None:
     plant = grow(10)
-    boxes = blades_of(plant)
+    half = np.array([half for *_, half in leaf_boxes(plant)])
     a, b, c = np.swapaxes(plant.vertices[plant.faces[plant.face_organ == Organ.LEAF]], 0, 1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-    assert 4 * (boxes.half[:, 0] * boxes.half[:, 1]).sum() == pytest.approx(area, rel=0.25)
-    assert boxes.half.max() < 0.08
+    assert 4 * (half[:, 0] * half[:, 1]).sum() == pytest.approx(area, rel=0.25)
+    assert half.max() < 0.08
 
 
 def test_a_pedicel_of_two_segments_swings_as_a_cantilever_with_a_tip_mass() -> None:

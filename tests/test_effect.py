@@ -32,7 +32,7 @@ def verdict_of(held: bool = True, felt: tuple[float, ...] = BREEZE, **loads: flo
     """The verdict on a trial that went well but for what is given; this plant bears what half of all plants do."""
     harm = Harm(GENTLE | loads, {kind: bears.median for kind, bears in TOLERANCE.items()})
     failure = "slipped" if not held else "damaged" if harm.passed else None
-    flowers: list[Array] = [np.array(felt)] * 4
+    flowers: list[Array] = [np.array(felt)] * 2
     return Verdict(held, failure, "so it was", "stem", 0.2, 1e-4, 0.0, harm, *flowers, 0.5)  # type: ignore[arg-type]
 
 

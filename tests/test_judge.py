@@ -71,11 +71,9 @@ def test_a_stem_in_the_middle_is_held_through_the_shake() -> None:
     y = sawyer.forward(trial.measured)[:, 1, 3]
     assert np.ptp(y) / 2 == pytest.approx(0.001, rel=0.1)
     assert verdict.flower_amplitude[0] > 0.0005
-    assert verdict.flower_frequency[0] == pytest.approx(5.0, rel=0.1)
-    # a sinusoid of that amplitude needs about this much rms acceleration
-    steady = verdict.flower_amplitude[0] * (2 * np.pi * 5) ** 2 / np.sqrt(2)
-    assert verdict.flower_acceleration[0] == pytest.approx(steady, rel=0.5)
-    assert verdict.flower_acceleration_peak[0] == pytest.approx(np.sqrt(2) * steady, rel=0.5)
+    # a sinusoid of that amplitude needs about this much acceleration
+    steady = verdict.flower_amplitude[0] * (2 * np.pi * 5) ** 2
+    assert verdict.flower_acceleration_peak[0] == pytest.approx(steady, rel=0.5)
     # held and unharmed, and yet it freed next to nothing: 3.7 m/s2
     assert (verdict.flowers_moved, verdict.success) == (False, False)
 

@@ -17,7 +17,7 @@ from anther.errors import InputError, StageFailure
 from anther.oscillation import fit_swing
 from anther.safety import guard
 from anther.safety._motor import GuardedMotor, check_swing
-from anther.sim import arm_model, carriage
+from anther.sim import arm_model
 from anther.sim._motor import SimMotor
 from anther.sim.cell import Cell, Params
 from anther.sim.plant import SimPlant
@@ -27,13 +27,12 @@ from anther.swing import Swing
 
 Q = solve(horizontal_grasp(np.add(BASE, [0, 0, 0.25]), np.zeros(7)).T_world_flange)
 FIRST = Swing.first([30.0], [1e-3], 0.6, 0.3)
-MOTOR = carriage.Params()
 LAST = FIRST.then([0.0], 0.2, 0.2)
 
 
-def holding(truth: Truth = NOMINAL, motor: carriage.Params = MOTOR, plant: SimPlant | None = None) -> Cell:
+def holding(truth: Truth = NOMINAL, coil: float = arm_model.COIL_FORCE, plant: SimPlant | None = None) -> Cell:
     """Return a cell whose gripper holds the stem of a plant, and in which a motor shakes it."""
-    cell = Cell(plant or straight_plant(), Q, Params(arm=arm_model.Params(motor=motor)), truth)
+    cell = Cell(plant or straight_plant(), Q, Params(coil_force=coil), truth)
     SimGripper(cell).move(0.0)
     return cell
 
@@ -126,7 +125,7 @@ def test_what_the_motor_cannot_do_it_refuses(piece: Swing, message: str) -> None
 
 def test_a_coil_too_weak_for_what_it_holds_is_noticed() -> None:
     rod = plant_of(chain(BASE + np.linspace(0, 0.3, 13)[:, None] * [0, 0, 1.0], 0.004, youngs=1e11), damping_ratio=0.3)
-    cell = holding(motor=carriage.Params(force=4.0), plant=rod)
+    cell = holding(coil=4.0, plant=rod)
     with pytest.raises(DeviceError, match="does not follow"):
         SimMotor(cell).swing(Swing.first([12.0], [1.5e-3], 0.5, 0.1), lambda _: None, None)
 

@@ -15,8 +15,8 @@ from shaken_plant import Params, ShakenPlant
 from straight_plant import BASE, straight_plant, with_blade
 
 from anther.shake.observables import semi_major
-from anther.sim import _plant_mechanics
-from anther.sim._inertia import mass_properties
+from anther.sim import _pieces, _plant_mechanics
+from anther.sim._pieces import mass_properties
 from anther.sim.plant import Organ, SimPlant
 
 LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0
@@ -153,7 +153,7 @@ def judged(plant: SimPlant, hertz: Any) -> tuple[Any, Any]:
     """Return the flowers' amplitudes by the simulation and by the frame, per metre of grip."""
     fine = Params(plant=_plant_mechanics.Params(0.004, stiffest=3000, foliage=3000, twist_every=1))
     shaken = ShakenPlant(plant, BASE + 0.25 * UP, ALONG, fine)
-    frame = FramedPlant(plant, shaken.point, ALONG, size=0.02, twisting=_plant_mechanics.TWISTING)
+    frame = FramedPlant(plant, shaken.point, ALONG, size=0.02, twisting=_pieces.TWISTING)
     found = semi_major(frame.flowers(modal_response(frame.frame, frame.shake, hertz, damped_below=60)))
     return semi_major(shaken.linear(hertz)), found
 
@@ -184,7 +184,7 @@ def test_the_judge_is_its_own_pieces_in_the_frames_code() -> None:
 
 def test_ever_shorter_pieces_become_the_frame() -> None:
     plant = leaning_plant()
-    whole = lossy_motion(FramedPlant(plant, BASE + 0.25 * UP, ALONG, size=0.005, twisting=_plant_mechanics.TWISTING))
+    whole = lossy_motion(FramedPlant(plant, BASE + 0.25 * UP, ALONG, size=0.005, twisting=_pieces.TWISTING))
     eight, four, two, one = (
         lossy_motion(HingedPlant(plant, BASE + 0.25 * UP, ALONG, bare_params(mm))) for mm in (8.0, 4.0, 2.0, 1.0)
     )

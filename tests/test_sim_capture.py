@@ -15,9 +15,9 @@ from anther.arm.views import Views
 from anther.commands.simulated_cell import in_wind
 from anther.errors import InputError
 from anther.geometry import Array, inverse, look_at, small_transform, transform
-from anther.sim._depth_noise import DepthNoise
 from anther.sim.capture import (
     CameraErrors,
+    DepthNoise,
     capture_from_poses,
     capture_views,
     noisy_rgb,

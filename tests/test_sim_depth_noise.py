@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.errors import InputError
-from anther.sim._depth_noise import DepthNoise, noisy_depth
+from anther.sim.capture import DepthNoise, noisy_depth
 from anther.sim.render import d455
 
 CAMERA = d455(640, 360)
@@ -123,7 +123,7 @@ def test_same_seed_same_reading() -> None:
 @given(value=st.floats(1.01, 1e6) | st.just(float("nan")))
 def test_nonsense_parameters_are_refused(value: float) -> None:
     with pytest.raises(InputError):
-        DepthNoise(baseline=value)
+        DepthNoise(subpixel=value + 1)
     with pytest.raises(InputError):
         DepthNoise(edge_dropped=value)
 

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.errors import InputError
 from anther.geometry import small_transform, transform, transform_points
-from anther.sim._growth import Growth
-from anther.sim._stiffness import SELF_SUPPORT, buckling_factor, pedicel_radius
+from anther.sim._growth import SELF_SUPPORT, Growth, buckling_factor, pedicel_radius
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import GRAVITY, POT_AXIS, SOIL_Z, Organ, SimPlant
 from anther.sim.tomato import grow_tomato
@@ -166,11 +165,11 @@ def test_viewpoint_turns_the_plant_about_the_pot_axis() -> None:
 
 
 def test_placement_moves_everything() -> None:
-    a, b = grow_tomato(1), grow_tomato(1, axis=(0.0, 0.5), soil_z=0.1)
-    shift = np.array([0.0 - POT_AXIS[0], 0.5 - POT_AXIS[1], 0.1 - SOIL_Z])
+    a, b = grow_tomato(1), grow_tomato(1, axis=(0.0, 0.5))
+    shift = np.array([0.0 - POT_AXIS[0], 0.5 - POT_AXIS[1], 0.0])
     np.testing.assert_allclose(b.flower_position - a.flower_position, np.tile(shift, (len(a.flower_segment), 1)))
-    assert b.pot.soil_z == pytest.approx(0.1)
-    assert b.pot.bench_z == pytest.approx(0.1 - 0.18)
+    assert b.pot.soil_z == SOIL_Z
+    assert b.pot.bench_z == pytest.approx(SOIL_Z - 0.18)
 
 
 def test_masses_are_frusta_and_lumps() -> None:
@@ -185,12 +184,18 @@ def test_masses_are_frusta_and_lumps() -> None:
 
 
 def pole(length: float, radius: float, youngs: float, pieces: int) -> SimPlant:
-    growth = Growth(np.random.default_rng(0), youngs=youngs, density=1000.0)
+    growth = Growth(np.random.default_rng(0), youngs)
     points = np.stack([np.zeros(pieces + 1), np.zeros(pieces + 1), np.linspace(0, length, pieces + 1)], axis=1)
     k = growth.chain(points, np.full(pieces + 1, radius), Organ.STEM, -1, (0, 255, 0))
-    tip = growth.chain(points[-1] + np.array([[0, 0, 0], [1e-5, 0, 0]]), [1e-4, 1e-4], Organ.PEDICEL, k[-1], (0, 9, 0))
-    growth.flower(tip[-1], points[-1], 1e-12)
-    return growth.finish("tomato", 0, axis=(0, 0), soil_z=0, viewpoint=0, pot_radius=0.09)
+    still = {
+        "length": (1e-5, 1e-5),
+        "mass": (1e-12, 1e-12),
+        "nod": (0.0, 0.0),
+        "parts": (0.5, 0.5),
+        "widths": (1, 1, 1),
+    }
+    growth.flower(k[-1], np.array([1.0, 0, 0]), (0, 9, 0), **still)
+    return growth.finish("tomato", 0, axis=(0, 0), viewpoint=0)
 
 
 def test_buckling_of_a_bare_pole_is_greenhills_limit() -> None:

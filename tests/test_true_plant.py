@@ -11,13 +11,14 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.errors import InputError
 from anther.shake.observables import semi_major
-from anther.sim._plant_mechanics import Params
-from anther.sim._stiffness import buckling_factor
+from anther.sim._growth import buckling_factor
+from anther.sim._pieces import Params
+from anther.sim._plant_mechanics import alone
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
-from anther.sim.true_plant import SLOWEST, as_true, branches, natural_frequencies
+from anther.sim.true_plant import SLOWEST, as_true, branches
 from anther.sim.truth import NOMINAL, WIDE, Truth, draw
 
 UP, SIDEWAYS = np.eye(3)[2], np.eye(3)[1]
@@ -60,7 +61,7 @@ def test_weak_plants_are_tied_and_all_stand() -> None:
         plant = as_true(grow_pepper(seed), draw(seed))
         assert draw(seed).self_support < 1.5
         assert plant.tie is not None
-        assert natural_frequencies(plant, Params(twist_every=1))[0] >= SLOWEST
+        assert alone(plant, Params(twist_every=1)).frequencies[0] >= SLOWEST
     assert as_true(grow_tomato(5002), Truth(self_support=2.0)).tie is None
 
 
@@ -117,8 +118,8 @@ def test_branches_differ_in_stiffness_and_the_top_is_softer(tomato: SimPlant) ->
 def test_an_oval_stem_bends_more_easily_across_its_wider_axis() -> None:
     stem = plant_of(chain(BASE + np.linspace(0, 0.5, 26)[:, None] * UP, 0.004, youngs=1e9), flower=24)
     oval = replace(stem, oval=np.tile(np.log(1.6) * SIDEWAYS, (25, 1)))
-    slow, fast = natural_frequencies(oval, Params())[:2]
-    middle = natural_frequencies(stem, Params())[0]
+    slow, fast = alone(oval, Params()).frequencies[:2]
+    middle = alone(stem, Params()).frequencies[0]
     assert fast / slow == pytest.approx(np.sqrt(1.6), rel=0.01)
     assert np.sqrt(fast * slow) == pytest.approx(middle, rel=0.01)
 
@@ -135,10 +136,10 @@ def test_a_soft_foot_and_a_soft_joint_give_way_as_their_springs_say() -> None:
     rod = plant_of(chain(BASE + np.linspace(0, 0.3, 7)[:, None] * UP, 0.01, youngs=1e12), flower=5)
     foot, mass, length = 5.0, np.pi * 1e-4 * 0.3 * 1000, 0.3
     theory = np.sqrt((foot - mass * 9.81 * length / 2) / (mass * length**2 / 3 + mass * 1e-4 / 4)) / (2 * np.pi)
-    assert natural_frequencies(replace(rod, foot=foot), Params())[0] == pytest.approx(theory, rel=0.01)
+    assert alone(replace(rod, foot=foot), Params()).frequencies[0] == pytest.approx(theory, rel=0.01)
     joint = np.zeros(6)
     joint[0] = 1 / foot
-    assert natural_frequencies(replace(rod, joint_compliance=joint), Params())[0] == pytest.approx(theory, rel=0.01)
+    assert alone(replace(rod, joint_compliance=joint), Params()).frequencies[0] == pytest.approx(theory, rel=0.01)
 
 
 def test_soft_pads_give_way_by_force_over_stiffness() -> None:

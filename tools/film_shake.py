@@ -15,8 +15,8 @@ from anther.pipeline import Params, pollinate
 from anther.plant import PEPPER, TOMATO
 from anther.runs import Run
 from anther.shake import Crop
-from anther.sim.render import Scene, d455
-from anther.sim.robot import cut_out
+from anther.sim.render import Scene
+from anther.sim.robot import SIDE
 
 WIDTH, COLOURS, RATE, PERIODS, SLOWER = 420, 128, 40, 6, 2.0
 """Width of the film [px], colours, pictures a second, periods of the shake (whole ones, so that the film goes on as it
@@ -38,11 +38,11 @@ def main(out: str, species: str = "tomato", seed: str = "0") -> None:
     log, side, period = cell.world.log(), cell.robot_side.robot, 1 / done.shake.frequency
     end = done.trial.steady[1]
     times = np.linspace(end - PERIODS * period, end, round(PERIODS * period * RATE), endpoint=False)
-    scene, view = Scene.of_plant(cell.plant), cut_out(d455(848, 480), 480, 480)
+    scene = Scene.of_plant(cell.plant)
     shapes = [
         cell.plant.posed_vertices(cell.world.segment_poses(log.qpos[int(np.searchsorted(log.times, t))])) for t in times
     ]
-    pictures = [scene.moved(shape).render(view, side.T_world_side_camera).rgb for shape in shapes]
+    pictures = [scene.moved(shape).render(SIDE, side.T_world_side_camera).rgb for shape in shapes]
     pictures = [Image.fromarray(picture).resize((WIDTH, WIDTH)) for picture in pictures]
     palette = pictures[0].quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]

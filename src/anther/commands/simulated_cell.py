@@ -20,7 +20,7 @@ from anther.geometry import Array, Box, look_at
 from anther.runs import Advance
 from anther.safety import guard
 from anther.shake import ActuatorName, Crop
-from anther.sim import arm_model, carriage
+from anther.sim import arm_model
 from anther.sim import cell as world
 from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
@@ -181,7 +181,7 @@ def build(
 
     Another `visit` is to the same plant, with other errors of arm and cameras. `tap` listens to the bare machines.
 
-    With the actuator "gripper" there is a motor in the gripper (`sim.carriage`), and `Robot.motor` to command it. The
+    With the actuator "gripper" there is a motor in the gripper (`sim.arm_model`), and `Robot.motor` to command it. The
     views are rendered, not driven to: the arm stands where it waits after the last of them.
 
     Raises:
@@ -193,8 +193,8 @@ def build(
     plant = grow(species, seed, viewpoint, distance, truth)
     noise = np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit])
     scene = Scene.of_plant(plant)
-    motor = carriage.Params() if actuator == "gripper" else None
-    mujoco = world.Cell(plant, arm.waiting, world.Params(arm=arm_model.Params(motor=motor)), truth, arm)
+    coil = arm_model.COIL_FORCE if actuator == "gripper" else 0.0
+    mujoco = world.Cell(plant, arm.waiting, world.Params(coil_force=coil), truth, arm)
     robot = robot_of(
         mujoco,
         errors=camera_errors(truth),

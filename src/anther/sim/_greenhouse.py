@@ -73,23 +73,20 @@ def surroundings(
     floor, walls = _floor(x, y), _walls(x, y)
     height = np.clip((walls[0][:, 2:] - FLOOR_Z) / (WALL_TOP - FLOOR_Z) * 1.6 - 0.25, 0, 1)
     haze = (1 - height) * HAZE_LOW + height * HAZE_HIGH + rng.normal(0, 3, (len(walls[0]), 1))
-    colours = [np.tile(setting.bench, (len(bench[0]), 1)), FLOOR_GREY + rng.normal(0, 6, (len(floor[0]), 1)), haze]
-    meshes, organs = [bench, floor, walls], [Organ.BENCH, Organ.SURROUNDINGS, Organ.SURROUNDINGS]
+    parts = [
+        (bench, Organ.BENCH, np.array(setting.bench)),
+        (floor, Organ.SURROUNDINGS, FLOOR_GREY + rng.normal(0, 6, (len(floor[0]), 1))),
+        (walls, Organ.SURROUNDINGS, haze),
+    ]
     if setting.stake:
-        for mesh, colour in (
-            (_rod(pot, (0.02, 0.015), 0.004, 0.55), BAMBOO),
-            (_rod(pot, (-0.03, 0.03), 0.0012, 0.8), STRING_WHITE),
-        ):
-            meshes.append(mesh)
-            organs.append(Organ.BENCH)
-            colours.append(np.tile(colour, (len(mesh[0]), 1)))
+        parts.append((_rod(pot, (0.02, 0.015), 0.004, 0.55), Organ.BENCH, np.array(BAMBOO)))
+        parts.append((_rod(pot, (-0.03, 0.03), 0.0012, 0.8), Organ.BENCH, np.array(STRING_WHITE)))
     if setting.greenery:
         mesh, green = _neighbours(x, y)
-        meshes.append(mesh)
-        organs.append(Organ.SURROUNDINGS)
-        colours.append(green)
-    vertices, faces = join(meshes)
-    organ = np.repeat(np.array(organs, dtype=np.uint8), [len(f) for _, f in meshes])
+        parts.append((mesh, Organ.SURROUNDINGS, green))
+    vertices, faces = join([mesh for mesh, _, _ in parts])
+    organ = np.concatenate([np.full(len(mesh[1]), organ, dtype=np.uint8) for mesh, organ, _ in parts])
+    colours = [np.broadcast_to(colour, mesh[0].shape) for mesh, _, colour in parts]
     return vertices, faces, organ, np.clip(np.vstack(colours), 0, 255).astype(np.uint8)
 
 

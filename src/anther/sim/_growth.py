@@ -1,21 +1,33 @@
 """Growing a simulated plant piece by piece: chains of segments with their tubes, surfaces that ride on a segment.
 
+It is as stiff as it has to be: it holds itself up, and its flowers swing on their pedicels as measured.
 Local frame while growing: the soil surface at the pot's axis is the origin, z up. `Growth.finish` places the plant.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 
 from anther.geometry import Array, transform, transform_points
-from anther.sim._mesh import Mesh, revolve, tube
-from anther.sim._stiffness import supported_youngs
-from anther.sim.plant import POT_HEIGHT, Organ, Pot, SimPlant
+from anther.sim._mesh import Mesh, revolve, tube, unit
+from anther.sim.plant import GRAVITY, POT_HEIGHT, SOIL_Z, Organ, Pot, SimPlant
 
+STEM_YOUNGS = (30e6, 300e6)
+"""Range of the stem's Young's modulus [Pa], log-uniform (facts: pollination 0, prior for E, centre about 100 MPa)."""
+PEDICEL_YOUNGS = (50e6, 100e6)
+"""Range of a pedicel's Young's modulus [Pa] (facts: pollination 1a)."""
+FLOWER_RESONANCE = (20.0, 35.0)
+"""Range in which a flower swings on its pedicel [Hz] (facts: pollination 1a: 20-35 Hz, 30 Hz measured)."""
+SELF_SUPPORT = 2.0
+"""How many times stiffer a plant is than one that just does not buckle under its own weight; 2 is a height margin of
+2^(1/3) = 1.26 over Greenhill's limit (height ~ E^(1/3)). An estimate: plants in pots stand without a stake."""
+DENSITY = 1000.0
+"""Of all tissue [kg/m3]; an estimate."""
 AREAL_DENSITY = 0.25
 """Mass of a fresh blade per area [kg/m2]: 0.25 mm of tissue that is mostly water (an estimate)."""
 LONGEST = 0.05
@@ -70,16 +82,18 @@ class Growth:
 
     Attributes:
         rng: source of everything random.
-        youngs, density: of the tissue [Pa], [kg/m3]; a chain may have its own.
+        youngs: of the tissue [Pa]; a chain may have its own. 0: drawn, log-uniform over STEM_YOUNGS.
     """
 
     rng: np.random.Generator
-    youngs: float
-    density: float
+    youngs: float = 0.0
     _segments: list[dict[str, Any]] = field(default_factory=list)
     _flowers: list[tuple[int, Array]] = field(default_factory=list)
     _meshes: list[dict[str, Any]] = field(default_factory=list)
     _vertices: int = 0
+
+    def __post_init__(self) -> None:
+        self.youngs = self.youngs or float(np.exp(self.rng.uniform(*np.log(STEM_YOUNGS))))
 
     def chain(
         self,
@@ -109,18 +123,14 @@ class Growth:
             the n - 1 numbers of the segments that end at points[1:].
         """
         radii = np.asarray(radii, dtype=np.float64)
-        tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": self.density}
+        tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": DENSITY}
         first, last = len(self._segments), []
         for i, step in enumerate(np.diff(points, axis=0)):
             count = int(np.ceil(np.linalg.norm(step) / LONGEST))
             places, widths = (np.linspace(x[i], x[i + 1], count + 1) for x in (points, radii))
             for j in range(count):
-                ends = {
-                    "start": places[j],
-                    "end": places[j + 1],
-                    "radius_start": widths[j],
-                    "radius_end": widths[j + 1],
-                }
+                ends = {"start": places[j], "end": places[j + 1]}
+                ends |= {"radius_start": widths[j], "radius_end": widths[j + 1]}
                 carried = {"lump_mass": 0.0, "lump_moment": np.zeros(3)}
                 self._segments.append({"parent": parent, **ends, **tissue, **carried})
                 parent = len(self._segments) - 1
@@ -155,16 +165,49 @@ class Growth:
         self._segments[segment]["lump_mass"] += mass
         self._segments[segment]["lump_moment"] = self._segments[segment]["lump_moment"] + mass * np.asarray(centre)
 
-    def flower(self, segment: int, centre: Array, mass: float) -> None:
-        """Say that a pedicel segment carries a flower of `mass` [kg] at `centre` (3,) [m]."""
-        self.carry(segment, mass, centre)
-        self._flowers.append((segment, centre))
+    def flower(
+        self,
+        parent: int,
+        out: Array,
+        colour: ArrayLike,
+        *,
+        length: tuple[float, float],
+        mass: tuple[float, float],
+        nod: tuple[float, float],
+        parts: tuple[float, float],
+        widths: tuple[float, float, float],
+    ) -> tuple[int, Array, Array]:
+        """Add a pedicel with a knee, and the flower's mass that it carries 3 mm beyond its end.
+
+        Args:
+            parent: segment it grows from the end of.
+            out: (3,) unit vector of its first part.
+            colour: sRGB.
+            length: range of its length [m].
+            mass: range of the flower's mass [kg].
+            nod: range of how far down it turns at the knee [-].
+            parts: shares of the length before and after the knee.
+            widths: radii at base, knee and end, over that with which it resonates in FLOWER_RESONANCE.
+
+        Returns:
+            its last segment, its end (3,) [m], and the unit vector (3,) in which it ends.
+        """
+        rng = self.rng
+        long, heavy, youngs = rng.uniform(*length), rng.uniform(*mass), rng.uniform(*PEDICEL_YOUNGS)
+        radius = pedicel_radius(long + 0.003, heavy, youngs, rng.uniform(*FLOWER_RESONANCE))
+        base, end = self.end(parent), unit(out + np.array([0, 0, -rng.uniform(*nod)]))
+        points = np.stack([base, base + parts[0] * long * out, base + long * (parts[0] * out + parts[1] * end)])
+        radii = radius * np.array(widths)
+        segment = self.chain(points, radii, Organ.PEDICEL, parent, colour, youngs=youngs, sides=6)[-1]
+        self.carry(segment, heavy, points[-1] + 0.003 * end)
+        self._flowers.append((segment, points[-1] + 0.003 * end))
+        return segment, points[-1], end
 
     def end(self, segment: int) -> Array:
         """Return where a segment ends (3,) [m]."""
         return self._segments[segment]["end"]
 
-    def pot(self, radius: float) -> None:
+    def _pot(self, radius: float) -> None:
         """Add a pot with soil under the origin."""
         colour = POT_COLOURS[self.rng.integers(len(POT_COLOURS))]
         r, h = radius, POT_HEIGHT
@@ -185,13 +228,12 @@ class Growth:
         colours = np.clip(np.array(SOIL_COLOUR) * self.rng.uniform(0.6, 1.35, (len(soil), 1)), 0, 255)
         self.surface((soil, faces), Organ.SOIL, colours, -1)
 
-    def finish(
-        self, species: str, seed: int, *, axis: tuple[float, float], soil_z: float, viewpoint: float, pot_radius: float
-    ) -> SimPlant:
-        """Return the plant, turned by `viewpoint` [deg] about the pot's axis and placed at (axis, soil_z) [m]."""
-        self.pot(pot_radius)
+    def finish(self, species: str, seed: int, *, axis: tuple[float, float], viewpoint: float) -> SimPlant:
+        """Return the plant in a pot, turned by `viewpoint` [deg] about its axis and placed at (axis, SOIL_Z) [m]."""
+        pot_radius = float(self.rng.uniform(0.085, 0.1))
+        self._pot(pot_radius)
         c, s = np.cos(np.radians(viewpoint)), np.sin(np.radians(viewpoint))
-        T = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [*axis, soil_z])
+        T = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [*axis, SOIL_Z])
         part: dict[str, Any] = {name: np.array([s[name] for s in self._segments]) for name in self._segments[0]}
         mesh: dict[str, Any] = {name: np.concatenate([m[name] for m in self._meshes]) for name in self._meshes[0]}
         lump_mass, moment = part["lump_mass"], part.pop("lump_moment")
@@ -205,9 +247,59 @@ class Growth:
             seed=seed,
             damping_ratio=np.full(len(self._segments), self.rng.uniform(0.03, 0.08)),
             flower_segment=np.array([k for k, _ in self._flowers]),
-            pot=Pot(T[:3, 3], pot_radius, 0.74 * pot_radius),
+            pot=Pot(T[:3, 3], pot_radius),
             **part,
             **mesh,
             **placed,
         )
         return supported_youngs(plant)
+
+
+def pedicel_radius(length: float, flower_mass: float, youngs: float, resonance: float) -> float:
+    """Return the radius [m] with which a pedicel and its flower resonate at `resonance` [Hz].
+
+    A massless cantilever with a tip mass: (2 pi f)^2 = 3 E I / (m L^3), I = pi r^4 / 4.
+    """
+    stiffness = (2 * np.pi * resonance) ** 2 * flower_mass
+    return float((4 * stiffness * length**3 / (3 * np.pi * youngs)) ** 0.25)
+
+
+def buckling_factor(plant: SimPlant) -> float:
+    """Return the factor by which all Young's moduli could fall before the plant buckles under its own weight.
+
+    Segments are rigid, with a bending spring E I / L at each joint (L between the middles of the two segments). A small
+    tilt theta of segment k about a horizontal axis releases m_k g dz_k theta^2 / 2, where m_k is all mass it carries
+    and dz_k its rise. Buckling is where the spring energy no longer exceeds that: the largest eigenvalue of G x = l K x
+    is 1 / factor. For one tapered pole this converges to Greenhill's limit.
+    """
+    springs, weight = _spring_matrix(plant), _weight_moments(plant)
+    return float(1 / max(eigh(np.diag(weight), springs, eigvals_only=True)[-1], 1e-12))
+
+
+def _spring_matrix(plant: SimPlant) -> Array:
+    half, parent, child = plant.length / 2, plant.parent[1:], np.arange(1, len(plant.parent))
+    span = half + np.concatenate([[0.0], half[parent]])
+    softness = span / (plant.youngs * (np.pi / 4 * plant.radius_start**4))
+    softness[0] += 1 / plant.foot
+    stiffness = 1 / softness
+    K = np.diag(stiffness)
+    np.add.at(K, (parent, parent), stiffness[1:])
+    K[child, parent] = K[parent, child] = -stiffness[1:]
+    return K
+
+
+def _weight_moments(plant: SimPlant) -> Array:
+    """(K,) second derivative of the weight's energy that each segment's tilt releases [N m]."""
+    own = plant.mass + plant.lump_mass
+    rise = (plant.end - plant.start)[:, 2]
+    own_rise = plant.mass * rise / 2 + plant.lump_mass * (plant.lump_centre - plant.start)[:, 2]
+    return GRAVITY * ((plant.carried(own) - own) * rise + own_rise)
+
+
+def supported_youngs(plant: SimPlant) -> SimPlant:
+    """Return the plant, all but its pedicels stiffened if it could not hold itself up with the margin SELF_SUPPORT."""
+    raise_by = SELF_SUPPORT / buckling_factor(plant)
+    if raise_by <= 1:
+        return plant
+    green = plant.organ != Organ.PEDICEL
+    return replace(plant, youngs=np.where(green, plant.youngs * raise_by, plant.youngs))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from trimesh.util import append_faces
 
 from anther.geometry import Array
 
@@ -16,12 +15,6 @@ def unit(v: ArrayLike) -> Array:
     """Return v scaled to length 1 along its last axis."""
     a = np.asarray(v, dtype=np.float64)
     return a / np.linalg.norm(a, axis=-1, keepdims=True)
-
-
-def perpendicular(v: ArrayLike) -> Array:
-    """Return a unit vector at right angles to v (3,)."""
-    v = unit(v)
-    return unit(np.cross(v, [0, 0, 1.0] if abs(v[2]) < 0.9 else [1.0, 0, 0]))
 
 
 def grid_faces(rows: int, columns: int, *, closed: bool) -> NDArray[np.int32]:
@@ -52,7 +45,9 @@ def transport(points: Array, first: ArrayLike) -> Array:
 
 def tube(points: Array, radii: ArrayLike, *, sides: int = 8, tip: bool = True) -> Mesh:
     """Return a tube along a polyline (n, 3) with one ring of `sides` vertices per point, and a closing tip vertex."""
-    t, n1 = tangents(points), transport(points, perpendicular(points[1] - points[0]))
+    t = tangents(points)
+    first = unit(points[1] - points[0])
+    n1 = transport(points, unit(np.cross(first, [0, 0, 1.0] if abs(first[2]) < 0.9 else [1.0, 0, 0])))
     n2 = np.cross(t, n1)
     angle = np.arange(sides) * 2 * np.pi / sides
     around = np.cos(angle)[:, None] * n1[:, None] + np.sin(angle)[:, None] * n2[:, None]
@@ -109,11 +104,10 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Mesh:
     return np.vstack(vertices), np.vstack(faces).astype(np.int32)
 
 
-def join(meshes: list[tuple[Any, Any]]) -> Mesh:
+def join(meshes: list[Mesh]) -> Mesh:
     """Return several meshes as one."""
-    offsets = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
-    faces = [f + o for (_, f), o in zip(meshes, offsets, strict=True)]
-    return np.vstack([v for v, _ in meshes]), np.vstack(faces).astype(np.int32)
+    vertices, faces = append_faces(*zip(*meshes, strict=True))
+    return np.asarray(vertices, dtype=np.float64), faces.astype(np.int32)
 
 
 def star(

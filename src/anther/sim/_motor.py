@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Any
 
-import mujoco as mujoco_module
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
 from anther.errors import bad_input
 from anther.geometry import Array
-from anther.sim import arm_model, carriage
-from anther.sim.cell import Cell
+from anther.sim import arm_model
+from anther.sim.cell import Cell, mujoco
 from anther.swing import Swing
-
-mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
 CYCLE = 0.01
 """s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)."""
@@ -57,13 +53,13 @@ class SimMotor:
     The force of its readings is the mean of ten, over 0.1 s: what the motor does to and fro is no pressing on anything.
 
     Args:
-        cell: built with a motor (`sim.carriage.Params`).
+        cell: built with a motor (`cell.Params`).
     """
 
     def __init__(self, cell: Cell) -> None:
-        if cell.params.arm.motor is None:
-            raise bad_input("motor", given="a cell without", allowed="arm params with a motor", do="Build it with one.")
-        self.cell, self._machine = cell, cell.params.arm.motor
+        if not cell.params.coil_force:
+            raise bad_input("motor", given="a cell without", allowed="params with a motor", do="Build it with one.")
+        self.cell = cell
         self._felt: deque[Array] = deque(maxlen=10)
 
     def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
@@ -121,10 +117,10 @@ class SimMotor:
         place += rate * np.maximum(times - piece.seconds, 0)  # on into the piece that follows
         speed = np.diff(place) / dt
         acceleration = np.diff(speed, prepend=self.cell.motor_command[1]) / dt
-        force = self._machine.load(arm_model.FINGER_MASS, place[:-1], speed, acceleration)
+        force = arm_model.motor_load(place[:-1], speed, acceleration)
         for what, value, most, unit in (
-            ("place", np.abs(place).max(), carriage.STOP, "m"),
-            ("force without a stem", np.abs(force).max(), self._machine.force, "N"),
+            ("place", np.abs(place).max(), arm_model.STOP, "m"),
+            ("force without a stem", np.abs(force).max(), self.cell.params.coil_force, "N"),
         ):
             if value > most:
                 raise DeviceError(f"motor {what}: got {value:.3g} {unit}; it has {most:.3g}. Swing less or slower.")

@@ -1,214 +1,55 @@
 """The plant as MuJoCo bodies: rigid tapered pieces on sprung hinges. Its numbers come from plant truth alone.
 
-An unbranched run of segments becomes a chain of rigid pieces. Between two pieces stand two crossed hinges, which share
-the softness of the pieces beside them; every few pieces a third one, along the piece, lets the run twist.
+Between two pieces stand two crossed hinges, which share the softness of the pieces beside them; every few pieces a
+third one, along the piece, lets the run twist. Leaf blades are thin boxes, to bump into.
 K segments, B bodies, D degrees of freedom.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco as mujoco_module
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import Rotation
 
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim._inertia import mass_properties
-from anther.sim.plant import Organ, SimPlant
+from anther.sim._pieces import Params, Pieces, cut, mass_properties
+from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
-CONTINUES = {(Organ.STEM, Organ.BRANCH), (Organ.PETIOLE, Organ.RACHIS), (Organ.PETIOLE, Organ.LEAF)}
-"""Organs that run on into another without a clamp between them."""
-
-
-TWISTING = (Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE, Organ.PETIOLE)
-"""Organs that twist. Dicot petioles do (facts: pollination 2), and stems, branches and peduncles are taken to be like
-them, for which there is no source. Rachises and midribs, which blades stiffen, do not: with EI/GJ 12 some leaves would
-not hold themselves up (measured). Nor do pedicels: their flowers' measured frequency is that of bending alone (facts:
-pollination 1a)."""
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
-GAUSS_AT, GAUSS_WEIGHT = _NODES[:, None] / 2 + 0.5, _WEIGHTS[:, None] / 2
-"""Where along a segment integrals are evaluated, and with what weight; shares of its length."""
-
-LEAST = 4
-"""Pieces in an unbranched run at least, where it has that many segments."""
 FLUTTER = 30.0
 """Frequency at which the hinges alone give `damping_ratio`, and below which they give less [Hz]."""
 FOLDED = 1.2
 """Angle at which a hinge stops [rad]: far beyond what tissue bears, and short of a right angle, where two crossed
 hinges lose a direction and a plant pushed aside would spin without bound."""
+BLADE = 0.03
+"""Longest box along a blade [m]."""
+THICKNESS = 0.002
+"""Of a box [m]: a blade's 0.25 mm and its ripples. An estimate."""
+GIVE = 0.2
+"""Time constant of a blade's contact [s]. A blade is a membrane that bends away: a strip of it 40 mm long and wide,
+0.25 mm thick, of 75 MPa, is a spring of 0.2 N/m at its end, its midrib (0.7 mm) one of 0.7 N/m (3 E I / L^3). With this
+constant fingers that go through three grown plants press into blades with 0.5-2 N/m in the median (measured; with
+0.03 s 8-16 N/m). What presses harder passes through, as between the pads. There is no friction: a leaf slides off."""
 
 
-@dataclass(frozen=True, slots=True)
-class Params:
-    """How finely the plant is cut and how it is damped.
+def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int = 0) -> Pieces:
+    """Add the plant's bodies `plant_<b>`, hinges, and what touches: capsules `segment_<k>`, boxes `blade_<i>_<k>`.
 
-    Attributes:
-        piece: longest rigid piece of several segments [m]; a cantilever of 20 has its first frequency within 0.5 %.
-        bend: a piece ends where the plant turns by more than this [rad].
-        stiffest: hinges carry so much rotor inertia that none swings faster than this [Hz]; a mode at f is slowed by
-            f^2 / (2 stiffest^2), 0.5 % at 30 Hz.
-        foliage: the same for petioles, rachises and midribs [Hz], 0.5 % at 10 Hz: their pieces are light, and with 300
-            Hz a leaf that was jammed in the gripper became unstable.
-        twisting: organs that twist.
-        twist_every: of so many pieces of a run the middle one has a hinge for twist, as soft as all of theirs together.
-    """
-
-    piece: float = 0.03
-    bend: float = 0.5
-    stiffest: float = 300.0
-    foliage: float = 100.0
-    twisting: tuple[Organ, ...] = TWISTING
-    twist_every: int = 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pieces:
-    """The cut: which segments form each rigid body, in an order where parents come first.
-
-    Attributes:
-        body: (K,) body of each segment.
-        first: (B,) the body's first segment, whose start carries the hinges.
-        parent: (B,) parent body or -1.
-        stiffness: (B,) bending stiffness of the body's hinges [N m/rad].
-        twist: (B,) stiffness of its hinge along itself [N m/rad], 0 where there is none.
-    """
-
-    body: NDArray[Any]
-    first: NDArray[Any]
-    parent: NDArray[Any]
-    stiffness: Array
-    twist: Array
-
-
-def cut(plant: SimPlant, params: Params) -> Pieces:
-    """Cut the plant into rigid pieces and find the stiffness between them."""
-    heir, body = _heirs(plant), np.full(len(plant.start), -1)
-    chain = _chains(plant, heir)
-    limit = np.minimum(params.piece, np.bincount(chain, plant.length) / LEAST)
-    first: list[int] = []
-    parent: list[int] = []
-    size: list[float] = []
-    for k, p in enumerate(plant.parent):
-        follows = p >= 0 and heir[p] == k and plant.organ[k] == plant.organ[p]
-        fits = follows and size[body[p]] + plant.length[k] <= limit[chain[k]] and plant.joint_compliance[k] == 0
-        if fits and _turn(plant, first[body[p]], k) < params.bend:
-            body[k] = body[p]
-            size[body[p]] += plant.length[k]
-        else:
-            body[k] = len(first)
-            first.append(k)
-            parent.append(int(body[p]) if p >= 0 else -1)
-            size.append(plant.length[k])
-    pieces = np.array(first)
-    softness = _softness(plant)
-    twisting = np.isin(plant.organ[pieces], params.twisting)
-    whole: Array = np.bincount(body, softness.sum(axis=0)).astype(np.float64)
-    twist = _twist(plant.bend_over_twist * whole, np.where(twisting, chain[pieces], -1), params)
-    bending = 1 / _stiffness(plant, heir, body, pieces, softness) + plant.joint_compliance[pieces]
-    bending[0] += 1 / plant.foot
-    return Pieces(body, pieces, np.array(parent), 1 / bending, twist)
-
-
-def _softness(plant: SimPlant) -> Array:
-    """Return (6, K) the shares of each segment's integral of ds / (E I) at Gauss's points [rad/(N m)]."""
-    radius = plant.radius_start + GAUSS_AT * (plant.radius_end - plant.radius_start)
-    return GAUSS_WEIGHT * plant.length / (plant.youngs * np.pi / 4 * radius**4)
-
-
-def _twist(softness: Array, run: NDArray[Any], params: Params) -> Array:
-    """Return (B,) stiffnesses of the hinges for twist: one for every few pieces of a run; those in run -1 do not."""
-    out = np.zeros(len(softness))
-    for number in np.unique(run[run >= 0]):
-        pieces = np.flatnonzero(run == number)
-        for group in np.array_split(pieces, -(-len(pieces) // params.twist_every)):
-            out[group[len(group) // 2]] = 1 / softness[group].sum()
-    return out
-
-
-def _stiffness(plant: SimPlant, heir: NDArray[Any], body: NDArray[Any], first: NDArray[Any], softness: Array) -> Array:
-    """Return (B,) stiffnesses of the hinges that bend.
-
-    A hinge does the work of the pieces beside it when their load is what they carry: the bending moment falls in
-    proportion to the distance from the carried mass's centre, and is shared between the hinges by the lever rule. Where
-    no piece follows, at tips and forks, the last hinge takes all. So a massless rod with a weight at its end is exact
-    with one piece (3 E I / l), and a long chain with many (2 E I / l at the root, facts: libraries).
-    """
-    before = plant.parent[first]
-    continues = np.flatnonzero((before >= 0) & (heir[before] == first))
-    mother = body[before[continues]]
-    after = np.full(len(first), -1)
-    after[mother] = continues
-    size = np.bincount(body, plant.length)
-    lever = np.maximum(_levers(plant, first), size)
-    gone = np.cumsum(plant.length) - plant.length  # segments of a piece follow each other
-    at, whole = gone - gone[first][body] + GAUSS_AT * plant.length, size[body]
-    last = (after < 0)[body]
-    near = np.where(last, 1, 1 - at / whole) * (1 - at / lever[body]) ** 2
-    far = np.where(last, 0, at / whole) * (1 + (whole - at) / lever[after][body]) ** 2
-    total = np.bincount(body, (softness * near).sum(axis=0))
-    total[continues] += np.bincount(body, (softness * far).sum(axis=0))[mother]
-    return 1 / total
-
-
-def _levers(plant: SimPlant, first: NDArray[Any]) -> Array:
-    """Return (B,) how far ahead of each piece's start the centre lies of all mass from there on [m]."""
-    mass = plant.mass + plant.lump_mass
-    moment = (plant.mass * (plant.start + plant.end).T / 2 + plant.lump_mass * plant.lump_centre.T).T
-    for k in range(len(mass) - 1, 0, -1):
-        mass[plant.parent[k]] += mass[k]
-        moment[plant.parent[k]] += moment[k]
-    along = (plant.end - plant.start)[first] / plant.length[first, None]
-    return np.einsum("bi,bi->b", moment[first] / mass[first, None] - plant.start[first], along)
-
-
-def _chains(plant: SimPlant, heir: NDArray[Any]) -> NDArray[Any]:
-    """Return (K,) the number of the unbranched run each segment belongs to."""
-    chain, count = np.empty(len(heir), dtype=int), 0
-    for k, p in enumerate(plant.parent):
-        follows = p >= 0 and heir[p] == k
-        chain[k] = chain[p] if follows else count
-        count += not follows
-    return chain
-
-
-def _heirs(plant: SimPlant) -> NDArray[Any]:
-    """Return for each segment the child that continues it: of the same organ or its natural next, the straightest.
-
-    -1 at tips and at forks.
-    """
-    heir, best = np.full(len(plant.start), -1), np.full(len(plant.start), -np.inf)
-    branches = np.bincount(plant.parent[plant.organ <= Organ.BRANCH] + 1, minlength=len(heir) + 1)[1:]
-    for k, p in enumerate(plant.parent):
-        same = p >= 0 and plant.organ[k] == plant.organ[p]
-        if p < 0 or branches[p] > 1 or not (same or (plant.organ[p], plant.organ[k]) in CONTINUES):
-            continue
-        straight = -_turn(plant, int(p), k)
-        if straight > best[p]:
-            heir[p], best[p] = k, straight
-    return heir
-
-
-def _turn(plant: SimPlant, a: int, b: int) -> float:
-    u, v = plant.end[a] - plant.start[a], plant.end[b] - plant.start[b]
-    return float(np.arccos(np.clip(u @ v / np.linalg.norm(u) / np.linalg.norm(v), -1, 1)))
-
-
-def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaffinity: int) -> Pieces:
-    """Add the plant's bodies `plant_<b>`, hinges and contact capsules `segment_<k>` to a world.
-
-    Stems, branches, petioles, rachises, peduncles and pedicels touch; petals do not: they are masses only, and leaf
-    blades, with their midribs, are left to `blades.add_blades`.
+    Petals do not touch: they are masses only; and midribs leave it to their blades.
 
     Args:
         spec: the world; its timestep sets the least damping.
-        contype, conaffinity: MuJoCo's collision bits of the capsules.
+        plant: the truth.
+        params: how it is cut and damped.
+        contype: MuJoCo's collision bits of what touches; 0: nothing does.
     """
     pieces = cut(plant, params)
     mass, com, inertia = mass_properties(plant, pieces.body)
@@ -234,11 +75,71 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int, conaf
             fromto=ends,
             size=[radius[k], 0, 0],
             contype=contype * touches,
-            conaffinity=conaffinity * touches,
+            conaffinity=0,
             friction=[1.0, 0.005, 0.0001],
             group=2,
         )
+    if contype:
+        _add_blades(spec, plant, pieces, contype)
     return pieces
+
+
+def leaf_boxes(plant: SimPlant) -> list[tuple[int, Array, Array, Array]]:
+    """Return boxes around pieces of every leaf blade of the mesh, at most `BLADE` long.
+
+    Each is the segment it rides on, its centre (3,) [m], its axes (3, 3) in columns, its half extents (3,) [m].
+    """
+    faces = plant.faces[plant.face_organ == Organ.LEAF]
+    if len(faces) == 0:
+        return []
+    of_leaf, count = np.unique(faces), len(plant.vertices)
+    edges = np.concatenate([faces[:, :2], faces[:, 1:]])
+    leaf = connected_components(coo_matrix((np.ones(len(edges)), edges.T), (count, count)), directed=False)[1]
+    group = np.unique(np.stack([leaf[of_leaf], plant.vertex_segment[of_leaf]]), axis=1, return_inverse=True)[1]
+    members = [of_leaf[group == g] for g in range(group.max() + 1)]
+    runs = [(int(plant.vertex_segment[of[0]]), run) for of in members for run in _runs(plant.vertices[of])]
+    return [(segment, *_box(run)) for segment, run in runs]
+
+
+def _add_blades(spec: Any, plant: SimPlant, pieces: Pieces, contype: int) -> None:
+    """Add the blades as boxes `blade_<i>_<segment>`: soft (`GIVE`), and without mass, which is the segments' lumps."""
+    for i, (k, centre, axes, half) in enumerate(leaf_boxes(plant)):
+        b = pieces.body[k]
+        spec.body(f"plant_{b}").add_geom(
+            name=f"blade_{i}_{k}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=centre - plant.start[pieces.first[b]],
+            quat=Rotation.from_matrix(axes).as_quat(scalar_first=True),
+            size=half,
+            mass=0,
+            contype=contype,
+            conaffinity=0,
+            condim=1,
+            priority=2,
+            solref=[GIVE, 1.0],
+            solimp=[0.5, 0.9, 0.005, 0.5, 2],
+            group=2,
+        )
+
+
+def _runs(points: Array) -> list[Array]:
+    """Cut points (n, 3) across their longest extent into runs of at most `BLADE`; runs of fewer than four are left."""
+    centred = points - points.mean(axis=0)
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    count = max(int(np.ceil(np.ptp(along) / BLADE)), 1)
+    run = np.minimum(((along - along.min()) / max(np.ptp(along), 1e-9) * count).astype(int), count - 1)
+    return [points[run == i] for i in range(count) if np.sum(run == i) >= 4]
+
+
+def _box(points: Array) -> tuple[Array, Array, Array]:
+    """Return centre (3,), axes (3, 3) in columns and half extents (3,) of the box about points (n, 3)."""
+    mean = points.mean(axis=0)
+    axes = np.linalg.svd(points - mean, full_matrices=False)[2].T
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    local = (points - mean) @ axes
+    half = np.ptp(local, axis=0) / 2
+    centre = mean + axes @ (local.min(axis=0) + half)
+    return centre, axes, np.array([half[0], half[1], THICKNESS / 2])
 
 
 def _add_tie(spec: Any, plant: SimPlant, body: Any, pieces: Pieces) -> None:
@@ -261,7 +162,7 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
     across = np.cross(along, plant.oval[k] if plant.oval[k].any() else np.eye(3)[np.argmin(np.abs(along))])
     across /= np.linalg.norm(across)
     oval = float(np.exp(np.linalg.norm(plant.oval[k]) / 2))
-    beta = float(_beta(plant.damping_ratio[k], FLUTTER, dt))
+    beta = float(_beta(plant.damping_ratio[k], dt))
     fastest = params.foliage if plant.organ[k] in (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF) else params.stiffest
     for axis, stiffness in ((across, bending * oval), (np.cross(along, across), bending / oval), (along, twist)):
         if stiffness == 0:
@@ -273,9 +174,22 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
         joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
 
 
-def _beta(ratio: Any, flutter: float, dt: float) -> Any:
+def _beta(ratio: Any, dt: float) -> Any:
     # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
-    return np.maximum(ratio / (np.pi * flutter), 0.7 * dt)
+    return np.maximum(ratio / (np.pi * FLUTTER), 0.7 * dt)
+
+
+def alone(plant: SimPlant, params: Params, timestep: float = 2e-3) -> PlantMechanics:
+    """Return a plant in its pot in a world of its own, to be stepped by `timestep` [s].
+
+    Raises:
+        StageFailure: "no_convergence": it cannot carry its own weight.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree, spec.option.gravity, spec.option.timestep = False, [0, 0, -GRAVITY], timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    pieces = add_plant(spec, plant, params)
+    return PlantMechanics(spec.compile(), plant, pieces)
 
 
 class PlantMechanics:
@@ -287,7 +201,7 @@ class PlantMechanics:
         mass_damping: the Rayleigh coefficient alpha [1/s].
     """
 
-    def __init__(self, model: Any, plant: SimPlant, pieces: Pieces, params: Params) -> None:
+    def __init__(self, model: Any, plant: SimPlant, pieces: Pieces) -> None:
         self.model, self.plant, self.pieces = model, plant, pieces
         self.bodies = np.array([model.body(f"plant_{b}").id for b in range(len(pieces.first))])
         self.joints = np.concatenate(
@@ -295,6 +209,7 @@ class PlantMechanics:
         )
         self.dofs = model.jnt_dofadr[self.joints]
         self._bends = np.concatenate([np.arange(n) < 2 for n in model.body_jntnum[self.bodies]])
+        self._ratio = np.repeat(plant.damping_ratio[pieces.first], model.body_jntnum[self.bodies])
         data = mujoco.MjData(model)
         self._hang(data)
         self.frequencies, self._first = self._modes(data)
@@ -309,8 +224,7 @@ class PlantMechanics:
 
     def damp(self, timestep: float) -> None:
         """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
-        ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()]
-        self.model.dof_damping[self.dofs] = _beta(ratio, FLUTTER, timestep) * self.model.jnt_stiffness[self.joints]
+        self.model.dof_damping[self.dofs] = _beta(self._ratio, timestep) * self.model.jnt_stiffness[self.joints]
         self.mass_damping = self._air_damping(*self._first)
 
     def _modes(self, data: Any) -> tuple[Array, tuple[float, Array]]:
@@ -362,13 +276,9 @@ class PlantMechanics:
         """Return alpha so that a bending mode's ratio is the strain-energy mean of the segments' ratios."""
         m = self.model
         energy = m.jnt_stiffness[self.joints[self._bends]] * shape**2
-        ratio = self.plant.damping_ratio[self.pieces.first][self._piece_of_joint()[self._bends]]
-        wanted = float(energy @ ratio / energy.sum())
+        wanted = float(energy @ self._ratio[self._bends] / energy.sum())
         hinge = float(m.dof_damping[self.dofs[self._bends]] @ shape**2)
         return max(2 * omega * wanted - hinge, 0.0)
-
-    def _piece_of_joint(self) -> NDArray[Any]:
-        return np.repeat(np.arange(len(self.bodies)), self.model.body_jntnum[self.bodies])
 
     def segment_poses(self, data: Any) -> Array:
         """Return T_world_rest (K, 4, 4): maps a segment's generated position to the present one."""

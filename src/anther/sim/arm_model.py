@@ -1,8 +1,13 @@
-"""An arm and its gripper as MuJoCo bodies with servos. Numbers of the robot come from its description."""
+"""An arm and its gripper as MuJoCo bodies with servos. Numbers of the robot come from its description.
+
+The motor in the gripper is a carriage between hand and fingers, on flexures, driven by a voice coil. It slides along
+the closing axis. So the pads push the stem by their shape, one after the other, and what is asked is what the stem
+does; along the two other axes only friction would carry it, of which the grip has 10 N. It is a design of ours, not a
+product: its numbers are guesses of what one of that size has.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import mujoco as mujoco_module
@@ -11,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from anther.arm.model import BASE, FLANGE, ArmModel, Capsule, Solid
 from anther.geometry import Array
-from anther.sim import carriage
 from anther.sim.truth import NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
@@ -25,23 +29,24 @@ FLEX_DAMPING = 0.05  # ratio of each joint's spring with its motor still, at neu
 FASTEST = (
     150.0  # Hz: springs carry so much rotor inertia that none swings faster, since each step takes them explicitly
 )
+GRIP_FORCE = 10.0
+"""Of the gripper, usually at most [N]: about 30 % of 35 N (facts: sawyer 3)."""
 GRIP_STIFFNESS = 40e3
 """Of the gripper's position servo [N/m]."""
 PAD_SOFTNESS = 0.004
 """Time constant of pad contact [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Params:
-    """The gripper.
-
-    Attributes:
-        grip_force: what the gripper holds with at most, both fingers alike [N]: about 30 % of 35 N (facts: sawyer 3).
-        motor: the one in the gripper that shakes the fingers; None: there is none.
-    """
-
-    grip_force: float = 10.0
-    motor: carriage.Params | None = None
+COIL_FORCE = 25.0
+"""Of the motor's voice coil at most [N]."""
+CARRIAGE_MASS = 0.12
+"""Of coil, slide and the fingers' drive, which ride on it [kg]; the fingers come besides."""
+SPRING = 2e3
+"""Of the flexures that centre it [N/m]: alone with the fingers it swings at 16 Hz."""
+DAMPING = 2.0
+"""Of flexures and slide [N s/m]: 5 % of critical."""
+BANDWIDTH = 100.0
+"""Of its position servo [Hz]."""
+STOP = 2e-3
+"""Either way, where it strikes [m]."""
 
 
 def flex_name(joint: str) -> str:
@@ -50,7 +55,14 @@ def flex_name(joint: str) -> str:
 
 
 def add_arm(
-    spec: Any, arm: ArmModel, params: Params, truth: Truth = NOMINAL, *, contype: int, conaffinity: int
+    spec: Any,
+    arm: ArmModel,
+    truth: Truth = NOMINAL,
+    *,
+    grip_force: float = GRIP_FORCE,
+    coil_force: float = 0.0,
+    contype: int,
+    conaffinity: int,
 ) -> None:
     """Add base, links, riders, flange, gripper, wrist camera and their actuators to a world.
 
@@ -60,6 +72,14 @@ def add_arm(
     those of `flex_name` [rad], and of each pad on its finger, in the flange's frame, `left_pad_x`, `left_pad_z` [m] and
     `left_pad_turn` about y [rad]. With a motor also
     `motor` [m], along the flange's y.
+
+    Args:
+        spec: the world.
+        arm: its description.
+        truth: of its joints, servos and pads.
+        grip_force: what the gripper holds with at most, both fingers alike [N].
+        coil_force: of the motor that shakes the fingers, at most [N]; 0: there is none.
+        contype, conaffinity: MuJoCo's collision bits.
     """
     bits = {"contype": contype, "conaffinity": conaffinity}
     base = spec.worldbody.add_body(name=BASE)
@@ -68,7 +88,7 @@ def add_arm(
     body = base
     for i in range(arm.count):
         body = _add_link(body, arm, i, truth, bits)
-    _add_gripper(spec, body, arm, params, truth, bits)
+    _add_gripper(spec, body, arm, coil_force, truth, bits)
     for kind in ("position", "velocity", "torque"):
         for name in arm.joints:
             actuator = spec.add_actuator(name=f"{kind}_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -76,9 +96,9 @@ def add_arm(
     grip = spec.add_actuator(name="grip", target="left_finger", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     # one motor drives both fingers through the coupling, so it carries twice a finger's force
     grip.set_to_position(kp=2 * GRIP_STIFFNESS, kv=2 * 0.005 * GRIP_STIFFNESS)
-    grip.forcelimited, grip.forcerange = 1, [-2 * params.grip_force, 2 * params.grip_force]
-    if params.motor is not None:
-        carriage.add_coil(spec, params.motor, FINGER_MASS)
+    grip.forcelimited, grip.forcerange = 1, [-2 * grip_force, 2 * grip_force]
+    if coil_force:
+        _add_coil(spec)
 
 
 def tune_servos(model: Any, arm: ArmModel, truth: Truth) -> None:
@@ -130,7 +150,7 @@ def _add_link(parent: Any, arm: ArmModel, i: int, truth: Truth, bits: dict[str, 
     return body
 
 
-def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, params: Params, truth: Truth, bits: dict[str, int]) -> None:
+def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, coil_force: float, truth: Truth, bits: dict[str, int]) -> None:
     T, tool = arm.T_last_flange, arm.tool
     quat = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
     flange = wrist.add_body(name=FLANGE, pos=T[:3, 3], quat=quat, gravcomp=1)
@@ -141,7 +161,7 @@ def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, params: Params, truth: Tr
     _solids(flange, (tool.body, *tool.camera), bits)
     pad_z = tool.tip - tool.pad[2] / 2
     half_z = (tool.tip - tool.finger) / 2
-    holder = flange if params.motor is None else carriage.add_carriage(flange, params.motor)
+    holder = _add_carriage(flange, coil_force) if coil_force else flange
     for side, sign, wear in (("left", 1, truth.pad_wear), ("right", -1, 0.0)):
         finger = holder.add_body(name=f"{side}_finger", gravcomp=1)
         _inertial(finger, FINGER_MASS, (0, 0.01 * sign, pad_z), (2e-5, 2e-5, 4e-6, 0, 0, 0))
@@ -197,6 +217,35 @@ def _pad_holder(
         joint.stiffness, joint.armature = [stiffness, 0, 0], _least_inertia(stiffness)
         joint.damping = [2 * ratio * stiffness / (2 * np.pi * frequency), 0, 0]
     return pad, np.zeros(3)
+
+
+def _add_carriage(flange: Any, force: float) -> Any:
+    """Put the motor's carriage, 30 x 30 x 20 mm, on the flange and return it. Its joint is `motor` [m]."""
+    body = flange.add_body(name="carriage", gravcomp=1)
+    body.explicitinertial, body.mass, body.ipos = True, CARRIAGE_MASS, [0, 0, 0.05]
+    body.inertia = CARRIAGE_MASS / 12 * np.array([0.03**2 + 0.02**2, 0.03**2 + 0.02**2, 2 * 0.03**2])
+    joint = body.add_joint(name="motor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0])
+    joint.range, joint.limited = [-STOP, STOP], 1
+    joint.stiffness, joint.damping = [SPRING, 0, 0], [DAMPING, 0, 0]
+    joint.actgravcomp, joint.actfrclimited, joint.actfrcrange = 1, 1, [-force, force]
+    return body
+
+
+def _add_coil(spec: Any) -> None:
+    """Add the voice coil: a critically damped servo in place and in speed, and a force on top, limited together."""
+    mass, omega = CARRIAGE_MASS + 2 * FINGER_MASS, 2 * np.pi * BANDWIDTH
+    gains = {"position": mass * omega**2 - SPRING, "velocity": 2 * mass * omega - DAMPING, "force": 1.0}
+    for kind, gain in gains.items():
+        actuator = spec.add_actuator(name=f"motor_{kind}", target="motor", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gainprm[0] = gain
+        if kind != "force":
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[1 if kind == "position" else 2] = -gain
+
+
+def motor_load(place: Any, speed: Any, acceleration: Any) -> Any:
+    """Return the force that a motion asks of the coil [N] with nothing between the fingers."""
+    return (CARRIAGE_MASS + 2 * FINGER_MASS) * acceleration + DAMPING * speed + SPRING * place
 
 
 def _least_inertia(stiffness: float) -> float:

@@ -1,6 +1,11 @@
 """Taking RGB-D views of a simulated plant: what the planner gets, and apart from it what was true.
 
 The camera is never quite where the robot believes: the arm errs at every pose, and the hand-eye transform is not exact.
+A D455 measures disparity d = f B / z [px], so its noise, quantisation, range, fat stems, lost twigs and ragged edges
+are modelled there. Sources, facts: perception, "Depth sensors": sigma_z = z^2 s / (f B), s about 0.08 px (librealsense
+#3904); Z_min = f B / 126 (realsense-ros #2367); thin stems look fat because of the matching window; correlated noise,
+1/32 px quantisation, flying and dropped edge pixels, loss of thin structures. The sizes of the edge effects are
+estimates.
 V views, H x W pixels.
 """
 
@@ -12,21 +17,65 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.capture import Capture
 from anther.checks import check_array, check_range, check_transform
+from anther.devices import Frame
 from anther.geometry import Array, Intrinsics, look_at, small_transform
-from anther.sim._depth_noise import DepthNoise, noisy_depth
 from anther.sim.plant import SimPlant
-from anther.sim.render import Scene, d455
+from anther.sim.render import Image, Scene, d455
 from anther.sim.truth import Truth
 
 Progress = Callable[[int, int], None]
 """Called with the number of views done and the number of all."""
 Sight = SimPlant | Scene | Callable[[int], Scene]
 """What is looked at: a plant, its scene, or the scene as each view finds it."""
+
+
+FAR = 1000.0
+"""Stands for "no surface" while filtering [m]."""
+BASELINE = 0.095
+"""Between a D455's two imagers [m]."""
+CORRELATION = 1.5
+"""Standard deviation of the Gaussian that correlates the disparity's error between neighbours [px]."""
+MAX_DISPARITY = 126.0
+"""Largest disparity searched [px]; sets the minimum range."""
+EDGE = 2.0
+"""Disparity step that makes an edge [px]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DepthNoise:
+    """Parameters of the depth sensor; the defaults are a D455.
+
+    Attributes:
+        subpixel: standard deviation of the disparity error, s [px]; 0.08 typical, 0.032 at best.
+        quantum: disparity step [px].
+        max_range: readings beyond are dropped [m].
+        fattening: how far the matching window lets a nearer surface spread over a farther one [px]: 1 to this.
+        thin: structures narrower than this are lost [px]; up to twice this they are lost in patches.
+        edge_dropped: share of edge pixels without a reading.
+        edge_flying: share of edge pixels that float between the two surfaces.
+        stereo_shadow: whether surfaces that only one imager sees are dropped, as is what lies left of its view.
+    """
+
+    subpixel: float = 0.08
+    quantum: float = 1 / 32
+    max_range: float = 6.0
+    fattening: int = 2
+    thin: int = 3
+    edge_dropped: float = 0.35
+    edge_flying: float = 0.1
+    stereo_shadow: bool = True
+
+    def __post_init__(self) -> None:
+        check_range("depth noise subpixel", self.subpixel, 0.0, 2.0, "px")
+        check_range("depth noise edge_dropped + edge_flying", self.edge_dropped + self.edge_flying, 0.0, 1.0)
+        check_range("depth noise fattening", self.fattening, 0, 15, "px")
+        check_range("depth noise thin", self.thin, 0, 15, "px")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +132,6 @@ class CaptureTruth:
     depth: NDArray[Any]
     organ: NDArray[Any]
 
-    def __post_init__(self) -> None:
-        views = len(self.depth)
-        object.__setattr__(self, "T_world_cam", check_transform("true T_world_cam", self.T_world_cam, views))
-        object.__setattr__(self, "depth", check_array("true depth", self.depth, (views, None, None), dtype="float32"))
-        object.__setattr__(self, "organ", check_array("true organ", self.organ, self.depth.shape, dtype="uint8"))
-
 
 def capture_views(
     plant: Sight,
@@ -124,9 +167,8 @@ def capture_views(
     T_believed = check_transform("T_flange_cam_believed", T_flange_cam_believed)
     flange = np.stack([forward(q) for q in joints])
     true = flange @ _pose_errors(len(joints), errors, rng) @ T_true
-    capture, truth = _capture(
-        plant, true, flange @ T_believed, rng=rng, intrinsics=intrinsics, errors=errors, progress=progress
-    )
+    how: dict[str, Any] = {"rng": rng, "intrinsics": intrinsics, "errors": errors, "progress": progress}
+    capture, truth = capture_from_poses(plant, flange @ T_believed, T_world_cam_true=true, **how)
     return replace(capture, joints=joints), truth
 
 
@@ -138,12 +180,34 @@ def capture_from_poses(
     intrinsics: Intrinsics | None = None,
     errors: CameraErrors | None = None,
     progress: Progress | None = None,
+    T_world_cam_true: ArrayLike | None = None,
 ) -> tuple[Capture, CaptureTruth]:
-    """Return the capture of a camera believed at T_world_cam (V, 4, 4), without an arm; see `capture_views`."""
-    errors = errors or CameraErrors()
+    """Return the capture of a camera believed at T_world_cam (V, 4, 4), and the truth about it; see `capture_views`.
+
+    Where it truly is, is drawn as for an arm, unless it is given. Views are rendered on two threads, each with a random
+    stream of its own: the order does not matter.
+    """
+    errors, intrinsics = errors or CameraErrors(), intrinsics or d455()
     believed = check_transform("T_world_cam", np.asarray(T_world_cam).reshape(-1, 4, 4))
-    true = believed @ _pose_errors(len(believed), errors, rng)
-    return _capture(plant, true, believed, rng=rng, intrinsics=intrinsics, errors=errors, progress=progress)
+    drawn = believed @ _pose_errors(len(believed), errors, rng) if T_world_cam_true is None else T_world_cam_true
+    true = check_transform("T_world_cam_true", drawn)
+    still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
+    count, size = len(true), (intrinsics.height, intrinsics.width)
+    rgb, organ = np.empty((count, *size, 3), np.uint8), np.empty((count, *size), np.uint8)
+    depth, exact = np.empty((count, *size), np.float32), np.empty((count, *size), np.float32)
+    streams = rng.spawn(count)
+
+    def take(view: int) -> None:
+        scene = still if isinstance(still, Scene) else still(view)
+        image = scene.render(intrinsics, true[view])
+        rgb[view], organ[view], exact[view] = noisy_rgb(image.rgb, streams[view], errors), image.organ, image.depth
+        depth[view] = noisy_depth(image.depth, intrinsics, streams[view], errors.depth)
+
+    with ThreadPoolExecutor(2) as pool:
+        for done, _ in enumerate(pool.map(take, range(count)), start=1):
+            if progress:
+                progress(done, count)
+    return Capture(depth, intrinsics, believed, rgb), CaptureTruth(true, exact, organ)
 
 
 def perturbed_hand_eye(
@@ -198,38 +262,106 @@ def noisy_rgb(rgb: NDArray[Any], rng: np.random.Generator, errors: CameraErrors 
     return np.clip(level + 0.5, 0, 255).astype(np.uint8)
 
 
+def sensed(image: Image, time: float, eye: Intrinsics, rng: np.random.Generator, errors: CameraErrors) -> Frame:
+    """Return the frame of `time` [s] that the sensors make of an ideal image."""
+    depth = noisy_depth(image.depth, eye, rng, errors.depth)
+    return Frame(time, noisy_rgb(image.rgb, rng, errors), depth)
+
+
+def noisy_depth(
+    depth: NDArray[Any], intrinsics: Intrinsics, rng: np.random.Generator, params: DepthNoise | None = None
+) -> NDArray[np.float32]:
+    """Return what the sensor reads (H, W) [m], 0 = no reading.
+
+    Args:
+        depth: (H, W) exact z-depth [m], 0 = no surface.
+        intrinsics: of the image.
+        rng: source of the noise; the same state gives the same reading.
+        params: of the sensor; None is a D455.
+    """
+    params = params or DepthNoise()
+    exact = check_array("exact depth", depth, (intrinsics.height, intrinsics.width), dtype=np.float32)
+    focal = np.float32(intrinsics.fx * BASELINE)
+    z = np.where(exact > 0, exact, np.float32(FAR))
+    patches = _field(exact.shape, 4.0, rng)
+    z = _fattened(_without_twigs(z, patches, params), patches, params)
+    disparity = focal / z
+    seen = z < params.max_range
+    if params.stereo_shadow:
+        seen &= ~_shadowed(disparity)
+    disparity, dropped = _ragged_edges(disparity, rng, params)
+    disparity += np.float32(params.subpixel) * _field(exact.shape, CORRELATION, rng)
+    if params.quantum > 0:
+        disparity = np.round(disparity / np.float32(params.quantum)) * np.float32(params.quantum)
+    seen &= ~dropped & (disparity >= focal / params.max_range) & (disparity <= MAX_DISPARITY)
+    return np.where(seen, focal / np.maximum(disparity, np.float32(1e-3)), np.float32(0))
+
+
+def _field(shape: tuple[int, ...], correlation: float, rng: np.random.Generator) -> NDArray[np.float32]:
+    """A random field of mean 0, standard deviation 1 and Gaussian correlation [px]."""
+    white = rng.standard_normal(shape, dtype=np.float32)
+    size = 2 * int(np.ceil(3 * correlation)) + 1
+    kernel = cv2.getGaussianKernel(size, correlation)
+    smooth = cv2.sepFilter2D(white, -1, kernel, kernel)
+    return (smooth / np.float32((kernel**2).sum())).astype(np.float32)
+
+
+def _ellipse(size: int) -> NDArray[Any]:
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+
+
+def _without_twigs(z: NDArray[Any], patches: NDArray[Any], params: DepthNoise) -> NDArray[Any]:
+    """Replace near structures narrower than `thin` by what is behind them; those up to twice as wide in patches."""
+    if params.thin < 2:
+        return z
+    narrow = cv2.morphologyEx(z, cv2.MORPH_CLOSE, _ellipse(params.thin))
+    wider = cv2.morphologyEx(z, cv2.MORPH_CLOSE, _ellipse(2 * params.thin - 1))
+    return np.where(patches > 1.0, wider, narrow)
+
+
+def _fattened(z: NDArray[Any], patches: NDArray[Any], params: DepthNoise) -> NDArray[Any]:
+    """Let nearer surfaces spread by 1 to `fattening` px, patch by patch."""
+    if params.fattening < 1:
+        return z
+    little = cv2.erode(z, _ellipse(3))
+    much = cv2.erode(z, _ellipse(2 * params.fattening + 1))
+    return np.where(patches > 0, little, much)
+
+
+def _ragged_edges(
+    disparity: NDArray[Any], rng: np.random.Generator, params: DepthNoise
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the disparity with flying pixels at its edges, and (H, W) which edge pixels have no reading."""
+    window = np.ones((3, 3), np.uint8)
+    near, far = cv2.dilate(disparity, window), cv2.erode(disparity, window)
+    edge = near - far > EDGE
+    chance = rng.random(disparity.shape, dtype=np.float32)
+    flying = edge & (chance < params.edge_flying)
+    between = far + (near - far) * rng.random(disparity.shape, dtype=np.float32)
+    dropped = edge & (chance >= params.edge_flying) & (chance < params.edge_flying + params.edge_dropped)
+    return np.where(flying, between, disparity), dropped
+
+
+@numba.njit(cache=True, nogil=True)
+def _shadowed(disparity: NDArray[Any]) -> NDArray[Any]:
+    """(H, W) whether the second imager, on the right, sees another surface there or is not pointed there."""
+    height, width = disparity.shape
+    out = np.zeros((height, width), np.bool_)
+    nearest = np.empty(width, disparity.dtype)
+    for row in range(height):
+        nearest[:] = 0
+        for column in range(width):
+            x = int(column - disparity[row, column] + 0.5)
+            if x >= 0 and disparity[row, column] > nearest[x]:
+                nearest[x] = disparity[row, column]
+        for column in range(width):
+            x = int(column - disparity[row, column] + 0.5)
+            if x < 0 or nearest[x] > disparity[row, column] + 1.5:
+                out[row, column] = True
+    return out
+
+
 def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> Array:
     turn, shift = rng.normal(size=(2, count, 3))
     parts = zip(errors.pose_rotation * turn, errors.pose_translation * shift, strict=True)
     return np.stack([small_transform(a, b) for a, b in parts])
-
-
-def _capture(
-    plant: Sight,
-    true: Array,
-    believed: Array,
-    *,
-    rng: np.random.Generator,
-    intrinsics: Intrinsics | None,
-    errors: CameraErrors,
-    progress: Progress | None,
-) -> tuple[Capture, CaptureTruth]:
-    """Render all views on two threads, each view with a random stream of its own: the order does not matter."""
-    still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
-    intrinsics = intrinsics or d455()
-    count, size = len(true), (intrinsics.height, intrinsics.width)
-    rgb, organ = np.empty((count, *size, 3), np.uint8), np.empty((count, *size), np.uint8)
-    depth, exact = np.empty((count, *size), np.float32), np.empty((count, *size), np.float32)
-    streams = rng.spawn(count)
-
-    def take(view: int) -> None:
-        scene = still if isinstance(still, Scene) else still(view)
-        image = scene.render(intrinsics, true[view])
-        rgb[view], organ[view], exact[view] = noisy_rgb(image.rgb, streams[view], errors), image.organ, image.depth
-        depth[view] = noisy_depth(image.depth, intrinsics, streams[view], errors.depth)
-
-    with ThreadPoolExecutor(2) as pool:
-        for done, _ in enumerate(pool.map(take, range(count)), start=1):
-            if progress:
-                progress(done, count)
-    return Capture(depth, intrinsics, believed, rgb), CaptureTruth(true, exact, organ)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Any
 
-import mujoco as mujoco_module
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -21,14 +20,11 @@ from anther.arm.model import ArmModel
 from anther.arm.sawyer import SAWYER
 from anther.errors import StageFailure
 from anther.geometry import Array, transform
-from anther.sim import _plant_mechanics, arm_model
-from anther.sim._blades import add_blades
-from anther.sim._plant_mechanics import PlantMechanics
-from anther.sim.plant import Organ, SimPlant
+from anther.sim import _pieces, arm_model
+from anther.sim._plant_mechanics import PlantMechanics, add_plant, mujoco
+from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant
 from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
-
-mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
 POT, BENCH = -1, -2
 """What a contact's `other` says when it is not a plant segment."""
@@ -45,14 +41,17 @@ class Params:
     Attributes:
         timestep: of the integrator [s]. With implicitfast every hinge needs damping/stiffness >= 0.7 dt, so the
             timestep bounds the damping of pedicels from below: 3.3 % at 30 Hz with 0.5 ms, 6.6 % with 1 ms.
-        plant, arm: of the parts.
+        plant: how it is cut and damped.
+        grip_force: what the gripper holds with at most, both fingers alike [N].
+        coil_force: of the motor that shakes the fingers, at most [N]; 0: there is none.
     """
 
     timestep: float = 1e-3
-    plant: _plant_mechanics.Params = field(
-        default_factory=lambda: _plant_mechanics.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
+    plant: _pieces.Params = field(
+        default_factory=lambda: _pieces.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
     )
-    arm: arm_model.Params = field(default_factory=arm_model.Params)
+    grip_force: float = arm_model.GRIP_FORCE
+    coil_force: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,9 +108,9 @@ class Cell:
         """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open."""
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
         spec = _world(self.params.timestep, plant)
-        pieces = _plant_mechanics.add_plant(spec, plant, self.params.plant, contype=PLANT_BIT, conaffinity=0)
-        add_blades(spec, plant, pieces, contype=PLANT_BIT, conaffinity=0)
-        arm_model.add_arm(spec, arm, self.params.arm, truth, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
+        pieces = add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
+        forces = {"grip_force": self.params.grip_force, "coil_force": self.params.coil_force}
+        arm_model.add_arm(spec, arm, truth, **forces, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
         self._arm = np.array([self.model.joint(name).qposadr[0] for name in arm.joints])
@@ -127,7 +126,7 @@ class Cell:
         self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, arm.tool.stroke / 2
         self.data.ctrl[: arm.count], self.data.ctrl[self._grip] = joints, arm.tool.stroke / 2
         arm_model.tune_servos(self.model, arm, truth)
-        self.mechanics = PlantMechanics(self.model, plant, pieces, self.params.plant)
+        self.mechanics = PlantMechanics(self.model, plant, pieces)
         self._air = Air(self.mechanics, truth.wind, plant.seed)
         self._codes = _contact_codes(self.model)
         self._samples: list[tuple[Any, ...]] = []
@@ -252,10 +251,8 @@ class Cell:
 
     def _coil(self, motor: Array) -> Array:
         """Return the voice coil's controls (3,): place, speed, and the force that mass and flexures ask for."""
-        assert self.params.arm.motor is not None
         place, speed, acceleration = self.truth.motor_gain * motor
-        load = self.params.arm.motor.load(arm_model.FINGER_MASS, place, speed, acceleration)
-        return np.array([place, speed, load])
+        return np.array([place, speed, arm_model.motor_load(place, speed, acceleration)])
 
     def _note(self) -> None:
         d, sample = self.data, len(self._samples)
@@ -330,7 +327,7 @@ def _world(timestep: float, plant: SimPlant) -> Any:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     option = spec.option
-    option.timestep, option.gravity = timestep, [0, 0, -9.81]
+    option.timestep, option.gravity = timestep, [0, 0, -GRAVITY]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
@@ -339,8 +336,8 @@ def _world(timestep: float, plant: SimPlant) -> Any:
     spec.worldbody.add_geom(
         name="pot",
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        pos=pot.centre - [0, 0, pot.height / 2],
-        size=[pot.radius_top, pot.height / 2, 0],
+        pos=pot.centre - [0, 0, POT_HEIGHT / 2],
+        size=[pot.radius, POT_HEIGHT / 2, 0],
         **bits,
     )
     spec.worldbody.add_geom(

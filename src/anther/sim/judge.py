@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import norm
 
-from anther.checks import check_array
 from anther.errors import FailureKind
 from anther.geometry import Array, inverse
-from anther.oscillation import find_frequency, fit_swing
+from anther.oscillation import fit_swing
 from anther.response import moved
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
@@ -125,8 +124,6 @@ class Verdict:
         harm: the loads that the plant bore, what it bears, and how probable harm was.
         flower_amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency, over the middle 60 % of
             the shake [m]: as `anther.response` measures it.
-        flower_frequency: (F,) of that swing [Hz].
-        flower_acceleration: (F,) rms [m/s2].
         flower_acceleration_peak: (F,) the largest in a period, its median over the periods of that part [m/s2].
         effort: largest share of a motor's torque limit that the arm used.
         held_beside: names of other organs that were between the pads with what is held.
@@ -141,16 +138,9 @@ class Verdict:
     push: float
     harm: Harm
     flower_amplitude: Array
-    flower_frequency: Array
-    flower_acceleration: Array
     flower_acceleration_peak: Array
     effort: float
     held_beside: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        flowers = len(self.flower_amplitude)
-        for name in ("flower_amplitude", "flower_frequency", "flower_acceleration", "flower_acceleration_peak"):
-            object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
 
     @property
     def unharmed(self) -> bool:
@@ -193,7 +183,9 @@ def judge(
     leaf = _leaf_acceleration(cell, log.times[shaking], poses)
     harm = Harm(_strain(cell, log, shaking) | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed))
     dosed = slice(*np.searchsorted(log.times[shaking], steady or (-np.inf, np.inf)))
-    motion = _flower_motion(cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency)
+    amplitude, peak = _flower_motion(
+        cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency
+    )
     effort = np.abs(log.torques / cell.arm.effort).max(axis=0)
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
@@ -211,8 +203,7 @@ def judge(
     for found, kind, why in reversed(findings):
         failure, reason = (kind, why) if found else (failure, reason)
     facts = (held, failure, reason, organ, height, slip, push, harm)
-    amplitude, hertz, rms, peak = motion
-    return Verdict(*facts, amplitude, hertz, rms, peak, float(effort.max()), tuple(beside))
+    return Verdict(*facts, amplitude, peak, float(effort.max()), tuple(beside))
 
 
 def _closed(log: CellLog, shake: tuple[float, float] | None) -> NDArray[np.bool_]:
@@ -323,22 +314,20 @@ def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:
     return float(np.linalg.norm(slow, axis=2).max())
 
 
-def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: float) -> tuple[Array, ...]:
-    """Return amplitude and frequency of each flower's swing, and rms and peak of its acceleration, each (F,)."""
+def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: float) -> tuple[Array, Array]:
+    """Return the amplitude of each flower's swing and the peak of its acceleration, each (F,)."""
     plant = cell.plant
     if poses is None or len(times) < 20:
-        return tuple(np.full(len(plant.flower_segment), np.nan) for _ in range(4))
+        return np.full(len(plant.flower_segment), np.nan), np.full(len(plant.flower_segment), np.nan)
     T = poses[:, plant.flower_segment]
     path = np.einsum("tfij,fj->tfi", T[..., :3, :3], plant.flower_position) + T[..., :3, 3]
     steady = slice(round(0.2 * len(times)), round(0.8 * len(times)))
     dt = float(np.median(np.diff(times)))
     size = np.linalg.norm(_acceleration(path, dt), axis=2)
     every = max(int(1 / (dt * 16 * frequency)), 1)  # 16 samples a period are plenty
-    t, swings = times[steady][::every], []
-    for x in np.swapaxes(path[steady][::every], 0, 1):
-        swings.append((fit_swing(t, x, frequency).amplitude, find_frequency(t, x, frequency)))
-    amplitude, frequencies = np.array(swings).reshape(-1, 2).T
-    return amplitude, frequencies, np.sqrt(np.mean(size**2, axis=0)), _usual_peak(size[steady], 1 / (dt * frequency))
+    t, paths = times[steady][::every], np.swapaxes(path[steady][::every], 0, 1)
+    amplitude = np.array([fit_swing(t, x, frequency).amplitude for x in paths])
+    return amplitude, _usual_peak(size[steady], 1 / (dt * frequency))
 
 
 def _usual_peak(size: Array, period: float) -> Array:

@@ -13,8 +13,7 @@ import numpy as np
 from anther.geometry import Array
 from anther.sim._growth import AREAL_DENSITY, Growth, arc, blade_colours, ripple
 from anther.sim._mesh import blade, star, tube, unit
-from anther.sim._stiffness import FLOWER_RESONANCE, PEDICEL_YOUNGS, draw_youngs, pedicel_radius
-from anther.sim.plant import POT_AXIS, SOIL_Z, Organ, SimPlant
+from anther.sim.plant import POT_AXIS, Organ, SimPlant
 
 SPIRAL = np.radians(137.5)
 STEM_GREEN, BRANCH_GREEN = (104, 132, 66), (112, 146, 70)
@@ -22,23 +21,16 @@ LEAF_GREEN, YOUNG_GREEN = (46, 96, 38), (96, 142, 52)
 PETAL_WHITE, ANTHER_GREY, SEPAL_GREEN = (244, 244, 236), (120, 118, 150), (98, 136, 62)
 
 
-def grow_pepper(
-    seed: int,
-    *,
-    viewpoint: float = 0.0,
-    axis: tuple[float, float] = POT_AXIS,
-    soil_z: float = SOIL_Z,
-) -> SimPlant:
+def grow_pepper(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] = POT_AXIS) -> SimPlant:
     """Return a pot pepper at first flowering.
 
     Args:
         seed: the same seed gives the same plant.
         viewpoint: turns the plant about the pot's axis [deg].
         axis: where the pot stands in the world, x and y [m].
-        soil_z: height of the soil [m].
     """
     rng = np.random.default_rng([seed, 2])
-    growth = Growth(rng, youngs=draw_youngs(rng), density=1000.0)
+    growth = Growth(rng)
     leaves, tallness = int(rng.integers(7, 13)), rng.uniform()
     height, base = 0.3 + 0.25 * tallness, 0.004 + 0.002 * (0.6 * tallness + 0.4 * rng.uniform())
     fork = height * rng.uniform(0.48, 0.58)
@@ -49,9 +41,7 @@ def grow_pepper(
         size = rng.uniform(0.85, 1.15) * (0.085 + 0.045 * np.sin(np.pi * (node + 1) / (leaves + 0.6)))
         _grow_leaf(growth, stem[node], azimuth, size, young=0.0)
     _grow_fork(growth, stem[-1], unit([0.0, 0.0, 1.0]), height - fork, base * 0.72, order=0)
-    return growth.finish(
-        "pepper", seed, axis=axis, soil_z=soil_z, viewpoint=viewpoint, pot_radius=float(rng.uniform(0.085, 0.1))
-    )
+    return growth.finish("pepper", seed, axis=axis, viewpoint=viewpoint)
 
 
 def _grow_stem(growth: Growth, leaves: int, height: float, base: float) -> list[int]:
@@ -139,14 +129,8 @@ def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, *, yo
 def _grow_flower(growth: Growth, parent: int, out: Array) -> None:
     """A single nodding white flower on a curved pedicel."""
     rng = growth.rng
-    length, mass, youngs = rng.uniform(0.01, 0.02), rng.uniform(0.07e-3, 0.13e-3), rng.uniform(*PEDICEL_YOUNGS)
-    radius = pedicel_radius(length + 0.003, mass, youngs, rng.uniform(*FLOWER_RESONANCE))
-    base, nod = growth.end(parent), unit(out + np.array([0, 0, -rng.uniform(0.6, 1.6)]))
-    points = np.stack([base, base + 0.5 * length * out, base + 0.5 * length * (out + nod)])
-    radii = radius * np.array([1.0, 1.0, 1.1])
-    pedicel = growth.chain(points, radii, Organ.PEDICEL, parent, SEPAL_GREEN, youngs=youngs, sides=6)[-1]
-    tip = points[-1]
-    growth.flower(pedicel, tip + 0.003 * nod, mass)
+    kind = {"length": (0.01, 0.02), "mass": (0.07e-3, 0.13e-3), "nod": (0.6, 1.6)}
+    pedicel, tip, nod = growth.flower(parent, out, SEPAL_GREEN, **kind, parts=(0.5, 0.5), widths=(1, 1, 1.1))
     corolla, spin = rng.uniform(0.009, 0.0125), rng.uniform(0, 2 * np.pi)
     petals = star(tip + 0.002 * nod, nod, int(rng.integers(5, 8)), corolla, reflex=rng.uniform(-0.4, 0.3), spin=spin)
     cup = tube(tip + np.outer([-0.001, 0.002, 0.004], nod), [0.0015, 0.0032, 0.0034], sides=8, tip=False)

@@ -32,6 +32,13 @@ OF_SEGMENTS = (
     "lump_centre", "oval", "joint_compliance", "drag_area",
 )  # fmt: skip
 """The arrays of a `SimPlant` that have one row a segment."""
+OF_FLOWERS = ("flower_segment", "flower_position")
+OF_THREE = ("start", "end", "lump_centre", "oval", "flower_position", "vertices", "faces", "vertex_color")
+"""Those whose rows have three columns; the others have one."""
+WHOLE = dict.fromkeys(("parent", "organ", "flower_segment"), "int64") | {
+    "faces": "int32", "face_organ": "uint8", "vertex_color": "uint8", "vertex_segment": "int32",
+}  # fmt: skip
+"""Those of whole numbers; the others are float64."""
 
 
 class Organ(IntEnum):
@@ -58,14 +65,11 @@ class Pot:
 
     Attributes:
         centre: (3,) on the axis at the height of the soil surface [m].
-        radius_top, radius_bottom: outer radii [m].
-        height: from the bench to the soil surface, which is level with the rim [m].
+        radius: outer, at its rim [m], which is level with the soil surface and `POT_HEIGHT` above the bench.
     """
 
     centre: Array
-    radius_top: float
-    radius_bottom: float
-    height: float = POT_HEIGHT
+    radius: float
 
     @property
     def soil_z(self) -> float:
@@ -75,7 +79,7 @@ class Pot:
     @property
     def bench_z(self) -> float:
         """Height of the bench the pot stands on [m]."""
-        return self.soil_z - self.height
+        return self.soil_z - POT_HEIGHT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,39 +146,14 @@ class SimPlant:
     tie: tuple[int, float] | None = None
 
     def __post_init__(self) -> None:
-        segments, flowers = len(self.start), len(self.flower_segment)
-        for name, shape in (("oval", (segments, 3)), ("joint_compliance", (segments,)), ("drag_area", (segments,))):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.zeros(shape))
-        vertices, faces = len(self.vertices), len(self.faces)
-        shapes: dict[str, tuple[tuple[int, ...], str]] = {
-            "start": ((segments, 3), "float64"),
-            "end": ((segments, 3), "float64"),
-            "radius_start": ((segments,), "float64"),
-            "radius_end": ((segments,), "float64"),
-            "parent": ((segments,), "int64"),
-            "organ": ((segments,), "int64"),
-            "youngs": ((segments,), "float64"),
-            "density": ((segments,), "float64"),
-            "damping_ratio": ((segments,), "float64"),
-            "lump_mass": ((segments,), "float64"),
-            "lump_centre": ((segments, 3), "float64"),
-            "flower_segment": ((flowers,), "int64"),
-            "flower_position": ((flowers, 3), "float64"),
-            "vertices": ((vertices, 3), "float64"),
-            "faces": ((faces, 3), "int32"),
-            "face_organ": ((faces,), "uint8"),
-            "vertex_color": ((vertices, 3), "uint8"),
-            "vertex_segment": ((vertices,), "int32"),
-            "oval": ((segments, 3), "float64"),
-            "joint_compliance": ((segments,), "float64"),
-            "drag_area": ((segments,), "float64"),
-        }
-        for name, (shape, dtype) in shapes.items():
-            object.__setattr__(self, name, check_array(f"plant {name}", getattr(self, name), shape, dtype=dtype))
-        self._check_tree()
-
-    def _check_tree(self) -> None:
+        rows = dict.fromkeys(OF_SEGMENTS, len(self.start)) | dict.fromkeys(OF_FLOWERS, len(self.flower_segment))
+        rows |= {"vertices": len(self.vertices), "vertex_color": len(self.vertices)}
+        rows |= {"vertex_segment": len(self.vertices), "faces": len(self.faces), "face_organ": len(self.faces)}
+        for name, count in rows.items():
+            shape = (count, 3) if name in OF_THREE else (count,)
+            value = np.zeros(shape) if getattr(self, name) is None else getattr(self, name)
+            value = check_array(f"plant {name}", value, shape, dtype=WHOLE.get(name, "float64"))
+            object.__setattr__(self, name, value)
         k = np.arange(len(self.parent))
         if len(k) == 0 or self.parent[0] != -1 or np.any(self.parent[1:] < 0) or np.any(self.parent >= k):
             raise bad_input("plant parent", given="no tree", allowed="-1 first, then 0 <= parent[k] < k", do="Reorder.")
@@ -191,6 +170,13 @@ class SimPlant:
         """(K,) mass of each segment's own tissue, a conical frustum [kg]."""
         a, b = self.radius_start, self.radius_end
         return self.density * np.pi * self.length * (a * a + a * b + b * b) / 3
+
+    def carried(self, values: Array) -> Array:
+        """Return values (K, ...) summed over each segment and all that grows on it."""
+        out = np.array(values)
+        for k in range(len(out) - 1, 0, -1):
+            out[self.parent[k]] += out[k]
+        return out
 
     def stem_segments(self) -> NDArray[np.int64]:
         """Return the segments of the main stem, from the soil to the head (pepper: to the first fork)."""

@@ -180,13 +180,11 @@ class Image:
     Attributes:
         rgb: (H, W, 3) uint8.
         depth: (H, W) float32, exact z-depth [m]; 0 where no surface is hit.
-        face: (H, W) int32, the face seen; -1 = none.
-        organ: (H, W) uint8, its `Organ`; NOTHING = none.
+        organ: (H, W) uint8, the `Organ` that is seen; NOTHING = none.
     """
 
     rgb: NDArray[Any]
     depth: NDArray[Any]
-    face: NDArray[Any]
     organ: NDArray[Any]
 
 
@@ -276,10 +274,10 @@ class Scene:
         rgb = np.empty((len(face), 3), dtype=np.uint8)
         sunlit = self._sunlit(T[:3, 3], rays, depth, hit)
         shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, self._mix, rgb)
-        seen = (rgb, depth, face, np.append(self.face_organ, np.uint8(Organ.NOTHING))[face])
+        seen = (rgb, depth, np.append(self.face_organ, np.uint8(Organ.NOTHING))[face])
         if still is None:
             return Image(*(part.reshape(*size, *part.shape[1:]) for part in seen))
-        whole = [part.copy() for part in (still.image.rgb, still.image.depth, still.image.face, still.image.organ)]
+        whole = [part.copy() for part in (still.image.rgb, still.image.depth, still.image.organ)]
         for part, new in zip(whole, seen, strict=True):
             part[still.changing] = new
         return Image(*whole)
@@ -292,14 +290,6 @@ class Scene:
             for part in (image.organ < Organ.POT, image.organ == Organ.FLOWER)
         ]
         return Still(image, *near)
-
-    def depth(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> NDArray[np.float32]:
-        """Return only the exact depth (H, W) [m], 0 where nothing is hit."""
-        T = check_transform("T_world_cam", T_world_cam)
-        rays = self._rays(intrinsics, T)
-        eye = np.tile(T[:3, 3].astype(np.float32), (len(rays), 1))
-        distance = self._embree.run(eye, rays, query="DISTANCE")
-        return np.where(distance < 1e30, distance, 0).astype(np.float32).reshape(intrinsics.height, intrinsics.width)
 
     def visible(self, points: ArrayLike, eye: ArrayLike, tolerance: float = 0.004) -> NDArray[np.bool_]:
         """Return (N,) whether nothing stands between `eye` (3,) and each of (N, 3) points, up to `tolerance` [m]."""

@@ -26,17 +26,21 @@ from anther.devices import (
     Watch,
 )
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.sim._depth_noise import noisy_depth
 from anther.sim._motor import CYCLE, SimMotor, contact_force
-from anther.sim.capture import CameraErrors, noisy_rgb
+from anther.sim.capture import CameraErrors, sensed
 from anther.sim.cell import Cell, CellLog
 from anther.sim.render import Scene, Still, d455
 
+MOST_FRAMES = 60  # of a longer recording only so many from its middle are rendered and returned
 LEAST_REACH = 6.0  # px around the plant in a still that are rendered again in each frame of a film
 SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred
 SHOTS = ((-0.33, -0.25, -0.25), (0.0, 0.25, 0.0), (0.33, -0.1, 0.25))
 """Of a frame: moment [exposures], and place in each pixel [px]. A pixel gathers light from all of its area: by one ray
 alone, what moves by half a pixel seems to jump. About flowers and what is blurred only: it takes time."""
+
+
+SIDE = Intrinsics(480, 480, 424.0, 424.0, 239.5, 239.5)
+"""Of the side camera: the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, quick to render."""
 
 
 class SimArm:
@@ -139,7 +143,6 @@ class SimCamera:
         errors: CameraErrors | None,
         *,
         seed: int = 0,
-        most_frames: int = 60,
         late: float = 0.0,
         exposure: float = 0.0,
     ) -> None:
@@ -152,27 +155,16 @@ class SimCamera:
             pose: gives T_world_cam (4, 4) at present.
             errors: of the sensor; None is an ideal one.
             seed: of those errors.
-            most_frames: of a longer recording only so many frames from its middle are rendered and returned.
             late: by which its frames' times are late on the cell's clock [s].
             exposure: of each frame of a recording [s]; what moves visibly in it is blurred.
         """
         self.cell, self.scene, self.pose, self.errors = cell, scene, pose, errors
-        self._intrinsics, self._most = intrinsics, most_frames
+        self.intrinsics, self.rates = intrinsics, RATES
         self._late, self._exposure = late, exposure
         self._rng = np.random.default_rng(seed)
         self._recording: tuple[float, float] | None = None
         self._shown: dict[int, Frame] = {}
         self._still: tuple[Array, Array, float, Still] | None = None
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """Of every frame."""
-        return self._intrinsics
-
-    @property
-    def rates(self) -> tuple[float, ...]:
-        """At which a recording may be begun [1/s]."""
-        return RATES
 
     def read(self) -> Frame:
         """Return one frame taken now."""
@@ -208,7 +200,7 @@ class SimCamera:
         if self._shown:
             return [self._shown[i] for i in sorted(self._shown)]
         wanted = np.arange(start, self.cell.time, 1 / rate)
-        surplus = max(len(wanted) - self._most, 0)
+        surplus = max(len(wanted) - MOST_FRAMES, 0)
         return self._frames_at(wanted[surplus // 2 : len(wanted) - (surplus + 1) // 2])
 
     def _frames_at(self, wanted: Array) -> list[Frame]:
@@ -239,21 +231,21 @@ class SimCamera:
         reach += max((float(self._pixels(way, base).max()) for way in ways if way is not None), default=0.0)
         if self._still is None or reach > self._still[2]:
             reach = max(2 * reach, LEAST_REACH)
-            self._still = (pose, base, reach, self.scene.moved(base).still(self._intrinsics, pose, reach))
+            self._still = (pose, base, reach, self.scene.moved(base).still(self.intrinsics, pose, reach))
         return self._still[3]
 
     def _pixels(self, way: Array, vertices: Array) -> Array:
         """Return how long ways (Nv, 3) [m] of vertices (Nv, 3) are in the image (Nv,) [px]."""
         T = self.pose()
         depth = np.maximum((vertices - T[:3, 3]) @ T[:3, 2], 0.1)
-        return np.asarray(self._intrinsics.fx * np.linalg.norm(way, axis=1) / depth)
+        return np.asarray(self.intrinsics.fx * np.linalg.norm(way, axis=1) / depth)
 
     def _blurred(self, way: Array, vertices: Array) -> NDArray[np.bool_]:
         """Return (H, W) where what moves visibly in an exposure may be, by ways (Nv, 3) of vertices (Nv, 3) [m]."""
         moved = self._pixels(way, vertices)
         fast = transform_points(inverse(self.pose()), vertices[moved > SEEN_BLUR])
-        column, row = np.rint(self._intrinsics.project(fast[fast[:, 2] > 0])).astype(int).T
-        mask = np.zeros((self._intrinsics.height, self._intrinsics.width), dtype=np.uint8)
+        column, row = np.rint(self.intrinsics.project(fast[fast[:, 2] > 0])).astype(int).T
+        mask = np.zeros((self.intrinsics.height, self.intrinsics.width), dtype=np.uint8)
         inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
         mask[row[inside], column[inside]] = 1
         reach = round(LEAST_REACH + float(moved.max()))
@@ -272,7 +264,7 @@ class SimCamera:
         return way if self._pixels(way, here).max() > SEEN_BLUR else None
 
     def _frame(self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator, still: Still) -> Frame:
-        pose, eye, here = self.pose(), self._intrinsics, self.scene.moved(vertices)
+        pose, eye, here = self.pose(), self.intrinsics, self.scene.moved(vertices)
         image = here.render(eye, pose, still)
         fine = still.flowers if way is None else still.flowers | (still.changing & self._blurred(way, vertices))
         sharp = still._replace(image=image, changing=fine)
@@ -285,14 +277,7 @@ class SimCamera:
         rgb = np.rint(np.mean(shots, axis=0)).astype(np.uint8)
         if self.errors is None:
             return Frame(time + self._late, rgb, image.depth)
-        depth = noisy_depth(image.depth, eye, rng, self.errors.depth)
-        return Frame(time + self._late, noisy_rgb(rgb, rng, self.errors), depth)
-
-
-def cut_out(whole: Intrinsics, width: int, height: int) -> Intrinsics:
-    """Return the intrinsics of the middle `width` x `height` pixels of an image."""
-    left, top = (whole.width - width) // 2, (whole.height - height) // 2
-    return Intrinsics(width, height, whole.fx, whole.fy, whole.cx - left, whole.cy - top)
+        return sensed(replace(image, rgb=rgb), time + self._late, eye, rng, self.errors)
 
 
 def side_pose(cell: Cell, distance: float = 0.55) -> Array:
@@ -318,8 +303,6 @@ def robot_of(
 ) -> Robot:
     """Return the devices of a cell: arm, gripper, both cameras (wrist 1280 x 720), and the motor if there is one.
 
-    The side camera is the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, and quick to render.
-
     Args:
         cell: the world.
         errors: of both cameras' sensors; None is ideal cameras.
@@ -333,12 +316,12 @@ def robot_of(
     side = SimCamera(
         cell,
         scene,
-        cut_out(d455(848, 480), 480, 480),
+        SIDE,
         lambda: T_side,
         errors,
         seed=seed + 1,
         late=cell.truth.clock_offset,
         exposure=cell.truth.exposure_time,
     )
-    motor = None if cell.params.arm.motor is None else SimMotor(cell)
+    motor = SimMotor(cell) if cell.params.coil_force else None
     return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side, motor)

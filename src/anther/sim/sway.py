@@ -8,16 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-import mujoco as mujoco_module
 import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.checks import check_array
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim import _plant_mechanics
-from anther.sim._plant_mechanics import PlantMechanics
-from anther.sim.plant import GRAVITY, SimPlant
+from anther.sim._pieces import Params
+from anther.sim._plant_mechanics import PlantMechanics, alone, mujoco
+from anther.sim.plant import SimPlant
 
 DENSITY = 1.2
 """Of air [kg/m3]."""
@@ -72,8 +71,6 @@ class Air:
         return 8 / (3 * np.pi) * self._factor[:, 0] * speed
 
 
-mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
-
 TIMESTEP = 2e-3
 CALM = 2.0
 """How long the wind has blown before the clock begins [s]."""
@@ -89,12 +86,9 @@ def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
     Raises:
         StageFailure: "no_convergence": the wind blows the plant over.
     """
-    params, spec = _plant_mechanics.Params(), mujoco.MjSpec()
-    spec.compiler.degree, spec.option.gravity, spec.option.timestep = False, [0, 0, -GRAVITY], TIMESTEP
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    pieces = _plant_mechanics.add_plant(spec, plant, params, contype=0, conaffinity=0)
-    model = spec.compile()
-    mechanics, data, inertia = PlantMechanics(model, plant, pieces, params), mujoco.MjData(model), np.empty(model.nv)
+    mechanics = alone(plant, Params(), TIMESTEP)
+    model = mechanics.model
+    data, inertia = mujoco.MjData(model), np.empty(model.nv)
     air = Air(mechanics, wind, plant.seed)
     mujoco.mj_forward(model, data)
     while not data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:

@@ -14,31 +14,23 @@ import numpy as np
 from anther.geometry import Array
 from anther.sim._growth import AREAL_DENSITY, Growth, arc, blade_colours, ripple
 from anther.sim._mesh import blade, star, tube, unit
-from anther.sim._stiffness import FLOWER_RESONANCE, PEDICEL_YOUNGS, draw_youngs, pedicel_radius
-from anther.sim.plant import POT_AXIS, SOIL_Z, Organ, SimPlant
+from anther.sim.plant import POT_AXIS, Organ, SimPlant
 
 GOLDEN_ANGLE = np.radians(137.5)
 STEM_GREEN, LEAF_GREEN, YOUNG_GREEN = (108, 140, 72), (58, 104, 44), (112, 150, 62)
 PETAL_YELLOW, ANTHER_YELLOW, SEPAL_GREEN = (247, 214, 36), (232, 170, 22), (88, 128, 58)
 
 
-def grow_tomato(
-    seed: int,
-    *,
-    viewpoint: float = 0.0,
-    axis: tuple[float, float] = POT_AXIS,
-    soil_z: float = SOIL_Z,
-) -> SimPlant:
+def grow_tomato(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] = POT_AXIS) -> SimPlant:
     """Return a pot tomato at first flowering.
 
     Args:
         seed: the same seed gives the same plant.
         viewpoint: turns the plant about the pot's axis [deg].
         axis: where the pot stands in the world, x and y [m].
-        soil_z: height of the soil [m].
     """
     rng = np.random.default_rng([seed, 1])
-    growth = Growth(rng, youngs=draw_youngs(rng), density=1000.0)
+    growth = Growth(rng)
     internodes = int(rng.integers(8, 13))
     stem = _grow_stem(growth, internodes)
     azimuth = rng.uniform(0, 2 * np.pi)
@@ -50,9 +42,7 @@ def grow_tomato(
         _grow_leaf(growth, stem[-1], azimuth, size, 1.0)
     for truss, node in enumerate(_truss_nodes(rng, internodes)):
         _grow_truss(growth, stem[2 * node], azimuth + np.pi + truss * GOLDEN_ANGLE, truss)
-    return growth.finish(
-        "tomato", seed, axis=axis, soil_z=soil_z, viewpoint=viewpoint, pot_radius=float(rng.uniform(0.085, 0.1))
-    )
+    return growth.finish("tomato", seed, axis=axis, viewpoint=viewpoint)
 
 
 def _truss_nodes(rng: np.random.Generator, internodes: int) -> list[int]:
@@ -112,14 +102,8 @@ def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, heigh
         for hand in (-1.0, 1.0):
             side = hand * unit(np.cross(forward, [0, 0, 1.0]))
             outward = unit(side + forward * rng.uniform(0.25, 0.6))
-            _grow_leaflet(
-                growth,
-                growth.beside(rachis[k], here),
-                here,
-                outward,
-                length=size * rng.uniform(0.85, 1.1),
-                colour=colour,
-            )
+            beside, long = growth.beside(rachis[k], here), size * rng.uniform(0.85, 1.1)
+            _grow_leaflet(growth, beside, here, outward, length=long, colour=colour)
 
 
 def _grow_leaflet(growth: Growth, segment: int, base: Array, direction: Array, *, length: float, colour: Array) -> None:
@@ -167,20 +151,12 @@ def _grow_truss(growth: Growth, parent: int, azimuth: float, order: int) -> None
 def _grow_flower(growth: Growth, parent: int, out: Array, *, openness: float) -> None:
     """A pedicel with a knee at the abscission joint, and a nodding flower at its end."""
     rng = growth.rng
-    length, mass = rng.uniform(0.009, 0.02), rng.uniform(0.05e-3, 0.15e-3)
-    youngs = rng.uniform(*PEDICEL_YOUNGS)
-    radius = pedicel_radius(length + 0.003, mass, youngs, rng.uniform(*FLOWER_RESONANCE))
-    base = growth.end(parent)
-    nod = unit(out + np.array([0, 0, -rng.uniform(0.5, 1.4)]))
-    points = np.stack([base, base + 0.55 * length * out, base + length * (0.55 * out + 0.45 * nod)])
-    pedicel = growth.chain(
-        points, [radius * 1.05, radius, radius], Organ.PEDICEL, parent, SEPAL_GREEN, youngs=youngs, sides=6
-    )
-    growth.flower(pedicel[-1], points[-1] + 0.003 * nod, mass)
+    kind = {"length": (0.009, 0.02), "mass": (0.05e-3, 0.15e-3), "nod": (0.5, 1.4)}
+    pedicel, tip, nod = growth.flower(parent, out, SEPAL_GREEN, **kind, parts=(0.55, 0.45), widths=(1.05, 1, 1))
     corolla = rng.uniform(0.0075, 0.01) * (0.45 + 0.55 * openness)
     spin = rng.uniform(0, 2 * np.pi)
-    petals = star(points[-1] + 0.001 * nod, nod, 5, corolla, reflex=-1.2 + 1.5 * openness, spin=spin)
-    sepals = star(points[-1], nod, 5, 0.8 * corolla, reflex=0.2 * openness - 0.5, spin=spin + 0.6, slim=0.45)
-    cone = tube(points[-1] + np.outer([0, 0.004, 0.008], nod), [0.0016, 0.0017, 0.0006], sides=8)
+    petals = star(tip + 0.001 * nod, nod, 5, corolla, reflex=-1.2 + 1.5 * openness, spin=spin)
+    sepals = star(tip, nod, 5, 0.8 * corolla, reflex=0.2 * openness - 0.5, spin=spin + 0.6, slim=0.45)
+    cone = tube(tip + np.outer([0, 0.004, 0.008], nod), [0.0016, 0.0017, 0.0006], sides=8)
     for mesh, colour in ((petals, PETAL_YELLOW), (sepals, SEPAL_GREEN), (cone, ANTHER_YELLOW)):
-        growth.surface(mesh, Organ.FLOWER, colour, pedicel[-1])
+        growth.surface(mesh, Organ.FLOWER, colour, pedicel)

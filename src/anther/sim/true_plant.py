@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.sim import _plant_mechanics
-from anther.sim._growth import AREAL_DENSITY
-from anther.sim._plant_mechanics import PlantMechanics, add_plant, mujoco
-from anther.sim._stiffness import buckling_factor, supported_youngs
-from anther.sim.plant import GRAVITY, Organ, SimPlant
+from anther.sim._growth import AREAL_DENSITY, buckling_factor, supported_youngs
+from anther.sim._pieces import Params
+from anther.sim._plant_mechanics import alone
+from anther.sim.plant import Organ, SimPlant
 from anther.sim.truth import NOMINAL, Truth
 
 FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)
@@ -33,7 +32,7 @@ TIE_AT, TIE = (0.55, 0.85), (20.0, 200.0)
 SLOWEST, STIFFEN = 0.3, 1.2
 """A plant that swings more slowly than this [Hz] would hang down or twist over in a breath of air (facts: pollination
 2 has 1.1 and 1.4 Hz): it is made so much stiffer until it does not."""
-FINELY_CUT = _plant_mechanics.Params(twist_every=1)
+FINELY_CUT = Params(twist_every=1)
 
 
 def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
@@ -162,18 +161,6 @@ def _standing(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPla
 
 def _stands(plant: SimPlant) -> bool:
     try:
-        return bool(natural_frequencies(plant, FINELY_CUT)[0] >= SLOWEST)
+        return bool(alone(plant, FINELY_CUT).frequencies[0] >= SLOWEST)
     except StageFailure:
         return False
-
-
-def natural_frequencies(plant: SimPlant, params: _plant_mechanics.Params) -> Array:
-    """Return (D,) the natural frequencies of a plant in its pot [Hz], lowest first.
-
-    Raises:
-        StageFailure: "no_convergence": it cannot carry its own weight.
-    """
-    spec = mujoco.MjSpec()
-    spec.compiler.degree, spec.option.gravity = False, [0, 0, -GRAVITY]
-    pieces = add_plant(spec, plant, params, contype=0, conaffinity=0)
-    return PlantMechanics(spec.compile(), plant, pieces, params).frequencies
