@@ -66,6 +66,5 @@ def _readings(frames: Sequence[Frame], patch: Patch, path: Array, depth: Array, 
         v, u = (own + middle[::-1]).T
         z = frame.depth[v, u]
         offset = (np.column_stack([u, v]) - place) / patch.radius
-        here = np.column_stack([np.full(len(z), float(i)), offset, z])[np.abs(z - depth[i]) < gap]
-        parts += [here] if len(here) >= 3 else []
+        parts.append(np.column_stack([np.full(len(z), float(i)), offset, z])[np.abs(z - depth[i]) < gap])
     return np.concatenate(parts)
