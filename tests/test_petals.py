@@ -325,9 +325,11 @@ def moving(places: Array) -> tuple[list[NDArray[np.float32]], Patch]:
 
 
 def test_a_patch_farther_away_than_the_reach_or_without_a_place_is_not_found() -> None:
-    images, patch = moving(np.array([[100.0, 30.0]]))
+    _, patch = moving(np.array([[100.0, 30.0]]))
+    wall = np.random.default_rng(3).uniform(100, 250, WALL.shape).astype(np.float32)  # as bright as the patch
+    wall[25:36, 95:106] = TEXTURE
     places = np.array([[100, 30.0], [96, 27], [93, 30], [100, 37], [np.nan, np.nan], [100, np.nan], [np.nan, 30]])
-    found = seek(images * 7, patch, places, 5, 0.6)
+    found = seek([wall] * 7, patch, places, 5, 0.6)
     assert found[:2] == pytest.approx(np.array([[100.0, 30.0]] * 2), abs=0.5)
     assert np.isnan(found[2:]).all()
 

@@ -14,9 +14,8 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.flowers import Flowers
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.oscillation import choose_rate, fit_swing, swing_basis
-from anther.response import SIGNIFICANCE, Response, _without_noisy_depth, measure_response
-from anther.response._depth import depth_along
+from anther.oscillation import choose_rate
+from anther.response import Response, measure_response
 from anther.response._following import without_outliers
 from anther.response._petals import Patch, centre_of_petals, common_shift, flower_weight, follow, petal_weight
 from anther.response.thresholds import LARGE
@@ -304,63 +303,6 @@ def test_too_few_frames_and_a_wrong_size_are_refused() -> None:
     other = Intrinsics(320, 240, 424.0, 424.0, 160, 120)
     with pytest.raises(InputError, match="this camera's intrinsics"):
         measure_response(frames, other, T_WORLD_CAM, flowers(), 5.0)
-
-
-def test_depth_is_followed_through_gaps_slopes_and_other_things_readings() -> None:
-    rng, size, hint = np.random.default_rng(3), 64, 5.0
-    times = np.arange(60) / 60.0
-    true = 0.5 + 0.002 * np.sin(2 * np.pi * hint * times + 0.7)
-    path = 30.0 + np.outer(np.sin(2 * np.pi * hint * times + 0.7), [2.4, -1.3])
-    v, u = np.mgrid[:size, :size]
-    frames = []
-    for time, z, (x, y) in zip(times, true, path, strict=True):
-        depth = z + 0.001 * (u - x) + 0.0005 * rng.standard_normal((size, size))  # a petal at 45 degrees
-        depth[rng.random(depth.shape) < 0.3] = 0.0
-        depth[(v > y + 2) & (rng.random() < 0.4)] = 0.515  # a leaf's, now and then
-        frames.append(Frame(float(time), np.zeros((size, size, 3), np.uint8), depth.astype(np.float32)))
-    disc = (np.hypot(*np.mgrid[-8:9, -8:9]) < 6).astype(np.float32)
-    patch = Patch(np.zeros((17, 17, 3), np.float32), disc, np.array([30, 30]), 5.5)
-    basis = swing_basis(times, hint)
-    found = depth_along(frames, patch, path, basis, np.array(0.502), 0.02)
-    swing = fit_swing(times, np.column_stack([found] * 3), hint)
-    assert swing.amplitude / np.sqrt(3) == pytest.approx(0.002, abs=2e-4)
-    assert np.mod(swing.phase, np.pi) == pytest.approx(0.7, abs=0.1)
-    assert np.isnan(depth_along(frames, patch, path, basis, np.array(0.9), 0.02)).all()  # nothing is there
-    for frame, (x, y) in zip(frames, np.rint(path).astype(int), strict=True):
-        few = frame.depth[y, x - 1 : x + 3].copy()
-        frame.depth[:] = 0.0
-        frame.depth[y, x - 1 : x + 3] = few if frame.time < 0.1 else 0.0
-    assert np.isnan(depth_along(frames, patch, path, basis, np.array(0.502), 0.02)).all()  # too few for what is fitted
-
-
-def test_depth_is_not_read_where_the_flower_leaves_the_picture() -> None:
-    times, size = np.arange(60) / 60.0, 64
-    path = np.column_stack([np.linspace(20, 61, 60), np.full(60, 30.0)])
-    frames = [
-        Frame(float(t), np.zeros((size, size, 3), np.uint8), np.full((size, size), 0.5, np.float32)) for t in times
-    ]
-    patch = Patch(np.zeros((17, 17, 3), np.float32), np.ones((17, 17), np.float32), np.array([20, 30]), 5.5)
-    found = depth_along(frames, patch, path, swing_basis(times, 5.0), np.array(0.502), 0.02)
-    inside = np.rint(path[:, 0]) + 8 < size
-    np.testing.assert_array_equal(np.isfinite(found), inside)
-    np.testing.assert_allclose(found[inside], 0.5, atol=1e-4)
-
-
-def test_depth_counts_where_it_swings_by_more_than_its_noise() -> None:
-    rng, times = np.random.default_rng(5), np.arange(90) / 60.0
-    across, noise = 0.004 * np.sin(2 * np.pi * 5 * times), 0.0004 * rng.standard_normal(90)
-    deep, shallow = (
-        np.column_stack([across, 0 * across, 0.5 + z + noise]) for z in (0.002 * np.sin(2 * np.pi * 5 * times + 1), 0.0)
-    )
-    same, nothing = _without_noisy_depth(times, deep, 5.0, True)
-    assert nothing == 0.0
-    np.testing.assert_array_equal(same, deep)
-    flat, unseen = _without_noisy_depth(times, shallow, 5.0, True)
-    assert np.ptp(flat[:, 2]) < 1e-9
-    assert 0 < unseen < SIGNIFICANCE * 0.0004
-    flat, unseen = _without_noisy_depth(times, deep, 5.0, False)  # whose depth nothing tells
-    assert np.ptp(flat[:, 2]) < 1e-9
-    assert unseen > 0.001
 
 
 def test_flowers_far_and_near_are_followed_alike() -> None:

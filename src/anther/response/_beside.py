@@ -168,7 +168,7 @@ def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float) -> _
     if not inside or np.linalg.norm(along) * metres < 0.5e-3:
         return None
     across = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    across = across * (1 if across[0] >= 0 else -1)
+    across = across if across[0] >= 0 else -across
     offset = (pixel - [intrinsics.cx, intrinsics.cy]) / intrinsics.fx
     axis = np.array([*across, -float(across @ offset)])
     half = (int(np.ceil((SHIFT + radius) / metres)), max(int(HALF_LENGTH / metres), 2))

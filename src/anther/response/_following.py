@@ -110,14 +110,11 @@ def follow_flowers(
         deep, depth = _depth(frames, begin.own[k], path, hint, float(rest[k, 2]))
         lifted = _lifted(intrinsics, path + begin.pixels[k] - begin.own[k].centre, depth)
         found.append(Followed(int(k), lifted, rest[k, 2] / intrinsics.fx, deep, any(k in group for group in mixed)))
-    return (
-        found,
-        mixed,
-        {
-            "outside the side camera's picture": np.flatnonzero(~inside).tolist(),
-            "hidden from the side camera": np.flatnonzero(inside & ~shown).tolist(),
-        },
-    )
+    remarks = {
+        "outside the side camera's picture": np.flatnonzero(~inside).tolist(),
+        "hidden from the side camera": np.flatnonzero(inside & ~shown).tolist(),
+    }
+    return found, mixed, remarks
 
 
 class _Begin(NamedTuple):
