@@ -307,6 +307,8 @@ def test_a_stem_that_is_hidden_for_some_frames_is_looked_for_where_it_was() -> N
     found = followed(120 + moved)
     assert found is not None
     assert found == pytest.approx(moved, abs=0.3, nan_ok=True)
+    moved = np.array([0.0, np.nan, 11, 7, 7, 7])  # how far it came while it was hidden says nothing of where it goes
+    assert followed(120 + moved) == pytest.approx(moved, abs=0.3, nan_ok=True)
 
 
 def test_a_stem_that_is_not_as_far_as_it_should_be_is_not_followed() -> None:

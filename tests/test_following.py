@@ -380,6 +380,17 @@ def test_following_begins_where_flowers_stand_most_like_at_rest() -> None:
     assert begin.wide[0].weight.shape[0] > 1.7 * begin.own[0].weight.shape[0], "twice as far around"
 
 
+def test_a_flower_with_its_surroundings_reaches_twice_as_far_in_depth_too() -> None:
+    frame = picture(0.0, HOMES[:1])
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    around = np.hypot(u - HOMES[0, 0], v - HOMES[0, 1]) < 1.4 * RADIUS
+    stalk = around & (frame.depth > 0.9)
+    frame.rgb[stalk], frame.depth[stalk] = (120, 115, 110), 0.54
+    begin = _begin([frame], CAMERA, at_rest(HOMES[:1]))
+    assert np.count_nonzero(begin.own[0].weight) < 1.2 * np.pi * RADIUS**2
+    assert np.count_nonzero(begin.wide[0].weight) > 1.7 * np.pi * RADIUS**2
+
+
 @pytest.mark.parametrize("size", [0.5, 3.0, 8.0])
 def test_a_flower_is_followed_on_and_back_from_where_it_begins(size: float) -> None:
     _, frames, places = swinging(size)

@@ -616,6 +616,32 @@ def test_how_far_a_flower_swings_away_is_read_from_its_depth(size: float) -> Non
 
 def test_what_is_near_the_camera_or_behind_it_is_no_flower() -> None:
     rest, _ = flower_film(wave(np.zeros((1, 2)), np.array([4.1])))
-    at = sight(rest, CAMERA, np.eye(4), np.array([[0.0, 0.0, 0.05]]), np.zeros((0, 3)))
+    at = sight(rest, CAMERA, np.eye(4), np.array([[0.0, 0.0, 0.05], [0.0, 0.0, DEPTH]]), np.zeros((0, 3)))
     assert at.flowers == ()
-    assert at.per_pixel == pytest.approx([0.05 / CAMERA.fx])
+    assert at.per_pixel == pytest.approx([0.05 / CAMERA.fx, PER_PIXEL])
+
+
+def test_a_flower_is_measured_beside_one_that_is_hidden_and_a_point() -> None:
+    tones, truth = np.array([4.1]), np.array([[3.0 + 0j, 1.0j]])
+    rest, frames = flower_film(wave(truth, tones))
+    places = np.column_stack([(HOMES - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, np.full(3, DEPTH)])
+    at = sight(rest, CAMERA, np.eye(4), places[:2], places[2:])
+    expected = PER_PIXEL * np.repeat(np.append(truth, [[0]], axis=1)[None], 2, axis=0)
+    for known in (None, expected):
+        found = swings(at._replace(shown=np.array([True, False, True])), frames, tones, known)
+        assert off(found, truth[None])[0].max() < 0.05
+        assert np.isnan(found.std[1]).all()
+        assert np.linalg.norm(found.phasors[2, :, :2]) < 0.1 * PER_PIXEL, "which stands still"
+
+
+def test_of_what_is_not_in_sight_nothing_is_said() -> None:
+    rest, frames = film([wave(SWUNG[0])], seconds=0.5)
+    at = seen(rest, HOMES[:1])
+    found = swings(at._replace(shown=np.zeros(1, dtype=bool)), frames, TONES)
+    assert found.phasors.shape == (1, 3, 3)
+    assert np.isnan(found.phasors).all()
+
+
+@pytest.mark.parametrize("tone", [4.0, 9.3, 22.0])
+def test_a_tone_alone_in_a_long_film_is_like_nothing_else(tone: float) -> None:
+    assert likeness(60.0, 3.0, np.array([tone])) == pytest.approx(1.0, abs=0.1)

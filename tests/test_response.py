@@ -153,6 +153,7 @@ def test_phase_and_frequency_come_with_deviations() -> None:
     assert np.all(np.abs(along) > 0.9)
     assert np.all(np.abs(miss) < 3 * response.phase_std)
     assert np.all(np.abs(response.frequency - 5.0) < np.maximum(3 * response.frequency_std, 0.01))
+    assert np.nanmedian(response.tracks, axis=0) == pytest.approx(REST + 0.002, abs=0.0015), "where they are, too"
     assert np.all((response.phase_std < 0.15) & (response.frequency_std < 0.05))
 
 
@@ -303,6 +304,9 @@ def test_too_few_frames_and_a_wrong_size_are_refused() -> None:
     other = Intrinsics(320, 240, 424.0, 424.0, 160, 120)
     with pytest.raises(InputError, match="this camera's intrinsics"):
         measure_response(frames, other, T_WORLD_CAM, flowers(), 5.0)
+    for part in ({"rgb": frames[0].rgb[1:]}, {"depth": frames[0].depth[1:]}):
+        with pytest.raises(InputError, match="this camera's intrinsics"):
+            measure_response([*frames[1:], replace(frames[0], **part)], CAMERA, T_WORLD_CAM, flowers(), 5.0)
 
 
 def test_flowers_far_and_near_are_followed_alike() -> None:
