@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from anther.devices import Frame
 from anther.escalation._overtones import sharpened
 from anther.geometry import Array, Intrinsics
+from anther.response._petals import smoothed
 from anther.response.points import (
     SLOW,
     SPARE,
@@ -21,6 +22,7 @@ from anther.response.points import (
     Swings,
     _basis,
     _fitted,
+    _flower_path,
     _gain,
     _growing,
     _middles,
@@ -612,6 +614,19 @@ def test_how_far_a_flower_swings_away_is_read_from_its_depth(size: float) -> Non
     found = swings(flower_at(rest), frames, tones, expected)
     assert found.phasors[0, 0, 2] == pytest.approx(size * 1j, abs=3e-4)
     assert 1e-5 < found.std[0, 2] < 5e-4
+
+
+def test_a_flowers_path_is_of_its_middle_not_of_the_pixel_about_which_it_was_cut_out() -> None:
+    tones = np.array([4.1])
+    rest, frames = flower_film(wave(np.array([[3.0 + 0j, 1.0j]]), tones), seconds=0.6)
+    at, basis = flower_at(rest), _basis(np.array([f.time for f in frames]), tones)
+    images = [smoothed(frame) * _gain(frame) for frame in frames]
+    around = np.tile(HOMES[0], (len(frames), 1))
+    plain, aside = (
+        _flower_path(at._replace(pixels=at.pixels + off), 0, images, around, HOMES[0], basis, None)
+        for off in (np.zeros(2), np.array([0.4, -0.3]))
+    )
+    assert aside - plain == pytest.approx(np.tile([0.4, -0.3], (len(frames), 1)), abs=1e-9)
 
 
 def test_what_is_near_the_camera_or_behind_it_is_no_flower() -> None:

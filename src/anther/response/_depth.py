@@ -66,5 +66,6 @@ def _readings(frames: Sequence[Frame], patch: Patch, path: Array, depth: Array, 
         v, u = (own + middle[::-1]).T
         z = frame.depth[v, u]
         offset = (np.column_stack([u, v]) - place) / patch.radius
-        parts.append(np.column_stack([np.full(len(z), float(i)), offset, z])[np.abs(z - depth[i]) < gap])
+        here = np.column_stack([np.full(len(z), float(i)), offset, z])[np.abs(z - depth[i]) < gap]
+        parts += [here] if len(here) >= 3 else []
     return np.concatenate(parts)

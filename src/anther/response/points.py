@@ -242,7 +242,7 @@ def _picture(frame: Frame, gain: float) -> NDArray[np.uint8]:
 def _flower_path(
     at: Sight, k: int, images: Sequence[Image], path: Array, middle: Array, basis: Array, expected: ComplexArray | None
 ) -> Array:
-    """Return (T, 2) where the middle pixel of a flower's patch is [px], NaN where it is not found.
+    """Return (T, 2) where a flower's own pixels are [px], NaN where they are not found.
 
     Args:
         at: what is in sight.
@@ -254,17 +254,18 @@ def _flower_path(
         expected: (K, 3) its phasors [m], or None.
     """
     own = at.flowers[k]
+    shift = at.pixels[k] - own.centre
     ways = [np.where(np.isfinite(path), path, middle)]
     if expected is not None:
         swing = _swung(basis, expected)[:, :2] / at.per_pixel[k]
         ways = [middle + scale * swing for scale in SCALES] + ways
     best, worth = np.full_like(path, np.nan), 0.0
     for way in ways:
-        found = seek(images, own, way, SEEK, OWN_LIKENESS)
+        found = seek(images, own, way - shift, SEEK, OWN_LIKENESS) + shift
         fitted = _fitted(basis, found, LEAST_ERROR)
         if fitted is None:
             continue
-        found = seek(images, own, basis @ fitted.coefficients, NEAR_SWING, OWN_LIKENESS)
+        found = seek(images, own, basis @ fitted.coefficients - shift, NEAR_SWING, OWN_LIKENESS) + shift
         sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted.std)
         if sure > worth:
             best, worth = found, sure
@@ -356,8 +357,9 @@ def _away(
 ) -> _Fit | None:
     """Return the fit of how far away [m] a flower is along its path (T, 2) [px]; None where that is not read."""
     own, rest = at.flowers[k], at.depth[k]
+    middle = path - (at.pixels[k] - own.centre)
     for about in ([] if expected is None else [rest + _swung(basis, expected)[:, 2]]) + [np.array(rest)]:
-        depth = depth_along(frames, own, path, basis, about, OWN_DEPTH)
+        depth = depth_along(frames, own, middle, basis, about, OWN_DEPTH)
         found = _fitted(basis, depth[:, None], LEAST_DEPTH_ERROR)
         if found is not None:
             return found
