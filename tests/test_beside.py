@@ -15,7 +15,8 @@ from anther.geometry import Array, Intrinsics, inverse, look_at, transform_point
 from anther.identification import Felt, ObservedShake
 from anther.oscillation import fit_swing
 from anther.response import Response, StemNear, measure_response, stem_near
-from anther.response._beside import _Strip, _swing
+from anther.response._beside import StemMotion, _alike, _followed, _stem_in, _Strip, _strip, _swing, measure_stem
+from anther.response.thresholds import LEAST_SPREAD, SHIFT, SPREAD
 from anther.shake import ShakePlan
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
@@ -146,3 +147,202 @@ def test_the_stem_is_kept_and_told_relative_to_the_grippers_motion(tmp_path: Pat
     assert np.all(real.real > 0)
     assert np.all(np.abs(real.imag) < 4 * told.std)
     assert len(ObservedShake.of(plan, response).beside.points) == 0
+
+
+# Rules that single functions state.
+
+
+@pytest.mark.parametrize("began", [0.0, 12.37])
+def test_the_phasor_of_a_swing_is_on_the_clock_of_the_frames(began: float) -> None:
+    times, phasor = began + np.arange(60) / 40, 3e-3 * np.exp(0.7j)
+    found, std = _swing(times, np.imag(phasor * np.exp(2j * np.pi * F * times)), F, 1e-3) or (0j, 0.0)
+    assert found == pytest.approx(phasor, abs=1e-8)
+    assert std == pytest.approx(np.hypot(SPREAD * 3e-3, LEAST_SPREAD)), "a quiet one's"
+
+
+def test_a_stems_swing_may_be_missed_by_three_quarters_of_a_pixel() -> None:
+    rng, times = np.random.default_rng(3), np.arange(120) / 60
+    small, noise = 1e-3 * np.sin(2 * np.pi * F * times), rng.standard_normal(120)
+    assert _swing(times, small + 0.6e-3 * noise, F, 1e-3)
+    assert not _swing(times, small + 0.9e-3 * noise, F, 1e-3)
+    assert _swing(times, small + 0.9e-3 * noise, F, 2e-3), "of a larger pixel it may"
+
+
+def test_a_frame_rate_at_which_the_swing_is_not_told_tells_none() -> None:
+    times = np.arange(60) / F
+    assert _swing(times, 1e-3 * np.sin(2 * np.pi * F * times), F, 1e-3) is None
+
+
+PLACE, UP = np.array([0.08, -0.05, 0.5]), np.array([0.0, 1.0, 0.0])
+
+
+@pytest.mark.parametrize("way", [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [0.6, 0.8, 0.0], [0.6, -0.8, 0.0], [1.0, 0.1, 0.3]])
+def test_a_strip_lies_across_the_stem_to_the_right_however_the_stem_runs(way: list[float]) -> None:
+    tangent = np.array(way) / np.linalg.norm(way)
+    strip = _strip(CAMERA, PLACE, tangent, 0.004)
+    assert strip is not None
+    ahead, here = CAMERA.project(np.array([PLACE + 1e-4 * tangent, PLACE]))
+    assert strip.centre == pytest.approx(here)
+    assert np.linalg.norm(strip.across) == pytest.approx(1)
+    assert strip.across[0] > 0
+    assert strip.across @ (ahead - here) == pytest.approx(0, abs=1e-4)
+    assert strip.metres == pytest.approx(0.5 / 424)
+    assert strip.radius == pytest.approx(0.004 * 424 / 0.5)
+
+
+@pytest.mark.parametrize("place", [PLACE, [-0.1, 0.07, 0.5], [0.0, 0.0, 0.8]])
+def test_a_strips_axis_says_what_a_motion_shows_across_the_stem(place: list[float]) -> None:
+    middle, rng = np.array(place), np.random.default_rng(0)
+    strip = _strip(CAMERA, middle, np.array([0.3, 0.9, 0.1]), 0.004)
+    assert strip is not None
+    for move in 1e-5 * rng.standard_normal((4, 3)):
+        after, before = CAMERA.project(np.array([middle + move, middle]))
+        assert strip.across @ (after - before) * strip.metres == pytest.approx(strip.axis @ move, abs=1e-8)
+
+
+def test_a_strip_reaches_as_far_as_the_plant_may_have_shifted() -> None:
+    strip, far = _strip(CAMERA, PLACE, UP, 0.004), _strip(CAMERA, [0.0, 0.0, 2.0] * np.ones(3), UP, 0.004)
+    assert strip is not None
+    assert far is not None
+    assert strip.half == (int(np.ceil((SHIFT + 0.004) * 848)), 4)
+    assert far.half[1] == 2, "of a stem far away some of it is looked at"
+
+
+@pytest.mark.parametrize("place", [[-0.2, 0, 0.5], [0.2, 0, 0.5], [0, -0.15, 0.5], [0, 0.15, 0.5]])
+def test_outside_the_picture_there_is_no_strip(place: list[float]) -> None:
+    assert _strip(CAMERA, np.array(place), UP, 0.004) is None
+
+
+def test_a_stem_seen_from_its_end_has_no_strip() -> None:
+    ray = PLACE / np.linalg.norm(PLACE)
+    assert _strip(CAMERA, PLACE, ray, 0.004) is None
+    assert _strip(CAMERA, PLACE, np.array([0.3, 0.0, 0.95]), 0.004) is None
+    assert _strip(CAMERA, PLACE, np.array([0.95, 0.0, 0.3]), 0.004) is not None
+
+
+def strip_of(radius: float) -> _Strip:
+    return _Strip(np.array([120.0, 90.0]), np.array([1.0, 0.0]), (30, 4), 1e-3, 0.5, radius, np.array([1.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("runs", "where"),
+    [
+        ([(26, 35)], 0.0),  # columns 26 to 34 of 61: the middle
+        ([(26, 36)], 0.5),
+        ([(5, 14), (40, 49)], 14.0),  # the nearer
+        ([(12, 21), (50, 59)], -14.0),
+        ([(0, 9)], -26.0),
+        ([(52, 61)], 26.0),
+        ([(30, 33), (44, 53)], 18.0),  # the first is thinner than the stem's radius
+        ([(16, 36), (44, 53)], 18.0),  # and this wider than 3.5 of them and a margin
+        ([(20, 38)], -1.5),  # this not
+        ([(0, 61)], None),
+        ([], None),
+    ],
+)
+def test_the_stem_is_the_nearest_run_of_columns_as_wide_as_it(runs: list[tuple[int, int]], where: float | None) -> None:
+    own = np.zeros(61, dtype=bool)
+    for begin, end in runs:
+        own[begin:end] = True
+    assert _stem_in(own, strip_of(4.0)) == where
+
+
+def test_a_thin_stem_is_two_columns_or_more() -> None:
+    one, two = np.zeros(61, dtype=bool), np.zeros(61, dtype=bool)
+    one[30] = two[30:32] = True
+    assert _stem_in(one, strip_of(0.7)) is None
+    assert _stem_in(two, strip_of(0.7)) == 0.5
+
+
+def test_a_pixel_is_like_the_stem_by_how_near_its_colour_is() -> None:
+    colour = np.array([70.0, 120.0, 50.0])
+    shades = colour + np.array([[[0, 0, 0], [20, 0, 0], [0, -20, 0], [0, 12, 16], [200, 0, 0]]], dtype=float)
+    found = _alike(shades, colour, 20.0)
+    assert found[0] == pytest.approx([1, np.exp(-0.5), np.exp(-0.5), np.exp(-0.5), 0], abs=1e-6)
+
+
+BAND = 4.0  # px to either side
+
+
+def bands(places: Array, depth: float = 0.5) -> list[Frame]:
+    """Return pictures of an upright stem at columns (T,), NaN for hidden, before a wall of patches."""
+    rng = np.random.default_rng(0)
+    wall = np.kron(rng.integers(90, 190, (18, 24, 3)), np.ones((10, 10, 1)))
+    u, made = np.arange(240.0), []
+    for i, place in enumerate(places):
+        away = np.abs(u - (place if np.isfinite(place) else 1e9))
+        cover = np.clip(BAND + 0.5 - away, 0, 1)[None, :, None]
+        rgb = wall + cover * ([70.0, 120.0, 50.0] - wall) + rng.normal(0, 1, wall.shape)
+        z = np.where(away < BAND + 0.5, depth, 0.9) * np.ones((180, 1))
+        made.append(Frame(7.0 + i / RATE, np.clip(rgb, 0, 255).astype(np.uint8), z.astype(np.float32)))
+    return made
+
+
+def followed(places: Array, depth: float = 0.5) -> Array | None:
+    frames = bands(places, depth)
+    return _followed(frames, [frame.rgb.astype(np.float32) for frame in frames], strip_of(BAND))
+
+
+@pytest.mark.parametrize("start", [-6.3, 0.0, 4.4])
+def test_a_stem_is_followed_across_to_a_fraction_of_a_pixel(start: float) -> None:
+    moved = start + 2.3 * np.sin(2 * np.pi * np.arange(25) / 12)
+    moved -= moved[0] - start
+    found = followed(120 + moved)
+    assert found is not None
+    assert found - found[0] == pytest.approx(moved - moved[0], abs=0.25)
+    assert found == pytest.approx(moved, abs=0.6), "where it is, to the pixel that its depth tells"
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_stem_that_speeds_up_is_followed_farther_than_it_is_looked_for(way: int) -> None:
+    """It is looked for within 12 px of where it is going."""
+    moved = way * np.cumsum([0.0, 4, 8, 12, 15, 16, 16])
+    found = followed(120 + moved)
+    assert found is not None
+    assert found == pytest.approx(moved, abs=0.3)
+
+
+def test_a_stem_that_is_hidden_for_some_frames_is_looked_for_where_it_was() -> None:
+    moved = np.array([0.0, 5, 10, 15, np.nan, np.nan, 13, 8, 3, np.nan, 6, 6])
+    found = followed(120 + moved)
+    assert found is not None
+    assert found == pytest.approx(moved, abs=0.3, nan_ok=True)
+    moved = np.array([0.0, np.nan, 11, 7, 7, 7])  # how far it came while it was hidden says nothing of where it goes
+    assert followed(120 + moved) == pytest.approx(moved, abs=0.3, nan_ok=True)
+
+
+def test_a_stem_that_is_not_as_far_as_it_should_be_is_not_followed() -> None:
+    assert followed(np.full(8, 120.0), 0.5 + 0.02) is not None
+    assert followed(np.full(8, 120.0), 0.5 - 0.02) is not None
+    assert followed(np.full(8, 120.0), 0.5 + 0.03) is None
+    assert followed(np.full(8, 120.0), 0.5 - 0.03) is None
+
+
+def test_a_stems_motion_is_told_along_what_the_camera_sees_of_it() -> None:
+    """At the picture's edge it looks aslant, so that motion away from it shows too."""
+    camera, size = Intrinsics(240, 180, 424.0, 424.0, 10.0, 89.5), 3e-3
+    times = 7.0 + np.arange(40) / RATE
+    here = np.array([[(120 - 10) / 424 * 0.5, 0.0, 0.5], [(120 - 10) / 424 * 0.5, 0.03, 0.5], [0, 0, 0.07], [0, 0, -1]])
+    near = StemNear(here, np.tile(UP, (4, 1)), np.full(4, BAND * 0.5 / 424))
+    columns = 120 + size * np.sin(2 * np.pi * F * times + 0.3) * 424 / 0.5
+    found = measure_stem(bands(columns), camera, np.eye(4), near, F)
+    assert found.points == pytest.approx(here[:2]), "what is at the camera or behind it is left out"
+    slant = (120 - 10) / 424
+    assert found.axis == pytest.approx(np.array([[1, 0, -slant]] * 2) / np.hypot(1, slant))
+    assert found.motion == pytest.approx(size * found.axis[:, 0] * np.exp(0.3j), rel=0.02)
+    told = np.hypot(LEAST_SPREAD, SPREAD * size) / np.hypot(1, slant)
+    assert found.std == pytest.approx([told] * 2, rel=0.03)
+
+
+def test_of_nothing_measured_there_are_no_rows() -> None:
+    nothing = StemMotion.of([])
+    assert nothing.points.shape == nothing.axis.shape == (0, 3)
+    assert nothing.motion.shape == nothing.std.shape == (0,)
+
+
+def test_pads_and_what_is_far_from_them_are_left_out_at_either_side() -> None:
+    arc = np.array([0.03, 0.041, 0.08, 0.086, 0.1, 0.114, 0.116, 0.159, 0.161])
+    found = stem_near(ROOT + arc[:, None] * WAY, arc, np.arange(9.0), 0.1)
+    assert found.radii.tolist() == [1, 2, 6, 7]
+    assert found.points == pytest.approx(ROOT + arc[[1, 2, 6, 7], None] * WAY)
+    assert found.tangents == pytest.approx(np.tile(WAY, (4, 1)))

@@ -559,6 +559,16 @@ def test_a_short_petiole_is_stiffer_than_a_long_one():
     assert of(0.02, 0.03).min() > 5 * of(0.05, 0.06).max() > 0
 
 
+def test_a_petiole_pushes_back_as_a_rod_held_by_the_stem():
+    """A force f at s from its root bends a rod by f s^3 / (3 E I), I = pi r^4 / 4; over E, of petioles 4 mm thick."""
+    around = surroundings_of(*make_plant(branches=((0.2, 0.0),)))
+    petiole = around.kind == PETIOLE
+    lever = np.linalg.norm(around.centers[petiole] - [0.72, 0, -0.1], axis=1)
+    assert lever.min() < 0.01
+    assert lever.max() == pytest.approx(0.08)
+    np.testing.assert_allclose(around.stiffness[petiole], 3 * np.pi * 0.002**4 / 4 / np.maximum(lever, 0.015) ** 3)
+
+
 def test_save_and_load(tmp_path):
     grasps = plan_grasps(*make_plant(), Params(wanted=2), reach=lambda *_: np.ones(7))
     save_grasps(tmp_path / "grasp.json", grasps)

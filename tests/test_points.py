@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from anther.devices import Frame
 from anther.escalation._overtones import sharpened
 from anther.geometry import Array, Intrinsics
+from anther.response._petals import smoothed
 from anther.response.points import (
     SLOW,
     SPARE,
@@ -21,8 +22,16 @@ from anther.response.points import (
     Swings,
     _basis,
     _fitted,
-    _Growth,
+    _flower_path,
+    _gain,
+    _growing,
     _middles,
+    _own_depth,
+    _paths,
+    _picture,
+    _rough,
+    _swung,
+    _with_overtones,
     likeness,
     sight,
     swings,
@@ -153,13 +162,11 @@ def test_all_flowers_together_tell_how_fast_their_swing_grows_or_dies_out(rate: 
     """A mode that nears its swing as 1 - exp(-1.6 t), or falls as 1 + exp(-1.6 t), or neither, 0.4 s after a change."""
     times, tones, rng = 0.4 + np.arange(0, 0.6, 1 / 30), np.array([17.0]), np.random.default_rng(3)
     size = 1 - np.sign(rate) * np.exp(-1.6 * times)
-    growth, basis = _Growth(times), _basis(times, tones)
-    for phase in range(5):
-        path = size[:, None] * np.sin(2 * np.pi * 17 * times + phase)[:, None] * [2.0, -1.0]
-        growth.add(path + rng.normal(0, 0.05, path.shape), basis, PER_PIXEL)
+    swung = [size[:, None] * np.sin(2 * np.pi * 17 * times + phase)[:, None] * [2.0, -1.0] for phase in range(5)]
+    found = _growing(times, _basis(times, tones), [path + rng.normal(0, 0.05, path.shape) for path in swung])
     middle = np.exp(-1.6 * times.mean())
     true = 1.6 * np.sign(rate) * middle / (1 - np.sign(rate) * middle)
-    assert growth.rate() == pytest.approx(true, rel=0.15) if rate else growth.rate() == 0
+    assert found == pytest.approx(true, rel=0.15) if rate else found == 0
 
 
 def test_the_overtones_of_a_tone_are_told_from_it_and_change_nothing_of_it() -> None:
@@ -184,13 +191,10 @@ def test_overtones_that_frames_cannot_tell_from_the_tone_are_left_out() -> None:
 
 def test_growth_is_that_of_the_tone_whatever_overtones_there_are() -> None:
     times, tone = 0.4 + np.arange(0, 0.6, 1 / 60), np.array([6.0])
-    found = []
-    for count in (1, 3):
-        growth = _Growth(times)
-        for phase in range(5):
-            path = (1 + 0.8 * times)[:, None] * np.sin(2 * np.pi * 6 * times + phase)[:, None] * [2.0, -1.0]
-            growth.add(path, _basis(times, tone * np.arange(1, 1 + count)), PER_PIXEL)
-        found.append(growth.rate())
+    swung = [
+        (1 + 0.8 * times)[:, None] * np.sin(2 * np.pi * 6 * times + phase)[:, None] * [2.0, -1.0] for phase in range(5)
+    ]
+    found = [_growing(times, _basis(times, tone * np.arange(1, 1 + count)), swung) for count in (1, 3)]
     assert found == pytest.approx([0.8 / (1 + 0.8 * times.mean())] * 2, rel=0.05)
 
 
@@ -298,6 +302,193 @@ def test_phases_are_on_the_clock_of_the_frames(later: float) -> None:
     assert off(swings(seen(rest, HOMES[:1]), moved, TONES), turned).max() < 0.02
 
 
+# Rules that single functions state.
+
+RATED = 3.0 + np.arange(60) / 30
+"""Times of frames [s]."""
+
+
+def test_growth_of_noise_is_told_in_few_films_of_a_hundred_and_a_sure_one_in_most() -> None:
+    """It counts from two of its deviations on: about one film in twenty."""
+    rng, basis = np.random.default_rng(0), _basis(RATED, np.array([5.0]))
+    sine, since = np.sin(10 * np.pi * RATED)[:, None] * [1.0, 0.5], (RATED - RATED.mean())[:, None]
+    told = {}
+    for rate in (0.0, 0.25):
+        films = [[(1 + rate * since) * sine + rng.normal(0, 0.3, sine.shape)] for _ in range(100)]
+        told[rate] = sum(_growing(RATED, basis, film) != 0 for film in films)
+    assert 1 <= told[0.0] <= 10
+    assert told[0.25] > 50
+
+
+def test_a_path_with_few_frames_to_spare_tells_no_growth() -> None:
+    path, basis = np.outer((1 + RATED) * np.sin(10 * np.pi * RATED), [1.0, 0.5]), _basis(RATED, np.array([5.0]))
+    numbers = basis.shape[1] + 2
+    for count, told in ((numbers + 3, False), (numbers + 5, True)):
+        part = path.copy()
+        part[np.arange(60) % (60 // count + 1) != 0] = np.nan
+        part[:] = np.nan
+        part[:count] = path[:count]
+        assert (_growing(RATED, basis, [part]) != 0) == told
+
+
+def test_what_is_fitted_is_sine_cosine_and_polynomials_over_the_film() -> None:
+    tones = np.array([2.4, 4.1])
+    basis = _basis(RATED, tones)
+    assert basis[:, 0] == pytest.approx(np.sin(2 * np.pi * 2.4 * RATED))
+    assert basis[:, 3] == pytest.approx(np.cos(2 * np.pi * 4.1 * RATED))
+    assert basis[-1, 4:] == pytest.approx(np.ones(SLOW)), "Legendre's are 1 at the end"
+    assert basis[0, 4:] == pytest.approx((-1.0) ** np.arange(SLOW))
+    assert basis.shape == (60, 4 + SLOW)
+
+
+def test_phasors_are_of_sine_on_the_clock_of_the_frames() -> None:
+    phasors = np.array([[0.3 + 0.4j, -1.0j, 0.2], [0.1, 0.5 + 1j, 0.0]])
+    tones = np.array([2.4, 4.1])
+    truth = np.imag(np.exp(2j * np.pi * RATED[:, None] * tones) @ phasors)
+    assert _swung(_basis(RATED, tones), phasors) == pytest.approx(truth)
+
+
+def swung_path(noise: float = 0.0, seed: int = 0, count: int = 60) -> Array:
+    rng = np.random.default_rng(seed)
+    return np.outer(2 * np.sin(10 * np.pi * RATED[:count]), [1.0, -0.5]) + noise * rng.standard_normal((count, 2))
+
+
+def test_no_place_is_surer_than_a_guess_says() -> None:
+    found = _fitted(_basis(RATED, np.array([5.0])), swung_path(), 0.03)
+    assert found is not None
+    assert found.coefficients[:2] == pytest.approx(np.array([[2.0, -1.0], [0.0, 0.0]]), abs=1e-6)
+    assert found.std == pytest.approx(0.03 * np.sqrt(2 / 60), rel=0.05)
+
+
+@pytest.mark.parametrize("count", [60, 16])
+def test_the_deviation_of_a_fit_is_honest_for_many_and_few_frames(count: int) -> None:
+    basis = _basis(RATED[:count], np.array([5.0]))
+    fits = [_fitted(basis, swung_path(0.5, seed, count), 0.001) for seed in range(150)]
+    every = np.array([[fit.coefficients[0, 0], fit.coefficients[1, 1]] for fit in fits if fit is not None])
+    told = np.sqrt(np.mean([fit.std**2 for fit in fits if fit is not None]))
+    assert len(every) > 100
+    assert 0.9 < told / np.std(every, axis=0).max() < 1.5, "of the noisier axis, and of what is told worse"
+
+
+def test_the_deviation_of_a_fit_is_of_the_tone_that_is_told_worst() -> None:
+    easy, hard = (_fitted(_basis(RATED, np.array(tones)), swung_path(), 0.03) for tones in ([5.0], [5.0, 14.9]))
+    assert easy is not None
+    assert hard is not None
+    assert hard.std > 1.5 * easy.std
+
+
+@pytest.mark.parametrize(("missing", "known"), [(23, True), (25, False)])
+def test_a_path_is_fitted_if_it_was_followed_in_six_of_ten_frames(missing: int, known: bool) -> None:
+    path = swung_path(0.1)
+    path[np.random.default_rng(0).permutation(60)[:missing]] = np.nan
+    assert (_fitted(_basis(RATED, np.array([5.0])), path, 0.03) is not None) == known
+
+
+def test_a_path_is_fitted_if_there_are_two_frames_to_spare() -> None:
+    tones = np.array([2.0, 5.0, 7.0])
+    for count, known in ((11, False), (12, True)):
+        basis = _basis(RATED[:count], tones)
+        assert basis.shape[1] == 10
+        assert (_fitted(basis, swung_path(0.0, 0, count), 0.03) is not None) == known
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_places_far_off_a_swing_do_not_count_and_noise_does(axis: int) -> None:
+    basis, path = _basis(RATED, np.array([5.0])), swung_path(0.1)
+    plain = _fitted(basis, path, 0.03)
+    path[[11, 24, 33, 46, 52], axis] += 4.0
+    found = _fitted(basis, path, 0.03)
+    assert plain is not None
+    assert found is not None
+    assert found.coefficients[:2] == pytest.approx(plain.coefficients[:2], abs=0.05)
+    assert plain.std == pytest.approx(0.1 * np.sqrt(2 / 60), rel=0.3)
+
+
+def test_a_path_is_rough_by_what_it_leaps_from_frame_to_frame() -> None:
+    noise = np.random.default_rng(0).standard_normal((400, 2))
+    assert not _rough(0.35 * noise)  # each step is the root of two as far
+    assert _rough(0.5 * noise)
+    drift = np.cumsum(0.3 * noise, axis=0)
+    assert not _rough(drift), "what goes on is not rough, however far"
+    gaps = 0.35 * noise.copy()
+    gaps[::7] = np.nan
+    assert not _rough(gaps)
+    gaps[::2] = np.nan
+    assert _rough(gaps), "no two frames in a row"
+
+
+@pytest.mark.parametrize(("hertz", "count"), [(4.0, 2), (7.47, 0), (9.0, 0), (5.03, 1)])
+def test_as_many_overtones_of_a_tone_are_fitted_as_frames_tell(hertz: float, count: int) -> None:
+    """At 30 frames a second: twice 7.47 Hz is nearly half of that, and so is three times 5.03."""
+    every = _with_overtones(RATED[:40], np.array([hertz]))
+    assert every == pytest.approx(hertz * np.arange(1, 2 + count))
+
+
+def test_a_picture_is_made_as_bright_as_another() -> None:
+    rgb = np.random.default_rng(0).integers(40, 60, (40, 40, 3)).astype(np.uint8)
+    frame = Frame(0.0, rgb, np.zeros((40, 40), np.float32))
+    bright = Frame(0.0, 2 * rgb, frame.depth)
+    assert _gain(frame) == pytest.approx(100 / 50, rel=0.03)
+    assert _gain(bright) == pytest.approx(100 / 100, rel=0.03)
+    first, second = (_picture(f, _gain(f)).astype(float) for f in (frame, bright))
+    assert np.abs(first - second).max() <= 2
+    assert np.median(first) == pytest.approx(100, abs=2)
+    black = Frame(0.0, np.zeros_like(rgb), frame.depth)
+    assert _gain(black) == 100
+    assert _picture(Frame(0.0, np.full_like(rgb, 250), frame.depth), 2.0).min() == 255
+
+
+def test_a_point_is_in_sight_where_any_reading_within_two_pixels_is_its_own() -> None:
+    depth = np.zeros((30, 40), np.float32)
+    depth[10:13, 20:23] = 0.5
+    depth[14, 22] = 0.9
+    where = np.array([[20.0, 10], [18, 10], [17, 10], [22, 8], [22, 7], [24.4, 14.4], [25, 12], [30, 25]])
+    expected = [True, True, False, True, False, True, False, False]
+    every = np.ones(8, dtype=bool)
+    assert _own_depth(depth, where, np.full(8, 0.515), every).tolist() == expected
+    assert _own_depth(depth, where, np.full(8, 0.485), every).tolist() == expected
+    assert not _own_depth(depth, where, np.full(8, 0.525), every).any()
+    assert not _own_depth(depth, where, np.full(8, 0.475), every).any()
+    assert not _own_depth(depth, where, np.full(8, 0.5), ~every).any(), "outside of the picture nothing is"
+
+
+@pytest.mark.parametrize("corner", [[0, 0], [39, 0], [0, 29], [39, 29], [1, 1]])
+def test_a_point_may_be_in_sight_at_the_edge_of_the_picture(corner: list[int]) -> None:
+    depth = np.full((30, 40), 0.5, np.float32)
+    assert _own_depth(depth, np.array([corner], dtype=float), np.array([0.5]), np.array([True])).all()
+
+
+def blobs(*steps: list[float]) -> tuple[Sight, list[np.ndarray], Array]:
+    """Return the sight, pictures and places (T, P, 2) of blobs that go across by `steps` [px] from frame to frame."""
+    rng, homes = np.random.default_rng(5), HOMES[: len(steps)]
+    depth = np.full((CAMERA.height, CAMERA.width), DEPTH, np.float32)
+    ways = np.cumsum(np.array(steps).T, axis=0)
+    places = homes + ways[..., None] * [1.0, 0.0]
+    frames = [Frame(0.0, drawn(p, 1.0, rng, 1.0), depth) for p in places]
+    rest = Frame(0.0, drawn(homes, 1.0, rng, 1.0), depth)
+    return seen(rest, homes), [_picture(f, _gain(f)) for f in frames], places
+
+
+@pytest.mark.parametrize("steps", [[0, 3, 6, 9, 12, 15, 18, 18], [0, 3, 6, 8, 5, 2, -1, -4], [3] * 6])
+def test_what_speeds_up_is_looked_for_where_it_is_going(steps: list[float]) -> None:
+    at, pictures, places = blobs(steps)
+    assert _paths(at, pictures) == pytest.approx(places, abs=0.15)
+
+
+def test_each_point_is_looked_for_where_it_is_going_or_at_home_or_where_it_was() -> None:
+    """The first goes on, the second is at home, the third stops at once."""
+    at, pictures, places = blobs([0, 4, 8, 10, 10, 10], [0] * 6, [0, 4, 8, 11, 0, 0])
+    assert _paths(at, pictures) == pytest.approx(places, abs=0.15)
+
+
+def test_a_place_from_which_a_point_does_not_come_home_is_lost() -> None:
+    at, pictures, _ = blobs([0, 0, 0])
+    pictures[1] = np.roll(pictures[1][::-1], 50, axis=1)
+    path = _paths(at, pictures)
+    assert np.isnan(path[1]).all()
+    assert path[[0, 2], 0] == pytest.approx(np.tile(HOMES[0], (2, 1)), abs=0.15)
+
+
 # Flowers: small, of their own colour, before leaves that stand still or go another way.
 
 
@@ -381,3 +572,91 @@ def test_flowers_come_first_and_one_that_is_hidden_is_not_in_sight() -> None:
     assert at.shown.tolist()[:2] == [True, False]
     assert len(at.flowers) == 2
     assert at.pixels.shape == (3, 2)
+
+
+def flower_at(rest: Frame) -> Sight:
+    place = np.append((HOMES[0] - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, DEPTH)
+    return sight(rest, CAMERA, np.eye(4), place[None], np.zeros((0, 3)))
+
+
+def growing(phasors: ComplexArray, tones: Array) -> Path:
+    """Return the way of phasors (K, 2) that grow by 0.5 of what they are in the middle of the film in a second."""
+    return lambda t: (1 + 0.5 * (t - t.mean()))[:, None] * wave(phasors, tones)(t)
+
+
+def test_the_growth_of_a_flowers_one_tone_is_told_and_of_points_or_several_tones_none() -> None:
+    one, two = np.array([5.3]), np.array([5.3, 11.0])
+    rest, frames = flower_film(growing(np.array([[5.0 + 0j, 2.0j]]), one))
+    assert swings(flower_at(rest), frames, one).growing == pytest.approx(0.5, abs=0.1)
+    assert swings(flower_at(rest), frames, two).growing == 0.0
+    rest, frames = film([growing(np.array([[5.0 + 0j, 2.0j]]), one)])
+    assert swings(seen(rest, HOMES[:1]), frames, one).growing == 0.0
+
+
+def test_a_flower_that_swings_far_is_found_where_it_is_expected_to() -> None:
+    """Its surroundings stand still, and it goes farther than it is looked for from there."""
+    tones, truth = np.array([4.1]), np.array([[[16.0 + 0j, 8.0j]]])
+    rest, frames = flower_film(wave(truth[0], tones))
+    expected = PER_PIXEL * np.concatenate([truth, 0 * truth[..., :1]], axis=2)
+    assert off(swings(flower_at(rest), frames, tones, expected), truth).max() < 0.05
+    assert off(swings(flower_at(rest), frames, tones, expected / 1.6), truth).max() < 0.05, "or half as far again"
+
+
+@pytest.mark.parametrize("size", [0.004, 0.03])
+def test_how_far_a_flower_swings_away_is_read_from_its_depth(size: float) -> None:
+    """Of 3 cm the ends are farther from its place at rest than readings are its own, unless they are expected there."""
+    tones, truth = np.array([4.1]), np.array([[[3.0 + 0j, 1.0j]]])
+    rest, frames = flower_film(wave(truth[0], tones))
+    times = np.array([f.time for f in frames])
+    away = np.imag(size * 1j * np.exp(2j * np.pi * 4.1 * times))
+    frames = [replace(f, depth=f.depth + np.float32(z)) for f, z in zip(frames, away, strict=True)]
+    expected = np.concatenate([PER_PIXEL * truth, np.full((1, 1, 1), size * 1j)], axis=2)
+    found = swings(flower_at(rest), frames, tones, expected)
+    assert found.phasors[0, 0, 2] == pytest.approx(size * 1j, abs=3e-4)
+    assert 1e-5 < found.std[0, 2] < 5e-4
+
+
+def test_a_flowers_path_is_of_its_middle_not_of_the_pixel_about_which_it_was_cut_out() -> None:
+    tones = np.array([4.1])
+    rest, frames = flower_film(wave(np.array([[3.0 + 0j, 1.0j]]), tones), seconds=0.6)
+    at, basis = flower_at(rest), _basis(np.array([f.time for f in frames]), tones)
+    images = [smoothed(frame) * _gain(frame) for frame in frames]
+    around = np.tile(HOMES[0], (len(frames), 1))
+    plain, aside = (
+        _flower_path(at._replace(pixels=at.pixels + off), 0, images, around, HOMES[0], basis, None)
+        for off in (np.zeros(2), np.array([0.4, -0.3]))
+    )
+    assert aside - plain == pytest.approx(np.tile([0.4, -0.3], (len(frames), 1)), abs=1e-9)
+
+
+def test_what_is_near_the_camera_or_behind_it_is_no_flower() -> None:
+    rest, _ = flower_film(wave(np.zeros((1, 2)), np.array([4.1])))
+    at = sight(rest, CAMERA, np.eye(4), np.array([[0.0, 0.0, 0.05], [0.0, 0.0, DEPTH]]), np.zeros((0, 3)))
+    assert at.flowers == ()
+    assert at.per_pixel == pytest.approx([0.05 / CAMERA.fx, PER_PIXEL])
+
+
+def test_a_flower_is_measured_beside_one_that_is_hidden_and_a_point() -> None:
+    tones, truth = np.array([4.1]), np.array([[3.0 + 0j, 1.0j]])
+    rest, frames = flower_film(wave(truth, tones))
+    places = np.column_stack([(HOMES - [CAMERA.cx, CAMERA.cy]) * PER_PIXEL, np.full(3, DEPTH)])
+    at = sight(rest, CAMERA, np.eye(4), places[:2], places[2:])
+    expected = PER_PIXEL * np.repeat(np.append(truth, [[0]], axis=1)[None], 2, axis=0)
+    for known in (None, expected):
+        found = swings(at._replace(shown=np.array([True, False, True])), frames, tones, known)
+        assert off(found, truth[None])[0].max() < 0.05
+        assert np.isnan(found.std[1]).all()
+        assert np.linalg.norm(found.phasors[2, :, :2]) < 0.1 * PER_PIXEL, "which stands still"
+
+
+def test_of_what_is_not_in_sight_nothing_is_said() -> None:
+    rest, frames = film([wave(SWUNG[0])], seconds=0.5)
+    at = seen(rest, HOMES[:1])
+    found = swings(at._replace(shown=np.zeros(1, dtype=bool)), frames, TONES)
+    assert found.phasors.shape == (1, 3, 3)
+    assert np.isnan(found.phasors).all()
+
+
+@pytest.mark.parametrize("tone", [4.0, 9.3, 22.0])
+def test_a_tone_alone_in_a_long_film_is_like_nothing_else(tone: float) -> None:
+    assert likeness(60.0, 3.0, np.array([tone])) == pytest.approx(1.0, abs=0.1)

@@ -51,7 +51,10 @@ AREAS = {
     ),
     "response": (
         ["response", "oscillation.py"],
-        ["test_response.py", "test_points.py", "test_beside.py", "test_overtones.py"],
+        [
+            "test_oscillation.py", "test_petals.py", "test_flower_depth.py", "test_following.py", "test_response.py",
+            "test_points.py", "test_beside.py", "test_overtones.py",
+        ],
     ),
     "history": (
         ["history", "fruit_set.py"],

@@ -23,6 +23,8 @@ from anther.geometry import Array
 
 MUCH_ALIKE = 3.0
 """Overtones are fitted where no variance is more than so many times what it is with evenly spread phases."""
+WIDTH = 0.1
+"""A frequency is looked for within this share of where it should be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,11 +34,10 @@ class Oscillation:
     Attributes:
         amplitude: the ellipse's semi-major axis [m].
         amplitude_std: its standard deviation, from the residual along that axis [m].
-        axis_std: (3,) standard deviation of the amplitude along x, y and z, from the residual along each [m].
-        direction: (3,) unit vector along that axis, its largest component positive.
+        axis_std: (D,) standard deviation of the amplitude along each axis of the path, from the residual along it [m].
+        direction: (D,) unit vector along that axis, its largest component positive.
         frequency: [Hz].
-        residual: root mean square distance of the samples from the fit, per axis [m].
-        coefficients: (2 + 2 H + slow terms, 3) of the fit: a, b, those of the overtones, then the Legendre series.
+        coefficients: (2 + 2 H + slow terms, D) of the fit: a, b, those of the overtones, then the Legendre series.
         span: (start, end) of the samples [s], the series' interval.
         overtones: H, how many were fitted.
     """
@@ -46,7 +47,6 @@ class Oscillation:
     axis_std: Array
     direction: Array
     frequency: float
-    residual: float
     coefficients: Array
     span: tuple[float, float]
     overtones: int = 0
@@ -59,14 +59,12 @@ class Oscillation:
             axes: nor do they along others than the first so many.
         """
         omega2 = (2 * np.pi * self.frequency) ** 2
-        cosine, sine = (self.coefficients[part : 2 + 2 * self.overtones : 2] for part in (0, 1))
-        phasors = np.asarray(sine + 1j * cosine, dtype=np.complex128)
-        phasors[1:, axes:] = 0
-        sure = np.linalg.norm(phasors, axis=1) >= least
-        if not sure[1:].any():
-            return omega2 * self.amplitude
-        sure[0] = True
-        return float(omega2 * peak(np.where(sure[:, None], phasors, 0)))
+        waves = self.coefficients[: 2 + 2 * self.overtones].reshape(1 + self.overtones, 2, -1)
+        phasors = np.asarray(np.array([1j, 1]) @ waves, dtype=np.complex128)
+        over = phasors[1:]
+        over[:, axes:] = 0
+        over[np.linalg.norm(over, axis=1) < least] = 0
+        return float(omega2 * (peak(phasors) if over.any() else self.amplitude))
 
     @property
     def phase(self) -> float:
@@ -75,7 +73,7 @@ class Oscillation:
         return float(np.mod(np.pi / 2 - np.arctan2(b, a) - 2 * np.pi * self.frequency * self.span[0], 2 * np.pi))
 
     def at(self, times: Array) -> Array:
-        """Return the fitted path (T, 3) [m] at `times` (T,) [s]."""
+        """Return the fitted path (T, D) [m] at `times` (T,) [s]."""
         slow = len(self.coefficients) - 2 - 2 * self.overtones
         return _basis(times, self.span, self.frequency, slow, self.overtones) @ self.coefficients
 
@@ -85,22 +83,24 @@ def fit_swing(times: Array, path: Array, frequency: float, overtones: int = 0) -
 
     Args:
         times: (T,) [s].
-        path: (T, 3) [m]; rows with NaN are left out.
+        path: (T, D) [m], D axes; rows with NaN are left out.
         frequency: [Hz].
         overtones: so many are fitted beside it, or as many fewer as the samples tell from it.
 
     Raises:
         InputError: fewer than 8 samples, or samples that cannot tell cosine from sine at this frequency.
     """
-    times, path = check_array("times", times, (None,)), check_array("path", path, (len(times), 3), finite=False)
+    times, path = check_array("times", times, (None,)), check_array("path", path, (len(times), None), finite=False)
     check_range("frequency", frequency, 1e-3, 1e4, "Hz")
     seen = np.isfinite(path).all(axis=1)
     if seen.sum() < 8:
         raise bad_input("swing", given=f"{seen.sum()} samples", allowed="8 or more", do="Record longer.")
     t, x = times[seen], path[seen]
-    basis, gram, inverse_gram, loss = _normal(t, frequency, count := overtones)
+    count = overtones
+    basis, gram, inverse_gram, loss = _normal(t, frequency, count)
     while count and (loss > MUCH_ALIKE or len(t) <= 2 * len(gram)):
-        basis, gram, inverse_gram, loss = _normal(t, frequency, count := count - 1)
+        count -= 1
+        basis, gram, inverse_gram, loss = _normal(t, frequency, count)
     if loss > 100:
         raise bad_input(
             "swing",
@@ -109,16 +109,16 @@ def fit_swing(times: Array, path: Array, frequency: float, overtones: int = 0) -
             do="Choose a frame rate that is not twice the frequency divided by a whole number, or record longer.",
         )
     coefficients: Array = np.linalg.solve(gram, np.einsum("ti,tk->ik", basis, x)).astype(np.float64)
-    misses = np.sum((x - basis @ coefficients) ** 2, axis=0) / max(len(t) - basis.shape[1], 1)
+    misses = np.sum((x - basis @ coefficients) ** 2, axis=0) / (len(t) - basis.shape[1])
     axis_std = np.sqrt(misses * np.diag(inverse_gram)[:2].max())
     _, size, axes = np.linalg.svd(coefficients[:2])
+    axis = axes[0]
     return Oscillation(
         amplitude=float(size[0]),
-        amplitude_std=float(np.linalg.norm(axes[0] * axis_std)),
+        amplitude_std=float(np.linalg.norm(axis * axis_std)),
         axis_std=axis_std,
-        direction=axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))]),
+        direction=axis if axis[np.argmax(np.abs(axis))] > 0 else -axis,
         frequency=float(frequency),
-        residual=float(np.sqrt(misses.mean())),
         coefficients=coefficients,
         span=(float(t[0]), float(t[-1])),
         overtones=count,
@@ -148,8 +148,8 @@ def swing_basis(times: Array, frequency: float, overtones: int = 0) -> Array:
     return _basis(times, (float(times[0]), float(times[-1])), frequency, _slow_terms(times, frequency), overtones)
 
 
-def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1) -> float:
-    """Return the frequency [Hz] within `hint` x (1 +- width) whose swing fits a path (T, 3) over times (T,) best."""
+def find_frequency(times: Array, path: Array, hint: float) -> float:
+    """Return the frequency [Hz] within `hint` x (1 +- WIDTH) whose swing fits a path (T, D) over times (T,) best."""
     seen = np.isfinite(path).all(axis=1)
     t, x = times[seen], path[seen]
     span, slow = (float(t[0]), float(t[-1])), _slow_terms(t, hint)
@@ -160,8 +160,8 @@ def find_frequency(times: Array, path: Array, hint: float, *, width: float = 0.1
         return -float(np.sum(along * np.linalg.solve(np.einsum("ti,tj->ij", basis, basis), along)))
 
     # the misfit's valley is about 1 / (record length) wide
-    step = min(0.25 / max(float(np.ptp(t)), 1e-3), width * hint / 2)
-    grid = np.arange(hint * (1 - width), hint * (1 + width) + step, step)
+    step = min(0.25 / float(np.ptp(t)), WIDTH * hint / 2)
+    grid = np.arange(hint * (1 - WIDTH), hint * (1 + WIDTH), step)
     best = grid[int(np.argmin([misfit(f) for f in grid]))]
     found: Any = minimize_scalar(misfit, bounds=(best - step, best + step), method="bounded")
     return float(found.x)
@@ -191,7 +191,7 @@ def _slow_terms(t: Array, frequency: float) -> int:
 def _basis(t: Array, span: tuple[float, float], frequency: float, slow: int, overtones: int = 0) -> Array:
     """Return cosine and sine of the frequency and its overtones, one after the other, and the Legendre series."""
     phase = 2 * np.pi * frequency * (t - span[0])[:, None] * np.arange(1, overtones + 2)
-    along = 2 * (t - span[0]) / max(span[1] - span[0], 1e-9) - 1
+    along = 2 * (t - span[0]) / (span[1] - span[0]) - 1
     slow_part: Array = np.polynomial.legendre.legvander(along, slow - 1).astype(np.float64)
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(t), -1)
     return np.column_stack([waves, slow_part])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -167,21 +167,18 @@ def measure_response(
     found, mixed, remarks = follow_flowers(frames, intrinsics, rest, frequency_hint)
     tracks, motions = np.full((len(frames), len(rest), 3), np.nan), [_UNSEEN] * len(rest)
     for one in found:
-        who = np.array([one.flower])
         tracks[:, one.flower] = one.track @ T[:3, :3].T + T[:3, 3]
         measured = _motion(times, one, frequency_hint)
         if isinstance(measured, str):
-            remarks.append((measured, who))
+            remarks.setdefault(measured, []).append(one.flower)
             continue
         larger = {name: getattr(measured, name) / sharp for name in _SIZES}
         motions[one.flower] = measured._replace(direction=T[:3, :3] @ measured.direction, **larger)
-        if np.isfinite(measured.at_most):
-            remarks.append((f"{_FAINT} (about {1000 * measured.at_most:.1f} mm)", who))
-        elif not one.deep:
-            remarks.append(("no sure depth: motion towards the camera is left out", who))
+        if not one.deep and np.isfinite(measured.amplitude):
+            remarks.setdefault("no sure depth: motion towards the camera is left out", []).append(one.flower)
     values = {name: np.array([getattr(motion, name) for motion in motions], dtype=float) for name in _NUMBERS}
     direction = np.array([motion.direction for motion in motions]).reshape(-1, 3)
-    visible, notes = np.isfinite(values["amplitude"]), (*_overlaps(mixed), *_merged(remarks))
+    visible, notes = np.isfinite(values["amplitude"]), _notes(mixed, remarks, values["at_most"])
     beside = StemMotion.of([]) if stem is None else measure_stem(frames, intrinsics, T, stem, frequency_hint)
     return Response(times, tracks, **values, direction=direction, visible=visible, notes=notes, stem=beside)
 
@@ -196,9 +193,6 @@ def _check(frames: Sequence[Frame], intrinsics: Intrinsics) -> None:
         raise bad_input(
             "frame", given=f"{wrong[0].depth.shape}", allowed=f"{size}", do="Give this camera's intrinsics."
         )
-
-
-_FAINT = "moved less than the camera can tell"
 
 
 class _Motion(NamedTuple):
@@ -244,16 +238,15 @@ DEPTHLESS = 0.2
 def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
     """Return the motion of a flower, or why it is not measured."""
     lost = f"lost in more than {1 - SEEN_SHARE:.0%} of the frames. Move the side camera"
-    least = max(SEEN_SHARE * len(times), 8)
-    if np.isfinite(one.track[:, 0]).sum() < least:
+    if np.isfinite(one.track[:, 0]).mean() < SEEN_SHARE:
         return lost
     try:
-        own = without_outliers(times, one.track, hint)
+        own = without_outliers(times, one.track, hint, overtones(hint))
         clean, unseen = _without_noisy_depth(times, own, hint, one.deep)
         swing = fit_swing(times, clean, hint, overtones(hint))
     except InputError as error:
         return f"could not be measured: {error}"
-    if np.isfinite(clean[:, 0]).sum() < least:
+    if np.isfinite(clean[:, 0]).mean() < SEEN_SHARE:
         return lost
     amplitude, noise = swing.amplitude, swing.amplitude_std
     limit = max(SIGNIFICANCE * noise, LEAST_PIXELS * one.pixel)
@@ -296,22 +289,17 @@ def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool) ->
     return flat, float(unseen)
 
 
-def _named(flowers: NDArray[Any]) -> str:
-    return f"Flower{'s' if len(flowers) > 1 else ''} {', '.join(str(i + 1) for i in flowers)}"
+def _notes(mixed: list[NDArray[Any]], remarks: Remarks, at_most: Array) -> tuple[str, ...]:
+    """Return one note for each reason; of the limits of the faint ones the largest is told."""
+    reasons: dict[str, Sequence[int]] = {**remarks}
+    faint = np.flatnonzero(np.isfinite(at_most))
+    if len(faint):
+        reasons[f"moved less than the camera can tell (about {1000 * at_most[faint].max():.1f} mm)"] = faint.tolist()
+    notes = [f"{'Flowers' if len(who) > 1 else 'Flower'} {_named(who)}: {why}." for why, who in reasons.items() if who]
+    groups = "; ".join(_named(group) for group in mixed)
+    overlap = [f"Flowers {groups} overlap in the view: their motions may be mixed up."] if groups else []
+    return (*overlap, *notes)
 
 
-def _overlaps(groups: list[NDArray[Any]]) -> list[str]:
-    """Return the one note about flowers that overlap, if any."""
-    who = "; ".join(", ".join(str(i + 1) for i in group) for group in groups)
-    return [f"Flowers {who} overlap in the view: their motions may be mixed up."] if groups else []
-
-
-def _merged(remarks: Remarks) -> list[str]:
-    """Return one note for each kind of remark; of the limits in the faint ones the largest is told."""
-    faint = max((text for text, _ in remarks if text.startswith(_FAINT)), default="")
-    kind_of = {text: faint if text.startswith(_FAINT) else text for text, flowers in remarks if len(flowers)}
-    notes: list[str] = []
-    for kind in dict.fromkeys(kind_of.values()):
-        who = np.concatenate([flowers for text, flowers in remarks if kind_of.get(text) == kind])
-        notes.append(f"{_named(np.sort(who))}: {kind}.")
-    return notes
+def _named(flowers: Iterable[int]) -> str:
+    return ", ".join(str(k + 1) for k in sorted(flowers))

@@ -18,13 +18,13 @@ from anther.devices import Frame
 from anther.errors import InputError
 from anther.geometry import Array, Intrinsics, inverse, transform_points
 from anther.oscillation import fit_swing
-from anther.response._petals import smoothed
+from anther.response._following import without_outliers
+from anther.response._petals import smoothed, vertex
 from anther.response.thresholds import (
     DEPTH_GATE,
     DEPTH_REACH,
     LEAST_SPREAD,
     LIKENESS,
-    OUTLIER,
     REACH,
     RELATIVE_RESIDUAL,
     RESIDUAL_PIXELS,
@@ -168,7 +168,7 @@ def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float) -> _
     if not inside or np.linalg.norm(along) * metres < 0.5e-3:
         return None
     across = np.array([along[1], -along[0]]) / np.linalg.norm(along)
-    across = across * (1 if across[0] >= 0 else -1)
+    across = across if across[0] >= 0 else -across
     offset = (pixel - [intrinsics.cx, intrinsics.cy]) / intrinsics.fx
     axis = np.array([*across, -float(across @ offset)])
     half = (int(np.ceil((SHIFT + radius) / metres)), max(int(HALF_LENGTH / metres), 2))
@@ -196,8 +196,7 @@ def _followed(frames: Sequence[Frame], images: Sequence[NDArray[Any]], strip: _S
         if miss[k] >= LIKENESS * np.median(miss) or not 0 < k < len(miss) - 1:
             step = 0.0
             continue
-        bend = float(miss[k - 1] - 2 * miss[k] + miss[k + 1])
-        now = asked + k - reach + (0.5 * float(miss[k - 1] - miss[k + 1]) / bend if bend > 0 else 0.0)
+        now = asked + k - reach + vertex(-miss, k)
         step, place = (now - place if i and np.isfinite(found[i - 1]) else 0.0), now
         found[i] = now
     return found
@@ -229,16 +228,14 @@ def _middle(strip: NDArray[Any], half: int) -> NDArray[Any]:
 
 def _swing(times: Array, moved: Array, hint: float, pixel: float) -> tuple[complex, float] | None:
     """Return the phasor of a motion (T,) [m] and its deviation; None where it is not a swing that can be told."""
-    if np.isfinite(moved).sum() < max(SEEN_SHARE * len(times), 8):
+    if np.isfinite(moved).mean() < SEEN_SHARE:
         return None
-    path = np.column_stack([moved, 0 * moved, 0 * moved])
     try:
-        off = np.abs(path - fit_swing(times, path, hint).at(times))[:, 0]
-        path[off > OUTLIER * max(1.4826 * float(np.nanmedian(off)), 1e-5)] = np.nan
+        path = without_outliers(times, moved[:, None], hint)
         swing = fit_swing(times, path, hint)
     except InputError:
         return None
-    spread = float(np.nanstd((path - swing.at(times))[:, 0]))
+    spread = float(np.nanstd(path - swing.at(times)))
     if spread > max(RESIDUAL_PIXELS * pixel, RELATIVE_RESIDUAL * swing.amplitude):
         return None
     cosine, sine = swing.coefficients[:2, 0]

@@ -43,7 +43,7 @@ def depth_along(frames: Sequence[Frame], patch: Patch, path: Array, swing: Array
     basis = np.column_stack([swing[frame], *(across**i * down**j for i, j in POWERS)])
     if len(z) < 2 * basis.shape[1]:
         return np.full(len(frames), np.nan)
-    fitted, miss = np.zeros(basis.shape[1]), z - rest
+    fitted, miss = np.zeros(basis.shape[1]), np.zeros(len(z))
     for _ in range(ROUNDS):
         weighted = (basis * weight[:, None]).T
         fitted = np.linalg.solve(weighted @ basis + 1e-6 * np.eye(basis.shape[1]), weighted @ (z - rest))

@@ -18,7 +18,6 @@ from anther.response._depth import depth_along
 from anther.response._petals import (
     Image,
     Patch,
-    back_projected,
     centre_of_petals,
     common_shift,
     cut_patch,
@@ -83,7 +82,7 @@ class Followed:
     mixed: bool
 
 
-Remarks = list[tuple[str, NDArray[Any]]]
+Remarks = dict[str, list[int]]
 """What there is to say, and about which flowers."""
 
 
@@ -98,21 +97,23 @@ def follow_flowers(
         rest: (F, 3) [m].
         hint: the shake's frequency [Hz].
     """
-    everyone = np.arange(len(rest))
     if not len(rest) or rest[:, 2].min() <= DEPTH_GATE:
-        return [], [], [("not in front of the side camera", everyone)]
+        return [], [], {"not in front of the side camera": [*range(len(rest))]}
     begin = _begin(frames, intrinsics, rest)
     inside = np.all((begin.pixels >= 0) & (begin.pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = np.array([patch.cover >= LEAST_COVER for patch in begin.own])
-    mixed = _overlapping(begin.pixels, OVERLAP * begin.radius, np.flatnonzero(inside & shown))
+    seen = np.flatnonzero(inside & shown)
+    mixed = _overlapping(begin.pixels, OVERLAP * begin.radius, seen)
     found = []
-    for k in np.flatnonzero(inside & shown):
+    for k in seen:
         path = _path(frames, begin, int(k), hint)
         deep, depth = _depth(frames, begin.own[k], path, hint, float(rest[k, 2]))
         lifted = _lifted(intrinsics, path + begin.pixels[k] - begin.own[k].centre, depth)
         found.append(Followed(int(k), lifted, rest[k, 2] / intrinsics.fx, deep, any(k in group for group in mixed)))
-    hidden = np.flatnonzero(inside & ~shown)
-    remarks = [("outside the side camera's picture", everyone[~inside]), ("hidden from the side camera", hidden)]
+    remarks = {
+        "outside the side camera's picture": np.flatnonzero(~inside).tolist(),
+        "hidden from the side camera": np.flatnonzero(inside & ~shown).tolist(),
+    }
     return found, mixed, remarks
 
 
@@ -147,7 +148,7 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array) -> _Beg
     pixels = pixels + fits[first][1]
     crowd = np.concatenate([np.zeros(0, int), *_overlapping(pixels, CROWD * radius, np.arange(len(pixels)))])
     for k in np.setdiff1d(np.arange(len(pixels)), crowd):  # in a crowd the petals' centre is that of the crowd
-        pixels[k] = _settled(petals[first], pixels[k], float(radius[k]))
+        pixels[k] = centre_of_petals(petals[first], pixels[k], float(radius[k]))
     images = [smoothed(frame) for frame in frames]
 
     def patches(size: float) -> list[Patch]:
@@ -165,11 +166,6 @@ def placed(frame: Frame, intrinsics: Intrinsics, rest: Array) -> tuple[Array, li
     return begin.pixels, begin.own
 
 
-def _settled(petals: Image, pixel: Array, radius: float) -> Array:
-    centre = centre_of_petals(petals, pixel, radius)
-    return pixel if centre is None else centre
-
-
 def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float) -> Array:
     """Return where flower k's own patch is in all frames (T, 2) [px].
 
@@ -181,12 +177,11 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float) -> Array:
     onward, back = (follow(way, begin.wide[k], reach=reach, worst=LIKENESS) for way in ways)
     path, times = np.concatenate([back[:0:-1], onward]), np.array([frame.time for frame in frames])
     for _ in range(AGAIN):
-        flat = np.column_stack([path, np.where(np.isfinite(path[:, 0]), 0.0, np.nan)])
         try:
-            swing = fit_swing(times, without_outliers(times, flat, hint), hint, overtones(hint))
+            swing = fit_swing(times, without_outliers(times, path, hint, overtones(hint)), hint, overtones(hint))
         except InputError:
             return path
-        path = seek(begin.images, begin.own[k], swing.at(times)[:, :2], NEAR_SWING, OWN_LIKENESS)
+        path = seek(begin.images, begin.own[k], swing.at(times), NEAR_SWING, OWN_LIKENESS)
     return path
 
 
@@ -210,12 +205,13 @@ def _overlapping(pixels: Array, apart: Array, seen: NDArray[Any]) -> list[NDArra
 
 def _lifted(intrinsics: Intrinsics, path: Array, depth: Array) -> Array:
     """Return camera-frame points (T, 3) of a pixel path (T, 2) at depths (T,); NaN where either is missing."""
-    points = back_projected(intrinsics, path, depth)
+    rays = (path - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
+    points = np.column_stack([rays, np.ones(len(path))]) * depth[:, None]
     return np.where(np.isfinite(points).all(axis=1, keepdims=True), points, np.nan)
 
 
-def without_outliers(times: Array, track: Array, frequency: float) -> Array:
-    """Return the track (T, 3) with NaN where it lies more than `OUTLIER` robust deviations off its swing on an axis."""
-    miss = np.abs(track - fit_swing(times, track, frequency, overtones(frequency)).at(times))
+def without_outliers(times: Array, track: Array, frequency: float, overtones: int = 0) -> Array:
+    """Return the track (T, D) with NaN where it lies more than `OUTLIER` robust deviations off its swing on an axis."""
+    miss = np.abs(track - fit_swing(times, track, frequency, overtones).at(times))
     spread = 1.4826 * np.nanmedian(miss, axis=0)
     return np.where((miss <= OUTLIER * np.maximum(spread, 1e-5)).all(axis=1, keepdims=True), track, np.nan)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.devices import Frame
-from anther.geometry import Array, Intrinsics
+from anther.geometry import Array
 
 Image = NDArray[np.float32]
 
@@ -66,11 +66,11 @@ def common_shift(weight: Image, pixels: Array, reach: int) -> tuple[float, Array
     return float(fit[row, column]), np.array([grid[column], grid[row]], dtype=float)
 
 
-def centre_of_petals(weight: Image, pixel: Array, radius: float) -> Array | None:
-    """Return where the petals around a pixel (2,) have their centre, by mean shift.
+def centre_of_petals(weight: Image, pixel: Array, radius: float) -> Array:
+    """Return where the petals around a pixel (2,) have their centre, by mean shift; the pixel if they are too few.
 
-    None if there are too few petals. Where it slides away by more than 1.5 flower radii, because a neighbour's petals
-    touch these, the first step of the shift is taken instead.
+    Where it slides away by more than 1.5 flower radii, because a neighbour's petals touch these, the first step of the
+    shift is taken instead, if it is no leap either.
     """
     v, u = np.nonzero(weight > 0.2)
     w = weight[v, u].astype(np.float64)
@@ -78,13 +78,12 @@ def centre_of_petals(weight: Image, pixel: Array, radius: float) -> Array | None
     for i in range(10):
         share = w * np.exp(-0.5 * ((u - centre[0]) ** 2 + (v - centre[1]) ** 2) / (0.7 * radius) ** 2)
         if share.sum() < 4:
-            return None
+            return pixel
         centre = np.array([share @ u, share @ v]) / share.sum()
         first = first if i else centre
-    near = 1.5 * radius
-    if np.linalg.norm(centre - pixel) < near:
+    if np.linalg.norm(centre - pixel) < 1.5 * radius:
         return centre
-    return first if np.linalg.norm(first - pixel) < 0.7 * radius else None
+    return first if np.linalg.norm(first - pixel) < 0.7 * radius else pixel
 
 
 class Patch(NamedTuple):
@@ -176,7 +175,7 @@ def seek(images: Sequence[Image], patch: Patch, places: Array, reach: int, worst
         miss = cv2.matchTemplate(window, patch.image, cv2.TM_SQDIFF, mask=mask)
         row, column = (int(x) for x in np.unravel_index(int(np.argmin(miss)), miss.shape))
         if miss[row, column] < worst * np.median(miss):
-            shift = np.array([column + _vertex(-miss[row], column), row + _vertex(-miss[:, column], row)]) - reach
+            shift = np.array([column + vertex(-miss[row], column), row + vertex(-miss[:, column], row)]) - reach
             found[i] = middle + shift
     return found
 
@@ -187,7 +186,7 @@ def follow(images: Sequence[Image], patch: Patch, *, reach: int, worst: float) -
     place, step = patch.centre.astype(float), np.zeros(2)
     for i in range(len(images)):
         now = seek(images[i : i + 1], patch, (place + step)[None], reach, worst)[0]
-        if not np.isfinite(now).all():
+        if np.isnan(now[0]):
             step = np.zeros(2)
             continue
         step, place = (np.clip(now - place, -reach, reach) if i else np.zeros(2)), now
@@ -195,15 +194,8 @@ def follow(images: Sequence[Image], patch: Patch, *, reach: int, worst: float) -
     return found
 
 
-def back_projected(intrinsics: Intrinsics, pixels: Array, depth: Array) -> Array:
-    """Return the camera-frame points (T, 3) of pixels (T, 2) at depths (T,)."""
-    x = (pixels[:, 0] - intrinsics.cx) / intrinsics.fx * depth
-    y = (pixels[:, 1] - intrinsics.cy) / intrinsics.fy * depth
-    return np.stack([x, y, depth], axis=1)
-
-
-def _vertex(values: NDArray[Any], i: int) -> float:
-    """Offset of a parabola's vertex through the values at i - 1, i, i + 1; 0 at the border."""
+def vertex(values: NDArray[Any], i: int) -> float:
+    """Offset of the top of a parabola through the values at i - 1, i, i + 1; 0 at the border."""
     if not 0 < i < len(values) - 1:
         return 0.0
     a, b, c = (float(x) for x in values[i - 1 : i + 2])

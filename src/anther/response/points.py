@@ -46,8 +46,8 @@ SLOW = 4
 """Legendre polynomials beside the tones: wind, and swings that die out."""
 SPARE = 5
 """So many more frames than numbers that are fitted to them."""
-GROWS = 2.0
-"""Growth counts from so many of its standard deviations on."""
+GROWS, LEAST_SPARE = 2.0, 4
+"""Growth counts from so many of its standard deviations on, and with so many more frames than numbers fitted."""
 LEAST_SHARE = 0.6
 """Of the frames in which a point must be followed."""
 LEAST_ERROR = 0.03
@@ -142,16 +142,16 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
     every = _with_overtones(times, tones) if len(tones) == 1 else tones
     phasors = np.full((len(at.pixels), len(every), 3), np.nan, np.complex128)
     std = np.full((len(at.pixels), 3), np.nan)
-    if not at.shown.any() or len(frames) <= 2 * len(tones) + SLOW:
+    if not frames or not at.shown.any():
         return Swings(phasors[:, : len(tones)], std, at.axes)
     if expected is not None:
         expected = np.pad(expected, [(0, 0), (0, len(every) - len(tones)), (0, 0)])
-    basis, plain, growth = _basis(times, every), _basis(times, tones), _Growth(times)
+    basis, plain, swinging = _basis(times, every), _basis(times, tones), list[Array]()
     with ThreadPoolExecutor() as pool:  # OpenCV lets go of Python's lock
         gains = list(pool.map(_gain, frames))
         pictures = pool.map(_picture, frames, gains)
         seeing = at.shown[: len(at.flowers)].any()
-        images = list(pool.map(_smoothed, frames, gains)) if seeing else []
+        images = list(pool.map(lambda frame, gain: smoothed(frame) * gain, frames, gains)) if seeing else []
         paths = np.swapaxes(_paths(at, list(pictures)), 0, 1)
     for point, around, middle in zip(np.flatnonzero(at.shown), paths, _middles(at, paths), strict=True):
         flower, scale, path = point < len(at.flowers), at.per_pixel[point], around
@@ -166,37 +166,33 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         if across is not None:
             phasors[point, :, :2], std[point, :2] = scale * _phasors(across, len(every)), scale * across.std
             if flower and len(tones) == 1:
-                growth.add(path, basis, scale)
+                swinging.append(scale * path)
         if away is not None:
             phasors[point, : len(tones), 2:], std[point, 2] = _phasors(away, len(tones)), away.std
     own, over = phasors[:, : len(tones)], phasors[:, len(tones) :]
-    return Swings(own, std, at.axes, growth.rate(), over)
+    return Swings(own, std, at.axes, _growing(times, basis, swinging), over)
 
 
-class _Growth:
-    """How flowers' swings of one tone grow, all by the same share: those that swing furthest tell it."""
+def _growing(times: Array, basis: Array, paths: Sequence[Array]) -> float:
+    """Return by which share of itself the first tone of the basis grows in a second [1/s], the same for paths (T, 2).
 
-    def __init__(self, times: Array) -> None:
-        self._since = times - times.mean()
-        self._top = self._bottom = self._variance = 0.0
-
-    def add(self, path: Array, basis: Array, scale: float) -> None:
-        """Count a flower's path (T, 2) [px]."""
-        used, tone = np.isfinite(path).all(axis=1), [0, (basis.shape[1] - SLOW) // 2]
-        both = np.column_stack([basis[:, tone] * self._since[:, None], basis[:, tone], np.delete(basis, tone, axis=1)])
-        both = both[used]
-        if used.sum() < both.shape[1] + 4:
-            return
-        parts, inverse_gram = _solved(both, scale * path[used])
-        noise = np.sum((scale * path[used] - both @ parts) ** 2) / (2 * (used.sum() - both.shape[1]))
-        self._top += float(np.sum(parts[:2] * parts[2:4]))
-        self._bottom += float(np.sum(parts[2:4] ** 2))
-        self._variance += float(noise * np.sum((parts[2:4] ** 2).T @ inverse_gram.diagonal()[:2]))
-
-    def rate(self) -> float:
-        """Return it [1/s]."""
-        sure = abs(self._top) > GROWS * np.sqrt(self._variance)
-        return self._top / self._bottom if sure and self._bottom > 0 else 0.0
+    Those that swing furthest tell it.
+    """
+    tone = np.array([0, (basis.shape[1] - SLOW) // 2])
+    both = np.column_stack([basis[:, tone] * (times - times.mean())[:, None], basis])
+    top = bottom = variance = 0.0
+    for path in paths:
+        used = np.isfinite(path).all(axis=1)
+        spare = used.sum() - both.shape[1]
+        if spare < LEAST_SPARE:
+            continue
+        parts, inverse_gram = _solved(both[used], path[used])
+        grown, swung = parts[:2], parts[2 + tone]
+        noise = np.sum((path[used] - both[used] @ parts) ** 2) / (2 * spare)
+        top += float(np.sum(grown * swung))
+        bottom += float(np.sum(swung**2))
+        variance += float(noise * np.sum((swung**2).T @ inverse_gram.diagonal()[:2]))
+    return top / bottom if abs(top) > GROWS * np.sqrt(variance) else 0.0
 
 
 def likeness(rate: float, seconds: float, tones: Array) -> float:
@@ -236,10 +232,6 @@ def _gain(frame: Frame) -> float:
     """Return what brings the median grey of a frame, of every 16th pixel, to `BRIGHT`."""
     some = np.ascontiguousarray(frame.rgb[::4, ::4])
     return BRIGHT / max(float(np.median(cv2.cvtColor(some, cv2.COLOR_RGB2GRAY))), 1.0)
-
-
-def _smoothed(frame: Frame, gain: float) -> Image:
-    return smoothed(frame) * gain
 
 
 def _picture(frame: Frame, gain: float) -> NDArray[np.uint8]:
@@ -368,7 +360,7 @@ def _away(
     middle = path - (at.pixels[k] - own.centre)
     for about in ([] if expected is None else [rest + _swung(basis, expected)[:, 2]]) + [np.array(rest)]:
         depth = depth_along(frames, own, middle, basis, about, OWN_DEPTH)
-        found = _fitted(basis, depth[:, None] - rest, LEAST_DEPTH_ERROR)
+        found = _fitted(basis, depth[:, None], LEAST_DEPTH_ERROR)
         if found is not None:
             return found
     return None
