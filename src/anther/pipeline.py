@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from pathlib import Path
+from typing import Literal, Protocol
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, shake, skeleton, stem
 from anther.capture import Capture
@@ -20,7 +21,8 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.identification import ObservedShake, feel, refine
-from anther.masks import Masks, by_words
+from anther.masks import Masks, by_words, without_ground
+from anther.masks.weights import find_models
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response, stem_near
 from anther.response.thresholds import FEWEST_FRAMES
@@ -55,8 +57,33 @@ class Params:
     """Whether the shake is raised by what the side camera sees, or done as planned."""
 
 
+MaskSource = Literal["colour", "grounded-sam2", "sam3"]
 FindMasks = Callable[[Capture, Box | None, Advance], Masks]
 """Another way to masks than `masks.segment`: (capture, workspace, progress) -> Masks."""
+
+
+def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | None) -> FindMasks | None:
+    """Return what finds the masks by a network, or None for colour and geometry.
+
+    Args:
+        source: colour and geometry, or which networks.
+        models: folder of the networks' weights.
+        params: of every stage.
+        cache: folder that keeps the networks' masks, or None.
+
+    Raises:
+        MissingExtra: torch or transformers is not installed.
+        InputError: weights are missing. Both are said before any other work is done.
+    """
+    if source == "colour":
+        return None
+    find_models(models, source)
+
+    def find(capture: Capture, workspace: Box | None, progress: Advance) -> Masks:
+        seen = by_words.segment(capture, models, params.by_words, method=source, cache=cache, progress=progress)
+        return without_ground(seen, capture, workspace, params.masks)
+
+    return find
 
 
 class MotionPlanner(execution.TrajectoryPlanner, Protocol):
@@ -129,7 +156,7 @@ def perceive(
         workspace: where the plant may stand, world [m]; None: about where the cameras look.
         run: where every stage's result is kept.
         params: of every stage.
-        find_masks: finds plant and flowers instead of `masks.segment`, which needs no weights.
+        find_masks: see `mask_finder`.
 
     Raises:
         StageFailure: no plant or no stem was found.
@@ -144,9 +171,7 @@ def perceive(
     centres = flowers.flower_centres(fused, params.flowers)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
     found = run.stage(
-        "flowers",
-        Flowers.load,
-        lambda _: flowers.find_flowers(fused, tree, main, params.flowers, centres=centres),
+        "flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, params.flowers, centres=centres)
     )
     return Seen(labels, fused, tree, main, found)
 
@@ -239,20 +264,12 @@ def _watched(
     if len(frames) < FEWEST_FRAMES:  # a shake that was cut short
         return None
     ids = seen.stem.node_ids
-    beside = stem_near(
-        seen.skeleton.nodes[ids], seen.stem.arc_length, seen.skeleton.radius[ids], shake.grasp.arc_length
-    )
+    nodes, radius = seen.skeleton.nodes[ids], seen.skeleton.radius[ids]
+    beside = stem_near(nodes, seen.stem.arc_length, radius, shake.grasp.arc_length)
     return run.stage(
         "response",
         Response.load,
-        lambda _: measure_response(
-            frames,
-            camera.intrinsics,
-            pose,
-            seen.flowers,
-            shake.frequency,
-            stem=beside,
-        ),
+        lambda _: measure_response(frames, camera.intrinsics, pose, seen.flowers, shake.frequency, stem=beside),
     )
 
 
@@ -283,9 +300,8 @@ def _shaken(
             continue
         watched = _watching(cell, rods, shake, seen, params)
         if watched is None and params.actuator == "gripper":
-            raise StageFailure(
-                "limits_exceeded", "a motor shakes only what a side camera watches, and flowers it knows."
-            )
+            why = "a motor shakes only what a side camera watches, and flowers it knows."
+            raise StageFailure("limits_exceeded", why)
         run.told("watched", watched)
         trial = run.stage(
             "execution",

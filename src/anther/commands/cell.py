@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -51,17 +51,30 @@ def run(args: Args) -> int:
     return enable(file) if args.action == "enable" else jog(file, args.joint, args.by)
 
 
+@contextmanager
+def kept_open(file: CellFile) -> Iterator[Callable[[Any], Any]]:
+    """Own the cell's arm for the block; yield what is told each machine, and closes it at the end."""
+    from anther.cells import owned
+
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+
+        def keep(machine: Any) -> Any:
+            stack.callback(getattr(machine, "close", lambda: None))
+            return machine
+
+        yield keep
+
+
 def check(file: CellFile) -> int:
     """Connect to each part by itself and print what it sees, or what is missing; nothing moves."""
     from rich.console import Console
     from rich.table import Table
 
-    from anther.cells import owned
     from anther.errors import AntherError
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
+    with kept_open(file) as keep:
         arm: Any = None
 
         def look(name: str, part: Part | None, see: Callable[[Any], list[str]]) -> Any:
@@ -70,8 +83,7 @@ def check(file: CellFile) -> int:
                 table.add_row(name, "-", "none in the file")
                 return None
             try:
-                machine = file.connect(part, arm=arm)
-                stack.callback(getattr(machine, "close", lambda: None))
+                machine = keep(file.connect(part, arm=arm))
                 seen = see(machine)
             except AntherError as error:
                 missing += 1
@@ -93,24 +105,17 @@ def check(file: CellFile) -> int:
 
 def enable(file: CellFile) -> int:
     """Switch the arm's motors on and let the gripper find its ends, each after a yes."""
-    from anther.cells import owned
-
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
-        arm = file.connect(file.arm)
-        stack.callback(getattr(arm, "close", lambda: None))
+    with kept_open(file) as keep:
+        arm = keep(file.connect(file.arm))
         if hasattr(arm, "enable") and agreed("Switch the arm's motors on? Nobody in its reach, the stop in your hand."):
             arm.enable()
             print("the arm is enabled and holds where it is")
-        gripper = file.connect(file.gripper, arm=arm)
-        stack.callback(getattr(gripper, "close", lambda: None))
-        if hasattr(gripper, "enable") and agreed(
-            "Open and close the gripper all the way? Nothing between its fingers."
-        ):
+        gripper = keep(file.connect(file.gripper, arm=arm))
+        question = "Open and close the gripper all the way? Nothing between its fingers."
+        if hasattr(gripper, "enable") and agreed(question):
             gripper.enable()
-            print(
-                "the gripper is enabled" + (f"; counts = {list(gripper.counts)}" if hasattr(gripper, "counts") else "")
-            )
+            counts = f"; counts = {list(gripper.counts)}" if hasattr(gripper, "counts") else ""
+            print(f"the gripper is enabled{counts}")
     return 0
 
 
@@ -120,7 +125,6 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     Raises:
         StageFailure: the way is not free, or passes a limit; nothing moved.
     """
-    from anther.cells import owned
     from anther.checks import check_range
     from anther.safety import GuardedArm
 
@@ -129,11 +133,8 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     last = len(limits.joint_lower) - 1
     joint = last if joint is None else joint
     check_range("joint", joint, 0, last)
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
-        arm = file.connect(file.arm)
-        stack.callback(getattr(arm, "close", lambda: None))
-        guarded = GuardedArm(arm, limits)
+    with kept_open(file) as keep:
+        guarded = GuardedArm(keep(file.connect(file.arm)), limits)
         motion = _small_motion(file, guarded, joint, np.deg2rad(degrees))
         if not agreed(f"Move joint {joint} by {degrees:g} degrees in {motion.duration:.1f} s?"):
             return 1
@@ -162,11 +163,9 @@ def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTraj
     from anther.commands.hardware_cell import motion_params
     from anther.errors import StageFailure
 
-    boxes = [place.box for place in file.keep_out]
-    none = np.zeros((0, 3))
-    planner = Planner(
-        none, none, boxes, space=file.arm_space, params=motion_params(file.limits.speed_ratio), arm=file.model
-    )
+    boxes, none = [place.box for place in file.keep_out], np.zeros((0, 3))
+    params = motion_params(file.limits.speed_ratio)
+    planner = Planner(none, none, boxes, space=file.arm_space, params=params, arm=file.model)
     here = arm.joints()
     there = here + way * np.eye(len(here))[joint]
     if not planner.world.path_free(np.stack([here, there])):
@@ -178,13 +177,13 @@ def _arm_seen(arm: Any, file: CellFile) -> list[str]:
     q, limits = arm.joints(), file.safety_limits()
     margin = np.rad2deg(np.minimum(q - limits.joint_lower, limits.joint_upper - q).min())
     flange = file.model.forward(q)[:3, 3]
-    place = ", ".join(f"{x:.3f}" for x in flange)
+    joints, place = " ".join(f"{x:.3f}" for x in q), ", ".join(f"{x:.3f}" for x in flange)
     inside = "inside" if limits.workspace.contains(flange) else "OUTSIDE"
-    seen = [
-        "joints " + " ".join(f"{x:.3f}" for x in q) + f" rad; {margin:.0f} degrees from the nearest end",
+    return [
+        f"joints {joints} rad; {margin:.0f} degrees from the nearest end",
         f"flange at {place} m, {inside} its space",
+        *(arm.seen() if hasattr(arm, "seen") else []),
     ]
-    return seen + (arm.seen() if hasattr(arm, "seen") else [])
 
 
 def _gripper_seen(gripper: Any) -> list[str]:
@@ -202,18 +201,16 @@ def _camera_seen(camera: Camera) -> list[str]:
     frames = camera.stop()
     rate = (len(frames) - 1) / (frames[-1].time - frames[0].time) if len(frames) > 1 else float("nan")
     near = frame.depth[frame.depth > 0]
-    depth = f"depth in {len(near) / frame.depth.size:.0%} of it"
     return [
-        f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; {depth}",
+        f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; depth in {len(near) / frame.depth.size:.0%} of it",
         f"a frame after {1e3 * took:.0f} ms, {1e3 * late:.0f} ms old by its stamp; {rate:.1f} a second",
     ]
 
 
 def _limits_words(file: CellFile) -> list[str]:
-    limits = file.safety_limits()
+    limits, count = file.safety_limits(), len(file.keep_out)
+    joints = " ".join(f"{v:.2f}" for v in limits.joint_speed)
     return [
-        f"speed ratio {file.limits.speed_ratio:g}: flange {limits.flange_speed:.2f} m/s, joints "
-        + " ".join(f"{v:.2f}" for v in limits.joint_speed)
-        + " rad/s",
-        f"contact {limits.contact_force:g} N, tracking {limits.tracking:g} rad, {len(file.keep_out)} keep-out boxes",
+        f"speed ratio {file.limits.speed_ratio:g}: flange {limits.flange_speed:.2f} m/s, joints {joints} rad/s",
+        f"contact {limits.contact_force:g} N, tracking {limits.tracking:g} rad, {count} keep-out boxes",
     ]

@@ -37,7 +37,6 @@ def run(args: Args) -> None:
         InputError: a history that cannot be read, or a figure that is no .png.
     """
     from anther.errors import bad_input
-    from anther.files import replacing
     from anther.fruit_set import PRIORS, counts_of, fit
     from anther.history import read_outcomes, read_trials
 
@@ -48,10 +47,10 @@ def run(args: Args) -> None:
     learned = fit(counts, PRIORS.get(args.species, PRIORS["pepper"]))
     result = summary(learned) | {"species": args.species, "caveats": [*left_out, *learned.caveats()]}
     if args.figure is not None:
-        from anther.pictures.fruit_set import draw_fruit_set
+        from anther.pictures import save_figure
+        from anther.pictures.estimates import draw_fruit_set
 
-        with replacing(args.figure) as temporary:
-            draw_fruit_set(learned, fit([], learned.prior), args.species).savefig(temporary, dpi=110)
+        save_figure(draw_fruit_set(learned, fit([], learned.prior), args.species), args.figure)
     if args.json:
         import json
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from anther.checks import check_range
 from anther.errors import InputError, bad_input
-from anther.files import replacing, write_json
+from anther.files import write_json
 from anther.geometry import Array
 from anther.identification import (
     ClampedStem,
@@ -26,7 +26,8 @@ from anther.identification import (
     write_material,
 )
 from anther.identification.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES, TRACE, read_measurements
-from anther.pictures.material_test import Pluck, draw_material_test
+from anther.pictures import save_figure
+from anther.pictures.estimates import Pluck, draw_material_test
 
 GIVEN_ERROR = 0.01
 """Relative standard error of a frequency that is given without one [-]."""
@@ -85,8 +86,7 @@ def run(args: Args) -> None:
     if args.out is not None:
         write_json(args.out / "identify.json", result)
         write_material(args.out / "material.json", found.material)
-        with replacing(args.out / "identify.png") as temporary:
-            draw_material_test(test, found, plucks).savefig(temporary, dpi=120)
+        save_figure(draw_material_test(test, found, plucks), args.out / "identify.png")
     print(json.dumps(result, indent=2) if args.json else _text(args, test, found))
 
 

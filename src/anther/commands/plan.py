@@ -16,12 +16,13 @@ from anther.cloud import Cloud
 from anther.commands.run_folder import PARAMS
 from anther.commands.skeletonize import best_grasps, main_stem, node_named, read_source
 from anther.errors import bad_input
-from anther.files import read_object, replacing
+from anther.files import read_object
 from anther.flowers import Flowers
 from anther.fruit_set import worth
 from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
 from anther.identification import read_material
+from anther.pictures import save_figure
 from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.runs import FILES
@@ -102,8 +103,7 @@ def run(args: Args) -> None:
     plan = plan_shake(plant, grasps, _actuator(args), params)
     if args.out is not None:
         plan.save(args.out / "shake_plan.json")
-        with replacing(args.out / "shake_plan.png") as temporary:
-            draw_plan(plan).savefig(temporary, dpi=110)
+        save_figure(draw_plan(plan), args.out / "shake_plan.png")
     if args.json:
         print(json.dumps(summary(plan, _crop(args)), indent=2))
     else:

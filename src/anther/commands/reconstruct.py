@@ -8,8 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from anther.commands.mask_source import MaskSource
-from anther.pipeline import Params
+from anther.pipeline import MaskSource, Params, mask_finder
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,6 @@ def run(args: Args) -> None:
 
     from anther import pipeline
     from anther.capture import Capture
-    from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import finish, open_run
     from anther.commands.skeletonize import known_better
     from anther.geometry import Box

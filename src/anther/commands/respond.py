@@ -22,7 +22,8 @@ from anther.elastic_rod import natural_frequencies, response_map
 from anther.errors import bad_input
 from anther.files import replacing, write_json
 from anther.geometry import Array
-from anther.pictures.response_map import GripResponse, draw_response_map
+from anther.pictures import save_figure
+from anther.pictures.rods import GripResponse, draw_grip_response
 from anther.shake import Params as ShakeParams
 from anther.shake.choice import FLOWER_ACCELERATION, MOST_SPEED
 from anther.shake.observables import semi_major
@@ -79,8 +80,8 @@ def run(args: Args) -> None:
     if args.out is not None:
         write_json(args.out / "respond.json", result)
         write_csv(args.out / "response_map.csv", plant, response)
-        with replacing(args.out / "response_map.png") as temporary:
-            draw_response_map(plant.rods, flowers, response, _title(args)).savefig(temporary, dpi=110)
+        figure = draw_grip_response(plant.rods, flowers, response, _title(args))
+        save_figure(figure, args.out / "response_map.png")
     if args.json:
         print(json.dumps(result, indent=2))
     else:

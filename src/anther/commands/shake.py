@@ -13,8 +13,9 @@ from scipy.signal import detrend, hilbert
 from anther.checks import check_range
 from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
 from anther.elastic_rod import Burst, Chirp, Clamp, Drive, Rods, Trajectory, natural_frequencies, simulate
-from anther.files import replacing, write_json
-from anther.pictures.shake import draw_shake
+from anther.files import write_json
+from anther.pictures import save_figure
+from anther.pictures.rods import draw_shake
 
 Shake = Drive | Chirp | Burst
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -100,9 +101,8 @@ def run(args: Args) -> None:
     if args.out is not None:
         trajectory.save(args.out / "trajectory.npz")
         write_json(args.out / "shake.json", named | asdict(motion))
-        with replacing(args.out / "shake.png") as temporary:
-            figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
-            figure.savefig(temporary, dpi=110)
+        figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
+        save_figure(figure, args.out / "shake.png")
     print(json.dumps(named | asdict(motion), indent=2) if args.json else _text(args, motion, plant, **named))
 
 

@@ -14,7 +14,6 @@ import tyro
 from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
-from anther.files import replacing
 from anther.flowers import flower_centres
 from anther.formats.clouds import read_cloud
 from anther.formats.points import Axis, Units
@@ -23,6 +22,7 @@ from anther.formats.skeletons import SkeletonFile, read_skeleton, write_skeleton
 from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps, save_grasps
 from anther.grasp import Params as GraspParams
+from anther.pictures import save_figure
 from anther.skeleton import Params, Skeleton, nearest_node, skeletonize
 from anther.stem import LOW, Stem, find_stem
 from anther.stem import Params as StemParams
@@ -201,8 +201,7 @@ def write_results(folder: Path, cloud: Cloud, skeleton: Skeleton, stem: Stem, gr
     save_grasps(folder / "grasp.json", grasps)
     from anther.pictures.plant import draw_plant  # Matplotlib takes a second
 
-    with replacing(folder / "overview.png") as temporary:
-        draw_plant(cloud, skeleton, stem, grasps[0]).savefig(temporary, dpi=110)
+    save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), folder / "overview.png")
 
 
 def grasp_numbers(grasp: Grasp) -> dict[str, Any]:

@@ -14,11 +14,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from anther.errors import AntherError, bad_input
-from anther.files import existing, made_folder, read_object, replacing, write_json
+from anther.files import existing, made_folder, read_object, write_json
 from anther.flowers import flower_centres
 from anther.formats.clouds import read_cloud
 from anther.formats.points import Axis, Units
 from anther.formats.tables import write_table
+from anther.pictures import save_figure
 from anther.pictures.plant import draw_plant
 from anther.skeleton import Params, skeletonize
 from anther.stem import Params as StemParams
@@ -129,8 +130,7 @@ def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
     traits = measure(skeleton, stem)
     skeleton.save(place / "skeleton.npz")
     stem.save(place / "stem.npz")
-    with replacing(place / "overview.png") as temporary:
-        draw_plant(cloud, skeleton, stem).savefig(temporary, dpi=110)
+    save_figure(draw_plant(cloud, skeleton, stem), place / "overview.png")
     notes = "; ".join((*cloud.notes, *skeleton.notes, *stem.notes))
     return flat(traits) | {
         "points": len(cloud.points),

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from anther.arm import ArmName
-from anther.commands.mask_source import MaskSource
 from anther.devices import Tap, untapped
-from anther.pipeline import Params
+from anther.pipeline import MaskSource, Params, mask_finder
 from anther.shake import ActuatorName, Crop, Preset, with_preset
 
 if TYPE_CHECKING:
@@ -95,13 +94,12 @@ def run(args: Args) -> int:
         harmed, and its flowers moved as in a breeze or more; 1 if one of them is not; 2 if it never came to that.
     """
     from anther.checks import check_range
-    from anther.commands.mask_source import mask_finder
     from anther.commands.run_folder import TrialLog, finish, open_run, parameters, remember
     from anther.commands.trial_summary import print_summary, summarise
     from anther.errors import StageFailure, bad_input
     from anther.files import write_json
     from anther.history import shown
-    from anther.pictures.shake import save_film
+    from anther.pictures.report import save_film
     from anther.pipeline import pollinate
     from anther.results import EXECUTED, FILM, SUMMARY
     from anther.runs import WHERE_IT_STOPPED, stage_under_way
