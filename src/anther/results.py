@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,8 +27,10 @@ from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt
 
-EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
-"""The shake as it was carried out; its end, as the side camera saw it; the trial in numbers."""
+PARAMS, TIMING = "00_params.json", "timing.json"
+"""What the run was asked for; the time each stage took."""
+EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.gif", "trial.json", "visit.json"
+"""The shake as it was carried out; its end, as the side camera saw it; the trial in numbers; what the history keeps."""
 
 
 class Finding(NamedTuple):
@@ -171,9 +174,9 @@ class RunResults:
 
 def _gripped(s: dict[str, Any]) -> str:
     opening, force = s.get("grip_opening_m"), s.get("grip_force_n")
-    return (
-        "" if opening is None or force is None else f"the pads stood {1000 * opening:.1f} mm apart, with {force:.0f} N"
-    )
+    if opening is None or force is None:
+        return ""
+    return f"the pads stood {1000 * opening:.1f} mm apart, with {force:.0f} N"
 
 
 def _slip(s: dict[str, Any]) -> str:
@@ -224,33 +227,33 @@ def read_run(folder: Path | str) -> RunResults:
         InputError: the folder is missing or is not a run folder, or a result in it cannot be read.
     """
     folder = existing(folder)
-    if not (folder / "00_params.json").is_file():
-        raise bad_input(
-            "run", given=str(folder), allowed="a run folder (it holds 00_params.json)", do="Name one, e.g. runs/demo."
-        )
-    kinds: dict[str, Any] = {
-        "capture": Capture, "masks": Masks, "cloud": Cloud, "skeleton": Skeleton, "stem": Stem, "flowers": Flowers,
-        "plant model": PlantModel, "shake plan": ShakePlan, "response": Response, "execution": Trial,
-    }  # fmt: skip
-    found = {
-        {"execution": "trial"}.get(stage, stage.split()[0]): kind.load(folder / FILES[stage])
-        for stage, kind in kinds.items()
-        if (folder / FILES[stage]).exists()
-    }
-    tree, main = found.get("skeleton"), found.get("stem")
+    if not (folder / PARAMS).is_file():
+        allowed = f"a run folder (it holds {PARAMS})"
+        raise bad_input("run", given=str(folder), allowed=allowed, do="Name one, e.g. runs/demo.")
+
+    def there(name: str, read: Callable[[Path], Any], otherwise: Any = None) -> Any:
+        return read(folder / name) if (folder / name).exists() else otherwise
+
+    tree, main = there(FILES["skeleton"], Skeleton.load), there(FILES["stem"], Stem.load)
     if tree is not None and main is not None and len(main.organ) != len(tree.nodes):
         given, allowed = f"organs of {len(main.organ)} nodes", f"of the {len(tree.nodes)} of {FILES['skeleton']}"
         raise bad_input(str(folder / FILES["stem"]), given=given, allowed=allowed, do="Find the stem again.")
-    grasps = folder / FILES["grasp"]
-    timing = folder / "timing.json"
-    summary, visit, executed = folder / SUMMARY, folder / "visit.json", folder / EXECUTED
     return RunResults(
         folder=folder,
-        params=read_object(folder / "00_params.json"),
-        summary=read_object(summary) if summary.exists() else None,
-        seconds=read_object(timing) if timing.exists() else {},
-        grasps=tuple(load_grasps(grasps)) if grasps.exists() else (),
-        executed=ShakePlan.load(executed) if executed.exists() else None,
-        visit=read_record(visit) if visit.exists() else None,
-        **found,
+        params=read_object(folder / PARAMS),
+        summary=there(SUMMARY, read_object),
+        seconds=there(TIMING, read_object, {}),
+        grasps=tuple(there(FILES["grasp"], load_grasps, ())),
+        capture=there(FILES["capture"], Capture.load),
+        masks=there(FILES["masks"], Masks.load),
+        cloud=there(FILES["cloud"], Cloud.load),
+        skeleton=tree,
+        stem=main,
+        flowers=there(FILES["flowers"], Flowers.load),
+        plant=there(FILES["plant model"], PlantModel.load),
+        shake=there(FILES["shake plan"], ShakePlan.load),
+        executed=there(EXECUTED, ShakePlan.load),
+        trial=there(FILES["execution"], Trial.load),
+        response=there(FILES["response"], Response.load),
+        visit=there(VISIT, read_record),
     )

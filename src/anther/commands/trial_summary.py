@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,11 +39,12 @@ def summarise(
     real plant nobody knows whether it was harmed; held is what the gripper felt before and after the shake,
     flowers_moved what the side camera measured, null if nothing, and success that neither failed.
     """
+    answer = None if done is None else done.response
     return {
         **_verdict(done, verdict, failure),
         **_planned(done),
         **_watched(cell, done, params),
-        **_measured(done),
+        **({} if answer is None else _flowers("measured", answer.amplitude, answer.acceleration_peak)),
         **_held(cell, done),
         **_true(verdict),
         "simulated_capture_seconds": None if cell is None else cell.capture_seconds,
@@ -55,39 +56,33 @@ STOPPED = ("device_fault", "interrupted", "limits_exceeded")
 """Ends of an execution that say more than what the judge then found between the pads."""
 
 
-LOADS = {
-    "stem": "stem_strain",
-    "pedicel": "pedicel_strain",
-    "base": "base_strain",
-    "leaf": "leaf_acceleration_ms2",
-}
+LOADS = {"stem": "stem_strain", "pedicel": "pedicel_strain", "base": "base_strain", "leaf": "leaf_acceleration_ms2"}
 """Kind of load -> its name in trial.json, after "true_"; after "borne_": what this plant bears of it."""
 
 
 def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure | None) -> dict[str, Any]:
-    if done is not None and verdict is None and failure is None:
-        trial, slipped = done.trial, _slipped(done.trial)
-        held, felt = trial.finished and not slipped, _felt(done)
-        parts = {"success": held and moved(felt) is not False, "held": held, "unharmed": None}
-        parts |= {
-            "flowers_moved": moved(felt),
-            "felt_flowers": len(felt),
-            "felt_flower_acceleration_median_ms2": _median(felt),
-        }
+    told: dict[str, Any] = {"success": False, "held": False, "unharmed": None, "flowers_moved": None}
+    told |= {"failure": None, "message": None, "organ_grasped": None}
+    if failure is not None:
+        return told | {"failure": failure.kind, "message": str(failure)}
+    if done is None:
+        return told
+    trial = done.trial
+    if verdict is None:  # a real plant
+        slipped, felt = _slipped(trial), _felt(done)
+        held = trial.finished and not slipped
         why = ("slipped", slipped) if trial.finished and slipped else (trial.failure, trial.stop_reason)
-        return parts | {"failure": why[0], "message": why[1], "organ_grasped": None}
-    if done is None or verdict is None:
-        kind, message = (None, None) if failure is None else (failure.kind, str(failure))
-        parts = {"success": False, "held": False, "unharmed": None, "flowers_moved": None}
-        return parts | {"failure": kind, "message": message, "organ_grasped": None}
-    stopped = done.trial.failure in STOPPED
+        told |= {"success": held and moved(felt) is not False, "held": held, "flowers_moved": moved(felt)}
+        told |= {"felt_flowers": len(felt), "felt_flower_acceleration_median_ms2": _median(felt)}
+        return told | {"failure": why[0], "message": why[1]}
+    stopped = trial.failure in STOPPED
     return {
         "success": verdict.success and not stopped,
         "held": verdict.held and not stopped,
         "unharmed": verdict.unharmed,
         "flowers_moved": verdict.flowers_moved,
-        "failure": done.trial.failure if stopped else verdict.failure,
-        "message": done.trial.stop_reason if stopped else verdict.reason,
+        "failure": trial.failure if stopped else verdict.failure,
+        "message": trial.stop_reason if stopped else verdict.reason,
         "organ_grasped": verdict.organ_grasped or None,
     }
 
@@ -121,15 +116,21 @@ def _planned(done: Done | None) -> dict[str, Any]:
         "shake_frequency_hz": shake.frequency,
         "shake_direction": shake.direction,
         "shake_duration_s": shake.duration,
-        "predicted_flower_amplitude_m": shake.predicted_amplitude,
-        "predicted_flower_amplitude_median_m": _median(shake.predicted_amplitude),
-        "predicted_flower_acceleration_ms2": shake.predicted_acceleration,
-        "predicted_flower_acceleration_median_ms2": _median(shake.predicted_acceleration),
+        **_flowers("predicted", shake.predicted_amplitude, shake.predicted_acceleration),
         "execution": done.trial.stop_reason,
         "learned_youngs_pa": done.material.youngs,
         "learned_damping_ratio": done.material.damping_ratio,
         "learned_pad_stiffness_n_m": None if done.pads is None else done.pads.stiffness,
         "learned_pad_turning_nm_rad": None if done.pads is None else done.pads.turning,
+    }
+
+
+def _flowers(how: str, amplitude: Array, acceleration: Array) -> dict[str, Any]:
+    return {
+        f"{how}_flower_amplitude_m": amplitude,
+        f"{how}_flower_amplitude_median_m": _median(amplitude),
+        f"{how}_flower_acceleration_ms2": acceleration,
+        f"{how}_flower_acceleration_median_ms2": _median(acceleration),
     }
 
 
@@ -142,7 +143,7 @@ def _watched(cell: SimulatedCell | HardwareCell | None, done: Done | None, param
     if cell is None or done is None or not len(done.trial.shake_times):
         return {}
     times, steps = done.trial.shake_times, done.trial.steps
-    told: dict[str, Any] = {
+    told = {
         "shaking_seconds": float(times[-1] - times[0]),
         "shake_steps": len(steps),
         "plan_alone_because": _alone(cell, steps, params),
@@ -187,18 +188,6 @@ def _step(step: Step, start: float) -> dict[str, Any]:
         "share_of_limits": step.loads,
         "decided": step.decided,
         "deciding_seconds": step.seconds,
-    }
-
-
-def _measured(done: Done | None) -> dict[str, Any]:
-    if done is None or done.response is None:
-        return {}
-    response = done.response
-    return {
-        "measured_flower_amplitude_m": response.amplitude,
-        "measured_flower_amplitude_median_m": _median(response.amplitude),
-        "measured_flower_acceleration_ms2": response.acceleration_peak,
-        "measured_flower_acceleration_median_ms2": _median(response.acceleration_peak),
     }
 
 
@@ -260,42 +249,37 @@ def print_summary(results: RunResults) -> None:
     Console(markup=False).print(table)
 
 
-def _rows(results: RunResults) -> list[tuple[str, str]]:
+def _rows(results: RunResults) -> Iterator[tuple[str, str]]:
     s = results.summary or {}
-    rows = [("verdict", results.headline), ("", s["message"] or "")]
-    rows += [(answer.question, f"{answer.said}; {answer.why}".removesuffix("; ")) for answer in results.answers()]
-    if "grasp_pose7" in s:
-        organ = s["organ_grasped"] or ("" if s["unharmed"] is None else "nothing")
-        height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
-        confidence = s.get("grasp_confidence")
-        sure = "" if confidence is None else f"; the main stem with a probability of {confidence:.0%}"
-        where = f"{height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"
-        rows.append(("grasped", f"{organ}, {where}".removeprefix(", ")))
-        along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
-        amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
-        seconds = s.get("shaking_seconds", s["shake_duration_s"])
-        rows.append(
-            (
-                "shake",
-                f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {seconds:.1f} s in all",
-            )
-        )
-        if s.get("shake_steps") is not None:
-            rows.append(("watched", watched_words(s)))
-        rows.append(("flowers, predicted", _motion(s, "predicted")))
-        rows.append(("flowers, measured", _motion(s, "measured")))
-        true = s.get("true_flower_amplitude_median_m")
-        if true is not None:
-            acceleration = s["true_flower_acceleration_median_ms2"]
-            rows.append(("flowers, simulated", f"median {1000 * true:.2f} mm, {acceleration:.1f} m/s²"))
-    return rows
+    yield "verdict", results.headline
+    yield "", s["message"] or ""
+    for answer in results.answers():
+        yield answer.question, f"{answer.said}; {answer.why}".removesuffix("; ")
+    if "grasp_pose7" not in s:
+        return
+    organ = s["organ_grasped"] or ("" if s["unharmed"] is None else "nothing")
+    confidence = s.get("grasp_confidence")
+    sure = "" if confidence is None else f"; the main stem with a probability of {confidence:.0%}"
+    height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
+    where = f"{height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"
+    yield "grasped", f"{organ}, {where}".removeprefix(", ")
+    along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
+    amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
+    seconds = s.get("shaking_seconds", s["shake_duration_s"])
+    yield "shake", f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {seconds:.1f} s in all"
+    if s.get("shake_steps") is not None:
+        yield "watched", watched_words(s)
+    yield "flowers, predicted", _motion(s, "predicted")
+    yield "flowers, measured", _motion(s, "measured")
+    true = s.get("true_flower_amplitude_median_m")
+    if true is not None:
+        acceleration = s["true_flower_acceleration_median_ms2"]
+        yield "flowers, simulated", f"median {1000 * true:.2f} mm, {acceleration:.1f} m/s²"
 
 
 def _motion(s: dict[str, Any], kind: str) -> str:
-    amplitude, acceleration = (
-        s.get(f"{kind}_flower_amplitude_median_m"),
-        s.get(f"{kind}_flower_acceleration_median_ms2"),
-    )
+    names = (f"{kind}_flower_amplitude_median_m", f"{kind}_flower_acceleration_median_ms2")
+    amplitude, acceleration = (s.get(name) for name in names)
     if amplitude is None or acceleration is None:
         return "not measurable"
     seen = np.isfinite(np.array(s[f"{kind}_flower_amplitude_m"], dtype=float))
