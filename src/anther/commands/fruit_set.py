@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
+from rich.console import Console
+from rich.table import Table
 
-if TYPE_CHECKING:
-    from anther.fruit_set import FruitSet
+from anther.errors import bad_input
+from anther.fruit_set import NAMES, PRIORS, FruitSet, counts_of, fit
+from anther.history import read_outcomes, read_trials
 
 
 @dataclass(frozen=True)
@@ -36,10 +40,6 @@ def run(args: Args) -> None:
     Raises:
         InputError: a history that cannot be read, or a figure that is no .png.
     """
-    from anther.errors import bad_input
-    from anther.fruit_set import PRIORS, counts_of, fit
-    from anther.history import read_outcomes, read_trials
-
     if args.figure is not None and args.figure.suffix.lower() != ".png":
         raise bad_input("figure", given=str(args.figure), allowed="a name that ends in .png", do="Name it so.")
     outcomes = read_outcomes(args.history, species=args.species)
@@ -52,8 +52,6 @@ def run(args: Args) -> None:
 
         save_figure(draw_fruit_set(learned, fit([], learned.prior), args.species), args.figure)
     if args.json:
-        import json
-
         print(json.dumps(result, indent=2))
     else:
         _print(result)
@@ -61,8 +59,6 @@ def run(args: Args) -> None:
 
 def summary(learned: FruitSet) -> dict[str, Any]:
     """Return what is believed, each as [median, 5 %, 95 %], beside the prior."""
-    from anther.fruit_set import NAMES, fit
-
     before = fit([], learned.prior)
     return {
         "counts": len(learned.counts),
@@ -79,9 +75,6 @@ def summary(learned: FruitSet) -> dict[str, Any]:
 
 
 def _print(result: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     console = Console(highlight=False, markup=False)
     told = f"{result['counts']} counts ({result['controls']} without a shake), {result['flowers']} flowers"
     console.print(f"{result['species']}: {told}, {result['fruit']} fruit")

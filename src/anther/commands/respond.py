@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,10 +16,10 @@ from rich.table import Table
 from anther.arm.sawyer import SAWYER
 from anther.arm.shaking import amplitude_limit
 from anther.checks import check_range
-from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
+from anther.commands.rod_plant import AXES, PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
 from anther.elastic_rod import natural_frequencies, response_map
 from anther.errors import bad_input
-from anther.files import replacing, write_json
+from anther.files import write_json, write_text
 from anther.geometry import Array
 from anther.pictures import save_figure
 from anther.pictures.rods import GripResponse, draw_grip_response
@@ -28,10 +27,12 @@ from anther.shake import Params as ShakeParams
 from anther.shake.choice import FLOWER_ACCELERATION, MOST_SPEED
 from anther.shake.observables import semi_major
 
-DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 TURNS = np.pi * np.arange(12) / 12
 """Horizontal directions that are tried for the best one [rad]."""
 MODES, LISTED = 4, 12
+BASE = 0.05
+"""Length of main stem above the root that is left out [m], at most a quarter of it: next to the soil a small shake is a
+long lever, which no stem bears."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +45,6 @@ class Args(PlantOptions):
     """Nodes where the plant is gripped. By default the main stem's."""
     heights: int = 40
     """At most so many of the main stem's nodes, evenly picked."""
-    base_margin: float = 0.05
-    """Length of main stem above the root that is left out [m], at most a quarter of it: next to the soil a small shake
-    is a long lever, which no stem bears."""
     axis: Literal["best", "x", "y", "z"] = "best"
     """Shake direction; by default, for each cell of the map, the best of 12 horizontal ones."""
     lowest: float = 1.0
@@ -94,7 +92,6 @@ def _check(args: Args) -> None:
     check_range("highest", args.highest, args.lowest, 1e4, "Hz")
     check_range("frequencies", args.frequencies, 1, 10_000)
     check_range("heights", args.heights, 1, 10_000)
-    check_range("base_margin", args.base_margin, 0, 10, "m")
 
 
 def _flowers(args: Args, plant: RodPlant) -> NDArray[Any]:
@@ -115,7 +112,7 @@ def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
     else:
         stem = plant.stem_nodes
         assert stem is not None
-        low = min(args.base_margin, 0.25 * float(distance[stem].max()))
+        low = min(BASE, 0.25 * float(distance[stem].max()))
         free = np.setdiff1d(stem[distance[stem] >= low], plant.clamp.nodes)
         if not len(free):
             raise bad_input("grips", given="none", allowed="a main stem that is not clamped", do="Name --grips.")
@@ -124,13 +121,9 @@ def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
 
 
 def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[Any]) -> GripResponse:
-    """Return the response of the flowers at every grip and frequency; tissue is hysteretic: one damping ratio for all.
+    """Return how the flowers (F,) of a plant at rest answer at every grip (G,) and frequency (Q,).
 
-    Args:
-        args: frequencies, direction, amplitude and pads.
-        plant: at rest in its scanned shape.
-        grips: (G,) grip nodes.
-        flowers: (F,) observed nodes.
+    Tissue is hysteretic: one damping ratio for all.
     """
     hertz = np.geomspace(args.lowest, args.highest, args.frequencies)
     held = [held_nodes(plant, int(grip), args.pads) for grip in grips]
@@ -142,7 +135,7 @@ def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[A
         moves[:, same] = response_map(
             plant.rods, plant.clamp, pads, np.eye(3), hertz, observe=flowers, loss_factor=loss
         )
-    ways = [DIRECTIONS[args.axis]] if args.axis != "best" else [(np.cos(a), np.sin(a), 0.0) for a in TURNS]
+    ways = [AXES[args.axis]] if args.axis != "best" else [(np.cos(a), np.sin(a), 0.0) for a in TURNS]
     ratio, direction = _best_direction(moves, np.array(ways))
     amplitude = arm_amplitude(hertz) if args.arm else np.full(len(hertz), args.amplitude)
     bar = Console(stderr=True)
@@ -225,34 +218,23 @@ def natural_modes(plant: RodPlant) -> tuple[Array, Array]:
 
 
 def write_csv(path: Path, plant: RodPlant, response: GripResponse) -> None:
-    """Write one row per grip and frequency; docs/elastic_rod.md names the columns."""
+    """Write one row per grip and frequency; mean, least and most are over the flowers."""
     acceleration, nodes = response.acceleration, plant.rods.nodes
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
-        for g, grip in enumerate(response.grips):
-            for q, frequency in enumerate(response.frequencies):
-                there, ratio = acceleration[q, g], response.ratio[q, g]
-                row = [response.distance[g], nodes[grip, 2], frequency, *response.direction[q, g]]
-                row += [response.amplitude[q], ratio.mean(), there.mean(), there.min(), there.max()]
-                table.writerow([plant.numbers[grip], *(f"{value:.6g}" for value in row)])
+    rows = []
+    for g, grip in enumerate(response.grips):
+        for q, frequency in enumerate(response.frequencies):
+            there, ratio = acceleration[q, g], response.ratio[q, g]
+            row = [response.distance[g], nodes[grip, 2], frequency, *response.direction[q, g]]
+            row += [response.amplitude[q], ratio.mean(), there.mean(), there.min(), there.max()]
+            rows.append([str(plant.numbers[grip]), *(f"{value:.6g}" for value in row)])
+    write_text(path, "".join(",".join(row) + "\r\n" for row in (COLUMNS, *rows)))
 
 
 COLUMNS = (
-    "grip_node",
-    "grip_distance_m",
-    "grip_z_m",
-    "frequency_hz",
-    "direction_x",
-    "direction_y",
-    "direction_z",
-    "grip_amplitude_m",
-    "amplitude_ratio_mean",
-    "acceleration_mean_m_s2",
-    "acceleration_least_m_s2",
+    "grip_node", "grip_distance_m", "grip_z_m", "frequency_hz", "direction_x", "direction_y", "direction_z",
+    "grip_amplitude_m", "amplitude_ratio_mean", "acceleration_mean_m_s2", "acceleration_least_m_s2",
     "acceleration_most_m_s2",
-)
-"""Of response_map.csv; mean, least and most are over the flowers."""
+)  # fmt: skip
 
 
 def _title(args: Args) -> str:

@@ -17,12 +17,13 @@ from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile
 from anther.geometry import Array
 from anther.identification import read_material
-from anther.plant import MARGIN, Material, PlantModel
+from anther.plant import MARGIN, PlantModel
 from anther.runs import FILES
 from anther.shake import Crop
 from anther.skeleton import Skeleton
 
-YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+USUAL = {"youngs": 100e6, "density": 1100.0, "bend_over_twist": 1.5, "damping_ratio": 0.05}
 """Of a bare skeleton: E of a tomato stem [Pa], the authors' density [kg/m^3], a round bar [-], and zeta [-]."""
 
 
@@ -57,12 +58,6 @@ class PlantOptions:
     petioles; 0: no twist, as in the paper."""
     damping_ratio: float | None = None
     """Share of critical damping. By default 0.05, or that of the run."""
-    air_drag: float = 0.0
-    """Drag per length [N s/m^2]."""
-    node_drag: float = 0.0
-    """Drag at every node [N s/m]; the authors' solver has 0.5."""
-    clamp_below: float | None = None
-    """Hold every node with z below this [m]. The root and the direction of the stem there are always held."""
     pads: float = 0.0
     """Length of stem between the gripper's pads [m], which hold its direction too; 0 moves one node, about which the
     stem may turn."""
@@ -76,7 +71,7 @@ class RodPlant:
 
     Attributes:
         rods: the rods.
-        clamp: what the soil holds.
+        clamp: what the soil holds: the root, and the direction of the stem there.
         numbers: (N,) what the user calls each node.
         damping_ratio: share of critical damping [-].
         stem_nodes: (S,) main stem, root first; None where it is still to be found.
@@ -120,17 +115,16 @@ def read_plant(options: PlantOptions) -> RodPlant:
     Raises:
         InputError: a bad file or option.
     """
-    if options.damping_ratio is not None:
-        check_range("damping_ratio", options.damping_ratio, 0, 10)
+    check_range("damping_ratio", options.damping_ratio or 0.0, 0, 10)
     check_range("least_radius", options.least_radius, 0, 1, "m")
     check_range("pads", options.pads, 0, 1, "m")
-    if options.material is not None:
-        options = _with_material(options, read_material(options.material))
-    plant = _of_run(options) if options.skeleton.is_dir() else _of_skeleton(options)
-    drag = np.asarray(plant.rods.node_drag) + options.node_drag
-    rods = replace(plant.rods, discretisation=options.discretisation, air_drag=options.air_drag, node_drag=drag)
-    clamp = Clamp.root(rods) if options.clamp_below is None else Clamp.below(rods, options.clamp_below)
-    return replace(plant, rods=rods, clamp=clamp)
+    material = None if options.material is None else read_material(options.material)
+    stated = {name: getattr(options, name) for name in USUAL}
+    given = {} if material is None else {name: getattr(material, name) for name in USUAL}
+    given |= {name: value for name, value in stated.items() if value is not None}
+    plant = _of_run(options, given) if options.skeleton.is_dir() else _of_skeleton(options, given)
+    rods = replace(plant.rods, discretisation=options.discretisation)
+    return replace(plant, rods=rods, clamp=Clamp.root(rods))
 
 
 def with_stem(plant: RodPlant) -> RodPlant:
@@ -146,58 +140,47 @@ def with_stem(plant: RodPlant) -> RodPlant:
     return replace(plant, stem_nodes=stem.node_ids, notes=(*plant.notes, *stem.notes))
 
 
-def _with_material(options: PlantOptions, material: Material) -> PlantOptions:
-    names = ("youngs", "density", "bend_over_twist", "damping_ratio")
-    return replace(options, **{name: _given(getattr(options, name), getattr(material, name)) for name in names})
-
-
-def _of_skeleton(options: PlantOptions) -> RodPlant:
+def _of_skeleton(options: PlantOptions, given: dict[str, float]) -> RodPlant:
     source, skeleton = read_source(options.skeleton, radius=options.radius, root=options.root, crop=options.crop)
     tip = None if options.stem_tip is None else source.node(node_named("--stem-tip", options.stem_tip, source))
     stem = None if tip is None else skeleton.path_from_root(tip)
+    made, radius = USUAL | given, 0.5 * (skeleton.radius + skeleton.radius[skeleton.parent])
     rods = Rods(
         nodes=skeleton.nodes,
         parent=skeleton.parent,
-        edge_radius=np.maximum(0.5 * (skeleton.radius + skeleton.radius[skeleton.parent]), options.least_radius),
-        youngs=_given(options.youngs, YOUNGS),
-        density=_given(options.density, DENSITY),
-        bend_over_twist=_given(options.bend_over_twist, BEND_OVER_TWIST),
+        edge_radius=np.maximum(radius, options.least_radius),
+        youngs=made["youngs"],
+        density=made["density"],
+        bend_over_twist=made["bend_over_twist"],
     )
-    zeta = _given(options.damping_ratio, DAMPING_RATIO)
     nowhere = np.zeros(0, np.int64)
-    return RodPlant(rods, Clamp.root(rods), source.numbers, zeta, stem, nowhere, options.youngs is not None)
+    return RodPlant(
+        rods, Clamp.root(rods), source.numbers, made["damping_ratio"], stem, nowhere, youngs_given="youngs" in given
+    )
 
 
-def _of_run(options: PlantOptions) -> RodPlant:
+def _of_run(options: PlantOptions, given: dict[str, float]) -> RodPlant:
+    """Return the plant model of a run; its pedicels keep their own radius and stiffness."""
     if options.root is not None or options.stem_tip is not None:
         raise bad_input("--root or --stem-tip", given="with a run folder", allowed="skeleton files", do="Leave it out.")
     path = options.skeleton / FILES["plant model"]
     if not path.exists():
-        raise bad_input(
-            str(options.skeleton),
-            given=f"a folder without {path.name}",
-            allowed="a run folder of `anther trial` that has a plant model, or a skeleton file",
-            do=f"A run that only saw the plant has a skeleton: name its {FILES['skeleton']}.",
-        )
+        allowed = "a run folder of `anther trial` that has a plant model, or a skeleton file"
+        do = f"A run that only saw the plant has a skeleton: name its {FILES['skeleton']}."
+        raise bad_input(str(options.skeleton), given=f"a folder without {path.name}", allowed=allowed, do=do)
     model = PlantModel.load(path)
     made, rods, stalk = model.material, model.rods, model.is_pedicel
-    radius = rods.edge_radius if options.radius is None else np.where(stalk, rods.edge_radius, options.radius)
-    youngs = rods.youngs if options.youngs is None else np.where(stalk, rods.youngs, options.youngs)
-    density = rods.density if options.density is None else options.density
+    radius = np.maximum(rods.edge_radius if options.radius is None else options.radius, options.least_radius)
     rods = replace(
         rods,
-        edge_radius=np.where(stalk, radius, np.maximum(radius, options.least_radius)),
-        youngs=youngs,
-        density=density,
-        bend_over_twist=_given(options.bend_over_twist, made.bend_over_twist),
+        edge_radius=np.where(stalk, rods.edge_radius, radius),
+        youngs=np.where(stalk, rods.youngs, given.get("youngs", rods.youngs)),
+        density=given.get("density", rods.density),
+        bend_over_twist=given.get("bend_over_twist", made.bend_over_twist),
         natural=None,
     )
-    zeta = _given(options.damping_ratio, made.damping_ratio)
+    zeta = given.get("damping_ratio", made.damping_ratio)
     return RodPlant(rods, model.clamp, np.arange(len(rods.nodes)), zeta, model.stem_nodes, model.flower_nodes)
-
-
-def _given(value: float | None, otherwise: float) -> float:
-    return otherwise if value is None else value
 
 
 def hanging(plant: RodPlant, name: object) -> RodPlant:
@@ -219,7 +202,7 @@ def hanging(plant: RodPlant, name: object) -> RodPlant:
             "no_convergence",
             f"{name}: with E = {youngs:g} Pa and these radii the plant buckles under its own weight "
             f"({grams:.3g} g); {enough}. "
-            "Give --youngs, --radius, --least-radius or --density other values, or hold more of it with --clamp-below.",
+            "Give --youngs, --radius, --least-radius or --density other values.",
         )
     return replace(plant, rods=with_gravity_equilibrium(plant.rods, plant.clamp))
 
@@ -237,15 +220,10 @@ def _stiffened(plant: RodPlant, least: float) -> RodPlant:
 
 
 def held_nodes(plant: RodPlant, grip: int, pads: float) -> tuple[int, ...]:
-    """Return the nodes that a grip moves alike: `grip` itself, then those within half the pads' length along the stem.
+    """Return the nodes that a grip moves alike: `grip`, then those within half the pads' length [m] along the stem.
 
-    Upward it follows the child that carries most nodes. Pads shorter than the node spacing still hold one neighbour,
-    because two nodes are what holds a direction.
-
-    Args:
-        plant: the plant.
-        grip: the gripped node.
-        pads: their length [m]; 0 is the grip node alone.
+    Pads of 0 hold the grip node alone; pads shorter than the node spacing still hold one neighbour, because two nodes
+    are what holds a direction.
     """
     if pads == 0:
         return (grip,)

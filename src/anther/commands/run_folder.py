@@ -10,10 +10,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from anther.commands.doctor import installed_version
 from anther.devices import Tap, untapped
 from anther.errors import AntherError, bad_input, missing_extra
 from anther.files import existing, made_folder, read_object, write_json
@@ -113,16 +114,8 @@ def parameters(args: Any) -> dict[str, Any]:
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "anther": version("anther"),
         "python": platform.python_version(),
-        "libraries": {name: _version(name) for name in LIBRARIES},
+        "libraries": {name: installed_version(name) for name in LIBRARIES},
     }
-
-
-def _version(library: str) -> str | None:
-    """Return a library's version; None where the extra that brings it is not installed."""
-    try:
-        return version(library)
-    except PackageNotFoundError:
-        return None
 
 
 def _check_same(folder: Path, args: Any, names: tuple[str, ...]) -> None:

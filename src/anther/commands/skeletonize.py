@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +13,7 @@ import tyro
 from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
+from anther.files import json_text
 from anther.flowers import flower_centres
 from anther.formats.clouds import read_cloud
 from anther.formats.points import Axis, Units
@@ -35,6 +35,8 @@ Place = tuple[float, float, float]
 STEM = {"tomato": 5e-3, "pepper": 6e-3}
 """Radius of a main stem at its base [m]: tomato 4 to 6 mm, remembered, no source found; pepper 5 and 7 mm at harvest
 (facts: pollination 2)."""
+GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "reason")
+"""Numbers of the grasp that are told."""
 ROOTLESS = (".txt", ".ply")
 """Files that say nothing of where the plant stands."""
 
@@ -119,12 +121,8 @@ def place(option: str, text: str) -> Place:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise bad_input(
-            option,
-            given=text,
-            allowed="x,y,z in metres, as `anther view` prints it on a click",
-            do=f"Write {option}=0.01,0.02,0.",
-        ) from None
+        allowed = "x,y,z in metres, as `anther view` prints it on a click"
+        raise bad_input(option, given=text, allowed=allowed, do=f"Write {option}=0.01,0.02,0.") from None
     return x, y, z
 
 
@@ -174,7 +172,7 @@ def run(args: Args) -> None:
     if args.out is not None:
         write_results(args.out, cloud, skeleton, stem, grasps)
     result = summary(cloud, skeleton, stem, grasps[0], notes) | {"seconds": seconds, "out": args.out}
-    print(json.dumps(result, indent=2, default=_plain) if args.json else _text(result))
+    print(json_text(result).rstrip() if args.json else _text(result))
 
 
 def best_grasps(
@@ -204,22 +202,8 @@ def write_results(folder: Path, cloud: Cloud, skeleton: Skeleton, stem: Stem, gr
     save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), folder / "overview.png")
 
 
-def grasp_numbers(grasp: Grasp) -> dict[str, Any]:
-    """Return the grasp as numbers [m] with names; `pose` is x, y, z, qx, qy, qz, qw of the flange."""
-    return {
-        "pose": grasp.pose7,
-        "point": grasp.point,
-        "tangent": grasp.tangent,
-        "approach": grasp.approach,
-        "arc_length": grasp.arc_length,
-        "stem_diameter": grasp.stem_diameter,
-        "clearance": grasp.clearance,
-        "reason": grasp.reason,
-    }
-
-
 def summary(cloud: Cloud, skeleton: Skeleton, stem: Stem, grasp: Grasp, notes: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Return what was found, in words and numbers [m]."""
+    """Return what was found, in words and numbers [m]; the grasp's pose is x, y, z, qx, qy, qz, qw of the flange."""
     return {
         "points": len(cloud.points),
         "nodes": len(skeleton.nodes),
@@ -228,7 +212,7 @@ def summary(cloud: Cloud, skeleton: Skeleton, stem: Stem, grasp: Grasp, notes: t
         "stem_length": float(stem.arc_length[-1]),
         "stem_diameter_at_grasp": grasp.stem_diameter,
         "attachments": len(stem.attachments),
-        "grasp": grasp_numbers(grasp),
+        "grasp": {"pose": grasp.pose7} | {name: getattr(grasp, name) for name in GRASP},
         "notes": [*cloud.notes, *skeleton.notes, *stem.notes, *notes],
     }
 
@@ -243,7 +227,3 @@ def _text(result: dict[str, Any]) -> str:
         f"{result['seconds']:.1f} s" + (f"; results in {result['out']}" if result["out"] else ""),
     ]
     return "\n".join(lines)
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else str(value)
