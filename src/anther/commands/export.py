@@ -62,10 +62,8 @@ def labelled_skeleton(source: Path, radius: float | None, *, new_stem: bool) -> 
         file = read_skeleton(source)
         skeleton, labels = file.skeleton(radius), file.labels and list(file.labels)
     elif not (source / FILES["skeleton"]).exists():
-        given, allowed = (
-            f"a folder without {FILES['skeleton']}",
-            "a run folder whose skeleton was made, or a skeleton file",
-        )
+        given = f"a folder without {FILES['skeleton']}"
+        allowed = "a run folder whose skeleton was made, or a skeleton file"
         do = "`anther reconstruct` and `anther trial` fill run folders."
         raise bad_input(str(source), given=given, allowed=allowed, do=do)
     else:
