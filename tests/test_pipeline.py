@@ -142,4 +142,4 @@ def test_a_shake_cut_short_before_the_camera_saw_enough_loses_nothing() -> None:
     trial = SimpleNamespace(frames=(SimpleNamespace(time=1.0),) * 7, steady=(0.0, 2.0), steps=())
     seen = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))))
     words: Any = (SimpleNamespace(robot=robot), trial, GRASPS[0], seen, None)
-    assert pipeline._watched(*words, params=pipeline.Params()) is None
+    assert pipeline._watched(*words) is None

@@ -242,8 +242,8 @@ def pollinate(
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
-            shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params=params, earlier=earlier)
-    answer = _watched(cell, trial, shake, seen, run, params=params)
+            shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
+    answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads)
     felt = feel(trial, shake, cell.limits.forward)
@@ -252,9 +252,7 @@ def pollinate(
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
 
 
-def _watched(
-    cell: RobotSide, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *, params: Params
-) -> Response | None:
+def _watched(cell: RobotSide, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
     """Measure the motion of flowers and stem in the side camera's frames; None when there are too few."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
@@ -265,11 +263,11 @@ def _watched(
         return None
     ids = seen.stem.node_ids
     nodes, radius = seen.skeleton.nodes[ids], seen.skeleton.radius[ids]
-    beside = stem_near(nodes, seen.stem.arc_length, radius, shake.grasp.arc_length)
+    beside = stem_near(nodes, seen.stem.arc_length, radius, plan.grasp.arc_length)
     return run.stage(
         "response",
         Response.load,
-        lambda _: measure_response(frames, camera.intrinsics, pose, seen.flowers, shake.frequency, stem=beside),
+        lambda _: measure_response(frames, camera.intrinsics, pose, seen.flowers, plan.frequency, stem=beside),
     )
 
 
@@ -281,7 +279,6 @@ def _shaken(
     seen: Seen,
     run: Run,
     arrive: Arrive | None,
-    *,
     params: Params,
     earlier: EarlierShake | None,
 ) -> tuple[ShakePlan, Trial]:
@@ -289,52 +286,57 @@ def _shaken(
 
     `arrive` waits for the arm that has gone before the best.
     """
+
+    def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
+        assert at.joints is not None
+        return planner.shake_limit(at.joints, direction, frequencies)
+
+    by_arm = params.actuator == "arm"
+    actuator = shake.ArmShaker(arm_limit) if by_arm else shake.VibratingGripper()
+    robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
+
+    def told(advance: Advance) -> execution.Progress:
+        def begins(done: int, phases: int, phase: str) -> None:
+            advance(done, phases)
+            run.told("phase", phase)
+
+        return begins
+
     while True:
         offered = [g for g in grasps if g.score >= grasps[0].score - grasp.SLACK]
         try:
-            shake = _planned(planner, rods, offered, run, cell.limits, params=params, earlier=earlier)
+            plan = run.stage(
+                "shake plan",
+                ShakePlan.load,
+                lambda _, offered=offered: shake.plan_shake(rods, offered, actuator, params.shake, pressing, earlier),
+            )
         except StageFailure as failure:
             if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
                 raise
             grasps = grasps[len(offered) :]
             continue
-        watched = _watching(cell, rods, shake, seen, params)
-        if watched is None and params.actuator == "gripper":
+        watched = _watching(cell, rods, plan, seen, params)
+        if watched is None and not by_arm:
             why = "a motor shakes only what a side camera watches, and flowers it knows."
             raise StageFailure("limits_exceeded", why)
         run.told("watched", watched)
+        commanded = plan if watched is None else watched.plan
         trial = run.stage(
             "execution",
             Trial.load,
-            lambda advance, shake=shake, arrive=arrive, watched=watched: execution.execute(
-                planner,
-                shake if watched is None else watched.plan,
-                cell.robot if params.actuator == "gripper" else replace(cell.robot, motor=None),
-                cell.limits,
-                progress=_phases_told(run, advance),
-                arrive=arrive,
-                watched=watched,
+            lambda advance, plan=commanded, arrive=arrive, watched=watched: execution.execute(
+                planner, plan, robot, cell.limits, progress=told(advance), arrive=arrive, watched=watched
             ),
         )
-        arrive, planned = None, shake.grasp_index
+        arrive, planned = None, plan.grasp_index
         if watched is not None:
-            shake = watched.executed(trial.steps)
+            plan = watched.executed(trial.steps)
         grasps = [g for i, g in enumerate(grasps) if i != planned]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
-            return shake, trial
+            return plan, trial
 
 
-def _phases_told(run: Run, advance: Advance) -> execution.Progress:
-    """Return what shows a trial's progress and says which phase begins."""
-
-    def begins(done: int, phases: int, phase: str) -> None:
-        advance(done, phases)
-        run.told("phase", phase)
-
-    return begins
-
-
-def _watching(cell: RobotSide, rods: PlantModel, shake: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
+def _watching(cell: RobotSide, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
     """Return what raises the shake by what the side camera sees; None where it cannot."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     wanted = params.escalate or params.actuator == "gripper"
@@ -342,39 +344,14 @@ def _watching(cell: RobotSide, rods: PlantModel, shake: ShakePlan, seen: Seen, p
     if camera is None or pose is None or not wanted or not len(seen.flowers.positions) or seconds < SHORTEST:
         return None
     points = watch_points(rods)
-    tones, pads = shake.tones, params.shake.pads
-    pressing = float(cell.limits.pressing.most(shake.grasp.stem_diameter))
+    pressing = float(cell.limits.pressing.most(plan.grasp.stem_diameter))
     return Escalation(
-        replace(shake, press=max(shake.press, pressing)),
-        foresee(rods, shake.grasp.point, tones.frequencies, points, pads=pads),
+        replace(plan, press=max(plan.press, pressing)),
+        foresee(rods, plan.grasp.point, plan.tones.frequencies, points, pads=params.shake.pads),
         seen.flowers.positions,
         rods.rods.nodes[points],
         camera=(camera.intrinsics, pose),
-        middle=shake.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
+        middle=plan.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
         limits=params.shake,
         params=replace(params.escalation, most_seconds=seconds),
-    )
-
-
-def _planned(
-    planner: MotionPlanner,
-    rods: PlantModel,
-    grasps: list[Grasp],
-    run: Run,
-    limits: SafetyLimits,
-    *,
-    params: Params,
-    earlier: EarlierShake | None,
-) -> ShakePlan:
-    """Choose a shake among the grasps."""
-
-    def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
-        assert at.joints is not None
-        return planner.shake_limit(at.joints, direction, frequencies)
-
-    actuator = shake.ArmShaker(arm_limit) if params.actuator == "arm" else shake.VibratingGripper()
-    return run.stage(
-        "shake plan",
-        ShakePlan.load,
-        lambda _: shake.plan_shake(rods, grasps, actuator, params.shake, limits.pressing, earlier),
     )

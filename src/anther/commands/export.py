@@ -11,7 +11,7 @@ import tyro
 from anther.errors import bad_input
 from anther.files import existing
 from anther.formats.skeletons import WRITES, read_skeleton, write_skeleton
-from anther.runs import FILES
+from anther.runs import FILES, kept
 from anther.skeleton import Skeleton
 from anther.stem import Stem, find_stem
 
@@ -49,25 +49,14 @@ def run(args: Args) -> None:
 def labelled_skeleton(source: Path, radius: float | None, *, new_stem: bool) -> tuple[Skeleton, list[str] | None]:
     """Return (skeleton, organ name a node, or None where nothing tells) of a run folder or skeleton file.
 
-    Args:
-        source: a run folder or a skeleton file.
-        radius: replaces a file's radii [m].
-        new_stem: find the main stem instead of taking the labels that are there.
-
-    Raises:
-        InputError: no skeleton there, or one that cannot be read.
+    `radius` [m] replaces a file's radii; a new stem is found instead of taking the labels that are there.
     """
     labels: list[str] | None = None
     if not existing(source).is_dir():
         file = read_skeleton(source)
         skeleton, labels = file.skeleton(radius), file.labels and list(file.labels)
-    elif not (source / FILES["skeleton"]).exists():
-        given = f"a folder without {FILES['skeleton']}"
-        allowed = "a run folder whose skeleton was made, or a skeleton file"
-        do = "`anther reconstruct` and `anther trial` fill run folders."
-        raise bad_input(str(source), given=given, allowed=allowed, do=do)
     else:
-        skeleton = Skeleton.load(source / FILES["skeleton"])
+        skeleton = Skeleton.load(kept(source, "skeleton"))
         if (source / FILES["stem"]).exists():
             labels = Stem.load(source / FILES["stem"]).organ_names()
     return skeleton, find_stem(skeleton).organ_names() if new_stem else labels

@@ -25,7 +25,7 @@ from anther.pictures import save_figure
 from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.results import PARAMS
-from anther.runs import FILES
+from anther.runs import FILES, kept
 from anther.shake import (
     Actuator,
     ActuatorName,
@@ -148,11 +148,8 @@ def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
     if args.flower or any(given is not None for given in (args.radius, args.root, args.stem_tip)):
         names = "--flower, --radius, --root or --stem-tip"
         raise bad_input(names, given="with a run folder", allowed="skeleton files", do="Leave it out.")
+    skeleton, stem = Skeleton.load(kept(args.source, "skeleton")), Stem.load(kept(args.source, "stem"))
     there = {stage: args.source / name for stage, name in FILES.items() if (args.source / name).exists()}
-    if not {"skeleton", "stem"} <= there.keys():
-        needed = f"a run folder with {FILES['skeleton']} and {FILES['stem']}"
-        raise bad_input(str(args.source), given="a folder without them", allowed=needed, do="Run `anther trial`.")
-    skeleton, stem = Skeleton.load(there["skeleton"]), Stem.load(there["stem"])
     cloud = Cloud.load(there["cloud"]) if "cloud" in there else None
     if "plant model" in there:
         plant = PlantModel.load(there["plant model"])

@@ -18,7 +18,7 @@ from anther.formats.skeletons import SkeletonFile
 from anther.geometry import Array
 from anther.identification import read_material
 from anther.plant import MARGIN, PlantModel
-from anther.runs import FILES
+from anther.runs import kept
 from anther.shake import Crop
 from anther.skeleton import Skeleton
 
@@ -163,12 +163,7 @@ def _of_run(options: PlantOptions, given: dict[str, float]) -> RodPlant:
     """Return the plant model of a run; its pedicels keep their own radius and stiffness."""
     if options.root is not None or options.stem_tip is not None:
         raise bad_input("--root or --stem-tip", given="with a run folder", allowed="skeleton files", do="Leave it out.")
-    path = options.skeleton / FILES["plant model"]
-    if not path.exists():
-        allowed = "a run folder of `anther trial` that has a plant model, or a skeleton file"
-        do = f"A run that only saw the plant has a skeleton: name its {FILES['skeleton']}."
-        raise bad_input(str(options.skeleton), given=f"a folder without {path.name}", allowed=allowed, do=do)
-    model = PlantModel.load(path)
+    model = PlantModel.load(kept(options.skeleton, "plant model"))
     made, rods, stalk = model.material, model.rods, model.is_pedicel
     radius = np.maximum(rods.edge_radius if options.radius is None else options.radius, options.least_radius)
     rods = replace(
