@@ -1,4 +1,8 @@
-"""The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it never began."""
+"""The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it never began.
+
+A command is a module of `anther.commands`: its docstring and `Args` are its help, `run(args)` does it, returns the exit
+code (None is 0), and raises an `AntherError` where something given is wrong or a stage cannot go on.
+"""
 
 from __future__ import annotations
 
@@ -20,8 +24,7 @@ from typing import Any
 PATIENCE = 2.0  # s
 
 COLLECT_EVERY = 100_000
-"""Garbage is looked for after so many new objects. Python's 700 costs a fifth of the time of `anther skeletonize`: its
-libraries make half a million that live to the end."""
+"""Garbage is looked for after so many new objects: Python's 700 costs a fifth of the time of `anther skeletonize`."""
 
 COMMANDS = {
     "trial": "see, grasp and shake one plant, in the simulated cell or a real one, measure it, write a report",
@@ -55,7 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         atexit.register(_leave_garbage)
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in {"-h", "--help"}:
-        print(_overview())
+        rows = "\n".join(f"  {name:16}{text}" for name, text in COMMANDS.items())
+        ends = "anther COMMAND --help tells a command's options, --help-all also the parameters of its stages."
+        print(f"usage: anther COMMAND [options]\n\n{rows}\n\n{ends}")
         return 0 if words else 2
     if words[0] == "--version":
         from anther import __version__
@@ -184,12 +189,6 @@ def _short_help(name: str, parse: Callable[[], Any]) -> None:
 def _module(name: str) -> ModuleType:
     """Import only the chosen command, so that the others cost nothing."""
     return import_module(f"anther.commands.{name.replace('-', '_')}")
-
-
-def _overview() -> str:
-    rows = "\n".join(f"  {name:16}{text}" for name, text in COMMANDS.items())
-    ends = "anther COMMAND --help tells a command's options, --help-all also the parameters of its stages."
-    return f"usage: anther COMMAND [options]\n\n{rows}\n\n{ends}"
 
 
 if __name__ == "__main__":

@@ -215,7 +215,12 @@ def _motion(results: RunResults) -> str:
     text += f"<p>{escape(worth(felt, results.crop or ''))}</p>"
     text += _beside(results, measured)
     header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
-    return text + picture + _film(results) + _table(header, rows)
+    film = results.folder / FILM
+    if film.is_file():
+        told = base64.b64encode(film.read_bytes()).decode()
+        alt = "the end of the shake, at half its speed"
+        picture += f"<p><img class=film alt='{alt}' src='data:image/gif;base64,{told}'></p>"
+    return text + picture + _table(header, rows)
 
 
 def _beside(results: RunResults, measured: Array) -> str:
@@ -231,14 +236,6 @@ def _beside(results: RunResults, measured: Array) -> str:
     if true is not None:
         cells["True (simulated; all flowers)"] = _number(float(true))
     return _table(["Median flower", *cells], [["peak acceleration", *cells.values()]])
-
-
-def _film(results: RunResults) -> str:
-    film = results.folder / FILM
-    if not film.is_file():
-        return ""
-    told = base64.b64encode(film.read_bytes()).decode()
-    return f"<p><img class=film alt='the end of the shake, at half its speed' src='data:image/gif;base64,{told}'></p>"
 
 
 def _measured(response: Response, flower: int) -> str:

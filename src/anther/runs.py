@@ -157,6 +157,6 @@ def kept(folder: Path, stage: str) -> Path:
     """
     if not (folder / FILES[stage]).exists():
         do = "`anther reconstruct` goes as far as the grasp, `anther trial` through all stages."
-        allowed = f"a run folder that came to its {stage}, or a skeleton file"
+        allowed = f"a run folder with {FILES[stage]}, or a skeleton file"
         raise bad_input(str(folder), given=f"a folder without {FILES[stage]}", allowed=allowed, do=do)
     return folder / FILES[stage]

@@ -60,11 +60,7 @@ class Args:
 
 
 def run(args: Args) -> int:
-    """Find the corners, calibrate, print and write the result; or do so live, or check. Return the exit code.
-
-    Raises:
-        AntherError: a bad file or option, views that do not determine the result, or a machine that refuses.
-    """
+    """Find the corners, calibrate, print and write the result; or do so live, or check. Return the exit code."""
     _check_options(args)
     if args.cell is None:
         _from_files(args)
@@ -111,11 +107,7 @@ def _option(name: str) -> str:
 
 
 def check_size(given: Intrinsics, size: tuple[int, int], whose: str) -> None:
-    """Check that intrinsics are of images of `size` (width, height) [px].
-
-    Raises:
-        InputError: they are not.
-    """
+    """Check that intrinsics are of images of `size` (width, height) [px]."""
     if (given.width, given.height) != size:
         own, allowed = f"{given.width} x {given.height} px", f"{size[0]} x {size[1]} px, as {whose}"
         raise bad_input("intrinsics", given=own, allowed=allowed, do="Give those of this resolution.")

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,7 +14,7 @@ import numpy as np
 import tyro
 
 if TYPE_CHECKING:
-    from anther.cells import CellFile, Part
+    from anther.cells import CellFile
     from anther.devices import Arm, Camera, JointTrajectory
 
 FARTHEST = 10.0
@@ -38,11 +39,7 @@ class Args:
 
 
 def run(args: Args) -> int:
-    """Do it; return 0, or 1 where a part is missing.
-
-    Raises:
-        AntherError: a bad file, a machine that does not answer, or a motion that the limits refuse.
-    """
+    """Do it; return 0, or 1 where a part is missing."""
     from anther.cells import read_cell
 
     file = read_cell(args.file)
@@ -74,33 +71,31 @@ def check(file: CellFile) -> int:
     from anther.errors import AntherError
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
+    looks = (
+        ("arm", file.arm, partial(_arm_seen, file=file)),
+        ("gripper", file.gripper, _gripper_seen),
+        ("wrist camera", file.wrist_camera, _camera_seen),
+        ("side camera", file.side_camera, _camera_seen),
+        ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
+    )
     with kept_open(file) as keep:
         arm: Any = None
-
-        def look(name: str, part: Part | None, see: Callable[[Any], list[str]]) -> Any:
-            nonlocal missing
+        for name, part, see in looks:
             if part is None:
                 table.add_row(name, "-", "none in the file")
-                return None
+                continue
             try:
                 machine = keep(file.connect(part, arm=arm))
-                seen = see(machine)
+                seen = "\n".join(see(machine))
+                arm = machine if name == "arm" else arm
             except AntherError as error:
                 missing += 1
-                table.add_row(name, part.driver, f"MISSING: {error}")
-                return None
-            table.add_row(name, part.driver, "\n".join(seen))
-            return machine
-
-        arm = look("arm", file.arm, lambda machine: _arm_seen(machine, file))
-        look("gripper", file.gripper, _gripper_seen)
-        look("wrist camera", file.wrist_camera, _camera_seen)
-        look("side camera", file.side_camera, _camera_seen)
-        look("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"])
+                seen = f"MISSING: {error}"
+            table.add_row(name, part.driver, seen)
     table.add_row("limits", "", "\n".join(_limits_words(file)))
     Console(markup=False, highlight=False).print(table)
-    print("all parts are there; nothing was moved" if not missing else f"{missing} missing; nothing was moved")
-    return 0 if not missing else 1
+    print(f"{f'{missing} missing' if missing else 'all parts are there'}; nothing was moved")
+    return int(missing > 0)
 
 
 def enable(file: CellFile) -> int:
@@ -120,11 +115,7 @@ def enable(file: CellFile) -> int:
 
 
 def jog(file: CellFile, joint: int | None, degrees: float) -> int:
-    """Move one joint, None is the last, a little and tell where it went, after a yes.
-
-    Raises:
-        StageFailure: the way is not free, or passes a limit; nothing moved.
-    """
+    """Move one joint, None is the last, a little and tell where it went, after a yes."""
     from anther.checks import check_range
     from anther.safety import GuardedArm
 

@@ -31,11 +31,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Convert, in metres; the world's z axis stays the turntable's, which is the plant's up axis.
-
-    Raises:
-        InputError: a file is missing or unusable.
-    """
+    """Convert, in metres; the world's z axis stays the turntable's, which is the plant's up axis."""
     capture = read_kinect(args.source)
     capture.save(args.out)
     size = f"{capture.intrinsics.width} x {capture.intrinsics.height} px"

@@ -31,12 +31,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Read, write, and say what was written.
-
-    Raises:
-        InputError: the source has no skeleton, cannot be read, or the suffix is unknown.
-        StageFailure: a stem was asked for and there is none.
-    """
+    """Read, write, and say what was written."""
     if args.out.suffix.lower() not in WRITES:
         raise bad_input("out", given=str(args.out), allowed=" ".join(WRITES), do="Choose one of these suffixes.")
     skeleton, labels = labelled_skeleton(args.source, args.radius, new_stem=args.find_stem)

@@ -35,11 +35,7 @@ ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
 
 
 def run(args: Args) -> None:
-    """Fit and print; draw when asked to.
-
-    Raises:
-        InputError: a history that cannot be read, or a figure that is no .png.
-    """
+    """Fit and print; draw when asked to."""
     if args.figure is not None and args.figure.suffix.lower() != ".png":
         raise bad_input("figure", given=str(args.figure), allowed="a name that ends in .png", do="Name it so.")
     outcomes = read_outcomes(args.history, species=args.species)

@@ -59,11 +59,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Add, export or list.
-
-    Raises:
-        InputError: a history, folder or option that cannot be used.
-    """
+    """Add, export or list."""
     kinds = ("held_unharmed", "failure", *get_args(FailureKind))
     if args.result is not None and args.result not in kinds:
         raise bad_input("result", given=f"'{args.result}'", allowed=", ".join(kinds), do="Choose one.")

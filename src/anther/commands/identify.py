@@ -73,11 +73,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Read the files, identify, print and write the results.
-
-    Raises:
-        InputError: a bad file or option, or nothing to identify.
-    """
+    """Read the files, identify, print and write the results."""
     plucks = [_pluck(path, args.start) for path in args.trace]
     test = _material_test(args, tuple(pluck.fit for pluck in plucks))
     found = identify(test)

@@ -31,12 +31,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Import, write, and say what was written.
-
-    Raises:
-        MissingExtra: a bag, and rosbags or mcap is not installed.
-        InputError: the source is of no known kind, lacks something, or cannot be read.
-    """
+    """Import, write, and say what was written."""
     source, up, scale = existing(args.source), args.up, args.scale
     kind, to_cloud = source.suffix.lower(), args.out.suffix.lower() == ".ply"
     notes: tuple[str, ...] = ()

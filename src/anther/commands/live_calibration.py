@@ -91,11 +91,7 @@ class Eye:
     camera: Camera
 
     def look(self) -> tuple[NDArray[Any], Array]:
-        """Return a grey image (H, W) uint8 and the joints (J,) [rad] that it was taken from.
-
-        Raises:
-            DeviceError: the arm moved meanwhile, or what arm and camera raise.
-        """
+        """Return a grey image (H, W) uint8 and the joints (J,) [rad] that it was taken from."""
         before, image = self.arm.joints(), cv2.cvtColor(self.camera.read().rgb, cv2.COLOR_RGB2GRAY)
         after = self.arm.joints()
         if (moved := float(np.abs(after - before).max())) > STILL:
@@ -134,9 +130,6 @@ def live(
     """Take views, tell what they give, write the result into the cell file; return 0, or 1 where they lack something.
 
     The options are those of `anther calibrate`.
-
-    Raises:
-        AntherError: a bad file or option, no board, or a machine that refuses. Views that were taken are kept.
     """
     file, ask = read_cell(cell), Asking(yes)
     parse_board(board)
@@ -179,9 +172,6 @@ def gather(eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False) -> Han
     """Take views until they are enough and the error of a left-out view is steady; return what they give.
 
     It ends also when a person says so, when no further view can be reached, and after `MOST`.
-
-    Raises:
-        StageFailure: the arm refuses, or the board is not seen where it was expected.
     """
     found = taken.solved()
     history, missed, in_a_row = [found], list[Array](), 0
@@ -311,9 +301,6 @@ def check(cell: Path, *, yes: bool = False) -> int:
 
     Returns:
         0 if nothing has, 1 if anything has, 2 where a person said no.
-
-    Raises:
-        AntherError: a bad file, no calibration to compare with, or a machine that refuses.
     """
     file, begin = read_cell(cell), time.monotonic()
     folder = _calibration_of(file)

@@ -36,11 +36,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Record the count and say to what it belongs.
-
-    Raises:
-        InputError: no such plant or visit, more fruit than flowers, or a history that cannot be written.
-    """
+    """Record the count and say to what it belongs."""
     species, plant, visit = _meant(args)
     outcome = Outcome(species, plant, args.flowers, args.fruit, args.date, visit, args.note)
     number = record_outcome(outcome, args.history)

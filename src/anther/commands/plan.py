@@ -92,12 +92,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Plan the shake, print it, and write it to `out`.
-
-    Raises:
-        InputError: a bad file or option.
-        StageFailure: no flower, no grasp, a plant that cannot stand, or no shake within the limits.
-    """
+    """Plan the shake, print it, and write it to `out`."""
     plant, grasps = read_plant(args)
     run_params = args.source / PARAMS
     asked = read_object(run_params) if run_params.is_file() else {}
@@ -135,12 +130,7 @@ def _params(args: Args) -> Params:
 
 
 def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
-    """Return the plant as rods, and the grasps to choose from.
-
-    Raises:
-        InputError: a bad file or option, a folder that is no run, a flower on no node.
-        StageFailure: no stem or grasp, or the plant would buckle.
-    """
+    """Return the plant as rods, and the grasps to choose from."""
     measured = None if args.material is None else read_material(args.material)
     material = measured or {"tomato": TOMATO, "pepper": PEPPER}[args.crop]
     if not args.source.is_dir():

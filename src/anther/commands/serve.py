@@ -37,12 +37,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Serve until Ctrl-C.
-
-    Raises:
-        InputError: a history, folder, token, address or port that cannot be used.
-        MissingExtra: FastAPI is not installed.
-    """
+    """Serve until Ctrl-C."""
     check_range("port", args.port, 0, 65535)
     try:
         import uvicorn

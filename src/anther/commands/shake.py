@@ -60,12 +60,7 @@ class Args(PlantOptions):
 
 
 def run(args: Args) -> None:
-    """Simulate the shake, print the flower's motion, and write the results to `out`.
-
-    Raises:
-        InputError: a bad file or option.
-        StageFailure: the rods cannot stand, or the motion cannot be solved.
-    """
+    """Simulate the shake, print the flower's motion, and write the results to `out`."""
     check_range("amplitude", args.amplitude, 0, 1, "m")
     check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
     check_range("end_frequency", args.end_frequency, 1e-3, 1e4, "Hz")

@@ -139,11 +139,7 @@ def _found(folder: Path) -> dict[str, Any]:
 
 
 def typed(kind: Kind, rows: Sequence[Mapping[str, str]]) -> list[dict[str, Any]]:
-    """Return a table's rows with every cell as its option takes it; paths become absolute.
-
-    Raises:
-        InputError: a column that is no option, a value that an option does not take, or no capture.
-    """
+    """Return a table's rows with every cell as its option takes it; paths become absolute."""
     args = {"trial": trial_command.Args, "reconstruct": reconstruct_command.Args}[kind]
     for name in dict.fromkeys(name for row in rows for name in row):
         if _hint(args, name) is None or name in _SET_BY_SWEEP:

@@ -52,10 +52,10 @@ def summarise(
     }
 
 
+NOTHING_SEEN = "Nothing is in sight"
+"""How a watched shake begins to say that the plan alone is carried out."""
 STOPPED = ("device_fault", "interrupted", "limits_exceeded")
 """Ends of an execution that say more than what the judge then found between the pads."""
-
-
 LOADS = {"stem": "stem_strain", "pedicel": "pedicel_strain", "base": "base_strain", "leaf": "leaf_acceleration_ms2"}
 """Kind of load -> its name in trial.json, after "true_"; after "borne_": what this plant bears of it."""
 
@@ -89,10 +89,8 @@ def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure |
 
 def _slipped(trial: Trial) -> str:
     """Return how the gripper felt that it lost what it held, or never had it; empty if it did not."""
-    if len(trial.gripper) < 2:
-        return "nothing was gripped"
-    before, after = (GripperState(opening, force, bool(holds)) for opening, force, holds in trial.gripper[:2].tolist())
-    return lost_grip(before, after) if before.is_gripping else "nothing was gripped"
+    states = [GripperState(opening, force, bool(holds)) for opening, force, holds in trial.gripper[:2].tolist()]
+    return lost_grip(*states) if len(states) == 2 and states[0].is_gripping else "nothing was gripped"
 
 
 def _felt(done: Done) -> Array:
@@ -132,10 +130,6 @@ def _flowers(how: str, amplitude: Array, acceleration: Array) -> dict[str, Any]:
         f"{how}_flower_acceleration_ms2": acceleration,
         f"{how}_flower_acceleration_median_ms2": _median(acceleration),
     }
-
-
-NOTHING_SEEN = "Nothing is in sight"
-"""How a watched shake begins to say that the plan alone is carried out."""
 
 
 def _watched(cell: SimulatedCell | HardwareCell | None, done: Done | None, params: Params) -> dict[str, Any]:

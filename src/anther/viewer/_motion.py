@@ -77,11 +77,7 @@ def motion_of(results: RunResults) -> Replay | None:
 
 
 def _arm(results: RunResults) -> ArmModel:
-    """Return the run's arm; one that Anther does not know by name is in the run's cell file.
-
-    Raises:
-        InputError: that file is gone.
-    """
+    """Return the run's arm; one that Anther does not know by name is in the run's cell file."""
     if results.simulated:
         return in_simulated_cell(results.arm)
     return named(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model
