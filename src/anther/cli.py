@@ -12,12 +12,13 @@ import io
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from importlib import import_module
 from signal import SIGTERM, default_int_handler, signal
-from threading import Event, Thread, current_thread, main_thread
+from threading import current_thread, main_thread
 from types import ModuleType
 from typing import Any
 
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[0] not in COMMANDS:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
         return 2
-    with _terminated_as_interrupted(), _compiling_told(words[0]):
+    with _terminated_as_interrupted():
         return _run(words[0], words[1:])
 
 
@@ -96,41 +97,25 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 @contextmanager
 def _compiling_told(name: str) -> Iterator[None]:
-    """Say so when a command that has not ended after `PATIENCE` compiles code, which takes a minute and is kept."""
-    heard: list[Any] = []
-    ended = Event()
-
-    def listen() -> None:
-        numba: Any = None
-        while numba is None or numba.__spec__._initializing:  # a module imported by two threads at once is broken
-            if ended.wait(PATIENCE):
-                return
-            numba = sys.modules.get("numba")
-        from numba.core import event
-
-        class Once(event.Listener):
-            def on_start(self, event: Any) -> None:
-                if len(heard) == 1:
-                    heard.append(event)
-                    print(f"anther {name}: compiling for this machine, once; about a minute ...", file=sys.stderr)
-
-            def on_end(self, event: Any) -> None:
-                pass
-
-        heard.append(Once())
-        event.register("numba:compile", heard[0])
-
-    listener = Thread(target=listen, daemon=True)
-    listener.start()
-    try:
+    """Say so when a command that has run for `PATIENCE` compiles code, which takes a minute and is kept."""
+    if "numba" not in sys.modules:
         yield
-    finally:
-        ended.set()
-        if heard:
-            from numba.core import event
+        return
+    from numba.core import event
 
-            with suppress(ValueError):
-                event.unregister("numba:compile", heard[0])
+    begin, told = time.monotonic(), list[str]()
+
+    class Once(event.Listener):
+        def on_start(self, event: Any) -> None:
+            if not told and time.monotonic() - begin > PATIENCE:
+                told.append(name)
+                print(f"anther {name}: compiling for this machine, once; about a minute ...", file=sys.stderr)
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Once()):
+        yield
 
 
 def _run(name: str, words: list[str]) -> int:
@@ -144,7 +129,9 @@ def _run(name: str, words: list[str]) -> int:
         parse = partial(tyro.cli, command.Args, prog=f"anther {name}", description=command.__doc__, args=asked)
         if asked == words and {"-h", "--help"} & set(words):
             _short_help(name, parse)
-        return int(command.run(parse()) or 0)
+        args = parse()
+        with _compiling_told(name):
+            return int(command.run(args) or 0)
     except (AntherError, ImportError) as error:
         told = error if isinstance(error, AntherError) else missing_extra(error)
         if told is None:

@@ -34,13 +34,9 @@ EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.gif", "tria
 
 
 class Finding(NamedTuple):
-    """One of the three questions about a trial, and its answer.
+    """One of the three questions about a trial, its answer in a few words, and the numbers behind it.
 
-    Attributes:
-        question: in words.
-        good: whether it is what was wanted; None where it never came to that.
-        said: the answer in a few words.
-        why: the numbers behind it, "" if there are none.
+    `good` is whether it is what was wanted; None where it never came to that.
     """
 
     question: str
@@ -136,8 +132,13 @@ class RunResults:
         s = self.summary or {}
         if "held" not in s:
             return ()
-        organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
-        between = _gripped(s) if s["unharmed"] is None else f"simulated: {organ} between the pads, {_slip(s)}"
+        opening, slip, between = s.get("grip_opening_m"), s.get("true_slip_m"), ""
+        if s["unharmed"] is not None:
+            organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
+            slipped = "not shaken" if slip is None or not np.isfinite(slip) else f"it slipped {1000 * slip:.1f} mm"
+            between = f"simulated: {organ} between the pads, {slipped}"
+        elif opening is not None:
+            between = f"the pads stood {1000 * opening:.1f} mm apart, with {s['grip_force_n']:.0f} N"
         return (
             Finding("Was the main stem held?", s["held"], "yes" if s["held"] else "no", between),
             Finding("Was the plant harmed?", s["unharmed"], *_harm(s)),
@@ -163,25 +164,13 @@ class RunResults:
     def notes(self) -> list[str]:
         """Return what the stages want the user to know, in order."""
         stages = (self.cloud, self.skeleton, self.stem, self.flowers, self.shake, self.response)
-        notes = [str(note) for stage in stages if stage is not None for note in getattr(stage, "notes", ())]
+        notes = [str(note) for stage in stages for note in getattr(stage, "notes", ())]
         return notes + [note for note in self.doubts() if note not in notes]
 
     def doubts(self) -> list[str]:
         """Return a line for the main stem and for the best grasp if their confidence is low."""
         stem = () if self.stem is None else doubt(self.stem.confidence)
         return [*stem, *(note for grasp in self.grasps[:1] for note in doubt(grasp.confidence, "best grasp"))]
-
-
-def _gripped(s: dict[str, Any]) -> str:
-    opening, force = s.get("grip_opening_m"), s.get("grip_force_n")
-    if opening is None or force is None:
-        return ""
-    return f"the pads stood {1000 * opening:.1f} mm apart, with {force:.0f} N"
-
-
-def _slip(s: dict[str, Any]) -> str:
-    slip = s.get("true_slip_m")
-    return "not shaken" if slip is None or not np.isfinite(slip) else f"it slipped {1000 * slip:.1f} mm"
 
 
 def _harm(s: dict[str, Any]) -> tuple[str, str]:

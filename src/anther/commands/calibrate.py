@@ -19,8 +19,6 @@ from anther.geometry import Array, Intrinsics
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 BENT = 0.3
 """Distortion from which on the other commands need undistorted images [px]."""
-COVERED = 0.4
-"""Share of the image that corners should cover where intrinsics are estimated [-]."""
 
 
 @dataclass(frozen=True)
@@ -205,6 +203,7 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
 
 def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Array) -> list[str]:
     from anther.calibration import image_coverage, largest_distortion
+    from anther.calibration.taken import COVERED
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)

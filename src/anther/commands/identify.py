@@ -28,10 +28,8 @@ from anther.identification.measurements import DEFLECTION, LEAVES, PROFILE, SAMP
 from anther.pictures import save_figure
 from anther.pictures.estimates import Pluck, draw_material_test
 
-GIVEN_ERROR = 0.01
-"""Relative standard error of a frequency that is given without one [-]."""
-GIVEN_DENSITY_ERROR = 0.05
-"""Relative standard error of a density that is given without one [-], the spread of the prior."""
+GIVEN_ERROR, GIVEN_DENSITY_ERROR = 0.01, 0.05
+"""Relative standard error of a frequency and of a density (the prior's spread) that are given without one [-]."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,11 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
         tip = read_measurements(args.deflection, DEFLECTION)
         measured |= {"tip_mass": tip["mass"], "deflection": tip["deflection"]}
     orientation: Orientation = args.orientation or "weightless"
-    density = _given_density(args)
+    density = None
+    if args.density is not None:
+        check_range("density", args.density, 10, 5000, "kg/m3")
+        error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
+        density = args.density, check_range("density_error", error, 0, args.density / 2, "kg/m3")
     return MaterialTest(stem, orientation, density=density, plucks=plucks, errors=args.errors, **measured)
 
 
@@ -136,15 +138,6 @@ def _refuse_contradictions(args: Args) -> None:
     for name, given, effective, needed in useless:
         if given and not effective:
             raise InputError(f"--{name} has no effect without {needed}. Add it, or leave --{name} out.")
-
-
-def _given_density(args: Args) -> tuple[float, float] | None:
-    if args.density is None:
-        return None
-    check_range("density", args.density, 10, 5000, "kg/m3")
-    error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
-    check_range("density_error", error, 0, args.density / 2, "kg/m3")
-    return args.density, error
 
 
 def _stem(args: Args) -> ClampedStem | None:

@@ -67,11 +67,9 @@ class PlantOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RodPlant:
-    """A plant as elastic rods without viscosity. N nodes, S stem nodes, F flowers.
+    """A plant as elastic rods without viscosity, of which the soil holds the root. N nodes, S stem nodes, F flowers.
 
     Attributes:
-        rods: the rods.
-        clamp: what the soil holds: the root, and the direction of the stem there.
         numbers: (N,) what the user calls each node.
         damping_ratio: share of critical damping [-].
         stem_nodes: (S,) main stem, root first; None where it is still to be found.
@@ -90,11 +88,7 @@ class RodPlant:
     notes: tuple[str, ...] = ()
 
     def node(self, number: int) -> int:
-        """Return the index of the node that the user calls `number`.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Return the index of the node that the user calls `number`."""
         return SkeletonFile(self.rods.nodes, self.rods.parent, None, self.numbers).node(number)
 
     def damped(self, frequency: float) -> Rods:
@@ -187,63 +181,43 @@ def hanging(plant: RodPlant, name: object) -> RodPlant:
     Raises:
         StageFailure: it would buckle under its own weight; the message tells the stiffness that would hold it.
     """
-    if not stands(plant.rods, plant.clamp):
-        factor = least_stiffness(plant.rods, plant.clamp)
-        youngs, grams = np.asarray(plant.rods.youngs)[1], 1e3 * plant.rods.node_mass.sum()
-        if factor is not None and not plant.youngs_given:
-            return hanging(_stiffened(plant, factor), name)
-        enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
-        raise StageFailure(
-            "no_convergence",
-            f"{name}: with E = {youngs:g} Pa and these radii the plant buckles under its own weight "
-            f"({grams:.3g} g); {enough}. "
-            "Give --youngs, --radius, --least-radius or --density other values.",
+    rods, clamp, notes = plant.rods, plant.clamp, plant.notes
+    if not stands(rods, clamp):
+        factor = least_stiffness(rods, clamp)
+        youngs, grams = float(np.asarray(rods.youngs)[1]), 1e3 * rods.node_mass.sum()
+        if factor is None or plant.youngs_given:
+            enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
+            why = f"with E = {youngs:g} Pa and these radii the plant buckles under its own weight ({grams:.3g} g)"
+            do = "Give --youngs, --radius, --least-radius or --density other values."
+            raise StageFailure("no_convergence", f"{name}: {why}; {enough}. {do}")
+        before, least, after = (f"{share * youngs / 1e6:.3g}" for share in (1, factor, MARGIN * factor))
+        rods = replace(rods, youngs=MARGIN * factor * np.asarray(rods.youngs))
+        notes += (
+            f"Young's modulus was not given; raised from {before} to {after} MPa: below {least} MPa the plant would "
+            "buckle under its own weight. That much is often a sign of radii too small: see --least-radius, --youngs.",
         )
-    return replace(plant, rods=with_gravity_equilibrium(plant.rods, plant.clamp))
-
-
-def _stiffened(plant: RodPlant, least: float) -> RodPlant:
-    """Return the plant with a margin over the factor on Young's modulus at which it just stands."""
-    before, factor = float(np.asarray(plant.rods.youngs)[1]), MARGIN * least
-    note = (
-        f"Young's modulus was not given; raised from {before / 1e6:.3g} to {factor * before / 1e6:.3g} MPa: below "
-        f"{least * before / 1e6:.3g} MPa the plant would buckle under its own weight. That much is often a sign of "
-        "radii too small: see --least-radius, --youngs."
-    )
-    rods = replace(plant.rods, youngs=factor * np.asarray(plant.rods.youngs))
-    return replace(plant, rods=rods, youngs_given=True, notes=(*plant.notes, note))
+    return replace(plant, rods=with_gravity_equilibrium(rods, clamp), notes=notes)
 
 
 def held_nodes(plant: RodPlant, grip: int, pads: float) -> tuple[int, ...]:
     """Return the nodes that a grip moves alike: `grip`, then those within half the pads' length [m] along the stem.
 
     Pads of 0 hold the grip node alone; pads shorter than the node spacing still hold one neighbour, because two nodes
-    are what holds a direction.
+    are what holds a direction. Upward the stem is taken to be the child that carries most nodes.
     """
     if pads == 0:
         return (grip,)
-    below, above = _towards_root(plant, grip), _towards_tip(plant, grip)
-    away = np.abs(plant.distances() - plant.distances()[grip])
-    near = [node for node in (*below, *above) if away[node] <= pads / 2 * (1 + 1e-9)]
-    return (grip, *(near or (above or below)[:1]))
-
-
-def _towards_root(plant: RodPlant, node: int) -> list[int]:
-    """Return the free nodes below a node, nearest first."""
-    way = []
-    while (node := int(plant.rods.parent[node])) >= 0 and node not in plant.clamp.nodes:
-        way.append(node)
-    return way
-
-
-def _towards_tip(plant: RodPlant, node: int) -> list[int]:
-    """Return the free nodes above a node, nearest first, always by the child that carries most nodes."""
-    parent = plant.rods.parent
+    parent, clamped, distance = plant.rods.parent, plant.clamp.nodes, plant.distances()
     carried = np.ones(len(parent), dtype=np.int64)
     for j in range(len(parent) - 1, 0, -1):
         carried[parent[j]] += carried[j]
-    way = []
-    while len(children := np.setdiff1d(np.flatnonzero(parent == node), plant.clamp.nodes)):
+    below, above, node = list[int](), list[int](), grip
+    while (node := int(parent[node])) >= 0 and node not in clamped:
+        below.append(node)
+    node = grip
+    while len(children := np.setdiff1d(np.flatnonzero(parent == node), clamped)):
         node = int(children[np.argmax(carried[children])])
-        way.append(node)
-    return way
+        above.append(node)
+    away = np.abs(distance - distance[grip])
+    near = [node for node in (*below, *above) if away[node] <= pads / 2 * (1 + 1e-9)]
+    return (grip, *(near or (above or below)[:1]))

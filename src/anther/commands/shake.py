@@ -66,7 +66,7 @@ def run(args: Args) -> None:
     check_range("end_frequency", args.end_frequency, 1e-3, 1e4, "Hz")
     check_range("duration", args.duration, 10 * args.dt, 3600, "s")
     plant = read_plant(args) if args.grip is not None else with_stem(read_plant(args))
-    grip, flower = _grip(args, plant), _flower(args, plant)
+    grip, flower = _nodes(args, plant)
     plant = hanging(plant, args.skeleton) if args.rest == "hanging" else plant
     last = args.end_frequency if args.waveform == "chirp" else args.frequency
     rods, clamp = plant.damped(float(np.sqrt(args.frequency * last))), plant.clamp
@@ -83,18 +83,18 @@ def run(args: Args) -> None:
     print(json.dumps(result, indent=2) if args.json else _text(args, result, plant.notes))
 
 
-def _grip(args: Args, plant: RodPlant) -> int:
-    if args.grip is not None:
-        return plant.node(args.grip)
-    assert plant.stem_nodes is not None
-    along = plant.distances()[plant.stem_nodes]
-    return int(plant.stem_nodes[np.abs(along - 0.5 * along[-1]).argmin()])
-
-
-def _flower(args: Args, plant: RodPlant) -> int:
+def _nodes(args: Args, plant: RodPlant) -> tuple[int, int]:
+    """Return the nodes of grip and flower."""
+    along = plant.distances()
     if args.flower is not None:
-        return plant.node(args.flower)
-    return int(plant.flower_nodes[0]) if len(plant.flower_nodes) else int(plant.distances().argmax())
+        flower = plant.node(args.flower)
+    else:
+        flower = int(plant.flower_nodes[0]) if len(plant.flower_nodes) else int(along.argmax())
+    if args.grip is not None:
+        return plant.node(args.grip), flower
+    assert plant.stem_nodes is not None
+    height = along[plant.stem_nodes]
+    return int(plant.stem_nodes[np.abs(height - 0.5 * height[-1]).argmin()]), flower
 
 
 def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:

@@ -95,21 +95,20 @@ def main_stem(skeleton: Skeleton, tip: int | None = None, flowers_at: Array | No
         StageFailure: there is none.
     """
     nodes = skeleton.nodes
+
+    def ended(at: int) -> Stem:
+        x, y, z = nodes[at].tolist()
+        return find_stem(skeleton, StemParams(tip=(x, y, z)), flowers_at=flowers_at)
+
     if tip is not None:
-        return find_stem(skeleton, StemParams(tip=_xyz(nodes[tip])), flowers_at=flowers_at)
+        return ended(tip)
     found, top = find_stem(skeleton, flowers_at=flowers_at), int(nodes[:, 2].argmax())
     rise, height = np.ptp(nodes[found.node_ids, 2]), nodes[top, 2] - nodes[0, 2]
     if rise >= LOW * height:
         return found
-    stem = find_stem(skeleton, StemParams(tip=_xyz(nodes[top])), flowers_at=flowers_at)
-    stub = f"only {1e3 * rise:.0f} of {1e3 * height:.0f} mm look like a main stem"
+    stem, stub = ended(top), f"only {1e3 * rise:.0f} of {1e3 * height:.0f} mm look like a main stem"
     note = f"main stem: {stub}; the way to the top is taken for it. --stem-tip names its end, --root its base."
     return replace(stem, notes=(*stem.notes, note))
-
-
-def _xyz(node: Array) -> Place:
-    x, y, z = node.tolist()
-    return x, y, z
 
 
 def place(option: str, text: str) -> Place:
@@ -170,7 +169,12 @@ def run(args: Args) -> None:
     grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)
     seconds = time.perf_counter() - begin
     if args.out is not None:
-        write_results(args.out, cloud, skeleton, stem, grasps)
+        from anther.pictures.plant import draw_plant  # Matplotlib takes a second
+
+        skeleton.save(args.out / "skeleton.npz")
+        write_skeleton(args.out / "skeleton.swc", skeleton, stem.organ_names())
+        save_grasps(args.out / "grasp.json", grasps)  # all, best first
+        save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), args.out / "overview.png")
     result = summary(cloud, skeleton, stem, grasps[0], notes) | {"seconds": seconds, "out": args.out}
     print(json_text(result).rstrip() if args.json else _text(result))
 
@@ -190,16 +194,6 @@ def best_grasps(
             raise
         grasps = plan_grasps(stem, skeleton, cloud, replace(params, fit_gripper=False))
         return grasps, (f"the gripper does not fit this plant ({failure})",)
-
-
-def write_results(folder: Path, cloud: Cloud, skeleton: Skeleton, stem: Stem, grasps: list[Grasp]) -> None:
-    """Write skeleton.npz, skeleton.swc, grasp.json (all grasps, best first) and overview.png."""
-    skeleton.save(folder / "skeleton.npz")
-    write_skeleton(folder / "skeleton.swc", skeleton, stem.organ_names())
-    save_grasps(folder / "grasp.json", grasps)
-    from anther.pictures.plant import draw_plant  # Matplotlib takes a second
-
-    save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), folder / "overview.png")
 
 
 def summary(cloud: Cloud, skeleton: Skeleton, stem: Stem, grasp: Grasp, notes: tuple[str, ...] = ()) -> dict[str, Any]:
