@@ -136,6 +136,7 @@ class Done:
         material: what is believed of the plant afterwards.
         believed: what the shake was planned with; None if unknown.
         pads: what is believed of the gripper's pads afterwards; None if unknown.
+        alone: why the plan alone was to be carried out; None where the shake was to be raised.
     """
 
     shake: ShakePlan
@@ -144,6 +145,7 @@ class Done:
     material: Material
     believed: Material | None = None
     pads: Pads | None = None
+    alone: str | None = None
 
 
 def perceive(
@@ -242,14 +244,14 @@ def pollinate(
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
-            shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
+            shake, trial, alone = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
     answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
-        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads)
+        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone)
     felt = feel(trial, shake, cell.limits.forward)
     told = [ObservedShake.of(shake, answer, felt)]
     learned = run.timed("learning", lambda _: refine(rods, told, pads=params.shake.pads))
-    return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
+    return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone)
 
 
 def _watched(cell: RobotSide, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
@@ -281,10 +283,10 @@ def _shaken(
     arrive: Arrive | None,
     params: Params,
     earlier: EarlierShake | None,
-) -> tuple[ShakePlan, Trial]:
+) -> tuple[ShakePlan, Trial, str | None]:
     """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
 
-    `arrive` waits for the arm that has gone before the best.
+    `arrive` waits for the arm that has gone before the best. Return also why the plan alone was to be carried out.
     """
 
     def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
@@ -315,7 +317,8 @@ def _shaken(
                 raise
             grasps = grasps[len(offered) :]
             continue
-        watched = _watching(cell, rods, plan, seen, params)
+        way = _watching(cell, rods, plan, seen, params)
+        watched, alone = (None, way) if isinstance(way, str) else (way, None)
         if watched is None and not by_arm:
             why = "a motor shakes only what a side camera watches, and flowers it knows."
             raise StageFailure("limits_exceeded", why)
@@ -333,16 +336,22 @@ def _shaken(
             plan = watched.executed(trial.steps)
         grasps = [g for i, g in enumerate(grasps) if i != planned]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
-            return plan, trial
+            return plan, trial, alone
 
 
-def _watching(cell: RobotSide, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
-    """Return what raises the shake by what the side camera sees; None where it cannot."""
+def _watching(cell: RobotSide, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:
+    """Return what raises the shake by what the side camera sees; where it cannot, why not."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
-    wanted = params.escalate or params.actuator == "gripper"
     seconds = min(params.escalation.most_seconds, cell.limits.shake_duration)
-    if camera is None or pose is None or not wanted or not len(seen.flowers.positions) or seconds < SHORTEST:
-        return None
+    if not (params.escalate or params.actuator == "gripper"):
+        paper = not params.shake.keeps_limits
+        return "the paper's shake is done as it is" if paper else "it was not to be watched, as asked"
+    if camera is None or pose is None:
+        return "there is no side camera"
+    if seconds < SHORTEST:
+        return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
+    if not len(seen.flowers.positions):
+        return "no flower was found that could be watched"
     points = watch_points(rods)
     pressing = float(cell.limits.pressing.most(plan.grasp.stem_diameter))
     return Escalation(

@@ -49,7 +49,7 @@ def labelled_skeleton(source: Path, radius: float | None, *, new_stem: bool) -> 
     labels: list[str] | None = None
     if not existing(source).is_dir():
         file = read_skeleton(source)
-        skeleton, labels = file.skeleton(radius), file.labels and list(file.labels)
+        skeleton, labels = file.skeleton(radius), None if file.labels is None else list(file.labels)
     else:
         skeleton = Skeleton.load(kept(source, "skeleton"))
         if (source / FILES["stem"]).exists():

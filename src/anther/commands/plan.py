@@ -96,7 +96,7 @@ def run(args: Args) -> None:
     plant, grasps = read_plant(args)
     run_params = args.source / PARAMS
     asked = read_object(run_params) if run_params.is_file() else {}
-    crop = asked.get("plant") if asked.get("plant") in get_args(Crop) else args.crop
+    crop: Crop = asked["plant"] if asked.get("plant") in get_args(Crop) else args.crop
     plan = plan_shake(plant, grasps, _actuator(args, str(asked.get("arm") or "sawyer")), _params(args))
     if args.out is not None:
         plan.save(args.out / "shake_plan.json")

@@ -188,8 +188,8 @@ def _hint(args: type, name: str) -> Any:
 def _arguments(args: Any, row: Mapping[str, Any]) -> Any:
     """Return a command's arguments with what a row gives."""
     for name, given in row.items():
-        value = tuple(given) if isinstance(given, list) else given
-        value = Path(given) if _hint(type(args), name) is Path else value
+        is_path = _hint(type(args), name) is Path
+        value = tuple(given) if isinstance(given, list) else Path(given) if is_path else given
         args = _changed(args, name.split("."), value)
     return args
 

@@ -139,7 +139,7 @@ def run(args: Args) -> int:
             verdict = None if cell.world is None else run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
-        summary = summarise(cell, done, verdict, failure, args.params)
+        summary = summarise(cell, done, verdict, failure)
         summary |= {"seconds": dict(run.seconds), "parameters": parameters(args), **log.close(failure, verdict)}
         summary |= {"material_source": belief.source, "material_reason": belief.reason}
         write_json(run.folder / SUMMARY, summary)

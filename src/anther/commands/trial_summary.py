@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.devices import GripperState
-from anther.escalation import SHORTEST
 from anther.execution import Step, Trial, lost_grip
 from anther.geometry import Array
 from anther.response import MOVED, moved
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from anther.commands.hardware_cell import HardwareCell
     from anther.commands.simulated_cell import SimulatedCell
     from anther.errors import StageFailure
-    from anther.pipeline import Done, Params
+    from anther.pipeline import Done
     from anther.results import RunResults
     from anther.sim.judge import Verdict
 
@@ -31,7 +30,6 @@ def summarise(
     done: Done | None,
     verdict: Verdict | None,
     failure: StageFailure | None,
-    params: Params,
 ) -> dict[str, Any]:
     """Return trial.json: flat but for the steps, units in the names, null for what was not reached or measured.
 
@@ -43,7 +41,7 @@ def summarise(
     return {
         **_verdict(done, verdict, failure),
         **_planned(done),
-        **_watched(cell, done, params),
+        **_watched(done),
         **({} if answer is None else _flowers("measured", answer.amplitude, answer.acceleration_peak)),
         **_held(cell, done),
         **_true(verdict),
@@ -132,15 +130,19 @@ def _flowers(how: str, amplitude: Array, acceleration: Array) -> dict[str, Any]:
     }
 
 
-def _watched(cell: SimulatedCell | HardwareCell | None, done: Done | None, params: Params) -> dict[str, Any]:
+def _watched(done: Done | None) -> dict[str, Any]:
     """How the shake was raised, step by step, and what ended it; or why the plan alone was carried out."""
-    if cell is None or done is None or not len(done.trial.shake_times):
+    if done is None or not len(done.trial.shake_times):
         return {}
-    times, steps = done.trial.shake_times, done.trial.steps
+    times, steps, alone = done.trial.shake_times, done.trial.steps, done.alone
+    if not steps:
+        alone = alone or "it ended before anything was seen"
+    elif steps[0].decided.startswith(NOTHING_SEEN):
+        alone = "nothing was in the side camera's sight"
     told = {
         "shaking_seconds": float(times[-1] - times[0]),
         "shake_steps": len(steps),
-        "plan_alone_because": _alone(cell, steps, params),
+        "plan_alone_because": alone,
         "steps": [_step(step, float(times[0])) for step in steps],
     }
     if not steps:
@@ -151,21 +153,6 @@ def _watched(cell: SimulatedCell | HardwareCell | None, done: Done | None, param
         "step_closest_limit": steps[-1].binds,
         "shake_ended_by": " ".join(step.decided for step in steps[-2:]),
     }
-
-
-def _alone(cell: SimulatedCell | HardwareCell, steps: Sequence[Step], params: Params) -> str | None:
-    """Return why the plan alone was carried out; None if the shake was raised."""
-    if steps:
-        return "nothing was in the side camera's sight" if steps[0].decided.startswith(NOTHING_SEEN) else None
-    if not params.shake.keeps_limits:
-        return "the paper's shake is done as it is"
-    if not params.escalate:
-        return "it was not to be watched, as asked"
-    if cell.robot_side.robot.side_camera is None:
-        return "there is no side camera"
-    if cell.robot_side.limits.shake_duration < SHORTEST:
-        return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
-    return "no flower was found that could be watched"
 
 
 def _step(step: Step, start: float) -> dict[str, Any]:
