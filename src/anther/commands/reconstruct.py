@@ -51,8 +51,7 @@ def run(args: Args) -> None:
     folder = args.capture if args.capture.is_dir() else args.capture.parent  # it may be given by its transforms.json
     find_masks = mask_finder(args.masks, args.models, args.params, cache=folder / "masks")
     capture = Capture.load(args.capture)
-    same = ("capture", "workspace")
-    with open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=same) as run:
+    with open_run(out, args, ("capture", "workspace")) as run:
         capture = run.stage("capture", Capture.load, lambda _: capture)
         seen = perceive(capture, workspace, run, args.params, find_masks)
         grasps = rank_grasps(seen, None, run, args.params)

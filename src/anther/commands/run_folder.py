@@ -78,27 +78,24 @@ LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "em
 
 
 @contextmanager
-def open_run(
-    folder: Path, args: Any, *, restart_from: str | None, overwrite: bool, same: tuple[str, ...]
-) -> Iterator[Run]:
+def open_run(folder: Path, args: Any, same: tuple[str, ...]) -> Iterator[Run]:
     """Open a run folder, note parameters and versions in it, and note the time per stage at the end.
 
     Args:
         folder: of the run.
-        args: of the command; kept.
-        restart_from: see `Run`.
-        overwrite: remove what an earlier run wrote there, and nothing else.
+        args: of the command; kept. Its `restart_from` is as in `Run`; `overwrite` removes what an earlier run wrote
+            there, and nothing else.
         same: names of arguments that a run which is gone on with must have had alike.
 
     Raises:
         InputError: the folder holds an earlier run (and neither overwrite nor a restart was asked for), another run
             than the one to go on with, or something that is not a run.
     """
-    if restart_from is not None:
+    if args.restart_from is not None:
         _check_same(folder, args, same)
     else:
-        _make_room(folder, overwrite=overwrite)
-    run = Run(folder, restart_from=restart_from)
+        _make_room(folder, overwrite=args.overwrite)
+    run = Run(folder, restart_from=args.restart_from)
     write_json(folder / PARAMS, parameters(args))
     with run:
         try:

@@ -126,10 +126,7 @@ def run(args: Args) -> int:
     earlier = None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
     cell = done = verdict = failure = None
-    with (
-        ExitStack() as machines,
-        open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=SAME) as run,
-    ):
+    with ExitStack() as machines, open_run(out, args, SAME) as run:
         log = machines.enter_context(TrialLog(run, wanted=args.log))
         try:
             cell = run.timed("cell", lambda _: machines.enter_context(_cell(args, log.tap)))
