@@ -258,21 +258,19 @@ def _way_in_words(taken: Taken, T_board_cam: Array) -> str:
 
 def _tell(taken: Taken, found: HandEye | None) -> None:
     """Print what the last view showed, how far all of them cover, and what they give."""
-    last, turned = taken.views[-1], np.rad2deg(taken.turned())
+    last, turned, known = taken.views[-1], np.rad2deg(taken.turned()), "nothing known yet"
     seen = f"{len(last.corners.pixels[0])} corners to {last.reprojection[0]:.2f} px"
     cover = f"covers {taken.covered():.0%}, turned by {turned[0]:.0f} and across by {turned[1]:.0f} deg"
-    print(f"{len(taken):2} of about {ENOUGH}: {seen} | {cover} | {_known(found)}")
-
-
-def _known(found: HandEye | None) -> str:
-    if found is None:
-        return "nothing known yet"
-    error, left_out = found.methods[-1], ""
-    if np.isfinite(error.left_out_pixel):
-        left_out = f"a view left out errs by {error.left_out_pixel:.2f} px, "
-        left_out += f"{np.rad2deg(error.left_out_rotation):.2f} deg, {1e3 * error.left_out_translation:.1f} mm; "
-    camera = f"camera known to {np.rad2deg(found.rotation_error):.2f} deg, {1e3 * found.translation_error:.1f} mm"
-    return f"{left_out}{camera}{'' if found.used[-1] else '; THIS VIEW DISAGREES with the others'}"
+    if found is not None:
+        turn, shift = np.rad2deg(found.rotation_error), 1e3 * found.translation_error
+        known = f"camera known to {turn:.2f} deg, {shift:.1f} mm"
+        error = found.methods[-1]
+        if np.isfinite(error.left_out_pixel):
+            turn, shift = np.rad2deg(error.left_out_rotation), 1e3 * error.left_out_translation
+            left_out = f"{error.left_out_pixel:.2f} px, {turn:.2f} deg, {shift:.1f} mm"
+            known = f"a view left out errs by {left_out}; {known}"
+        known += "" if found.used[-1] else "; THIS VIEW DISAGREES with the others"
+    print(f"{len(taken):2} of about {ENOUGH}: {seen} | {cover} | {known}")
 
 
 def _concluded(cell: Path, taken: Taken, found: HandEye | None, ask: Asking) -> int:

@@ -18,6 +18,7 @@ from anther.commands import reconstruct as reconstruct_command
 from anther.commands import trial as trial_command
 from anther.errors import InputError, StageFailure, bad_input
 from anther.files import read_object
+from anther.results import read_run
 
 LOG = "log.txt"
 Kind = Literal["trial", "reconstruct"]
@@ -118,13 +119,7 @@ def reconstruct(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _found(folder: Path) -> dict[str, Any]:
     """Return a reconstruction in numbers."""
-    from anther.results import read_run
-
-    found = read_run(folder)
-    assert found.cloud is not None
-    assert found.skeleton is not None
-    assert found.stem is not None
-    assert found.flowers is not None
+    found: Any = read_run(folder)  # a reconstruction that ended has all of these
     best = found.grasps[0]
     return {
         "points": len(found.cloud.points),
