@@ -63,13 +63,9 @@ FindMasks = Callable[[Capture, Box | None, Advance], Masks]
 
 
 def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | None) -> FindMasks | None:
-    """Return what finds the masks by a network, or None for colour and geometry.
+    """Return what finds the masks by networks, whose weights are in `models` and whose masks are kept in `cache`.
 
-    Args:
-        source: colour and geometry, or which networks.
-        models: folder of the networks' weights.
-        params: of every stage.
-        cache: folder that keeps the networks' masks, or None.
+    None for colour and geometry, which is the pipeline's own way.
 
     Raises:
         MissingExtra: torch or transformers is not installed.
@@ -153,12 +149,7 @@ def perceive(
 ) -> Seen:
     """Turn views into a labelled cloud, a rooted skeleton, its main stem and its flowers.
 
-    Args:
-        capture: the views.
-        workspace: where the plant may stand, world [m]; None: about where the cameras look.
-        run: where every stage's result is kept.
-        params: of every stage.
-        find_masks: see `mask_finder`.
+    The workspace is where the plant may stand, world [m]; None: about where the cameras look.
 
     Raises:
         StageFailure: no plant or no stem was found.
@@ -223,15 +214,7 @@ def pollinate(
     """See, grasp and shake one plant, and measure how its flowers answer.
 
     The shake is chosen among the grasps about as good as the best. When the gripper holds nothing or the wrong thing,
-    or a motion is refused, another place on the stem is tried.
-
-    Args:
-        cell: robot and plant.
-        material: what is believed of the plant's stiffness, density and damping.
-        run: where every stage's result is kept.
-        params: of every stage.
-        find_masks: see `perceive`.
-        earlier: see `plan_shake`.
+    or a motion is refused, another place on the stem is tried. `material` is what is believed of the plant.
 
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.

@@ -37,12 +37,7 @@ SHOWN = 5
 
 
 def write_report(path: Path, results: RunResults) -> None:
-    """Write the report of a run to one HTML file that needs nothing else.
-
-    Args:
-        path: file to write.
-        results: what the run folder holds; sections of stages that were not reached are left out.
-    """
+    """Write the report of a run to one HTML file that needs nothing else."""
     title = escape(f"Anther: {results.title}")
     parts = ((name, section(results)) for name, section in SECTIONS.items())
     sections = "".join(f"<section><h2>{escape(name)}</h2>{body}</section>" for name, body in parts if body)

@@ -46,13 +46,8 @@ Result = TypeVar("Result")
 class Run:
     """One run folder, its progress bars and the time each stage took.
 
-    Use as a context manager; bars are drawn while it is open.
-
-    Args:
-        folder: the run's folder; it is made.
-        restart_from: a stage name, or "where-it-stopped"; results of earlier stages are read from the folder instead
-            of computed.
-        quiet: draw nothing.
+    Use as a context manager; bars are drawn while it is open, unless it is `quiet`. With `restart_from`, a stage or
+    "where-it-stopped", results of earlier stages are read from the folder instead of computed.
 
     Attributes:
         seconds: stage -> time it took [s]; stages that were read back are absent.
@@ -96,14 +91,7 @@ class Run:
         compute: Callable[[Advance], Result],
         save: Callable[[Any, Path], None] = lambda result, path: result.save(path),
     ) -> Result:
-        """Compute a stage and keep its result, or read it back when the run restarts from a later stage.
-
-        Args:
-            name: one of `FILES`.
-            load: reads the result back.
-            compute: makes it; is given a function to report progress with.
-            save: writes it; by default the result's own `save`.
-        """
+        """Compute a stage of `FILES` and keep its result, or read it back when the run restarts from a later stage."""
         order = list(FILES)
         if self._restart_from is not None and order.index(name) < order.index(self._restart_from):
             result = load(self.path(name))

@@ -104,11 +104,7 @@ class RodPlant:
 
 
 def read_plant(options: PlantOptions) -> RodPlant:
-    """Return the plant of a skeleton file or a run folder, in its scanned shape, not yet in equilibrium.
-
-    Raises:
-        InputError: a bad file or option.
-    """
+    """Return the plant of a skeleton file or a run folder, in its scanned shape, not yet in equilibrium."""
     check_range("damping_ratio", options.damping_ratio or 0.0, 0, 10)
     check_range("least_radius", options.least_radius, 0, 1, "m")
     check_range("pads", options.pads, 0, 1, "m")
@@ -122,11 +118,7 @@ def read_plant(options: PlantOptions) -> RodPlant:
 
 
 def with_stem(plant: RodPlant) -> RodPlant:
-    """Return the plant with its main stem, found where nobody named its end.
-
-    Raises:
-        StageFailure: there is none.
-    """
+    """Return the plant with its main stem, found where nobody named its end."""
     if plant.stem_nodes is not None:
         return plant
     rods = plant.rods

@@ -113,14 +113,7 @@ def safety_limits(place: Layout, arm: ArmModel = SAWYER) -> SafetyLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCell:
-    """A plant, its robot, and the world that both live in.
-
-    Attributes:
-        plant: ground truth, for the judge.
-        world: MuJoCo's world; its log is what the judge reads.
-        views: the views the arm takes.
-        robot_side: what the pipeline is given.
-    """
+    """A plant (ground truth), MuJoCo's world, whose log the judge reads, the views, and what the pipeline is given."""
 
     plant: SimPlant
     world: world.Cell
@@ -215,8 +208,7 @@ def photograph(
 ) -> tuple[Capture, CaptureTruth]:
     """Return what the wrist camera sees of a plant from joints (V, J) [rad], and the truth, which is for judges.
 
-    Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed`, `viewpoint` [deg] and
-    `visit`; `truth` says how large they are.
+    Its errors come from `seed`, `viewpoint` [deg] and `visit`; `truth` says how large they are.
     """
     sight, camera = (np.random.default_rng([seed, int(viewpoint), k + 10 * visit]) for k in range(2))
     T_flange_cam_true = perturbed_hand_eye(arm.tool.T_flange_cam, camera, factor=truth.hand_eye_error)

@@ -44,15 +44,13 @@ ROOTLESS = (".txt", ".ply")
 def read_source(
     path: Path, *, radius: float | None = None, root: str | None = None, crop: Crop = "tomato"
 ) -> tuple[SkeletonFile, Skeleton]:
-    """Return a skeleton file, rooted, and the skeleton in it.
+    """Return a skeleton file (.npz, .swc, .txt, .ply, .graphml or .mtg), rooted, and the skeleton in it.
 
     Args:
-        path: .npz, .swc, .txt, .ply, .graphml or .mtg.
         radius: of every node [m]; None: those in the file, else the crop's stem at its base, thinner with what a node
             carries (`supposed_radius`).
         root: where the plant stands, see `node_named`; None: the file's own root, or where the way up begins to rise.
             What lies flat there is then a scrap of soil, and left out.
-        crop: whose stem.
 
     Raises:
         InputError: a bad file, radius or node.
@@ -85,11 +83,8 @@ def node_named(option: str, text: str, source: SkeletonFile) -> int:
 def main_stem(skeleton: Skeleton, tip: int | None = None, flowers_at: Array | None = None) -> Stem:
     """Return the main stem of a skeleton that somebody else made.
 
-    Args:
-        skeleton: the tree.
-        tip: the node at which the stem ends, by who knows better; None: where it is found to end or, if that leaves
-            it a stub, at the plant's top, with a note.
-        flowers_at: see `find_stem`.
+    It ends at the node `tip`, by who knows better; None: where it is found to end or, if that leaves it a stub, at the
+    plant's top, with a note.
 
     Raises:
         StageFailure: there is none.

@@ -24,10 +24,7 @@ PRIOR, COUNT = "#8a8a8a", "#1f4e79"
 def draw_calibration(found: HandEye, views: BoardViews, T_base_flange: Array) -> Figure:
     """Return the figure of a hand-eye calibration: residuals over the image, errors per view, rotation axes, methods.
 
-    Args:
-        found: its result.
-        views: of the board that it was made from.
-        T_base_flange: (V, 4, 4) of these views.
+    It was made from the views and T_base_flange (V, 4, 4).
     """
     figure = Figure(figsize=(14, 9), layout="constrained")
     grid = figure.add_gridspec(3, 3, width_ratios=(1.25, 1, 0.9))

@@ -173,10 +173,7 @@ def _draw_flowers(axes: Any, plan: ShakePlan) -> None:
 def draw_steps(steps: Sequence[Step], start: float, target: float | None = None) -> Figure:
     """Return a figure of three panels over time: amplitude of each tone, flowers, share of each limit that was closest.
 
-    Args:
-        steps: of one shake, one or more.
-        start: when it began [s], on the clock of the steps.
-        target: what the flowers should feel [m/s2].
+    The shake began at `start` [s], on the clock of the steps; `target` is what the flowers should feel [m/s2].
     """
     figure = Figure(figsize=(10, 5.4), layout="constrained")
     tones, flowers, limits = figure.subplots(3, 1, sharex=True)

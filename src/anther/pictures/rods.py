@@ -25,15 +25,9 @@ DECADES = 3.0
 
 
 def draw_shake(rods: Rods, grip: int, flower: int, direction: Array, trajectory: Trajectory, period: float) -> Figure:
-    """Return a figure of a shaken plant: over one period, and grip and flower in time and frequency.
+    """Return a figure of a shaken plant: over its last period [s], and the nodes grip and flower in time and frequency.
 
-    Args:
-        rods: the plant.
-        grip: its gripped node.
-        flower: the node whose motion is shown.
-        direction: (3,) of the shake; the plant is seen across it.
-        trajectory: what the plant did.
-        period: of the shake [s]; the plant is drawn over the last one.
+    The plant is seen across the shake's direction (3,).
     """
     figure = Figure(figsize=(12, 6.2), layout="constrained")
     side = int(np.argmax(np.abs(direction[:2])))
@@ -126,13 +120,7 @@ def draw_grip_response(rods: Rods, flowers: NDArray[Any], response: GripResponse
     """Return a figure: the heat map with the resonances of the held plant, and the plant with its grips.
 
     White lines: the lowest natural frequencies while the grip is held. Cross: the best cell. In the plant a grip has
-    the colour of its best frequency; magenta: the flowers; star: root.
-
-    Args:
-        rods: the plant.
-        flowers: (F,) observed nodes.
-        response: the map.
-        title: what the colours mean.
+    the colour of its best frequency; magenta: the flowers' nodes (F,); star: root.
     """
     figure = Figure(figsize=(12.5, 5.8), layout="constrained")
     varies = np.ptp(response.amplitude) > 0

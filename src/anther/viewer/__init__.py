@@ -33,10 +33,7 @@ SECONDS = 8.0
 def write_html(path: Path, results: RunResults, *, exaggeration: float) -> None:
     """Write the scene of a run to one HTML file that opens without a server and plays the end of the shake.
 
-    Args:
-        path: of the file.
-        results: what the run folder holds.
-        exaggeration: by how much motions are shown larger [-].
+    Motions are shown larger by the exaggeration [-].
     """
     with redirect_stdout(io.StringIO()):  # viser announces its address even when nobody is to visit it
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
@@ -56,13 +53,7 @@ def write_html(path: Path, results: RunResults, *, exaggeration: float) -> None:
 
 
 def serve(results: RunResults, port: int, *, exaggeration: float) -> None:
-    """Show a run in the browser until interrupted.
-
-    Args:
-        results: what the run folder holds.
-        port: TCP port on this machine.
-        exaggeration: by how much motions are shown larger to begin with [-].
-    """
+    """Show a run in the browser, on a TCP port of this machine, until interrupted."""
     server = viser.ViserServer(host="127.0.0.1", port=port)
     server.gui.set_panel_label(f"Anther: {results.title}")
     handles, motion = build_scene(server, results), motion_of(results)
