@@ -37,7 +37,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther import sweep
-from anther.commands import sweep_kinds
+from anther.commands import sweep as sweep_command
 from anther.files import write_json
 from anther.sweep._running import ONE_THREAD
 
@@ -98,7 +98,7 @@ def speedup(folder: Path, *, quick: bool) -> dict[str, float]:
     """Return what two workers gain over one, with the same rows."""
     function, rows = shaken, rods(40, folder / "ledger", 20.0)
     if not quick:
-        function = sweep_kinds.trial
+        function = sweep_command.trial
         rows = [{"plant": "tomato", "seed": seed, "preset": "fast", "watch": False} for seed in range(8)]
     folder.mkdir(exist_ok=True)
     took = {}

@@ -21,7 +21,7 @@ from scipy.special import expit
 from anther.files import replacing, write_json
 from anther.fruit_set import EXPONENTS, NAMES, PRIORS, Count, FruitSet, fit, pollen_dose
 from anther.geometry import Array
-from anther.pictures.fruit_set import draw_fruit_set
+from anther.pictures.estimates import draw_fruit_set
 
 WAYS = {"varied": (1.0, 250.0, 4), "gentle": (5.0, 20.0, 4), "no_control": (5.0, 20.0, 0)}
 """Name -> (weakest, strongest shake [m/s2], every how manieth plant is left alone)."""

@@ -35,7 +35,6 @@ LISTED = (
     "true_held_beside",
     "true_flower_acceleration_peak_ms2",
 )  # of a trial's summary; other lists, one number a flower, are left out
-USUAL = Params()
 LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
 
 
@@ -182,9 +181,7 @@ def watched(cell: SimulatedCell, run: Memory) -> Any:
     return replace(side, robot=robot, plan_around=plan_around)
 
 
-def performed(
-    cell: SimulatedCell, perform: Callable[[], Done], params: Params = USUAL
-) -> tuple[dict[str, Any], Done | None]:
+def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[str, Any], Done | None]:
     """Perform, judge, and return how it went, with the simulated time of its phases [s]."""
     done = verdict = failure = None
     try:
@@ -194,7 +191,7 @@ def performed(
         verdict = judge(cell.world, shaken, done.shake.frequency, done.trial.steady)
     except StageFailure as stopped:
         failure, shaken = stopped, None
-    summary = as_counted(summarise(cell, done, verdict, failure, params))
+    summary = as_counted(summarise(cell, done, verdict, failure))
     row = {k: v for k, v in summary.items() if np.ndim(v) == 0 or k in LISTED}
     row["stem_held"] = shaken is not None and row["organ_grasped"] == "stem"
     row["axis_held"] = shaken is not None and row["organ_grasped"] in ("stem", "branch")

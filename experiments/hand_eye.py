@@ -24,7 +24,7 @@ from anther.calibration._hand_eye import METHODS, closed_form
 from anther.calibration._refinement import Noise, Problem, refine
 from anther.files import replacing, write_json
 from anther.geometry import Array, Intrinsics, inverse, look_at, small_transform, transform_points
-from anther.pictures.calibration import draw_calibration
+from anther.pictures.estimates import draw_calibration
 
 CAMERA = Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5)
 CORNERS = 0.03 * np.array([[column, row, 0] for row in range(1, 5) for column in range(1, 7)])

@@ -116,7 +116,7 @@ def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dic
     params = replace(Params(), escalate=case.way != "plan", actuator="gripper" if case.way == "motor" else "arm")
     ways: dict[str, Callable[[], Done]] = {"paper": lambda: by_the_paper(cell, run, material)}
     row, done = performed(
-        cell, ways.get(case.way, lambda: pollinate(cell.robot_side, material, run, params, None, earlier)), params
+        cell, ways.get(case.way, lambda: pollinate(cell.robot_side, material, run, params, None, earlier))
     )
     row = {**asdict(case), **row}
     if done is not None:

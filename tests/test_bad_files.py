@@ -22,6 +22,7 @@ import anther
 from anther import cli, files
 from anther.capture import Capture, check_views, viewed_box
 from anther.cloud import ply
+from anther.commands import reconstruct
 from anther.commands.run_folder import open_run
 from anther.elastic_rod import Clamp, frequency_response, observed_response
 from anther.elastic_rod._simulation import new_output
@@ -244,7 +245,7 @@ def written_capture(path: Path) -> None:
 
 
 def opened_run(path: Path) -> None:
-    with open_run(path, TREE, restart_from=None, overwrite=True, same=()):
+    with open_run(path, reconstruct.Args(path, overwrite=True), ()):
         pass
 
 

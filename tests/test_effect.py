@@ -15,7 +15,6 @@ from anther.commands.trial import Args, _record
 from anther.commands.trial_summary import _true, _verdict, summarise
 from anther.errors import StageFailure
 from anther.geometry import Array
-from anther.pipeline import Params
 from anther.report import write_report
 from anther.response import Response
 from anther.results import RunResults
@@ -139,7 +138,7 @@ def test_the_history_keeps_held_and_unharmed(summary: dict[str, Any], kept: tupl
         (told(verdict_of(pedicel=0.05)), ["yes", "yes: pedicel", "yes"], "failed: damaged"),
         (told(verdict_of(held=False)), ["no", "no", "yes"], "failed: slipped"),
         (
-            summarise(None, None, None, StageFailure("no_stem_found", "two trees"), Params()),
+            summarise(None, None, None, StageFailure("no_stem_found", "two trees")),
             ["no", "not known", "not known"],
             "failed: no stem found",
         ),

@@ -15,7 +15,7 @@ from scipy.special import expit
 from anther.errors import InputError
 from anther.fruit_set import GRID, NAMES, PRIORS, Count, _quantiles, counts_of, fit, pollen_dose, worth
 from anther.history import Outcome, ShakeRecord, TrialRecord
-from anther.pictures.fruit_set import draw_fruit_set
+from anther.pictures.estimates import draw_fruit_set
 
 DAY = datetime(2026, 5, 1, 10, tzinfo=UTC)
 

@@ -296,7 +296,7 @@ def test_reconstruct_with_the_networks_masks(models: Path, tmp_path: Path, monke
 
 def test_torch_is_not_imported_before_it_is_needed() -> None:
     code = (
-        "import sys, anther.pipeline, anther.commands.trial, anther.commands.mask_source, anther.masks.by_words\n"
+        "import sys, anther.pipeline, anther.commands.trial, anther.masks.by_words\n"
         "assert not {'torch', 'transformers'} & set(sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from made_foresight import made_plan
 from small_planner import SmallPlanner, solve
 
 from anther import pipeline
+from anther.commands.trial import Args, _params
 from anther.devices import GripperState
 from anther.errors import StageFailure
 from anther.geometry import Array, Box
@@ -133,7 +134,26 @@ def test_a_watched_shake_ends_within_what_the_cell_allows(
     seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))))
     rods: Any = SimpleNamespace(rods=SimpleNamespace(nodes=np.zeros((1, 3))))
     made: Any = pipeline._watching(cell, rods, made_plan(), seen, pipeline.Params())
-    assert (None if made is None else made.most_seconds) == lasts
+    assert (None if isinstance(made, str) else made.most_seconds) == lasts
+    assert lasts is not None or "shake_duration" in made
+
+
+@pytest.mark.parametrize(
+    ("params", "camera", "flowers", "why"),
+    [
+        (_params(Args(shake="paper")), "one", 2, "the paper's shake"),
+        (_params(Args(watch=False)), "one", 2, "as asked"),
+        (pipeline.Params(escalate=False), "one", 2, "as asked"),
+        (pipeline.Params(), None, 2, "no side camera"),
+        (pipeline.Params(), "one", 0, "no flower was found"),
+    ],
+)
+def test_the_plan_alone_has_its_reason(params: pipeline.Params, camera: Any, flowers: int, why: str) -> None:
+    cell: Any = SimpleNamespace(robot=SimpleNamespace(side_camera=camera, T_world_side_camera=np.eye(4)), limits=LIMITS)
+    seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((flowers, 3))))
+    said = pipeline._watching(cell, cast(Any, None), made_plan(), seen, params)
+    assert isinstance(said, str)
+    assert why in said
 
 
 def test_a_shake_cut_short_before_the_camera_saw_enough_loses_nothing() -> None:
@@ -142,4 +162,4 @@ def test_a_shake_cut_short_before_the_camera_saw_enough_loses_nothing() -> None:
     trial = SimpleNamespace(frames=(SimpleNamespace(time=1.0),) * 7, steady=(0.0, 2.0), steps=())
     seen = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))))
     words: Any = (SimpleNamespace(robot=robot), trial, GRASPS[0], seen, None)
-    assert pipeline._watched(*words, params=pipeline.Params()) is None
+    assert pipeline._watched(*words) is None

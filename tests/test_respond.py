@@ -153,7 +153,6 @@ def test_the_papers_tomato(data: Path, capsys: pytest.CaptureFixture[str]):
         ({"pads": -1.0}, "pads"),
         ({"damping_ratio": 11.0}, "damping_ratio"),
         ({"radius": 0.0}, "radius"),
-        ({"clamp_below": 1.0}, "clamp"),
         ({"skeleton": Path("nowhere.swc")}, "nowhere.swc: no such file"),
     ],
 )

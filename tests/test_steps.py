@@ -7,7 +7,7 @@ from dataclasses import replace
 from html import escape
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -56,14 +56,8 @@ def trial_of(*steps: Step, shaken: bool = True) -> Trial:
     return Trial((), none, times, joints, joints, np.zeros((0, 3)), np.zeros(0), "finished", steps=steps)
 
 
-USUAL = Params()
-
-
-def told(trial: Trial, params: Params = USUAL, camera: object = "one", lasts: float = 20.0) -> dict[str, Any]:
-    robot, limits = SimpleNamespace(side_camera=camera), SimpleNamespace(shake_duration=lasts)
-    cell: Any = SimpleNamespace(robot_side=SimpleNamespace(robot=robot, limits=limits))
-    done: Any = SimpleNamespace(trial=trial)
-    return _watched(cell, done, params)
+def told(trial: Trial, alone: str | None = None) -> dict[str, Any]:
+    return _watched(cast(Any, SimpleNamespace(trial=trial, alone=alone)))
 
 
 def test_trial_json_has_every_step_and_what_was_reached(tmp_path: Path) -> None:
@@ -94,26 +88,17 @@ NOTHING = replace(PROBE, flowers=(NAN,) * 3, decided="Nothing is in sight: the p
 
 
 @pytest.mark.parametrize(
-    ("steps", "params", "camera", "why"),
+    ("steps", "alone", "why"),
     [
-        ((), _params(Args(shake="paper")), "one", "the paper's shake"),
-        ((), _params(Args(watch=False)), "one", "as asked"),
-        ((), Params(escalate=False), "one", "as asked"),
-        ((), Params(), None, "no side camera"),
-        ((), Params(), "one", "no flower was found"),
-        ((NOTHING, LAST), Params(), "one", "nothing was in the side camera's sight"),
+        ((), "there is no side camera", "no side camera"),
+        ((), None, "ended before anything was seen"),
+        ((NOTHING, LAST), None, "nothing was in the side camera's sight"),
     ],
 )
-def test_the_plan_alone_is_said_with_its_reason(
-    steps: tuple[Step, ...], params: Params, camera: object, why: str
-) -> None:
-    said = told(trial_of(*steps), params, camera)
+def test_the_plan_alone_is_said_with_its_reason(steps: tuple[Step, ...], alone: str | None, why: str) -> None:
+    said = told(trial_of(*steps), alone)
     assert why in said["plan_alone_because"]
     assert "the plan alone was carried out" in watched_words(said)
-
-
-def test_a_cell_that_may_not_shake_for_long_enough_to_look_is_named() -> None:
-    assert "shake_duration" in told(trial_of(), lasts=9.9)["plan_alone_because"]
 
 
 def test_a_trial_that_never_shook_says_nothing_of_steps() -> None:
@@ -150,7 +135,7 @@ def test_the_report_draws_each_step_and_what_was_decided(tmp_path: Path) -> None
     assert "0.20 mm at 8 Hz, 0.50 mm at 3 Hz" in section
     assert "2 of 3" in section, "flowers that were measured"
     assert "80% slip" in section
-    alone = RunResults(folder=tmp_path, summary=told(trial_of(), Params(escalate=False)) | {"success": True})
+    alone = RunResults(folder=tmp_path, summary=told(trial_of(), "it was not to be watched") | {"success": True})
     write_report(tmp_path / "report.html", alone)
     assert escape("the plan alone was carried out: it was not to be watched") in (tmp_path / "report.html").read_text()
 

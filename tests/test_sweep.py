@@ -21,7 +21,7 @@ import pytest
 
 from anther import sweep
 from anther.cli import main
-from anther.commands import sweep_kinds
+from anther.commands import sweep as sweep_command
 from anther.errors import InputError
 from anther.history import Job, overview, reading
 from anther.sweep import _running, _working
@@ -293,14 +293,14 @@ def test_a_wrong_table_is_told_in_a_line(table: str, told: str, tmp_path: Path, 
 
 def test_cells_become_what_the_options_take() -> None:
     rows = [{"plant": "pepper", "seed": "3", "viewpoint": "-90", "views": "None", "watch": "False", "models": "m"}]
-    (row,) = sweep_kinds.typed("trial", rows)
+    (row,) = sweep_command.typed("trial", rows)
     assert row == {"plant": "pepper", "seed": 3, "viewpoint": -90.0, "views": None, "watch": False} | {
         "models": str(Path("m").absolute())
     }
-    (row,) = sweep_kinds.typed("reconstruct", [{"capture": "s3://b/c", "workspace": "0 0 0 1 1 2"}])
+    (row,) = sweep_command.typed("reconstruct", [{"capture": "s3://b/c", "workspace": "0 0 0 1 1 2"}])
     assert row == {"capture": "s3://b/c", "workspace": (0, 0, 0, 1, 1, 2)}
     with pytest.raises(InputError, match="a row without capture"):
-        sweep_kinds.typed("reconstruct", [{"masks": "colour"}])
+        sweep_command.typed("reconstruct", [{"masks": "colour"}])
 
 
 @pytest.mark.parametrize("where", ["tcp://127.0.0.1:9", "nonsense"])

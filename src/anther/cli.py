@@ -1,4 +1,8 @@
-"""The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it never began."""
+"""The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it never began.
+
+A command is a module of `anther.commands`: its docstring and `Args` are its help, `run(args)` does it, returns the exit
+code (None is 0), and raises an `AntherError` where something given is wrong or a stage cannot go on.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +12,20 @@ import io
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
 from importlib import import_module
 from signal import SIGTERM, default_int_handler, signal
-from threading import Event, Thread, current_thread, main_thread
+from threading import current_thread, main_thread
 from types import ModuleType
 from typing import Any
 
 PATIENCE = 2.0  # s
 
 COLLECT_EVERY = 100_000
-"""Garbage is looked for after so many new objects. Python's 700 costs a fifth of the time of `anther skeletonize`: its
-libraries make half a million that live to the end."""
+"""Garbage is looked for after so many new objects: Python's 700 costs a fifth of the time of `anther skeletonize`."""
 
 COMMANDS = {
     "trial": "see, grasp and shake one plant, in the simulated cell or a real one, measure it, write a report",
@@ -55,7 +59,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         atexit.register(_leave_garbage)
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in {"-h", "--help"}:
-        print(_overview())
+        rows = "\n".join(f"  {name:16}{text}" for name, text in COMMANDS.items())
+        ends = "anther COMMAND --help tells a command's options, --help-all also the parameters of its stages."
+        print(f"usage: anther COMMAND [options]\n\n{rows}\n\n{ends}")
         return 0 if words else 2
     if words[0] == "--version":
         from anther import __version__
@@ -66,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[0] not in COMMANDS:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
         return 2
-    with _terminated_as_interrupted(), _compiling_told(words[0]):
+    with _terminated_as_interrupted():
         return _run(words[0], words[1:])
 
 
@@ -91,41 +97,25 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 @contextmanager
 def _compiling_told(name: str) -> Iterator[None]:
-    """Say so when a command that has not ended after `PATIENCE` compiles code, which takes a minute and is kept."""
-    heard: list[Any] = []
-    ended = Event()
-
-    def listen() -> None:
-        numba: Any = None
-        while numba is None or numba.__spec__._initializing:  # a module imported by two threads at once is broken
-            if ended.wait(PATIENCE):
-                return
-            numba = sys.modules.get("numba")
-        from numba.core import event
-
-        class Once(event.Listener):
-            def on_start(self, event: Any) -> None:
-                if len(heard) == 1:
-                    heard.append(event)
-                    print(f"anther {name}: compiling for this machine, once; about a minute ...", file=sys.stderr)
-
-            def on_end(self, event: Any) -> None:
-                pass
-
-        heard.append(Once())
-        event.register("numba:compile", heard[0])
-
-    listener = Thread(target=listen, daemon=True)
-    listener.start()
-    try:
+    """Say so when a command that has run for `PATIENCE` compiles code, which takes a minute and is kept."""
+    if "numba" not in sys.modules:
         yield
-    finally:
-        ended.set()
-        if heard:
-            from numba.core import event
+        return
+    from numba.core import event
 
-            with suppress(ValueError):
-                event.unregister("numba:compile", heard[0])
+    begin, told = time.monotonic(), list[str]()
+
+    class Once(event.Listener):
+        def on_start(self, event: Any) -> None:
+            if not told and time.monotonic() - begin > PATIENCE:
+                told.append(name)
+                print(f"anther {name}: compiling for this machine, once; about a minute ...", file=sys.stderr)
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Once()):
+        yield
 
 
 def _run(name: str, words: list[str]) -> int:
@@ -139,7 +129,9 @@ def _run(name: str, words: list[str]) -> int:
         parse = partial(tyro.cli, command.Args, prog=f"anther {name}", description=command.__doc__, args=asked)
         if asked == words and {"-h", "--help"} & set(words):
             _short_help(name, parse)
-        return int(command.run(parse()) or 0)
+        args = parse()
+        with _compiling_told(name):
+            return int(command.run(args) or 0)
     except (AntherError, ImportError) as error:
         told = error if isinstance(error, AntherError) else missing_extra(error)
         if told is None:
@@ -184,12 +176,6 @@ def _short_help(name: str, parse: Callable[[], Any]) -> None:
 def _module(name: str) -> ModuleType:
     """Import only the chosen command, so that the others cost nothing."""
     return import_module(f"anther.commands.{name.replace('-', '_')}")
-
-
-def _overview() -> str:
-    rows = "\n".join(f"  {name:16}{text}" for name, text in COMMANDS.items())
-    ends = "anther COMMAND --help tells a command's options, --help-all also the parameters of its stages."
-    return f"usage: anther COMMAND [options]\n\n{rows}\n\n{ends}"
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from pathlib import Path
+from typing import Literal, Protocol
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, shake, skeleton, stem
 from anther.capture import Capture
@@ -20,7 +21,7 @@ from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.identification import ObservedShake, feel, refine
-from anther.masks import Masks, by_words
+from anther.masks import Masks, by_words, without_ground
 from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response, stem_near
 from anther.response.thresholds import FEWEST_FRAMES
@@ -54,8 +55,29 @@ class Params:
     """Whether the shake is raised by what the side camera sees, or done as planned."""
 
 
+MaskSource = Literal["colour", "grounded-sam2", "sam3"]
 FindMasks = Callable[[Capture, Box | None, Advance], Masks]
 """Another way to masks than `masks.segment`: (capture, workspace, progress) -> Masks."""
+
+
+def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | None) -> FindMasks | None:
+    """Return what finds the masks by networks, whose weights are in `models` and whose masks are kept in `cache`.
+
+    None for colour and geometry, which is the pipeline's own way.
+
+    Raises:
+        MissingExtra: torch or transformers is not installed.
+        InputError: weights are missing. Both are said before any other work is done.
+    """
+    if source == "colour":
+        return None
+    by_words.find_models(models, source)
+
+    def find(capture: Capture, workspace: Box | None, progress: Advance) -> Masks:
+        seen = by_words.segment(capture, models, params.by_words, method=source, cache=cache, progress=progress)
+        return without_ground(seen, capture, workspace, params.masks)
+
+    return find
 
 
 class MotionPlanner(execution.TrajectoryPlanner, Protocol):
@@ -108,6 +130,7 @@ class Done:
         material: what is believed of the plant afterwards.
         believed: what the shake was planned with; None if unknown.
         pads: what is believed of the gripper's pads afterwards; None if unknown.
+        alone: why the plan alone was to be carried out; None where the shake was to be raised.
     """
 
     shake: ShakePlan
@@ -116,6 +139,7 @@ class Done:
     material: Material
     believed: Material | None = None
     pads: Pads | None = None
+    alone: str | None = None
 
 
 def perceive(
@@ -123,12 +147,7 @@ def perceive(
 ) -> Seen:
     """Turn views into a labelled cloud, a rooted skeleton, its main stem and its flowers.
 
-    Args:
-        capture: the views.
-        workspace: where the plant may stand, world [m]; None: about where the cameras look.
-        run: where every stage's result is kept.
-        params: of every stage.
-        find_masks: finds plant and flowers instead of `masks.segment`, which needs no weights.
+    The workspace is where the plant may stand, world [m]; None: about where the cameras look.
 
     Raises:
         StageFailure: no plant or no stem was found.
@@ -143,9 +162,7 @@ def perceive(
     centres = flowers.flower_centres(fused)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
     found = run.stage(
-        "flowers",
-        Flowers.load,
-        lambda _: flowers.find_flowers(fused, tree, main, centres=centres),
+        "flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres)
     )
     return Seen(labels, fused, tree, main, found)
 
@@ -195,15 +212,7 @@ def pollinate(
     """See, grasp and shake one plant, and measure how its flowers answer.
 
     The shake is chosen among the grasps about as good as the best. When the gripper holds nothing or the wrong thing,
-    or a motion is refused, another place on the stem is tried.
-
-    Args:
-        cell: robot and plant.
-        material: what is believed of the plant's stiffness, density and damping.
-        run: where every stage's result is kept.
-        params: of every stage.
-        find_masks: see `perceive`.
-        earlier: see `plan_shake`.
+    or a motion is refused, another place on the stem is tried. `material` is what is believed of the plant.
 
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
@@ -216,19 +225,17 @@ def pollinate(
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
-            shake, trial = _shaken(cell, planner, rods, grasps, seen, run, arrive, params=params, earlier=earlier)
-    answer = _watched(cell, trial, shake, seen, run, params=params)
+            shake, trial, alone = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
+    answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
-        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads)
+        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone)
     felt = feel(trial, shake, cell.limits.forward)
     told = [ObservedShake.of(shake, answer, felt)]
     learned = run.timed("learning", lambda _: refine(rods, told, pads=params.shake.pads))
-    return Done(shake, trial, answer, learned.material, rods.material, learned.pads)
+    return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone)
 
 
-def _watched(
-    cell: RobotSide, trial: Trial, shake: ShakePlan, seen: Seen, run: Run, *, params: Params
-) -> Response | None:
+def _watched(cell: RobotSide, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
     """Measure the motion of flowers and stem in the side camera's frames; None when there are too few."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
@@ -238,20 +245,12 @@ def _watched(
     if len(frames) < FEWEST_FRAMES:  # a shake that was cut short
         return None
     ids = seen.stem.node_ids
-    beside = stem_near(
-        seen.skeleton.nodes[ids], seen.stem.arc_length, seen.skeleton.radius[ids], shake.grasp.arc_length
-    )
+    nodes, radius = seen.skeleton.nodes[ids], seen.skeleton.radius[ids]
+    beside = stem_near(nodes, seen.stem.arc_length, radius, plan.grasp.arc_length)
     return run.stage(
         "response",
         Response.load,
-        lambda _: measure_response(
-            frames,
-            camera.intrinsics,
-            pose,
-            seen.flowers,
-            shake.frequency,
-            stem=beside,
-        ),
+        lambda _: measure_response(frames, camera.intrinsics, pose, seen.flowers, plan.frequency, stem=beside),
     )
 
 
@@ -263,101 +262,86 @@ def _shaken(
     seen: Seen,
     run: Run,
     arrive: Arrive | None,
-    *,
     params: Params,
     earlier: EarlierShake | None,
-) -> tuple[ShakePlan, Trial]:
+) -> tuple[ShakePlan, Trial, str | None]:
     """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
 
-    `arrive` waits for the arm that has gone before the best.
+    `arrive` waits for the arm that has gone before the best. Return also why the plan alone was to be carried out.
     """
-    while True:
-        offered = [g for g in grasps if g.score >= grasps[0].score - grasp.SLACK]
-        try:
-            shake = _planned(planner, rods, offered, run, cell.limits, params=params, earlier=earlier)
-        except StageFailure as failure:
-            if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
-                raise
-            grasps = grasps[len(offered) :]
-            continue
-        watched = _watching(cell, rods, shake, seen, params)
-        if watched is None and params.actuator == "gripper":
-            raise StageFailure(
-                "limits_exceeded", "a motor shakes only what a side camera watches, and flowers it knows."
-            )
-        run.told("watched", watched)
-        trial = run.stage(
-            "execution",
-            Trial.load,
-            lambda advance, shake=shake, arrive=arrive, watched=watched: execution.execute(
-                planner,
-                shake if watched is None else watched.plan,
-                cell.robot if params.actuator == "gripper" else replace(cell.robot, motor=None),
-                cell.limits,
-                progress=_phases_told(run, advance),
-                arrive=arrive,
-                watched=watched,
-            ),
-        )
-        arrive, planned = None, shake.grasp_index
-        if watched is not None:
-            shake = watched.executed(trial.steps)
-        grasps = [g for i, g in enumerate(grasps) if i != planned]
-        if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
-            return shake, trial
-
-
-def _phases_told(run: Run, advance: Advance) -> execution.Progress:
-    """Return what shows a trial's progress and says which phase begins."""
-
-    def begins(done: int, phases: int, phase: str) -> None:
-        advance(done, phases)
-        run.told("phase", phase)
-
-    return begins
-
-
-def _watching(cell: RobotSide, rods: PlantModel, shake: ShakePlan, seen: Seen, params: Params) -> Escalation | None:
-    """Return what raises the shake by what the side camera sees; None where it cannot."""
-    camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
-    wanted = params.escalate or params.actuator == "gripper"
-    seconds = min(params.escalation.most_seconds, cell.limits.shake_duration)
-    if camera is None or pose is None or not wanted or not len(seen.flowers.positions) or seconds < SHORTEST:
-        return None
-    points = watch_points(rods)
-    tones, pads = shake.tones, params.shake.pads
-    pressing = float(cell.limits.pressing.most(shake.grasp.stem_diameter))
-    return Escalation(
-        replace(shake, press=max(shake.press, pressing)),
-        foresee(rods, shake.grasp.point, tones.frequencies, points, pads=pads),
-        seen.flowers.positions,
-        rods.rods.nodes[points],
-        camera=(camera.intrinsics, pose),
-        middle=shake.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
-        limits=params.shake,
-        params=replace(params.escalation, most_seconds=seconds),
-    )
-
-
-def _planned(
-    planner: MotionPlanner,
-    rods: PlantModel,
-    grasps: list[Grasp],
-    run: Run,
-    limits: SafetyLimits,
-    *,
-    params: Params,
-    earlier: EarlierShake | None,
-) -> ShakePlan:
-    """Choose a shake among the grasps."""
 
     def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
         assert at.joints is not None
         return planner.shake_limit(at.joints, direction, frequencies)
 
-    actuator = shake.ArmShaker(arm_limit) if params.actuator == "arm" else shake.VibratingGripper()
-    return run.stage(
-        "shake plan",
-        ShakePlan.load,
-        lambda _: shake.plan_shake(rods, grasps, actuator, params.shake, limits.pressing, earlier),
+    by_arm = params.actuator == "arm"
+    actuator = shake.ArmShaker(arm_limit) if by_arm else shake.VibratingGripper()
+    robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
+
+    def told(advance: Advance) -> execution.Progress:
+        def begins(done: int, phases: int, phase: str) -> None:
+            advance(done, phases)
+            run.told("phase", phase)
+
+        return begins
+
+    while True:
+        offered = [g for g in grasps if g.score >= grasps[0].score - grasp.SLACK]
+        try:
+            plan = run.stage(
+                "shake plan",
+                ShakePlan.load,
+                lambda _, offered=offered: shake.plan_shake(rods, offered, actuator, params.shake, pressing, earlier),
+            )
+        except StageFailure as failure:
+            if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
+                raise
+            grasps = grasps[len(offered) :]
+            continue
+        way = _watching(cell, rods, plan, seen, params)
+        watched, alone = (None, way) if isinstance(way, str) else (way, None)
+        if watched is None and not by_arm:
+            why = "a motor shakes only what a side camera watches, and flowers it knows."
+            raise StageFailure("limits_exceeded", why)
+        run.told("watched", watched)
+        commanded = plan if watched is None else watched.plan
+        trial = run.stage(
+            "execution",
+            Trial.load,
+            lambda advance, plan=commanded, arrive=arrive, watched=watched: execution.execute(
+                planner, plan, robot, cell.limits, progress=told(advance), arrive=arrive, watched=watched
+            ),
+        )
+        arrive, planned = None, plan.grasp_index
+        if watched is not None:
+            plan = watched.executed(trial.steps)
+        grasps = [g for i, g in enumerate(grasps) if i != planned]
+        if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
+            return plan, trial, alone
+
+
+def _watching(cell: RobotSide, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:
+    """Return what raises the shake by what the side camera sees; where it cannot, why not."""
+    camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
+    seconds = min(params.escalation.most_seconds, cell.limits.shake_duration)
+    if not (params.escalate or params.actuator == "gripper"):
+        paper = not params.shake.keeps_limits
+        return "the paper's shake is done as it is" if paper else "it was not to be watched, as asked"
+    if camera is None or pose is None:
+        return "there is no side camera"
+    if seconds < SHORTEST:
+        return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
+    if not len(seen.flowers.positions):
+        return "no flower was found that could be watched"
+    points = watch_points(rods)
+    pressing = float(cell.limits.pressing.most(plan.grasp.stem_diameter))
+    return Escalation(
+        replace(plan, press=max(plan.press, pressing)),
+        foresee(rods, plan.grasp.point, plan.tones.frequencies, points, pads=params.shake.pads),
+        seen.flowers.positions,
+        rods.rods.nodes[points],
+        camera=(camera.intrinsics, pose),
+        middle=plan.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
+        limits=params.shake,
+        params=replace(params.escalation, most_seconds=seconds),
     )

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from anther.files import write_text
 from anther.fruit_set import worth
 from anther.geometry import Array
-from anther.pictures import report as figures
-from anther.pictures.report import draw_steps
+from anther.pictures.plant import draw_plant
+from anther.pictures.report import draw_motion, draw_response_map, draw_steps, draw_views
 from anther.plant import LEARNED, Material
 from anther.response import Response
 from anther.results import FILM, RunResults, watched_words
@@ -36,53 +37,30 @@ SHOWN = 5
 
 
 def write_report(path: Path, results: RunResults) -> None:
-    """Write the report of a run to one HTML file that needs nothing else.
-
-    Args:
-        path: file to write.
-        results: what the run folder holds; sections of stages that were not reached are left out.
-    """
-    sections = [
-        _verdict(results),
-        _section("What the camera saw", _views(results)),
-        _section("The plant in 3-D", _plant(results)),
-        _section("The grasp", _grasp(results)),
-        _section("The shake", _shake(results)),
-        _section("The shake, step by step", _steps(results)),
-        _section("How the flowers moved", _motion(results)),
-        _section("What was learned", _learned(results)),
-        _section("What to know", _notes(results)),
-        _section("Where the time went", _timing(results)),
-        _section("Parameters", _parameters(results)),
-    ]
+    """Write the report of a run to one HTML file that needs nothing else."""
     title = escape(f"Anther: {results.title}")
+    parts = ((name, section(results)) for name, section in SECTIONS.items())
+    sections = "".join(f"<section><h2>{escape(name)}</h2>{body}</section>" for name, body in parts if body)
     footer = "Lengths in metres unless marked; poses are x, y, z, qx, qy, qz, qw in the arm's base frame."
     write_text(
         path,
         f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"
         f"<title>{title}</title><style>{STYLE}</style><main><h1>{title}</h1>"
-        f"<p class=soft>{escape(results.subtitle)}</p>{''.join(sections)}<footer>{footer}</footer></main></html>",
+        f"<p class=soft>{escape(results.subtitle)}</p>{_verdict(results)}{sections}"
+        f"<footer>{footer}</footer></main></html>",
     )
 
 
-def _section(title: str, body: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>{body}</section>" if body else ""
-
-
-def _image(draw: Callable[[], Any], alt: str) -> str:
-    """Draw a figure and return it as an embedded PNG."""
-    figure = draw()
+def _image(figure: Figure, alt: str) -> str:
+    """Return a figure as an embedded PNG, and free its memory."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
-    figures.close(figure)
+    figure.clear()
     return f"<img alt='{escape(alt)}' src='data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}'>"
 
 
 def _table(header: list[str], rows: list[list[str]], text_columns: int = 1, chosen: int | None = None) -> str:
-    """Rows of text; the first `text_columns` and a last column "Why" or "Then" are aligned left, the others right.
-
-    The row `chosen` is marked.
-    """
+    """Return rows of text, `chosen` marked; the first columns and "Why" or "Then" are aligned left, others right."""
     align = ["" if i < text_columns or name in ("Why", "Then") else " class=n" for i, name in enumerate(header)]
     head = "".join(f"<th{a}>{escape(h)}</th>" for a, h in zip(align, header, strict=True))
     body = "".join(
@@ -101,22 +79,18 @@ def _verdict(results: RunResults) -> str:
     good = bool(results.summary.get("success"))
     headline = results.headline[:1].upper() + results.headline[1:]
     why = str(results.summary.get("message") or "")
-    facts = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in results.headline_facts())
-    return (
-        f"<section class='verdict{'' if good else ' bad'}'><h2>{escape(headline)}</h2>"
-        f"<p>{escape(why)}</p>{_answers(results)}<div class=facts>{facts}</div></section>"
-    )
-
-
-def _answers(results: RunResults) -> str:
-    """Return the three questions and their answers, side by side."""
     colour = {True: "yes", False: "no", None: "soft"}
     cells = "".join(
         f"<div class=answer><span>{escape(a.question)}</span><b class={colour[a.good]}>{escape(a.said)}</b>"
         f"<span>{escape(a.why)}</span></div>"
         for a in results.answers()
     )
-    return f"<div class=answers>{cells}</div>" if cells else ""
+    answers = f"<div class=answers>{cells}</div>" if cells else ""
+    facts = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in results.headline_facts())
+    return (
+        f"<section class='verdict{'' if good else ' bad'}'><h2>{escape(headline)}</h2>"
+        f"<p>{escape(why)}</p>{answers}<div class=facts>{facts}</div></section>"
+    )
 
 
 def _views(results: RunResults) -> str:
@@ -125,7 +99,7 @@ def _views(results: RunResults) -> str:
     text = f"{results.capture.views} RGB-D views. "
     if results.masks is not None:
         text += f"Green: pixels taken for plant; magenta: flowers ({results.masks.source})."
-    picture = _image(lambda: figures.views(results.capture, results.masks), "camera views with masks")
+    picture = _image(draw_views(results.capture, results.masks), "camera views with masks")
     return f"<p>{escape(text)}</p>{picture}"
 
 
@@ -144,7 +118,9 @@ def _plant(results: RunResults) -> str:
     text = f"<p>{escape(', '.join(parts))}.</p>"
     if results.skeleton is None or results.stem is None:
         return text
-    return text + _image(lambda: figures.plant(results), "cloud, skeleton, main stem and grasp")
+    grasp = results.shake.grasp if results.shake is not None else next(iter(results.grasps), None)
+    figure = draw_plant(results.cloud, results.skeleton, results.stem, grasp, flowers=results.flowers)
+    return text + _image(figure, "cloud, skeleton, main stem and grasp")
 
 
 def _grasp(results: RunResults) -> str:
@@ -176,10 +152,10 @@ def _shake(results: RunResults) -> str:
         [name, f"{value:.3g}", f"{limit:.3g}", like_breeze(name, limit, results.crop), f"{100 * share:.0f} %"]
         for name, value, limit, share in shake.limits
     ]
-    picture = _image(lambda: figures.response_map(shake), "flower response over grip height and frequency")
-    return f"<p>{escape(shake.reason)}</p>{picture}<h2 style='margin-top:16px'>How close each limit is</h2>" + _table(
-        ["Limit", "Planned", "Allowed", "Allowed is as in a breeze of", "Used"], limits
-    )
+    picture = _image(draw_response_map(shake), "flower response over grip height and frequency")
+    header = ["Limit", "Planned", "Allowed", "Allowed is as in a breeze of", "Used"]
+    heading = "<h2 style='margin-top:16px'>How close each limit is</h2>"
+    return f"<p>{escape(shake.reason)}</p>{picture}{heading}{_table(header, limits)}"
 
 
 def _steps(results: RunResults) -> str:
@@ -192,7 +168,7 @@ def _steps(results: RunResults) -> str:
         return text
     steps, start = results.trial.steps, float(results.trial.shake_times[0])
     target = results.params.get("params", {}).get("escalation", {}).get("target")
-    picture = _image(lambda: draw_steps(steps, start, target), "commanded, measured and allowed, step by step")
+    picture = _image(draw_steps(steps, start, target), "commanded, measured and allowed, step by step")
     rows = [
         [
             f"{step.begin - start:.1f} to {step.end - start:.1f} s",
@@ -215,7 +191,7 @@ def _motion(results: RunResults) -> str:
     shake, response = results.shaken, results.response
     if shake is None or response is None:
         return ""
-    picture = _image(lambda: figures.motion(shake, response), "predicted and measured flower motion")
+    picture = _image(draw_motion(shake, response), "predicted and measured flower motion")
     measured = response.felt(results.trial.steps if results.trial else ())
     rows = [
         [
@@ -227,15 +203,19 @@ def _motion(results: RunResults) -> str:
         ]
         for i, (low, high) in enumerate(shake.predicted_amplitude_interval)
     ]
-    held = response.visible & np.all(
-        (response.amplitude[:, None] >= shake.predicted_amplitude_interval) == [1, 0], axis=1
-    )
+    low, high = shake.predicted_amplitude_interval.T
+    held = response.visible & (response.amplitude >= low) & (response.amplitude < high)
     felt = np.where(np.isfinite(measured), measured, shake.predicted_acceleration)
     text = f"<p>{held.sum()} of {response.visible.sum()} measured amplitudes lie within the predicted interval.</p>"
     text += f"<p>{escape(worth(felt, results.crop or ''))}</p>"
     text += _beside(results, measured)
     header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
-    return text + picture + _film(results) + _table(header, rows)
+    film = results.folder / FILM
+    if film.is_file():
+        told = base64.b64encode(film.read_bytes()).decode()
+        alt = "the end of the shake, at half its speed"
+        picture += f"<p><img class=film alt='{alt}' src='data:image/gif;base64,{told}'></p>"
+    return text + picture + _table(header, rows)
 
 
 def _beside(results: RunResults, measured: Array) -> str:
@@ -243,24 +223,14 @@ def _beside(results: RunResults, measured: Array) -> str:
     shake, summary = results.shaken, results.summary or {}
     assert shake is not None
     seen = measured[np.isfinite(measured)]
-    cells = {
-        "Predicted": _number(float(np.median(shake.predicted_acceleration))),
-        f"Measured ({len(seen)} of {len(measured)} flowers)": _number(float(np.median(seen)))
-        if len(seen)
-        else "nothing",
-    }
+    cells = {"Predicted": _number(float(np.median(shake.predicted_acceleration)))}
+    cells[f"Measured ({len(seen)} of {len(measured)} flowers)"] = (
+        _number(float(np.median(seen))) if len(seen) else "nothing"
+    )
     true = summary.get("true_flower_acceleration_median_ms2")
     if true is not None:
         cells["True (simulated; all flowers)"] = _number(float(true))
     return _table(["Median flower", *cells], [["peak acceleration", *cells.values()]])
-
-
-def _film(results: RunResults) -> str:
-    film = results.folder / FILM
-    if not film.is_file():
-        return ""
-    told = base64.b64encode(film.read_bytes()).decode()
-    return f"<p><img class=film alt='the end of the shake, at half its speed' src='data:image/gif;base64,{told}'></p>"
 
 
 def _measured(response: Response, flower: int) -> str:
@@ -328,9 +298,8 @@ def _timing(results: RunResults) -> str:
         f"<td class=n>{s:.1f} s</td><td class=n>{100 * s / total:.0f} %</td></tr>"
         for k, s in seconds.items()
     )
-    return (
-        f"<div class=bar>{bar}</div><table>{rows}<tr><td>total</td><td class=n>{total:.1f} s</td><td></td></tr></table>"
-    )
+    last = f"<tr><td>total</td><td class=n>{total:.1f} s</td><td></td></tr>"
+    return f"<div class=bar>{bar}</div><table>{rows}{last}</table>"
 
 
 def _parameters(results: RunResults) -> str:
@@ -347,3 +316,18 @@ def _flat(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, Any]]
             yield from _flat(value, f"{before}{name}.")
         else:
             yield f"{before}{name}", value
+
+
+SECTIONS = {
+    "What the camera saw": _views,
+    "The plant in 3-D": _plant,
+    "The grasp": _grasp,
+    "The shake": _shake,
+    "The shake, step by step": _steps,
+    "How the flowers moved": _motion,
+    "What was learned": _learned,
+    "What to know": _notes,
+    "Where the time went": _timing,
+    "Parameters": _parameters,
+}
+"""Heading -> what is written below it; nothing of stages that were not reached."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,18 +27,16 @@ from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt
 
-EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
-"""The shake as it was carried out; its end, as the side camera saw it; the trial in numbers."""
+PARAMS, TIMING = "00_params.json", "timing.json"
+"""What the run was asked for; the time each stage took."""
+EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.gif", "trial.json", "visit.json"
+"""The shake as it was carried out; its end, as the side camera saw it; the trial in numbers; what the history keeps."""
 
 
 class Finding(NamedTuple):
-    """One of the three questions about a trial, and its answer.
+    """One of the three questions about a trial, its answer in a few words, and the numbers behind it.
 
-    Attributes:
-        question: in words.
-        good: whether it is what was wanted; None where it never came to that.
-        said: the answer in a few words.
-        why: the numbers behind it, "" if there are none.
+    `good` is whether it is what was wanted; None where it never came to that.
     """
 
     question: str
@@ -133,8 +132,13 @@ class RunResults:
         s = self.summary or {}
         if "held" not in s:
             return ()
-        organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
-        between = _gripped(s) if s["unharmed"] is None else f"simulated: {organ} between the pads, {_slip(s)}"
+        opening, slip, between = s.get("grip_opening_m"), s.get("true_slip_m"), ""
+        if s["unharmed"] is not None:
+            organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
+            slipped = "not shaken" if slip is None or not np.isfinite(slip) else f"it slipped {1000 * slip:.1f} mm"
+            between = f"simulated: {organ} between the pads, {slipped}"
+        elif opening is not None:
+            between = f"the pads stood {1000 * opening:.1f} mm apart, with {s['grip_force_n']:.0f} N"
         return (
             Finding("Was the main stem held?", s["held"], "yes" if s["held"] else "no", between),
             Finding("Was the plant harmed?", s["unharmed"], *_harm(s)),
@@ -160,25 +164,13 @@ class RunResults:
     def notes(self) -> list[str]:
         """Return what the stages want the user to know, in order."""
         stages = (self.cloud, self.skeleton, self.stem, self.flowers, self.shake, self.response)
-        notes = [str(note) for stage in stages if stage is not None for note in getattr(stage, "notes", ())]
+        notes = [str(note) for stage in stages for note in getattr(stage, "notes", ())]
         return notes + [note for note in self.doubts() if note not in notes]
 
     def doubts(self) -> list[str]:
         """Return a line for the main stem and for the best grasp if their confidence is low."""
         stem = () if self.stem is None else doubt(self.stem.confidence)
         return [*stem, *(note for grasp in self.grasps[:1] for note in doubt(grasp.confidence, "best grasp"))]
-
-
-def _gripped(s: dict[str, Any]) -> str:
-    opening, force = s.get("grip_opening_m"), s.get("grip_force_n")
-    return (
-        "" if opening is None or force is None else f"the pads stood {1000 * opening:.1f} mm apart, with {force:.0f} N"
-    )
-
-
-def _slip(s: dict[str, Any]) -> str:
-    slip = s.get("true_slip_m")
-    return "not shaken" if slip is None or not np.isfinite(slip) else f"it slipped {1000 * slip:.1f} mm"
 
 
 def _harm(s: dict[str, Any]) -> tuple[str, str]:
@@ -224,33 +216,33 @@ def read_run(folder: Path | str) -> RunResults:
         InputError: the folder is missing or is not a run folder, or a result in it cannot be read.
     """
     folder = existing(folder)
-    if not (folder / "00_params.json").is_file():
-        raise bad_input(
-            "run", given=str(folder), allowed="a run folder (it holds 00_params.json)", do="Name one, e.g. runs/demo."
-        )
-    kinds: dict[str, Any] = {
-        "capture": Capture, "masks": Masks, "cloud": Cloud, "skeleton": Skeleton, "stem": Stem, "flowers": Flowers,
-        "plant model": PlantModel, "shake plan": ShakePlan, "response": Response, "execution": Trial,
-    }  # fmt: skip
-    found = {
-        {"execution": "trial"}.get(stage, stage.split()[0]): kind.load(folder / FILES[stage])
-        for stage, kind in kinds.items()
-        if (folder / FILES[stage]).exists()
-    }
-    tree, main = found.get("skeleton"), found.get("stem")
+    if not (folder / PARAMS).is_file():
+        allowed = f"a run folder (it holds {PARAMS})"
+        raise bad_input("run", given=str(folder), allowed=allowed, do="Name one, e.g. runs/demo.")
+
+    def there(name: str, read: Callable[[Path], Any], otherwise: Any = None) -> Any:
+        return read(folder / name) if (folder / name).exists() else otherwise
+
+    tree, main = there(FILES["skeleton"], Skeleton.load), there(FILES["stem"], Stem.load)
     if tree is not None and main is not None and len(main.organ) != len(tree.nodes):
         given, allowed = f"organs of {len(main.organ)} nodes", f"of the {len(tree.nodes)} of {FILES['skeleton']}"
         raise bad_input(str(folder / FILES["stem"]), given=given, allowed=allowed, do="Find the stem again.")
-    grasps = folder / FILES["grasp"]
-    timing = folder / "timing.json"
-    summary, visit, executed = folder / SUMMARY, folder / "visit.json", folder / EXECUTED
     return RunResults(
         folder=folder,
-        params=read_object(folder / "00_params.json"),
-        summary=read_object(summary) if summary.exists() else None,
-        seconds=read_object(timing) if timing.exists() else {},
-        grasps=tuple(load_grasps(grasps)) if grasps.exists() else (),
-        executed=ShakePlan.load(executed) if executed.exists() else None,
-        visit=read_record(visit) if visit.exists() else None,
-        **found,
+        params=read_object(folder / PARAMS),
+        summary=there(SUMMARY, read_object),
+        seconds=there(TIMING, read_object, {}),
+        grasps=tuple(there(FILES["grasp"], load_grasps, ())),
+        capture=there(FILES["capture"], Capture.load),
+        masks=there(FILES["masks"], Masks.load),
+        cloud=there(FILES["cloud"], Cloud.load),
+        skeleton=tree,
+        stem=main,
+        flowers=there(FILES["flowers"], Flowers.load),
+        plant=there(FILES["plant model"], PlantModel.load),
+        shake=there(FILES["shake plan"], ShakePlan.load),
+        executed=there(EXECUTED, ShakePlan.load),
+        trial=there(FILES["execution"], Trial.load),
+        response=there(FILES["response"], Response.load),
+        visit=there(VISIT, read_record),
     )

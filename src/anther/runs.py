@@ -43,20 +43,11 @@ Advance = Callable[[int, int], None]
 Result = TypeVar("Result")
 
 
-def _save(result: Any, path: Path) -> None:
-    result.save(path)
-
-
 class Run:
     """One run folder, its progress bars and the time each stage took.
 
-    Use as a context manager; bars are drawn while it is open.
-
-    Args:
-        folder: the run's folder; it is made.
-        restart_from: a stage name, or "where-it-stopped"; results of earlier stages are read from the folder instead
-            of computed.
-        quiet: draw nothing.
+    Use as a context manager; bars are drawn while it is open, unless it is `quiet`. With `restart_from`, a stage or
+    "where-it-stopped", results of earlier stages are read from the folder instead of computed.
 
     Attributes:
         seconds: stage -> time it took [s]; stages that were read back are absent.
@@ -98,16 +89,9 @@ class Run:
         name: str,
         load: Callable[[Path], Result],
         compute: Callable[[Advance], Result],
-        save: Callable[[Result, Path], None] = _save,
+        save: Callable[[Any, Path], None] = lambda result, path: result.save(path),
     ) -> Result:
-        """Compute a stage and keep its result, or read it back when the run restarts from a later stage.
-
-        Args:
-            name: one of `FILES`.
-            load: reads the result back.
-            compute: makes it; is given a function to report progress with.
-            save: writes it; by default the result's own `save`.
-        """
+        """Compute a stage of `FILES` and keep its result, or read it back when the run restarts from a later stage."""
         order = list(FILES)
         if self._restart_from is not None and order.index(name) < order.index(self._restart_from):
             result = load(self.path(name))
@@ -148,9 +132,19 @@ def stage_under_way(folder: Path) -> str:
     try:
         return str(read_object(folder / PROGRESS)["stage"])
     except (InputError, KeyError) as error:
-        raise bad_input(
-            "restart-from",
-            given=f"'{WHERE_IT_STOPPED}' in {folder}, which does not say where it stopped",
-            allowed=f"a run folder with {PROGRESS}",
-            do="Name a stage.",
-        ) from error
+        given = f"'{WHERE_IT_STOPPED}' in {folder}, which does not say where it stopped"
+        allowed = f"a run folder with {PROGRESS}"
+        raise bad_input("restart-from", given=given, allowed=allowed, do="Name a stage.") from error
+
+
+def kept(folder: Path, stage: str) -> Path:
+    """Return the file in which a run folder keeps a stage's result.
+
+    Raises:
+        InputError: there is none.
+    """
+    if not (folder / FILES[stage]).exists():
+        do = "`anther reconstruct` goes as far as the grasp, `anther trial` through all stages."
+        allowed = f"a run folder with {FILES[stage]}, or a skeleton file"
+        raise bad_input(str(folder), given=f"a folder without {FILES[stage]}", allowed=allowed, do=do)
+    return folder / FILES[stage]

@@ -19,8 +19,6 @@ from anther.geometry import Array, Intrinsics
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 BENT = 0.3
 """Distortion from which on the other commands need undistorted images [px]."""
-COVERED = 0.4
-"""Share of the image that corners should cover where intrinsics are estimated [-]."""
 
 
 @dataclass(frozen=True)
@@ -60,37 +58,26 @@ class Args:
 
 
 def run(args: Args) -> int:
-    """Find the corners, calibrate, print and write the result; or do so live, or check. Return the exit code.
-
-    Raises:
-        AntherError: a bad file or option, views that do not determine the result, or a machine that refuses.
-    """
+    """Find the corners, calibrate, print and write the result; or do so live, or check. Return the exit code."""
     _check_options(args)
     if args.cell is None:
         _from_files(args)
         return 0
+    from anther.commands.live_calibration import check, live
+
     if args.check:
-        from anther.commands.calibration_check import check
-
         return check(args.cell, yes=args.yes)
-    from anther.commands.live_calibration import live
-
-    return live(
-        args.cell,
-        _needed(args, "board"),
-        out=args.out,
-        intrinsics=args.intrinsics,
-        by_hand=args.by_hand,
-        yes=args.yes,
-    )
+    board = _needed(args, "board")
+    return live(args.cell, board, out=args.out, intrinsics=args.intrinsics, by_hand=args.by_hand, yes=args.yes)
 
 
+NEEDED = {"images": ("images", "poses", "board"), "live": ("cell", "board"), "check": ("cell",)}
 WAYS = {
-    "images": ("images", "poses", "board", "intrinsics", "estimate_intrinsics", "out", "json", "method"),
-    "live": ("live", "cell", "board", "intrinsics", "out", "by_hand", "yes"),
-    "check": ("check", "cell", "yes"),
+    "images": (*NEEDED["images"], "intrinsics", "estimate_intrinsics", "out", "json", "method"),
+    "live": (*NEEDED["live"], "live", "intrinsics", "out", "by_hand", "yes"),
+    "check": (*NEEDED["check"], "check", "yes"),
 }
-"""Which options go together."""
+"""Which options go together, and which of them must be given."""
 
 
 def _check_options(args: Args) -> None:
@@ -101,11 +88,9 @@ def _check_options(args: Args) -> None:
     plain = Args()
     for name in (f.name for f in fields(Args) if f.name not in WAYS[way]):
         if getattr(args, name) != getattr(plain, name):
-            with_ = " or ".join(f"--{other}" for other, names in WAYS.items() if name in names)
-            raise bad_input(
-                _option(name), given=f"it with --{way}", allowed=f"with {with_}", do="Leave one of them out."
-            )
-    for name in WAYS[way][1:2] if way == "check" else WAYS[way][1:3] if way == "live" else WAYS[way][:3]:
+            allowed = "with " + " or ".join(f"--{other}" for other, names in WAYS.items() if name in names)
+            raise bad_input(_option(name), given=f"it with --{way}", allowed=allowed, do="Leave one of them out.")
+    for name in NEEDED[way]:
         _needed(args, name)
 
 
@@ -119,27 +104,26 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
+def check_size(given: Intrinsics, size: tuple[int, int], whose: str) -> None:
+    """Check that intrinsics are of images of `size` (width, height) [px]."""
+    if (given.width, given.height) != size:
+        own, allowed = f"{given.width} x {given.height} px", f"{size[0]} x {size[1]} px, as {whose}"
+        raise bad_input("intrinsics", given=own, allowed=allowed, do="Give those of this resolution.")
+
+
 def _from_files(args: Args) -> None:
     """Calibrate from images and poses in files."""
     from anther import calibration
-    from anther.calibration import read_poses
-    from anther.files import replacing
-    from anther.pictures.calibration import draw_calibration
+    from anther.pictures import save_figure
+    from anther.pictures.estimates import draw_calibration
 
     folder, out = _needed(args, "images"), args.out or Path()
-    board = calibration.parse_board(_needed(args, "board"))
-    poses = read_poses(_needed(args, "poses"))
+    board, poses = calibration.parse_board(_needed(args, "board")), calibration.read_poses(_needed(args, "poses"))
     given = _given_intrinsics(args, folder)
     names, notes = _names(folder, poses)
     corners, size = _find(folder, names, board)
     intrinsics, distortion = given or calibration.estimate_intrinsics(corners, *size)
-    if (intrinsics.width, intrinsics.height) != size:
-        raise bad_input(
-            "intrinsics",
-            given=f"{intrinsics.width} x {intrinsics.height} px",
-            allowed=f"{size[0]} x {size[1]} px, as the images",
-            do="Give those of this resolution.",
-        )
+    check_size(intrinsics, size, "the images")
     views = calibration.board_views(calibration.undistorted(corners, intrinsics, distortion), intrinsics)
     seen = tuple(names[number] for number in views.images)
     notes += [f"no board found in {', '.join(n for n in names if n not in seen)}"] if len(seen) < len(names) else []
@@ -155,8 +139,7 @@ def _from_files(args: Args) -> None:
     )
     notes += [*found.notes, *_camera_notes(args, views, intrinsics, distortion)]
     found.save(out / "calibration.json")
-    with replacing(out / "calibration.png") as temporary:
-        draw_calibration(found, views, flange).savefig(temporary, dpi=110)
+    save_figure(draw_calibration(found, views, flange), out / "calibration.png")
     if args.json:
         print(json.dumps(json.loads((out / "calibration.json").read_text()) | {"notes": notes}, indent=2))
     else:
@@ -173,12 +156,8 @@ def _given_intrinsics(args: Args, folder: Path) -> tuple[Intrinsics, Array] | No
         return None
     beside = folder / "intrinsics.json"
     if args.intrinsics is None and not beside.exists():
-        raise bad_input(
-            "intrinsics",
-            given=f"none, and no {beside}",
-            allowed="--intrinsics FILE, or --estimate-intrinsics",
-            do="Prefer the camera's own.",
-        )
+        allowed = "--intrinsics FILE, or --estimate-intrinsics"
+        raise bad_input("intrinsics", given=f"none, and no {beside}", allowed=allowed, do="Prefer the camera's own.")
     return read_intrinsics(args.intrinsics or beside)
 
 
@@ -191,12 +170,9 @@ def _names(folder: Path, poses: dict[str, Array]) -> tuple[list[str], list[str]]
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
     missing = sorted(set(poses) - there)
     if missing:
-        raise bad_input(
-            "images",
-            given=f"poses for {', '.join(missing[:5])}{' ...' if len(missing) > 5 else ''}, which {folder} lacks",
-            allowed="an image for each pose, by file name",
-            do="Copy them there, or correct the names.",
-        )
+        given = f"poses for {', '.join(missing[:5])}{' ...' if len(missing) > 5 else ''}, which {folder} lacks"
+        do = "Copy them there, or correct the names."
+        raise bad_input("images", given=given, allowed="an image for each pose, by file name", do=do)
     spare = sorted(there - set(poses))
     return sorted(poses), [f"no pose for {', '.join(spare)}: not used"] if spare else []
 
@@ -227,6 +203,7 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
 
 def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Array) -> list[str]:
     from anther.calibration import image_coverage, largest_distortion
+    from anther.calibration.taken import COVERED
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)
@@ -242,31 +219,23 @@ def _print(found: HandEye, notes: list[str], out: Path, *, estimated: bool) -> N
 
     from anther.geometry import pose7
 
-    console = Console(highlight=False, markup=False)
+    console, camera = Console(highlight=False, markup=False), found.intrinsics
     console.print(_view_table(found))
     console.print(_method_table(found))
     pose = " ".join(f"{number:.6f}" for number in pose7(found.T_flange_cam))
-    camera = found.intrinsics
-    console.print(f"T_flange_cam  {pose}   (x y z [m] qx qy qz qw)", markup=False, soft_wrap=True)
-    console.print(
-        f"standard error, worst direction: {np.rad2deg(found.rotation_error):.3f} deg, "
-        f"{1e3 * found.translation_error:.2f} mm",
-        soft_wrap=True,
-    )
-    console.print(
-        f"corners found to {found.pixel_noise:.2f} px; the arm's poses err by "
-        f"{np.rad2deg(found.arm_rotation_error):.2f} deg, {1e3 * found.arm_translation_error:.1f} mm per axis",
-        soft_wrap=True,
-    )
-    source = "estimated" if estimated else "given"
-    console.print(
-        f"camera ({source}): {camera.width} x {camera.height} px, f {camera.fx:.2f} {camera.fy:.2f}, "
-        f"c {camera.cx:.2f} {camera.cy:.2f}, distortion {' '.join(f'{k:.4g}' for k in found.distortion)}",
-        soft_wrap=True,
-    )
-    for note in notes:
-        console.print(f"warning: {note}", markup=False, soft_wrap=True)
-    console.print(f"written: {out / 'calibration.json'}, {out / 'calibration.png'}", soft_wrap=True)
+    own = f"{np.rad2deg(found.rotation_error):.3f} deg, {1e3 * found.translation_error:.2f} mm"
+    arm = f"{np.rad2deg(found.arm_rotation_error):.2f} deg, {1e3 * found.arm_translation_error:.1f} mm per axis"
+    lens = f"{camera.width} x {camera.height} px, f {camera.fx:.2f} {camera.fy:.2f}, c {camera.cx:.2f} {camera.cy:.2f}"
+    bend = " ".join(f"{k:.4g}" for k in found.distortion)
+    for line in (
+        f"T_flange_cam  {pose}   (x y z [m] qx qy qz qw)",
+        f"standard error, worst direction: {own}",
+        f"corners found to {found.pixel_noise:.2f} px; the arm's poses err by {arm}",
+        f"camera ({'estimated' if estimated else 'given'}): {lens}, distortion {bend}",
+        *(f"warning: {note}" for note in notes),
+        f"written: {out / 'calibration.json'}, {out / 'calibration.png'}",
+    ):
+        console.print(line, soft_wrap=True)
 
 
 def _view_table(found: HandEye) -> Any:
@@ -278,10 +247,8 @@ def _view_table(found: HandEye) -> Any:
         table.add_column(name, justify="right")
     for i, name in enumerate(found.images):
         own = found.pixel_residuals[i], found.rotation_residuals[i], found.translation_residuals[i]
-        outlier = "" if found.used[i] else "outlier"
-        table.add_row(
-            name, *_cells(own), *_cells(found.left_out_errors[i]), outlier, style="" if not outlier else "red"
-        )
+        cells = (name, *_cells(own), *_cells(found.left_out_errors[i]))
+        table.add_row(*cells, "" if found.used[i] else "outlier", style="" if found.used[i] else "red")
     return table
 
 
@@ -299,9 +266,7 @@ def _method_table(found: HandEye) -> Any:
     return table
 
 
-def _cells(errors: Any) -> list[str]:
+def _cells(errors: Any) -> tuple[str, ...]:
     """Return an error in px, rad, m as text in px, deg, mm."""
     pixel, turn, shift = (float(number) for number in errors)
-    if np.isnan(pixel):
-        return ["-", "-", "-"]
-    return [f"{pixel:.2f}", f"{np.rad2deg(turn):.3f}", f"{1e3 * shift:.2f}"]
+    return ("-",) * 3 if np.isnan(pixel) else (f"{pixel:.2f}", f"{np.rad2deg(turn):.3f}", f"{1e3 * shift:.2f}")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -13,7 +14,7 @@ import numpy as np
 import tyro
 
 if TYPE_CHECKING:
-    from anther.cells import CellFile, Part
+    from anther.cells import CellFile
     from anther.devices import Arm, Camera, JointTrajectory
 
 FARTHEST = 10.0
@@ -38,11 +39,7 @@ class Args:
 
 
 def run(args: Args) -> int:
-    """Do it; return 0, or 1 where a part is missing.
-
-    Raises:
-        AntherError: a bad file, a machine that does not answer, or a motion that the limits refuse.
-    """
+    """Do it; return 0, or 1 where a part is missing."""
     from anther.cells import read_cell
 
     file = read_cell(args.file)
@@ -51,76 +48,74 @@ def run(args: Args) -> int:
     return enable(file) if args.action == "enable" else jog(file, args.joint, args.by)
 
 
+@contextmanager
+def kept_open(file: CellFile) -> Iterator[Callable[[Any], Any]]:
+    """Own the cell's arm for the block; yield what is told each machine, and closes it at the end."""
+    from anther.cells import owned
+
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+
+        def keep(machine: Any) -> Any:
+            stack.callback(getattr(machine, "close", lambda: None))
+            return machine
+
+        yield keep
+
+
 def check(file: CellFile) -> int:
     """Connect to each part by itself and print what it sees, or what is missing; nothing moves."""
     from rich.console import Console
     from rich.table import Table
 
-    from anther.cells import owned
     from anther.errors import AntherError
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
+    looks = (
+        ("arm", file.arm, partial(_arm_seen, file=file)),
+        ("gripper", file.gripper, _gripper_seen),
+        ("wrist camera", file.wrist_camera, _camera_seen),
+        ("side camera", file.side_camera, _camera_seen),
+        ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
+    )
+    with kept_open(file) as keep:
         arm: Any = None
-
-        def look(name: str, part: Part | None, see: Callable[[Any], list[str]]) -> Any:
-            nonlocal missing
+        for name, part, see in looks:
             if part is None:
                 table.add_row(name, "-", "none in the file")
-                return None
+                continue
             try:
-                machine = file.connect(part, arm=arm)
-                stack.callback(getattr(machine, "close", lambda: None))
-                seen = see(machine)
+                machine = keep(file.connect(part, arm=arm))
+                seen = "\n".join(see(machine))
+                arm = machine if name == "arm" else arm
             except AntherError as error:
                 missing += 1
-                table.add_row(name, part.driver, f"MISSING: {error}")
-                return None
-            table.add_row(name, part.driver, "\n".join(seen))
-            return machine
-
-        arm = look("arm", file.arm, lambda machine: _arm_seen(machine, file))
-        look("gripper", file.gripper, _gripper_seen)
-        look("wrist camera", file.wrist_camera, _camera_seen)
-        look("side camera", file.side_camera, _camera_seen)
-        look("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"])
+                seen = f"MISSING: {error}"
+            table.add_row(name, part.driver, seen)
     table.add_row("limits", "", "\n".join(_limits_words(file)))
     Console(markup=False, highlight=False).print(table)
-    print("all parts are there; nothing was moved" if not missing else f"{missing} missing; nothing was moved")
-    return 0 if not missing else 1
+    print(f"{f'{missing} missing' if missing else 'all parts are there'}; nothing was moved")
+    return int(missing > 0)
 
 
 def enable(file: CellFile) -> int:
     """Switch the arm's motors on and let the gripper find its ends, each after a yes."""
-    from anther.cells import owned
-
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
-        arm = file.connect(file.arm)
-        stack.callback(getattr(arm, "close", lambda: None))
+    with kept_open(file) as keep:
+        arm = keep(file.connect(file.arm))
         if hasattr(arm, "enable") and agreed("Switch the arm's motors on? Nobody in its reach, the stop in your hand."):
             arm.enable()
             print("the arm is enabled and holds where it is")
-        gripper = file.connect(file.gripper, arm=arm)
-        stack.callback(getattr(gripper, "close", lambda: None))
-        if hasattr(gripper, "enable") and agreed(
-            "Open and close the gripper all the way? Nothing between its fingers."
-        ):
+        gripper = keep(file.connect(file.gripper, arm=arm))
+        question = "Open and close the gripper all the way? Nothing between its fingers."
+        if hasattr(gripper, "enable") and agreed(question):
             gripper.enable()
-            print(
-                "the gripper is enabled" + (f"; counts = {list(gripper.counts)}" if hasattr(gripper, "counts") else "")
-            )
+            counts = f"; counts = {list(gripper.counts)}" if hasattr(gripper, "counts") else ""
+            print(f"the gripper is enabled{counts}")
     return 0
 
 
 def jog(file: CellFile, joint: int | None, degrees: float) -> int:
-    """Move one joint, None is the last, a little and tell where it went, after a yes.
-
-    Raises:
-        StageFailure: the way is not free, or passes a limit; nothing moved.
-    """
-    from anther.cells import owned
+    """Move one joint, None is the last, a little and tell where it went, after a yes."""
     from anther.checks import check_range
     from anther.safety import GuardedArm
 
@@ -129,11 +124,8 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     last = len(limits.joint_lower) - 1
     joint = last if joint is None else joint
     check_range("joint", joint, 0, last)
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
-        arm = file.connect(file.arm)
-        stack.callback(getattr(arm, "close", lambda: None))
-        guarded = GuardedArm(arm, limits)
+    with kept_open(file) as keep:
+        guarded = GuardedArm(keep(file.connect(file.arm)), limits)
         motion = _small_motion(file, guarded, joint, np.deg2rad(degrees))
         if not agreed(f"Move joint {joint} by {degrees:g} degrees in {motion.duration:.1f} s?"):
             return 1
@@ -162,11 +154,9 @@ def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTraj
     from anther.commands.hardware_cell import motion_params
     from anther.errors import StageFailure
 
-    boxes = list(file.keep_out)
-    none = np.zeros((0, 3))
-    planner = Planner(
-        none, none, boxes, space=file.arm_space, params=motion_params(file.limits.speed_ratio), arm=file.model
-    )
+    boxes, none = list(file.keep_out), np.zeros((0, 3))
+    params = motion_params(file.limits.speed_ratio)
+    planner = Planner(none, none, boxes, space=file.arm_space, params=params, arm=file.model)
     here = arm.joints()
     there = here + way * np.eye(len(here))[joint]
     if not planner.world.path_free(np.stack([here, there])):
@@ -178,13 +168,13 @@ def _arm_seen(arm: Any, file: CellFile) -> list[str]:
     q, limits = arm.joints(), file.safety_limits()
     margin = np.rad2deg(np.minimum(q - limits.joint_lower, limits.joint_upper - q).min())
     flange = file.model.forward(q)[:3, 3]
-    place = ", ".join(f"{x:.3f}" for x in flange)
+    joints, place = " ".join(f"{x:.3f}" for x in q), ", ".join(f"{x:.3f}" for x in flange)
     inside = "inside" if limits.workspace.contains(flange) else "OUTSIDE"
-    seen = [
-        "joints " + " ".join(f"{x:.3f}" for x in q) + f" rad; {margin:.0f} degrees from the nearest end",
+    return [
+        f"joints {joints} rad; {margin:.0f} degrees from the nearest end",
         f"flange at {place} m, {inside} its space",
+        *(arm.seen() if hasattr(arm, "seen") else []),
     ]
-    return seen + (arm.seen() if hasattr(arm, "seen") else [])
 
 
 def _gripper_seen(gripper: Any) -> list[str]:
@@ -202,18 +192,16 @@ def _camera_seen(camera: Camera) -> list[str]:
     frames = camera.stop()
     rate = (len(frames) - 1) / (frames[-1].time - frames[0].time) if len(frames) > 1 else float("nan")
     near = frame.depth[frame.depth > 0]
-    depth = f"depth in {len(near) / frame.depth.size:.0%} of it"
     return [
-        f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; {depth}",
+        f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; depth in {len(near) / frame.depth.size:.0%} of it",
         f"a frame after {1e3 * took:.0f} ms, {1e3 * late:.0f} ms old by its stamp; {rate:.1f} a second",
     ]
 
 
 def _limits_words(file: CellFile) -> list[str]:
-    limits = file.safety_limits()
+    limits, count = file.safety_limits(), len(file.keep_out)
+    joints = " ".join(f"{v:.2f}" for v in limits.joint_speed)
     return [
-        f"speed ratio {file.limits.speed_ratio:g}: flange {limits.flange_speed:.2f} m/s, joints "
-        + " ".join(f"{v:.2f}" for v in limits.joint_speed)
-        + " rad/s",
-        f"contact {limits.contact_force:g} N, tracking {limits.tracking:g} rad, {len(file.keep_out)} keep-out boxes",
+        f"speed ratio {file.limits.speed_ratio:g}: flange {limits.flange_speed:.2f} m/s, joints {joints} rad/s",
+        f"contact {limits.contact_force:g} N, tracking {limits.tracking:g} rad, {count} keep-out boxes",
     ]

@@ -14,7 +14,7 @@ from anther.capture import Capture, check_views
 from anther.checks import check_array
 from anther.errors import bad_input
 from anther.files import existing, read_object, understood
-from anther.geometry import Array, Intrinsics
+from anther.geometry import Intrinsics
 from anther.images import read_image
 
 _MM = 1e-3  # [m]
@@ -31,11 +31,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Convert, in metres; the world's z axis stays the turntable's, which is the plant's up axis.
-
-    Raises:
-        InputError: a file is missing or unusable.
-    """
+    """Convert, in metres; the world's z axis stays the turntable's, which is the plant's up axis."""
     capture = read_kinect(args.source)
     capture.save(args.out)
     size = f"{capture.intrinsics.width} x {capture.intrinsics.height} px"
@@ -49,16 +45,11 @@ def read_kinect(folder: Path) -> Capture:
     with understood(folder / "poses.json", wanted, "Compare with docs/capture.md."):
         values = {key: meta["intrinsics"][key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
         scale = float(meta.get("depth_scale_mm", 1.0)) * _MM
-        poses = np.stack([_pose(frame["T_world_cam"]) for frame in meta["frames"]])
+        poses = np.array([check_array("T_world_cam", frame["T_world_cam"], (4, 4)) for frame in meta["frames"]])
+        poses[:, :3, 3] *= _MM
         size = check_views(len(poses), camera := Intrinsics(**values))
         depth = np.stack([_depth(folder / frame["file"], scale, size) for frame in meta["frames"]])
     return Capture(depth=depth, intrinsics=camera, T_world_cam=poses)
-
-
-def _pose(matrix_mm: Any) -> Array:
-    T = np.array(check_array("T_world_cam", matrix_mm, (4, 4)))
-    T[:3, 3] *= _MM
-    return T
 
 
 def _depth(path: Path, scale: float, size: tuple[int, int]) -> Any:

@@ -8,11 +8,10 @@ import platform
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from packaging.requirements import Requirement
 
@@ -48,15 +47,10 @@ class Args:
     """Print the findings as JSON."""
 
 
-@dataclass(frozen=True)
-class Examined:
-    """One thing that was looked at.
+class Examined(NamedTuple):
+    """One thing that was looked at: its name, its state, what is there, and how to get or mend it.
 
-    Attributes:
-        what: its name.
-        state: "ok"; "absent", which only some commands need; or "wrong", without which Anther does not work.
-        found: what is there.
-        do: how to get it or mend it; empty where nothing is to be done.
+    What is "absent" only some commands need; without what is "wrong" Anther does not work.
     """
 
     what: str
@@ -67,26 +61,15 @@ class Examined:
 
 def run(args: Args) -> int:
     """Print the findings; return 1 if one of them is wrong."""
-    findings = list(examine())
+    core, extras = _requirements()
+    looked = [_python(), _packages(core), *(_extra(name, needs) for name, needs in extras.items())]
+    looked += [_gpu(), _compiled(), _cameras(), _disk(Path.cwd())]
     if args.json:
-        print(json.dumps([asdict(finding) for finding in findings], indent=2))
+        print(json.dumps([finding._asdict() for finding in looked], indent=2))
     else:
-        for f in findings:
-            print(f"{f.state:8}{f.what:16}{f.found}" + (f"\n{'':24}{f.do}" if f.do else ""))
-    return int(any(finding.state == "wrong" for finding in findings))
-
-
-def examine() -> Iterator[Examined]:
-    """Look at everything; nothing is written but one temporary file, which is removed."""
-    yield _python()
-    required, extras = _requirements()
-    yield _packages(required)
-    for extra, needed in extras.items():
-        yield _extra(extra, needed)
-    yield _gpu()
-    yield _compiled()
-    yield _cameras()
-    yield _disk(Path.cwd())
+        for what, state, found, do in looked:
+            print(f"{state:8}{what:16}{found}" + (f"\n{'':24}{do}" if do else ""))
+    return int(any(finding.state == "wrong" for finding in looked))
 
 
 def _python() -> Examined:
@@ -109,26 +92,32 @@ def _requirements() -> tuple[list[Requirement], dict[str, list[Requirement]]]:
     return core, {x: [n for n in rest if n.marker is not None and n.marker.evaluate({"extra": x})] for x in names}
 
 
+def installed_version(package: str) -> str | None:
+    """Return a package's version; None where it is not installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
 def _lacking(needs: list[Requirement]) -> list[str]:
     """Return which packages are missing or of another version than is needed."""
-    found = []
+    lacking = []
     for need in needs:
-        try:
-            version = metadata.version(need.name)
-        except metadata.PackageNotFoundError:
-            found.append(need.name)
-            continue
-        if not need.specifier.contains(version, prereleases=True):
-            found.append(f"{need.name} {version} (needs {need.specifier})")
-    return found
+        version = installed_version(need.name)
+        if version is None:
+            lacking.append(need.name)
+        elif not need.specifier.contains(version, prereleases=True):
+            lacking.append(f"{need.name} {version} (needs {need.specifier})")
+    return lacking
 
 
 def _packages(needs: list[Requirement]) -> Examined:
     from anther import __version__
 
+    lacking = _lacking(needs)
     if not needs:
         return Examined("Anther", "wrong", f"{__version__}, not installed", "Install it: pip install anther")
-    lacking = _lacking(needs)
     if lacking:
         return Examined("Anther", "wrong", f"{__version__}, without {', '.join(lacking)}", "pip install anther")
     return Examined("Anther", "ok", f"{__version__}, with all {len(needs)} packages it needs")
@@ -136,11 +125,10 @@ def _packages(needs: list[Requirement]) -> Examined:
 
 def _extra(name: str, needs: list[Requirement]) -> Examined:
     what, lacking = FOR.get(name, ""), _lacking(needs)
-    if lacking:
-        return Examined(
-            f"[{name}]", "absent", f"{what}: not installed: {', '.join(lacking)}", f"pip install 'anther[{name}]'"
-        )
-    return Examined(f"[{name}]", "ok", what)
+    if not lacking:
+        return Examined(f"[{name}]", "ok", what)
+    found = f"{what}: not installed: {', '.join(lacking)}"
+    return Examined(f"[{name}]", "absent", found, f"pip install 'anther[{name}]'")
 
 
 def _gpu() -> Examined:

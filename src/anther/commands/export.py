@@ -11,7 +11,7 @@ import tyro
 from anther.errors import bad_input
 from anther.files import existing
 from anther.formats.skeletons import WRITES, read_skeleton, write_skeleton
-from anther.runs import FILES
+from anther.runs import FILES, kept
 from anther.skeleton import Skeleton
 from anther.stem import Stem, find_stem
 
@@ -31,51 +31,27 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Read, write, and say what was written.
-
-    Raises:
-        InputError: the source has no skeleton, cannot be read, or the suffix is unknown.
-        StageFailure: a stem was asked for and there is none.
-    """
+    """Read, write, and say what was written."""
     if args.out.suffix.lower() not in WRITES:
         raise bad_input("out", given=str(args.out), allowed=" ".join(WRITES), do="Choose one of these suffixes.")
     skeleton, labels = labelled_skeleton(args.source, args.radius, new_stem=args.find_stem)
     write_skeleton(args.out, skeleton, labels)
-    organs = (
-        f"; {labels.count('stem')} stem nodes"
-        if labels is not None
-        else "; organs not told apart (--find-stem does it)"
-    )
-    print(f"{args.out}: {len(skeleton.nodes)} nodes{organs}")
+    apart = "organs not told apart (--find-stem does it)"
+    organs = apart if labels is None else f"{labels.count('stem')} stem nodes"
+    print(f"{args.out}: {len(skeleton.nodes)} nodes; {organs}")
 
 
-def labelled_skeleton(
-    source: Path, radius: float | None = None, *, new_stem: bool = False
-) -> tuple[Skeleton, list[str] | None]:
+def labelled_skeleton(source: Path, radius: float | None, *, new_stem: bool) -> tuple[Skeleton, list[str] | None]:
     """Return (skeleton, organ name a node, or None where nothing tells) of a run folder or skeleton file.
 
-    Args:
-        source: a run folder or a skeleton file.
-        radius: replaces a file's radii [m].
-        new_stem: find the main stem instead of taking the labels that are there.
-
-    Raises:
-        InputError: no skeleton there, or one that cannot be read.
+    `radius` [m] replaces a file's radii; a new stem is found instead of taking the labels that are there.
     """
-    source = existing(source)
-    if not source.is_dir():
+    labels: list[str] | None = None
+    if not existing(source).is_dir():
         file = read_skeleton(source)
         skeleton, labels = file.skeleton(radius), None if file.labels is None else list(file.labels)
-        return skeleton, find_stem(skeleton).organ_names() if new_stem else labels
-    if not (source / FILES["skeleton"]).exists():
-        raise bad_input(
-            str(source),
-            given=f"a folder without {FILES['skeleton']}",
-            allowed="a run folder whose skeleton was made, or a skeleton file",
-            do="`anther reconstruct` and `anther trial` fill run folders.",
-        )
-    skeleton = Skeleton.load(source / FILES["skeleton"])
-    if new_stem:
-        return skeleton, find_stem(skeleton).organ_names()
-    there = (source / FILES["stem"]).exists()
-    return skeleton, Stem.load(source / FILES["stem"]).organ_names() if there else None
+    else:
+        skeleton = Skeleton.load(kept(source, "skeleton"))
+        if (source / FILES["stem"]).exists():
+            labels = Stem.load(source / FILES["stem"]).organ_names()
+    return skeleton, find_stem(skeleton).organ_names() if new_stem else labels

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
+from rich.console import Console
+from rich.table import Table
 
-if TYPE_CHECKING:
-    from anther.fruit_set import FruitSet
+from anther.errors import bad_input
+from anther.fruit_set import NAMES, PRIORS, FruitSet, counts_of, fit
+from anther.history import read_outcomes, read_trials
 
 
 @dataclass(frozen=True)
@@ -31,16 +35,7 @@ ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
 
 
 def run(args: Args) -> None:
-    """Fit and print; draw when asked to.
-
-    Raises:
-        InputError: a history that cannot be read, or a figure that is no .png.
-    """
-    from anther.errors import bad_input
-    from anther.files import replacing
-    from anther.fruit_set import PRIORS, counts_of, fit
-    from anther.history import read_outcomes, read_trials
-
+    """Fit and print; draw when asked to."""
     if args.figure is not None and args.figure.suffix.lower() != ".png":
         raise bad_input("figure", given=str(args.figure), allowed="a name that ends in .png", do="Name it so.")
     outcomes = read_outcomes(args.history, species=args.species)
@@ -48,13 +43,11 @@ def run(args: Args) -> None:
     learned = fit(counts, PRIORS.get(args.species, PRIORS["pepper"]))
     result = summary(learned) | {"species": args.species, "caveats": [*left_out, *learned.caveats()]}
     if args.figure is not None:
-        from anther.pictures.fruit_set import draw_fruit_set
+        from anther.pictures import save_figure
+        from anther.pictures.estimates import draw_fruit_set
 
-        with replacing(args.figure) as temporary:
-            draw_fruit_set(learned, fit([], learned.prior), args.species).savefig(temporary, dpi=110)
+        save_figure(draw_fruit_set(learned, fit([], learned.prior), args.species), args.figure)
     if args.json:
-        import json
-
         print(json.dumps(result, indent=2))
     else:
         _print(result)
@@ -62,8 +55,6 @@ def run(args: Args) -> None:
 
 def summary(learned: FruitSet) -> dict[str, Any]:
     """Return what is believed, each as [median, 5 %, 95 %], beside the prior."""
-    from anther.fruit_set import NAMES, fit
-
     before = fit([], learned.prior)
     return {
         "counts": len(learned.counts),
@@ -80,9 +71,6 @@ def summary(learned: FruitSet) -> dict[str, Any]:
 
 
 def _print(result: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
     console = Console(highlight=False, markup=False)
     told = f"{result['counts']} counts ({result['controls']} without a shake), {result['flowers']} flowers"
     console.print(f"{result['species']}: {told}, {result['fruit']} fruit")

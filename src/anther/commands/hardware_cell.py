@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,12 +19,13 @@ from anther.arm.sawyer import SAWYER
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, plan_views
 from anther.capture import Capture
-from anther.cells import CellFile, Part, owned
+from anther.cells import CellFile, Part
 from anther.cloud import Cloud
+from anther.commands.cell import kept_open
 from anther.devices import JointTrajectory, Robot, Tap, untapped
 from anther.geometry import Array
 from anther.runs import Advance
-from anther.safety import GuardedArm, GuardedCamera, guard
+from anther.safety import guard
 
 CALM = 0.5
 """The arm stands for so long before a picture is taken [s]: it swings a little when it stops. A guess."""
@@ -40,12 +41,7 @@ class HardwareCell:
 
 
 class SlowPlanner(Planner):
-    """A planner of an arm that may use only a share of its speeds and accelerations.
-
-    Args:
-        ratio: that share.
-        words: of `Planner`.
-    """
+    """A planner, made as `Planner`, of an arm that may use only the share `ratio` of its speeds and accelerations."""
 
     def __init__(self, ratio: float, *words: Any, **options: Any) -> None:
         super().__init__(*words, **options)
@@ -78,64 +74,40 @@ def connected(file: CellFile) -> Iterator[Robot]:
     Raises:
         AntherError: the first that cannot be had.
     """
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
+    with kept_open(file) as keep:
+        arm = keep(file.arm_apart())
 
-        arm = file.arm_apart()
-        stack.callback(arm.close)
-
-        def part(entry: Part) -> Any:
-            machine = file.connect(entry, arm=arm)
-            stack.callback(getattr(machine, "close", lambda: None))
-            return machine
+        def part(entry: Part | None) -> Any:
+            return None if entry is None else keep(file.connect(entry, arm=arm))
 
         yield Robot(
             arm=arm,
             gripper=part(file.gripper),
             wrist_camera=part(file.wrist_camera),
-            side_camera=None if file.side_camera is None else part(file.side_camera),
+            side_camera=part(file.side_camera),
             T_world_side_camera=file.T_world_side_camera,
-            motor=None if file.shaker is None else part(file.shaker),
+            motor=part(file.shaker),
         )
-
-
-@contextmanager
-def arm_and_camera(file: CellFile) -> Iterator[tuple[GuardedArm, GuardedCamera]]:
-    """Own the cell's arm and connect it and the wrist camera, behind the guard; see `connected`."""
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
-        arm = file.arm_apart()
-        stack.callback(arm.close)
-        camera = file.connect(file.wrist_camera, arm=arm)
-        stack.callback(getattr(camera, "close", lambda: None))
-        yield GuardedArm(arm, file.safety_limits()), GuardedCamera(camera)
 
 
 @contextmanager
 def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Iterator[HardwareCell]:
     """Connect a cell for one trial; see `connected`. `tap` listens to the bare machines."""
-    limits, ratio = file.safety_limits(), file.limits.speed_ratio
+    limits, ratio, arm = file.safety_limits(), file.limits.speed_ratio, file.model
     boxes = tuple(place.box for place in file.keep_out)
     with connected(file) as bare:
         robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits)
 
         def take_views(advance: Advance) -> Capture:
-            begin = robot.arm.joints()
-            planned = plan_views(
-                file.region,
-                boxes,
-                views,
-                start=begin,
-                T_flange_cam=file.T_flange_cam,
-                motion=motion_params(ratio),
-                arm=file.model,
-            )
-            return look_around(robot, planned, file.T_flange_cam, advance, file.model)
+            begin, motion = robot.arm.joints(), motion_params(ratio)
+            hand_eye = file.T_flange_cam
+            planned = plan_views(file.region, boxes, views, start=begin, T_flange_cam=hand_eye, motion=motion, arm=arm)
+            return look_around(robot, planned, hand_eye, advance, arm)
 
         def plan_around(cloud: Cloud) -> Planner:
             params = motion_params(ratio, robot.arm.joints())
             return SlowPlanner(
-                ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params, arm=file.model
+                ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params, arm=arm
             )
 
         yield HardwareCell(pipeline.RobotSide(take_views, plan_around, robot, file.workspace, limits))

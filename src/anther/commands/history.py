@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
 import tyro
+from rich.console import Console
+from rich.table import Table
 
+from anther.commands.run_folder import add_run
 from anther.errors import FailureKind, bad_input
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
-    from anther.history import Outcome, TrialRecord
+from anther.history import (
+    Outcome,
+    TrialRecord,
+    count_trials,
+    each_trial,
+    export,
+    merge,
+    read_outcomes,
+    read_trials,
+    shown,
+    starting_material,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,36 +59,23 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Add, export or list.
-
-    Raises:
-        InputError: a history, folder or option that cannot be used.
-    """
-    from anther.history import count_trials, each_trial, export, read_outcomes, read_trials
-
+    """Add, export or list."""
     kinds = ("held_unharmed", "failure", *get_args(FailureKind))
     if args.result is not None and args.result not in kinds:
         raise bad_input("result", given=f"'{args.result}'", allowed=", ".join(kinds), do="Choose one.")
     if args.add or args.merge:
         return _add(args)
-    names = ("species", "plant", "since", "until", "result")
-    which = {name: getattr(args, name) for name in names}
-    outcomes = [o for o in read_outcomes(args.history, species=args.species, plant=args.plant) if _in_time(args, o)]
+    which = {name: getattr(args, name) for name in ("species", "plant", "since", "until", "result")}
+    first, last = args.since or date.min, args.until or date.max
+    outcomes = read_outcomes(args.history, species=args.species, plant=args.plant)
+    outcomes = [outcome for outcome in outcomes if first <= outcome.date <= last]
     if args.export is None:
-        trials = read_trials(args.history, **which, last=max(args.last, 0))
-        return _list(args, trials, count_trials(args.history, **which), outcomes)
+        return _list(args, which, outcomes)
     count = export(args.export, args.table, each_trial(args.history, **which), outcomes)
     return print(f"{args.export}: {count} {args.table}")
 
 
-def _in_time(args: Args, outcome: Outcome) -> bool:
-    return (args.since or date.min) <= outcome.date <= (args.until or date.max)
-
-
 def _add(args: Args) -> None:
-    from anther.commands.run_folder import add_run
-    from anther.history import merge
-
     for folder in args.add:
         number = add_run(folder, args.history)
         print(f"{folder}: " + ("is in the history already" if number is None else f"visit {number}"))
@@ -85,12 +84,10 @@ def _add(args: Args) -> None:
         print(f"{source}: {merged.new} visits, counts and notes added, {merged.known} were there already")
 
 
-def _list(args: Args, trials: Sequence[TrialRecord], count: int, outcomes: Sequence[Outcome]) -> None:
-    from rich.console import Console
-
-    from anther.history import shown
-
+def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> None:
     console = Console(markup=False)  # labels are the user's own: "[/bed]" is no markup
+    trials = read_trials(args.history, **which, last=max(args.last, 0))
+    count = count_trials(args.history, **which)
     if not count and not outcomes:
         return console.print(f"{shown(args.history)}: no trial or outcome, or none that fits.")
     if trials:
@@ -105,8 +102,6 @@ def _list(args: Args, trials: Sequence[TrialRecord], count: int, outcomes: Seque
 
 
 def _trials(trials: Sequence[TrialRecord]) -> Table:
-    from rich.table import Table
-
     names = ("visit", "time (UTC)", "crop", "plant", "result", "grasp [cm]", "shake", "flowers [mm]", "E after [MPa]")
     table = Table(*names, "run", title="trials", title_justify="left")
     for t in trials:
@@ -122,21 +117,15 @@ def _trials(trials: Sequence[TrialRecord]) -> Table:
 
 def _motion(trial: TrialRecord) -> str:
     """Return predicted -> measured medians over the measured flowers."""
-    import numpy as np
-
-    motions = trial.motions()
-    seen = np.isfinite(motions["measured_amplitude"]) if trial.flowers else np.zeros(0, dtype=bool)
+    motions = {name: np.array(values, dtype=float) for name, values in trial.motions().items()}
+    seen = np.isfinite(motions["measured_amplitude"])
     if not seen.any():
         return f"{trial.flowers} not measured" if trial.flowers else ""
-    predicted, measured = (
-        1000 * np.median(np.array(motions[f"{kind}_amplitude"])[seen]) for kind in ("predicted", "measured")
-    )
+    predicted, measured = (1000 * np.median(motions[f"{how}_amplitude"][seen]) for how in ("predicted", "measured"))
     return f"{predicted:.2f} -> {measured:.2f} ({seen.sum()} of {trial.flowers})"
 
 
 def _outcomes(outcomes: Sequence[Outcome]) -> Table:
-    from rich.table import Table
-
     table = Table("date", "crop", "plant", "visit", "flowers", "fruit", "note", title="outcomes", title_justify="left")
     for o in outcomes:
         visit = "all before" if o.visit is None else str(o.visit)
@@ -146,10 +135,6 @@ def _outcomes(outcomes: Sequence[Outcome]) -> Table:
 
 def _believed(args: Args, species: str) -> str:
     """Return what the next trial would begin with."""
-    import math
-
-    from anther.history import starting_material
-
     plant = "a plant not shaken before" if args.plant is None else args.plant
     belief = starting_material(species, plant, args.history)
     m = belief.material

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +10,7 @@ import numpy as np
 
 from anther.checks import check_range
 from anther.errors import InputError, bad_input
-from anther.files import replacing, write_json
+from anther.files import json_text, write_json
 from anther.geometry import Array
 from anther.identification import (
     ClampedStem,
@@ -24,14 +23,13 @@ from anther.identification import (
     fit_free_vibration,
     identify,
     write_material,
-)
+)  # fmt: skip
 from anther.identification.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES, TRACE, read_measurements
-from anther.pictures.material_test import Pluck, draw_material_test
+from anther.pictures import save_figure
+from anther.pictures.estimates import Pluck, draw_material_test
 
-GIVEN_ERROR = 0.01
-"""Relative standard error of a frequency that is given without one [-]."""
-GIVEN_DENSITY_ERROR = 0.05
-"""Relative standard error of a density that is given without one [-], the spread of the prior."""
+GIVEN_ERROR, GIVEN_DENSITY_ERROR = 0.01, 0.05
+"""Relative standard error of a frequency and of a density (the prior's spread) that are given without one [-]."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +71,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Read the files, identify, print and write the results.
-
-    Raises:
-        InputError: a bad file or option, or nothing to identify.
-    """
+    """Read the files, identify, print and write the results."""
     plucks = [_pluck(path, args.start) for path in args.trace]
     test = _material_test(args, tuple(pluck.fit for pluck in plucks))
     found = identify(test)
@@ -85,9 +79,8 @@ def run(args: Args) -> None:
     if args.out is not None:
         write_json(args.out / "identify.json", result)
         write_material(args.out / "material.json", found.material)
-        with replacing(args.out / "identify.png") as temporary:
-            draw_material_test(test, found, plucks).savefig(temporary, dpi=120)
-    print(json.dumps(result, indent=2) if args.json else _text(args, test, found))
+        save_figure(draw_material_test(test, found, plucks), args.out / "identify.png")
+    print(json_text(result).rstrip() if args.json else _text(args, test, found))
 
 
 def _pluck(path: Path, start: float | None) -> Pluck:
@@ -115,12 +108,18 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
     stem = _stem(args)
     if stem is None and (args.deflection or args.frequency is not None):
         raise InputError("the stem's shape is missing: give --profile, or --length and --radius.")
-    samples = read_measurements(args.samples, SAMPLES) if args.samples else {}
-    tip = read_measurements(args.deflection, DEFLECTION) if args.deflection else {}
-    measured = {f"sample_{name}": values for name, values in samples.items()}
-    measured |= {"tip_mass": tip["mass"], "deflection": tip["deflection"]} if tip else {}
+    measured: dict[str, Any] = {}
+    if args.samples:
+        measured |= {f"sample_{name}": values for name, values in read_measurements(args.samples, SAMPLES).items()}
+    if args.deflection:
+        tip = read_measurements(args.deflection, DEFLECTION)
+        measured |= {"tip_mass": tip["mass"], "deflection": tip["deflection"]}
     orientation: Orientation = args.orientation or "weightless"
-    density = _given_density(args)
+    density = None
+    if args.density is not None:
+        check_range("density", args.density, 10, 5000, "kg/m3")
+        error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
+        density = args.density, check_range("density_error", error, 0, args.density / 2, "kg/m3")
     return MaterialTest(stem, orientation, density=density, plucks=plucks, errors=args.errors, **measured)
 
 
@@ -141,15 +140,6 @@ def _refuse_contradictions(args: Args) -> None:
             raise InputError(f"--{name} has no effect without {needed}. Add it, or leave --{name} out.")
 
 
-def _given_density(args: Args) -> tuple[float, float] | None:
-    if args.density is None:
-        return None
-    check_range("density", args.density, 10, 5000, "kg/m3")
-    error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
-    check_range("density_error", error, 0, args.density / 2, "kg/m3")
-    return args.density, error
-
-
 def _stem(args: Args) -> ClampedStem | None:
     """Return the stem, or None where its shape is not given at all."""
     profile: dict[str, Array] = {}
@@ -165,53 +155,36 @@ def _stem(args: Args) -> ClampedStem | None:
     check_range("length", length, 1e-3, 20, "m")
     leaves = read_measurements(args.leaves, LEAVES) if args.leaves else {"distance": np.zeros(0), "mass": np.zeros(0)}
     if len(leaves["distance"]) and leaves["distance"].max() > length * (1 + 1e-9):
-        raise bad_input(
-            f"{args.leaves}: distance",
-            given=f"{leaves['distance'].max() * 1e3:g} mm",
-            allowed=f"0 to {length * 1e3:g} mm, the length of the stem",
-            do="Check the distances, or give --length.",
-        )
+        given, allowed = f"{1e3 * leaves['distance'].max():g} mm", f"0 to {1e3 * length:g} mm, the length of the stem"
+        do = "Check the distances, or give --length."
+        raise bad_input(f"{args.leaves}: distance", given=given, allowed=allowed, do=do)
     return ClampedStem(profile["distance"], profile["radius"], length, leaves["distance"], leaves["mass"])
 
 
 def _numbers(test: MaterialTest, found: Identification) -> dict[str, Any]:
-    """Return the result as plain numbers in SI; NaN becomes None."""
-    result: dict[str, Any] = {
+    """Return the result as numbers in SI."""
+    v = found.vibration
+    natural = {} if v is None else {"natural_frequency": v.natural_frequency, "plucks": len(test.plucks)}
+    return {
         "density": _estimate(found.density),
         "samples": None if found.samples is None else asdict(found.samples) | {"count": len(test.sample_mass)},
-        "vibration": None,
+        "vibration": None if v is None else asdict(v) | natural,
         "orientation": test.orientation,
         "youngs": None if found.youngs is None else _estimate(found.youngs),
         "youngs_by_method": {estimate.name: _estimate(estimate) for estimate in found.estimates},
         "material": asdict(found.material),
         "warnings": list(found.warnings),
     }
-    if found.vibration is not None:
-        natural = {"natural_frequency": found.vibration.natural_frequency, "plucks": len(test.plucks)}
-        result["vibration"] = asdict(found.vibration) | natural
-    return _without_nan(result)
 
 
 def _estimate(estimate: Quantity) -> dict[str, Any]:
-    return {
-        "value": estimate.value,
-        "standard_error": estimate.standard_error,
-        "relative_error_by_source": dict(estimate.shares),
-    }
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    if isinstance(value, list):
-        return [_without_nan(inner) for inner in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    error, shares = estimate.standard_error, dict(estimate.shares)
+    return {"value": estimate.value, "standard_error": error, "relative_error_by_source": shares}
 
 
 def _text(args: Args, test: MaterialTest, found: Identification) -> str:
-    lines = [_density_line(test, found), *_vibration_line(test, found)]
-    for estimate in found.estimates:
-        lines.append(f"E from {estimate.name:11} {_modulus(estimate)}")
+    lines = [line for line in (_density_line(test, found), _vibration_line(test, found)) if line]
+    lines += [f"E from {estimate.name:11} {_modulus(estimate)}" for estimate in found.estimates]
     if len(found.estimates) == 2 and found.youngs is not None:
         lines.append(f"E together         {_modulus(found.youngs)}")
     lines += [f"warning: {warning}" for warning in found.warnings]
@@ -230,15 +203,15 @@ def _density_line(test: MaterialTest, found: Identification) -> str:
     return f"density            {found.density.value:.4g} ± {found.density.standard_error:.2g} kg/m³ ({how})"
 
 
-def _vibration_line(test: MaterialTest, found: Identification) -> list[str]:
+def _vibration_line(test: MaterialTest, found: Identification) -> str:
     v = found.vibration
     if v is None:
-        return []
+        return ""
     line = f"frequency          {v.frequency:.4g} ± {v.frequency_error:.2g} Hz"
     if np.isfinite(v.damping_error):
         count = f"{len(test.plucks)} pluck" + ("s" if len(test.plucks) > 1 else "")
         line += f", damping ratio {v.damping_ratio:.3g} ± {v.damping_error:.1g} ({count})"
-    return [line]
+    return line
 
 
 def _modulus(estimate: Quantity) -> str:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from anther.errors import bad_input
 from anther.files import existing
-from anther.formats.bags import BagOptions
-
-if TYPE_CHECKING:
-    from anther.capture import Capture
+from anther.formats.bags import BagOptions, read_bag
+from anther.formats.colmap import read_colmap_capture, read_colmap_cloud
 
 
 @dataclass(frozen=True)
@@ -33,57 +31,30 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Import, write, and say what was written.
-
-    Raises:
-        MissingExtra: a bag, and rosbags or mcap is not installed.
-        InputError: the source is of no known kind, lacks something, or cannot be read.
-    """
-    source = existing(args.source)
-    if is_bag(source):
-        _write_bag(args)
-    elif source.suffix.lower() == ".ply" or (source.is_dir() and args.out.suffix.lower() == ".ply"):
-        _write_cloud(args)
+    """Import, write, and say what was written."""
+    source, up, scale = existing(args.source), args.up, args.scale
+    kind, to_cloud = source.suffix.lower(), args.out.suffix.lower() == ".ply"
+    notes: tuple[str, ...] = ()
+    if kind in {".bag", ".mcap", ".db3"} or (source / "metadata.yaml").is_file():  # which a ROS 2 bag's folder has
+        views = read_bag(source, args.bag)
+        capture, notes = views.capture, views.notes
+    elif kind == ".ply" or (source.is_dir() and to_cloud):
+        if not to_cloud:
+            do = "A cloud has no views: name a .ply."
+            raise bad_input("out", given=str(args.out), allowed="a .ply file", do=do)
+        cloud = read_colmap_cloud(source, scale, up)
+        cloud.save(args.out)
+        return _say(f"{args.out}: {len(cloud.points):,} points", cloud.notes)
     elif source.is_dir():
-        from anther.formats.colmap import read_colmap_capture
-
-        _write_capture(args.out, read_colmap_capture(source, args.scale, args.up))
+        capture = read_colmap_capture(source, scale, up)
     else:
-        raise bad_input(
-            str(source),
-            given=f"a '{source.suffix}' file",
-            allowed="a COLMAP folder, .ply, .bag, .mcap, .db3, or a ROS 2 bag folder",
-            do="Kinect turntables: `anther convert-kinect`. Other clouds: `anther skeletonize` reads them.",
-        )
-
-
-def is_bag(source: Path) -> bool:
-    """Return whether a path is a bag by its suffix, or a folder with a ROS 2 bag's metadata.yaml."""
-    return source.suffix.lower() in {".bag", ".mcap", ".db3"} or (source / "metadata.yaml").is_file()
-
-
-def _write_bag(args: Args) -> None:
-    from anther.formats.bags import read_bag
-
-    views = read_bag(args.source, args.bag)
-    _write_capture(args.out, views.capture)
-    for note in views.notes:
-        print(f"note: {note}")
-
-
-def _write_cloud(args: Args) -> None:
-    from anther.formats.colmap import read_colmap_cloud
-
-    if args.out.suffix.lower() != ".ply":
-        raise bad_input("out", given=str(args.out), allowed="a .ply file", do="A cloud has no views: name a .ply.")
-    cloud: Any = read_colmap_cloud(args.source, args.scale, args.up)
-    cloud.save(args.out)
-    print(f"{args.out}: {len(cloud.points):,} points")
-    for note in cloud.notes:
-        print(f"note: {note}")
-
-
-def _write_capture(out: Path, capture: Capture) -> None:
-    capture.save(out)
+        allowed = "a COLMAP folder, .ply, .bag, .mcap, .db3, or a ROS 2 bag folder"
+        do = "Kinect turntables: `anther convert-kinect`. Other clouds: `anther skeletonize` reads them."
+        raise bad_input(str(source), given=f"a '{source.suffix}' file", allowed=allowed, do=do)
+    capture.save(args.out)
     camera = capture.intrinsics
-    print(f"{out}: {capture.views} views of {camera.width} x {camera.height} px")
+    return _say(f"{args.out}: {capture.views} views of {camera.width} x {camera.height} px", notes)
+
+
+def _say(what: str, notes: tuple[str, ...]) -> None:
+    print("\n".join([what, *(f"note: {note}" for note in notes)]))

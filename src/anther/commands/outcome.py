@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from anther.errors import InputError, bad_input
+from anther.history import Outcome, find_plants, find_visit, read_trials, record_outcome
 
 
 @dataclass(frozen=True)
@@ -35,13 +36,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Record the count and say to what it belongs.
-
-    Raises:
-        InputError: no such plant or visit, more fruit than flowers, or a history that cannot be written.
-    """
-    from anther.history import Outcome, record_outcome
-
+    """Record the count and say to what it belongs."""
     species, plant, visit = _meant(args)
     outcome = Outcome(species, plant, args.flowers, args.fruit, args.date, visit, args.note)
     number = record_outcome(outcome, args.history)
@@ -52,13 +47,15 @@ def run(args: Args) -> None:
 
 def _meant(args: Args) -> tuple[str, str, int | None]:
     """Return (species, plant, visit or None) that the words mean."""
-    from anther.history import find_plants, find_visit
-
     kind, _, name = args.of.partition(":") if args.of.startswith(("plant:", "visit:")) else ("", "", args.of)
     plants = [] if kind == "visit" else find_plants(name, args.history, species=args.species)
     visit = find_visit(int(name), args.history) if kind != "plant" and name.isdecimal() and not args.control else None
     if args.control:
-        return _control(args, name, plants)
+        if args.species is None:
+            raise bad_input("control", given="no species", allowed="--species CROP", do="Name the crop.")
+        if plants and read_trials(args.history, species=args.species, plant=name):
+            raise _unclear(args, "a plant that was visited", "a plant that never was", "Leave --control out.")
+        return args.species, name, None
     if visit is not None and not plants:
         return visit.species, visit.plant, visit.id
     if len(plants) == 1 and visit is None:
@@ -68,16 +65,6 @@ def _meant(args: Args) -> tuple[str, str, int | None]:
     if plants:
         raise _unclear(args, f"plants of {', '.join(s for s, _ in plants)}", "one plant", "Add --species.")
     raise _unclear(args, "nothing", "a plant or visit that `anther history` lists", "Or --control.")
-
-
-def _control(args: Args, name: str, plants: list[tuple[str, str]]) -> tuple[str, str, None]:
-    from anther.history import read_trials
-
-    if args.species is None:
-        raise bad_input("control", given="no species", allowed="--species CROP", do="Name the crop.")
-    if plants and read_trials(args.history, species=args.species, plant=name):
-        raise _unclear(args, "a plant that was visited", "a plant that never was", "Leave --control out.")
-    return args.species, name, None
 
 
 def _unclear(args: Args, given: str, allowed: str, do: str) -> InputError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import numpy as np
 import tyro
@@ -13,18 +13,19 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.cloud import Cloud
-from anther.commands.run_folder import PARAMS
 from anther.commands.skeletonize import best_grasps, main_stem, node_named, read_source
 from anther.errors import bad_input
-from anther.files import read_object, replacing
+from anther.files import read_object
 from anther.flowers import Flowers
 from anther.fruit_set import worth
 from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
 from anther.identification import read_material
+from anther.pictures import save_figure
 from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
-from anther.runs import FILES
+from anther.results import PARAMS
+from anther.runs import FILES, kept
 from anther.shake import (
     Actuator,
     ActuatorName,
@@ -39,7 +40,7 @@ from anther.shake import (
     plan_shake,
     sawyer_limit,
     with_preset,
-)
+)  # fmt: skip
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
@@ -91,31 +92,25 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Plan the shake, print it, and write it to `out`.
-
-    Raises:
-        InputError: a bad file or option.
-        StageFailure: no flower, no grasp, a plant that cannot stand, or no shake within the limits.
-    """
+    """Plan the shake, print it, and write it to `out`."""
     plant, grasps = read_plant(args)
-    params = _params(args)
-    plan = plan_shake(plant, grasps, _actuator(args), params)
+    run_params = args.source / PARAMS
+    asked = read_object(run_params) if run_params.is_file() else {}
+    crop: Crop = asked["plant"] if asked.get("plant") in get_args(Crop) else args.crop
+    plan = plan_shake(plant, grasps, _actuator(args, str(asked.get("arm") or "sawyer")), _params(args))
     if args.out is not None:
         plan.save(args.out / "shake_plan.json")
-        with replacing(args.out / "shake_plan.png") as temporary:
-            draw_plan(plan).savefig(temporary, dpi=110)
+        save_figure(draw_plan(plan), args.out / "shake_plan.png")
     if args.json:
-        print(json.dumps(summary(plan, _crop(args)), indent=2))
+        print(json.dumps(summary(plan, crop), indent=2))
     else:
-        _print(args, plan, _crop(args))
+        _print(args, plan, crop)
 
 
-def _actuator(args: Args) -> Actuator:
-    """Return what shakes: of a run its arm, by the Sawyer's table where no arm was asked for the grasp."""
+def _actuator(args: Args, arm: str) -> Actuator:
+    """Return what shakes: this arm, by the Sawyer's table where no arm was asked for the grasp."""
     if args.actuator == "gripper":
         return VibratingGripper()
-    params = args.source / PARAMS
-    name = str(read_object(params).get("arm") or "sawyer") if params.is_file() else "sawyer"
 
     def limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
         if grasp.joints is None:
@@ -123,7 +118,7 @@ def _actuator(args: Args) -> Actuator:
         from anther.arm.arms import named  # needs the extra `cell`
         from anther.arm.planner import shake_limit
 
-        return shake_limit(named(name), grasp.joints, direction, frequencies)
+        return shake_limit(named(arm), grasp.joints, direction, frequencies)
 
     return ArmShaker(limit)
 
@@ -134,40 +129,24 @@ def _params(args: Args) -> Params:
     return replace(params, **{name: value for name, value in given.items() if value is not None})
 
 
-def _crop(args: Args) -> Crop:
-    """Return whose breeze the limits are likened to: the run's plant, or what --crop says."""
-    params = args.source / PARAMS
-    stated = read_object(params).get("plant") if params.is_file() else None
-    return "tomato" if stated == "tomato" else "pepper" if stated == "pepper" else args.crop
-
-
 def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
-    """Return the plant as rods, and the grasps to choose from.
-
-    Raises:
-        InputError: a bad file or option, a folder that is no run, a flower on no node.
-        StageFailure: no stem or grasp, or the plant would buckle.
-    """
-    material = None if args.material is None else read_material(args.material)
+    """Return the plant as rods, and the grasps to choose from."""
+    measured = None if args.material is None else read_material(args.material)
+    material = measured or {"tomato": TOMATO, "pepper": PEPPER}[args.crop]
     if not args.source.is_dir():
-        return _of_skeleton(args, material or (TOMATO if args.crop == "tomato" else PEPPER))
+        return _of_skeleton(args, material)
     if args.flower or any(given is not None for given in (args.radius, args.root, args.stem_tip)):
         names = "--flower, --radius, --root or --stem-tip"
         raise bad_input(names, given="with a run folder", allowed="skeleton files", do="Leave it out.")
+    skeleton, stem = Skeleton.load(kept(args.source, "skeleton")), Stem.load(kept(args.source, "stem"))
     there = {stage: args.source / name for stage, name in FILES.items() if (args.source / name).exists()}
-    if not {"skeleton", "stem"} <= there.keys():
-        needed = f"a run folder with {FILES['skeleton']} and {FILES['stem']}"
-        raise bad_input(str(args.source), given="a folder without them", allowed=needed, do="Run `anther trial`.")
-    skeleton, stem = Skeleton.load(there["skeleton"]), Stem.load(there["stem"])
     cloud = Cloud.load(there["cloud"]) if "cloud" in there else None
     if "plant model" in there:
         plant = PlantModel.load(there["plant model"])
-        plant = plant if material is None else plant.with_material(material)
+        plant = plant if measured is None else plant.with_material(measured)
     else:
         flowers = Flowers.load(there["flowers"]) if "flowers" in there else Flowers(np.zeros((0, 3)), np.zeros(0))
-        plant = plant_with_flowers(
-            skeleton, stem, flowers, cloud, material or (TOMATO if args.crop == "tomato" else PEPPER)
-        )
+        plant = plant_with_flowers(skeleton, stem, flowers, cloud, material)
     return plant, load_grasps(there["grasp"]) if "grasp" in there else _grasps(stem, skeleton, cloud)
 
 
@@ -193,6 +172,7 @@ def _grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud | None) -> list[Grasp]:
 def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
     """Return the plan as numbers with names [SI units]."""
     grasp, other = plan.grasp, plan.runner_up
+    names = ("name", "value", "limit", "as_in_a_breeze_of", "share")
     flowers = zip(plan.predicted_amplitude, plan.predicted_amplitude_interval, plan.predicted_acceleration, strict=True)
     return {
         "grasp": plan.grasp_index + 1,
@@ -205,14 +185,8 @@ def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
         "score": plan.score,
         "flowers": [{"amplitude": a, "interval": i.tolist(), "acceleration": s} for a, i, s in flowers],
         "limits": [
-            {
-                "name": name,
-                "value": value,
-                "limit": limit,
-                "as_in_a_breeze_of": like_breeze(name, limit, crop),
-                "share": s,
-            }
-            for name, value, limit, s in plan.limits
+            dict(zip(names, (name, value, limit, like_breeze(name, limit, crop), share), strict=True))
+            for name, value, limit, share in plan.limits
         ],
         "runner_up": None if other is None else {n: getattr(other, n) for n in ("frequency", "amplitude", "score")},
         "worth": worth(plan.predicted_acceleration, crop),
@@ -222,8 +196,8 @@ def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
 
 
 def _print(args: Args, plan: ShakePlan, crop: Crop) -> None:
-    console = Console(width=100, markup=False)
-    console.print(plan.reason, highlight=False, markup=False)
+    console = Console(width=100, markup=False, highlight=False)
+    console.print(plan.reason)
     limits = Table("limit", "planned", "allowed", "as in a breeze of", "used", title="How close each limit is")
     for name, value, limit, share in plan.limits:
         style, wind = "bold" if share > 0.9 else None, like_breeze(name, limit, crop)
@@ -235,10 +209,10 @@ def _print(args: Args, plan: ShakePlan, crop: Crop) -> None:
         between = f"{1e3 * low:.2f} to {1e3 * high:.2f}"
         flowers.add_row(str(k + 1), f"{1e3 * amplitude:.2f}", between, f"{jolt:.1f}")
     console.print(flowers)
-    console.print(worth(plan.predicted_acceleration, crop), highlight=False)
+    console.print(worth(plan.predicted_acceleration, crop))
     for note in plan.notes:
-        console.print(f"note: {note}", highlight=False, markup=False)
+        console.print(f"note: {note}")
     if args.actuator == "gripper":
-        console.print("note: no such gripper is built: this is what one would change.", highlight=False)
+        console.print("note: no such gripper is built: this is what one would change.")
     if args.out is not None:
-        console.print(f"written: {args.out}", highlight=False, markup=False)
+        console.print(f"written: {args.out}")

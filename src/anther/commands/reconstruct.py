@@ -6,10 +6,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
-from anther.commands.mask_source import MaskSource
-from anther.pipeline import Params
+from anther.capture import Capture
+from anther.commands.run_folder import finish, open_run
+from anther.commands.skeletonize import known_better
+from anther.geometry import Box
+from anther.pipeline import MaskSource, Params, mask_finder, perceive, rank_grasps
 
 
 @dataclass(frozen=True)
@@ -40,27 +44,17 @@ class Args:
 
 def run(args: Args) -> None:
     """Reconstruct one plant and print what was found."""
-    import numpy as np
-
-    from anther import pipeline
-    from anther.capture import Capture
-    from anther.commands.mask_source import mask_finder
-    from anther.commands.run_folder import finish, open_run
-    from anther.commands.skeletonize import known_better
-    from anther.geometry import Box
-
     skeleton, stem = known_better(args.root, args.stem_tip, args.params.skeleton, args.params.stem)
     args = replace(args, params=replace(args.params, skeleton=skeleton, stem=stem))
     out = args.out or Path("runs") / args.capture.resolve().name
     workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))
-    find_masks = mask_finder(args.masks, args.models, args.params, cache=_folder(args.capture) / "masks")
+    folder = args.capture if args.capture.is_dir() else args.capture.parent  # it may be given by its transforms.json
+    find_masks = mask_finder(args.masks, args.models, args.params, cache=folder / "masks")
     capture = Capture.load(args.capture)
-    with open_run(
-        out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=("capture", "workspace")
-    ) as run:
+    with open_run(out, args, ("capture", "workspace")) as run:
         capture = run.stage("capture", Capture.load, lambda _: capture)
-        seen = pipeline.perceive(capture, workspace, run, args.params, find_masks)
-        grasps = pipeline.rank_grasps(seen, None, run, args.params)
+        seen = perceive(capture, workspace, run, args.params, find_masks)
+        grasps = rank_grasps(seen, None, run, args.params)
     results = finish(run)
     length, sure = seen.stem.arc_length[-1], seen.stem.confidence
     print(f"{len(seen.cloud.points):,} points, {len(seen.skeleton.nodes)} skeleton nodes, main stem {length:.3f} m")
@@ -70,8 +64,3 @@ def run(args: Args) -> None:
     for note in results.notes():
         print(f"note: {note}")
     print(f"report: {run.path('report')}")
-
-
-def _folder(capture: Path) -> Path:
-    """Return the capture's folder, which may be given by its transforms.json."""
-    return capture if capture.is_dir() else capture.parent

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,20 +16,23 @@ from rich.table import Table
 from anther.arm.sawyer import SAWYER
 from anther.arm.shaking import amplitude_limit
 from anther.checks import check_range
-from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
+from anther.commands.rod_plant import AXES, PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
 from anther.elastic_rod import natural_frequencies, response_map
 from anther.errors import bad_input
-from anther.files import replacing, write_json
+from anther.files import write_json, write_text
 from anther.geometry import Array
-from anther.pictures.response_map import GripResponse, draw_response_map
+from anther.pictures import save_figure
+from anther.pictures.rods import GripResponse, draw_grip_response
 from anther.shake import Params as ShakeParams
 from anther.shake.choice import FLOWER_ACCELERATION, MOST_SPEED
 from anther.shake.observables import semi_major
 
-DIRECTIONS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 TURNS = np.pi * np.arange(12) / 12
 """Horizontal directions that are tried for the best one [rad]."""
 MODES, LISTED = 4, 12
+BASE = 0.05
+"""Length of main stem above the root that is left out [m], at most a quarter of it: next to the soil a small shake is a
+long lever, which no stem bears."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +45,6 @@ class Args(PlantOptions):
     """Nodes where the plant is gripped. By default the main stem's."""
     heights: int = 40
     """At most so many of the main stem's nodes, evenly picked."""
-    base_margin: float = 0.05
-    """Length of main stem above the root that is left out [m], at most a quarter of it: next to the soil a small shake
-    is a long lever, which no stem bears."""
     axis: Literal["best", "x", "y", "z"] = "best"
     """Shake direction; by default, for each cell of the map, the best of 12 horizontal ones."""
     lowest: float = 1.0
@@ -65,13 +64,12 @@ class Args(PlantOptions):
 
 
 def run(args: Args) -> None:
-    """Compute the map, print its best cell and the natural frequencies, and write the results to `out`.
-
-    Raises:
-        InputError: a bad file or option.
-        StageFailure: the plant cannot stand, or no main stem is found.
-    """
-    _check(args)
+    """Compute the map, print its best cell and the natural frequencies, and write the results to `out`."""
+    check_range("amplitude", args.amplitude, 1e-9, 1, "m")
+    check_range("lowest", args.lowest, 1e-3, 1e4, "Hz")
+    check_range("highest", args.highest, args.lowest, 1e4, "Hz")
+    check_range("frequencies", args.frequencies, 1, 10_000)
+    check_range("heights", args.heights, 1, 10_000)
     plant = hanging(with_stem(read_plant(args)), args.skeleton)
     flowers, grips = _flowers(args, plant), _grips(args, plant)
     response = respond(args, plant, grips, flowers)
@@ -79,21 +77,12 @@ def run(args: Args) -> None:
     if args.out is not None:
         write_json(args.out / "respond.json", result)
         write_csv(args.out / "response_map.csv", plant, response)
-        with replacing(args.out / "response_map.png") as temporary:
-            draw_response_map(plant.rods, flowers, response, _title(args)).savefig(temporary, dpi=110)
+        figure = draw_grip_response(plant.rods, flowers, response, _title(args))
+        save_figure(figure, args.out / "response_map.png")
     if args.json:
         print(json.dumps(result, indent=2))
     else:
         _print(args, result)
-
-
-def _check(args: Args) -> None:
-    check_range("amplitude", args.amplitude, 1e-9, 1, "m")
-    check_range("lowest", args.lowest, 1e-3, 1e4, "Hz")
-    check_range("highest", args.highest, args.lowest, 1e4, "Hz")
-    check_range("frequencies", args.frequencies, 1, 10_000)
-    check_range("heights", args.heights, 1, 10_000)
-    check_range("base_margin", args.base_margin, 0, 10, "m")
 
 
 def _flowers(args: Args, plant: RodPlant) -> NDArray[Any]:
@@ -114,7 +103,7 @@ def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
     else:
         stem = plant.stem_nodes
         assert stem is not None
-        low = min(args.base_margin, 0.25 * float(distance[stem].max()))
+        low = min(BASE, 0.25 * float(distance[stem].max()))
         free = np.setdiff1d(stem[distance[stem] >= low], plant.clamp.nodes)
         if not len(free):
             raise bad_input("grips", given="none", allowed="a main stem that is not clamped", do="Name --grips.")
@@ -123,13 +112,9 @@ def _grips(args: Args, plant: RodPlant) -> NDArray[Any]:
 
 
 def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[Any]) -> GripResponse:
-    """Return the response of the flowers at every grip and frequency; tissue is hysteretic: one damping ratio for all.
+    """Return how the flowers (F,) of a plant at rest answer at every grip (G,) and frequency (Q,).
 
-    Args:
-        args: frequencies, direction, amplitude and pads.
-        plant: at rest in its scanned shape.
-        grips: (G,) grip nodes.
-        flowers: (F,) observed nodes.
+    Tissue is hysteretic: one damping ratio for all.
     """
     hertz = np.geomspace(args.lowest, args.highest, args.frequencies)
     held = [held_nodes(plant, int(grip), args.pads) for grip in grips]
@@ -137,16 +122,17 @@ def respond(args: Args, plant: RodPlant, grips: NDArray[Any], flowers: NDArray[A
     sizes, loss = np.array([len(nodes) for nodes in held]), 2 * plant.damping_ratio
     for size in np.unique(sizes):
         same = np.flatnonzero(sizes == size)
-        pads = np.array([held[g] for g in same])
-        moves[:, same] = response_map(
-            plant.rods, plant.clamp, pads, np.eye(3), hertz, observe=flowers, loss_factor=loss
-        )
-    ways = [DIRECTIONS[args.axis]] if args.axis != "best" else [(np.cos(a), np.sin(a), 0.0) for a in TURNS]
+        pads, ways = np.array([held[g] for g in same]), np.eye(3)
+        moves[:, same] = response_map(plant.rods, plant.clamp, pads, ways, hertz, observe=flowers, loss_factor=loss)
+    ways = [AXES[args.axis]] if args.axis != "best" else [(np.cos(a), np.sin(a), 0.0) for a in TURNS]
     ratio, direction = _best_direction(moves, np.array(ways))
     amplitude = arm_amplitude(hertz) if args.arm else np.full(len(hertz), args.amplitude)
-    bar = Console(stderr=True)
-    resonances = np.array([_resonances(plant, nodes) for nodes in track(held, "grips", console=bar, transient=True)])
-    return GripResponse(hertz, grips, plant.distances()[grips], amplitude, direction, ratio, resonances)
+    resonances = []
+    for nodes in track(held, "grips", console=Console(stderr=True), transient=True):
+        clamp = replace(plant.clamp, nodes=np.concatenate([plant.clamp.nodes, nodes]))
+        resonances.append(natural_frequencies(plant.rods, clamp, MODES).frequencies)
+    distance = plant.distances()[grips]
+    return GripResponse(hertz, grips, distance, amplitude, direction, ratio, np.array(resonances))
 
 
 def _best_direction(moves: Any, ways: Array) -> tuple[Array, Array]:
@@ -160,17 +146,8 @@ def _best_direction(moves: Any, ways: Array) -> tuple[Array, Array]:
     return ratio, direction
 
 
-def _resonances(plant: RodPlant, held: tuple[int, ...]) -> Array:
-    """Return the lowest natural frequencies (K,) [Hz] while these nodes are held."""
-    clamp = replace(plant.clamp, nodes=np.concatenate([plant.clamp.nodes, held]))
-    return natural_frequencies(plant.rods, clamp, MODES).frequencies
-
-
 def arm_amplitude(frequencies: Array) -> Array:
-    """Return the amplitude (Q,) [m] a Sawyer manages: arm neutral, straight away from its base, at most 30 mm.
-
-    The joints' limits bound it (`anther.arm.shaking`); the cap is the largest shake the planner gives a plant.
-    """
+    """Return the amplitude (Q,) [m] a Sawyer manages, neutral, away from its base; at most what the planner gives."""
     limit = amplitude_limit(SAWYER, SAWYER.neutral, (1.0, 0.0, 0.0), frequencies)
     return np.minimum(limit, ShakeParams().most_amplitude)
 
@@ -209,8 +186,7 @@ def limits_passed(response: GripResponse) -> list[str]:
         ("speed of the grip", float(2 * np.pi * hertz * amplitude), MOST_SPEED, "m/s"),
         ("amplitude of the grip", float(amplitude), ShakeParams().most_amplitude, "m"),
     )
-    passed = ((name, value, most, unit) for name, value, most, unit in values if value > most * (1 + 1e-9))
-    return [f"{name} {value:.3g} {unit}, more than {most:g}" for name, value, most, unit in passed]
+    return [f"{name} {v:.3g} {unit}, more than {most:g}" for name, v, most, unit in values if v > most * (1 + 1e-9)]
 
 
 def natural_modes(plant: RodPlant) -> tuple[Array, Array]:
@@ -224,34 +200,23 @@ def natural_modes(plant: RodPlant) -> tuple[Array, Array]:
 
 
 def write_csv(path: Path, plant: RodPlant, response: GripResponse) -> None:
-    """Write one row per grip and frequency; docs/elastic_rod.md names the columns."""
+    """Write one row per grip and frequency; mean, least and most are over the flowers."""
     acceleration, nodes = response.acceleration, plant.rods.nodes
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
-        for g, grip in enumerate(response.grips):
-            for q, frequency in enumerate(response.frequencies):
-                there, ratio = acceleration[q, g], response.ratio[q, g]
-                row = [response.distance[g], nodes[grip, 2], frequency, *response.direction[q, g]]
-                row += [response.amplitude[q], ratio.mean(), there.mean(), there.min(), there.max()]
-                table.writerow([plant.numbers[grip], *(f"{value:.6g}" for value in row)])
+    rows = []
+    for g, grip in enumerate(response.grips):
+        for q, frequency in enumerate(response.frequencies):
+            there, ratio = acceleration[q, g], response.ratio[q, g]
+            row = [response.distance[g], nodes[grip, 2], frequency, *response.direction[q, g]]
+            row += [response.amplitude[q], ratio.mean(), there.mean(), there.min(), there.max()]
+            rows.append([str(plant.numbers[grip]), *(f"{value:.6g}" for value in row)])
+    write_text(path, "".join(",".join(row) + "\r\n" for row in (COLUMNS, *rows)))
 
 
 COLUMNS = (
-    "grip_node",
-    "grip_distance_m",
-    "grip_z_m",
-    "frequency_hz",
-    "direction_x",
-    "direction_y",
-    "direction_z",
-    "grip_amplitude_m",
-    "amplitude_ratio_mean",
-    "acceleration_mean_m_s2",
-    "acceleration_least_m_s2",
+    "grip_node", "grip_distance_m", "grip_z_m", "frequency_hz", "direction_x", "direction_y", "direction_z",
+    "grip_amplitude_m", "amplitude_ratio_mean", "acceleration_mean_m_s2", "acceleration_least_m_s2",
     "acceleration_most_m_s2",
-)
-"""Of response_map.csv; mean, least and most are over the flowers."""
+)  # fmt: skip
 
 
 def _title(args: Args) -> str:
@@ -262,17 +227,17 @@ def _title(args: Args) -> str:
 
 def _print(args: Args, result: dict[str, Any]) -> None:
     way = ", ".join(f"{x:+.2f}" for x in result["best_direction"])
-    least, most = result["flower_acceleration_least_m_s2"], result["flower_acceleration_most_m_s2"]
+    shake = f"{1000 * result['grip_amplitude_m']:.3g} mm at {result['best_frequency_hz']:.3g} Hz along ({way})"
+    names = (f"flower_acceleration_{which}_m_s2" for which in ("mean", "least", "most"))
+    mean, least, most = (f"{result[name]:.3g}" for name in names)
+    nodes, height = result["flower_nodes"], 100 * result["best_grip_distance_m"]
     print(f"{args.skeleton}: {_title(args)}")
     table = Table(show_header=False, pad_edge=False)
-    height = 100 * result["best_grip_distance_m"]
-    shake = f"{1e3 * result['grip_amplitude_m']:.3g} mm at {result['best_frequency_hz']:.3g} Hz along ({way})"
-    mean, count = result["flower_acceleration_mean_m_s2"], len(result["flower_nodes"])
     table.add_row("best grip", f"node {result['best_grip_node']}, {height:.1f} cm above the root along the plant")
     table.add_row("best shake", shake)
-    table.add_row("acceleration", f"mean {mean:.3g} m/s² ({least:.3g} to {most:.3g}) over {count} nodes")
-    if count <= LISTED:
-        table.add_row("nodes observed", " ".join(str(node) for node in result["flower_nodes"]))
+    table.add_row("acceleration", f"mean {mean} m/s² ({least} to {most}) over {len(nodes)} nodes")
+    if len(nodes) <= LISTED:
+        table.add_row("nodes observed", " ".join(str(node) for node in nodes))
     table.add_row("natural frequencies", ", ".join(f"{f:.3g}" for f in result["natural_frequencies_hz"]) + " Hz")
     table.add_row("their damping ratios", ", ".join(f"{ratio:.3f}" for ratio in result["damping_ratios"]))
     if args.out is not None:

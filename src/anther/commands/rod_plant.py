@@ -17,12 +17,13 @@ from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile
 from anther.geometry import Array
 from anther.identification import read_material
-from anther.plant import MARGIN, Material, PlantModel
-from anther.runs import FILES
+from anther.plant import MARGIN, PlantModel
+from anther.runs import kept
 from anther.shake import Crop
 from anther.skeleton import Skeleton
 
-YOUNGS, DENSITY, BEND_OVER_TWIST, DAMPING_RATIO = 100e6, 1100.0, 1.5, 0.05
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+USUAL = {"youngs": 100e6, "density": 1100.0, "bend_over_twist": 1.5, "damping_ratio": 0.05}
 """Of a bare skeleton: E of a tomato stem [Pa], the authors' density [kg/m^3], a round bar [-], and zeta [-]."""
 
 
@@ -57,12 +58,6 @@ class PlantOptions:
     petioles; 0: no twist, as in the paper."""
     damping_ratio: float | None = None
     """Share of critical damping. By default 0.05, or that of the run."""
-    air_drag: float = 0.0
-    """Drag per length [N s/m^2]."""
-    node_drag: float = 0.0
-    """Drag at every node [N s/m]; the authors' solver has 0.5."""
-    clamp_below: float | None = None
-    """Hold every node with z below this [m]. The root and the direction of the stem there are always held."""
     pads: float = 0.0
     """Length of stem between the gripper's pads [m], which hold its direction too; 0 moves one node, about which the
     stem may turn."""
@@ -72,11 +67,9 @@ class PlantOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RodPlant:
-    """A plant as elastic rods without viscosity. N nodes, S stem nodes, F flowers.
+    """A plant as elastic rods without viscosity, of which the soil holds the root. N nodes, S stem nodes, F flowers.
 
     Attributes:
-        rods: the rods.
-        clamp: what the soil holds.
         numbers: (N,) what the user calls each node.
         damping_ratio: share of critical damping [-].
         stem_nodes: (S,) main stem, root first; None where it is still to be found.
@@ -95,11 +88,7 @@ class RodPlant:
     notes: tuple[str, ...] = ()
 
     def node(self, number: int) -> int:
-        """Return the index of the node that the user calls `number`.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Return the index of the node that the user calls `number`."""
         return SkeletonFile(self.rods.nodes, self.rods.parent, None, self.numbers).node(number)
 
     def damped(self, frequency: float) -> Rods:
@@ -115,30 +104,21 @@ class RodPlant:
 
 
 def read_plant(options: PlantOptions) -> RodPlant:
-    """Return the plant of a skeleton file or a run folder, in its scanned shape, not yet in equilibrium.
-
-    Raises:
-        InputError: a bad file or option.
-    """
-    if options.damping_ratio is not None:
-        check_range("damping_ratio", options.damping_ratio, 0, 10)
+    """Return the plant of a skeleton file or a run folder, in its scanned shape, not yet in equilibrium."""
+    check_range("damping_ratio", options.damping_ratio or 0.0, 0, 10)
     check_range("least_radius", options.least_radius, 0, 1, "m")
     check_range("pads", options.pads, 0, 1, "m")
-    if options.material is not None:
-        options = _with_material(options, read_material(options.material))
-    plant = _of_run(options) if options.skeleton.is_dir() else _of_skeleton(options)
-    drag = np.asarray(plant.rods.node_drag) + options.node_drag
-    rods = replace(plant.rods, discretisation=options.discretisation, air_drag=options.air_drag, node_drag=drag)
-    clamp = Clamp.root(rods) if options.clamp_below is None else Clamp.below(rods, options.clamp_below)
-    return replace(plant, rods=rods, clamp=clamp)
+    material = None if options.material is None else read_material(options.material)
+    stated = {name: getattr(options, name) for name in USUAL}
+    given = {} if material is None else {name: getattr(material, name) for name in USUAL}
+    given |= {name: value for name, value in stated.items() if value is not None}
+    plant = _of_run(options, given) if options.skeleton.is_dir() else _of_skeleton(options, given)
+    rods = replace(plant.rods, discretisation=options.discretisation)
+    return replace(plant, rods=rods, clamp=Clamp.root(rods))
 
 
 def with_stem(plant: RodPlant) -> RodPlant:
-    """Return the plant with its main stem, found where nobody named its end.
-
-    Raises:
-        StageFailure: there is none.
-    """
+    """Return the plant with its main stem, found where nobody named its end."""
     if plant.stem_nodes is not None:
         return plant
     rods = plant.rods
@@ -146,58 +126,42 @@ def with_stem(plant: RodPlant) -> RodPlant:
     return replace(plant, stem_nodes=stem.node_ids, notes=(*plant.notes, *stem.notes))
 
 
-def _with_material(options: PlantOptions, material: Material) -> PlantOptions:
-    names = ("youngs", "density", "bend_over_twist", "damping_ratio")
-    return replace(options, **{name: _given(getattr(options, name), getattr(material, name)) for name in names})
-
-
-def _of_skeleton(options: PlantOptions) -> RodPlant:
+def _of_skeleton(options: PlantOptions, given: dict[str, float]) -> RodPlant:
     source, skeleton = read_source(options.skeleton, radius=options.radius, root=options.root, crop=options.crop)
     tip = None if options.stem_tip is None else source.node(node_named("--stem-tip", options.stem_tip, source))
     stem = None if tip is None else skeleton.path_from_root(tip)
+    made, radius = USUAL | given, 0.5 * (skeleton.radius + skeleton.radius[skeleton.parent])
     rods = Rods(
         nodes=skeleton.nodes,
         parent=skeleton.parent,
-        edge_radius=np.maximum(0.5 * (skeleton.radius + skeleton.radius[skeleton.parent]), options.least_radius),
-        youngs=_given(options.youngs, YOUNGS),
-        density=_given(options.density, DENSITY),
-        bend_over_twist=_given(options.bend_over_twist, BEND_OVER_TWIST),
+        edge_radius=np.maximum(radius, options.least_radius),
+        youngs=made["youngs"],
+        density=made["density"],
+        bend_over_twist=made["bend_over_twist"],
     )
-    zeta = _given(options.damping_ratio, DAMPING_RATIO)
     nowhere = np.zeros(0, np.int64)
-    return RodPlant(rods, Clamp.root(rods), source.numbers, zeta, stem, nowhere, options.youngs is not None)
+    return RodPlant(
+        rods, Clamp.root(rods), source.numbers, made["damping_ratio"], stem, nowhere, youngs_given="youngs" in given
+    )
 
 
-def _of_run(options: PlantOptions) -> RodPlant:
+def _of_run(options: PlantOptions, given: dict[str, float]) -> RodPlant:
+    """Return the plant model of a run; its pedicels keep their own radius and stiffness."""
     if options.root is not None or options.stem_tip is not None:
         raise bad_input("--root or --stem-tip", given="with a run folder", allowed="skeleton files", do="Leave it out.")
-    path = options.skeleton / FILES["plant model"]
-    if not path.exists():
-        raise bad_input(
-            str(options.skeleton),
-            given=f"a folder without {path.name}",
-            allowed="a run folder of `anther trial` that has a plant model, or a skeleton file",
-            do=f"A run that only saw the plant has a skeleton: name its {FILES['skeleton']}.",
-        )
-    model = PlantModel.load(path)
+    model = PlantModel.load(kept(options.skeleton, "plant model"))
     made, rods, stalk = model.material, model.rods, model.is_pedicel
-    radius = rods.edge_radius if options.radius is None else np.where(stalk, rods.edge_radius, options.radius)
-    youngs = rods.youngs if options.youngs is None else np.where(stalk, rods.youngs, options.youngs)
-    density = rods.density if options.density is None else options.density
+    radius = np.maximum(rods.edge_radius if options.radius is None else options.radius, options.least_radius)
     rods = replace(
         rods,
-        edge_radius=np.where(stalk, radius, np.maximum(radius, options.least_radius)),
-        youngs=youngs,
-        density=density,
-        bend_over_twist=_given(options.bend_over_twist, made.bend_over_twist),
+        edge_radius=np.where(stalk, rods.edge_radius, radius),
+        youngs=np.where(stalk, rods.youngs, given.get("youngs", rods.youngs)),
+        density=given.get("density", rods.density),
+        bend_over_twist=given.get("bend_over_twist", made.bend_over_twist),
         natural=None,
     )
-    zeta = _given(options.damping_ratio, made.damping_ratio)
+    zeta = given.get("damping_ratio", made.damping_ratio)
     return RodPlant(rods, model.clamp, np.arange(len(rods.nodes)), zeta, model.stem_nodes, model.flower_nodes)
-
-
-def _given(value: float | None, otherwise: float) -> float:
-    return otherwise if value is None else value
 
 
 def hanging(plant: RodPlant, name: object) -> RodPlant:
@@ -209,68 +173,43 @@ def hanging(plant: RodPlant, name: object) -> RodPlant:
     Raises:
         StageFailure: it would buckle under its own weight; the message tells the stiffness that would hold it.
     """
-    if not stands(plant.rods, plant.clamp):
-        factor = least_stiffness(plant.rods, plant.clamp)
-        youngs, grams = np.asarray(plant.rods.youngs)[1], 1e3 * plant.rods.node_mass.sum()
-        if factor is not None and not plant.youngs_given:
-            return hanging(_stiffened(plant, factor), name)
-        enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
-        raise StageFailure(
-            "no_convergence",
-            f"{name}: with E = {youngs:g} Pa and these radii the plant buckles under its own weight "
-            f"({grams:.3g} g); {enough}. "
-            "Give --youngs, --radius, --least-radius or --density other values, or hold more of it with --clamp-below.",
+    rods, clamp, notes = plant.rods, plant.clamp, plant.notes
+    if not stands(rods, clamp):
+        factor = least_stiffness(rods, clamp)
+        youngs, grams = float(np.asarray(rods.youngs)[1]), 1e3 * rods.node_mass.sum()
+        if factor is None or plant.youngs_given:
+            enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
+            why = f"with E = {youngs:g} Pa and these radii the plant buckles under its own weight ({grams:.3g} g)"
+            do = "Give --youngs, --radius, --least-radius or --density other values."
+            raise StageFailure("no_convergence", f"{name}: {why}; {enough}. {do}")
+        before, least, after = (f"{share * youngs / 1e6:.3g}" for share in (1, factor, MARGIN * factor))
+        rods = replace(rods, youngs=MARGIN * factor * np.asarray(rods.youngs))
+        notes += (
+            f"Young's modulus was not given; raised from {before} to {after} MPa: below {least} MPa the plant would "
+            "buckle under its own weight. That much is often a sign of radii too small: see --least-radius, --youngs.",
         )
-    return replace(plant, rods=with_gravity_equilibrium(plant.rods, plant.clamp))
-
-
-def _stiffened(plant: RodPlant, least: float) -> RodPlant:
-    """Return the plant with a margin over the factor on Young's modulus at which it just stands."""
-    before, factor = float(np.asarray(plant.rods.youngs)[1]), MARGIN * least
-    note = (
-        f"Young's modulus was not given; raised from {before / 1e6:.3g} to {factor * before / 1e6:.3g} MPa: below "
-        f"{least * before / 1e6:.3g} MPa the plant would buckle under its own weight. That much is often a sign of "
-        "radii too small: see --least-radius, --youngs."
-    )
-    rods = replace(plant.rods, youngs=factor * np.asarray(plant.rods.youngs))
-    return replace(plant, rods=rods, youngs_given=True, notes=(*plant.notes, note))
+    return replace(plant, rods=with_gravity_equilibrium(rods, clamp), notes=notes)
 
 
 def held_nodes(plant: RodPlant, grip: int, pads: float) -> tuple[int, ...]:
-    """Return the nodes that a grip moves alike: `grip` itself, then those within half the pads' length along the stem.
+    """Return the nodes that a grip moves alike: `grip`, then those within half the pads' length [m] along the stem.
 
-    Upward it follows the child that carries most nodes. Pads shorter than the node spacing still hold one neighbour,
-    because two nodes are what holds a direction.
-
-    Args:
-        plant: the plant.
-        grip: the gripped node.
-        pads: their length [m]; 0 is the grip node alone.
+    Pads of 0 hold the grip node alone; pads shorter than the node spacing still hold one neighbour, because two nodes
+    are what holds a direction. Upward the stem is taken to be the child that carries most nodes.
     """
     if pads == 0:
         return (grip,)
-    below, above = _towards_root(plant, grip), _towards_tip(plant, grip)
-    away = np.abs(plant.distances() - plant.distances()[grip])
-    near = [node for node in (*below, *above) if away[node] <= pads / 2 * (1 + 1e-9)]
-    return (grip, *(near or (above or below)[:1]))
-
-
-def _towards_root(plant: RodPlant, node: int) -> list[int]:
-    """Return the free nodes below a node, nearest first."""
-    way = []
-    while (node := int(plant.rods.parent[node])) >= 0 and node not in plant.clamp.nodes:
-        way.append(node)
-    return way
-
-
-def _towards_tip(plant: RodPlant, node: int) -> list[int]:
-    """Return the free nodes above a node, nearest first, always by the child that carries most nodes."""
-    parent = plant.rods.parent
+    parent, clamped, distance = plant.rods.parent, plant.clamp.nodes, plant.distances()
     carried = np.ones(len(parent), dtype=np.int64)
     for j in range(len(parent) - 1, 0, -1):
         carried[parent[j]] += carried[j]
-    way = []
-    while len(children := np.setdiff1d(np.flatnonzero(parent == node), plant.clamp.nodes)):
+    below, above, node = list[int](), list[int](), grip
+    while (node := int(parent[node])) >= 0 and node not in clamped:
+        below.append(node)
+    node = grip
+    while len(children := np.setdiff1d(np.flatnonzero(parent == node), clamped)):
         node = int(children[np.argmax(carried[children])])
-        way.append(node)
-    return way
+        above.append(node)
+    away = np.abs(distance - distance[grip])
+    near = [node for node in (*below, *above) if away[node] <= pads / 2 * (1 + 1e-9)]
+    return (grip, *(near or (above or below)[:1]))

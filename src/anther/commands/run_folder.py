@@ -8,50 +8,46 @@ import platform
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from anther.commands.doctor import installed_version
 from anther.devices import Tap, untapped
 from anther.errors import AntherError, bad_input, missing_extra
 from anther.files import existing, made_folder, read_object, write_json
-from anther.history import GraspRecord, ShakeRecord, TrialRecord, add_missing, read_record, record_trial, shown
-from anther.results import EXECUTED, FILM, SUMMARY
+from anther.history import TrialRecord, add_missing, read_record, record_trial, shown
+from anther.results import EXECUTED, FILM, PARAMS, SUMMARY, TIMING, VISIT, RunResults, read_run
 from anther.runs import FILES, PROGRESS, Run
-
-if TYPE_CHECKING:
-    from anther.pipeline import Done
-    from anther.results import RunResults
 
 LOG, EARLIER = "log.mcap", "log_before.mcap"
 """The log, and that of the process which a run was gone on from."""
 
 
 class TrialLog:
-    """A context manager: what was said is on the disk when it ends. Attribute: `tap` listens to a cell's machines.
-
-    Args:
-        run: what it listens to.
-        wanted: whether there is to be one.
-    """
+    """Listens to a run where it is `wanted`; `tap` listens to a cell's machines. Use as a context manager."""
 
     def __init__(self, run: Run, *, wanted: bool) -> None:
         self.tap: Tap = untapped
         self._log, self._lacks = None, None
-        if wanted:
-            try:
-                from anther.log import Log
-            except ImportError as error:
-                lacks = missing_extra(error)
-                if lacks is None:
-                    raise
-                self._lacks = str(lacks)
-                return
-            self._log = Log(_place(run.folder))
-            self.tap, run.told = self._log.tap, self._log.told
+        if not wanted:
+            return
+        try:
+            from anther.log import Log
+        except ImportError as error:
+            lacks = missing_extra(error)
+            if lacks is None:
+                raise
+            self._lacks = str(lacks)
+            return
+        place = run.folder / LOG
+        with suppress(OSError):  # the log itself says what is wrong with the folder
+            if place.exists():
+                place.replace(run.folder / EARLIER)
+        self._log = Log(place)
+        self.tap, run.told = self._log.tap, self._log.told
 
     def __enter__(self) -> TrialLog:
         return self
@@ -75,58 +71,31 @@ class TrialLog:
         return {"log_messages": kept.messages, "log_dropped": kept.dropped, "log_error": kept.error}
 
 
-def _place(folder: Path) -> Path:
-    """Return where the log goes; one that is there is what led to a restart, and is kept."""
-    place = folder / LOG
-    try:
-        if place.exists():
-            place.replace(folder / EARLIER)
-    except OSError:
-        pass  # the log itself says what is wrong with the folder
-    return place
-
-
-PARAMS, TIMING = "00_params.json", "timing.json"
-VISIT = "visit.json"
-WRITTEN = {
-    PARAMS,
-    TIMING,
-    PROGRESS,
-    EXECUTED,
-    SUMMARY,
-    VISIT,
-    FILM,
-    LOG,
-    EARLIER,
-    *FILES.values(),
-    FILES["cloud"].replace(".ply", ".npz"),
-}
+OTHERS = (PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, FILM, LOG, EARLIER)
+WRITTEN = {*OTHERS, *FILES.values(), FILES["cloud"].replace(".ply", ".npz")}
 """What a run writes into its folder; a cloud's other arrays lie beside its .ply."""
 LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "embreex", "small_gicp", "scikit-image")
 
 
 @contextmanager
-def open_run(
-    folder: Path, args: Any, *, restart_from: str | None, overwrite: bool, same: tuple[str, ...]
-) -> Iterator[Run]:
+def open_run(folder: Path, args: Any, same: tuple[str, ...]) -> Iterator[Run]:
     """Open a run folder, note parameters and versions in it, and note the time per stage at the end.
 
     Args:
         folder: of the run.
-        args: of the command; kept.
-        restart_from: see `Run`.
-        overwrite: remove what an earlier run wrote there, and nothing else.
+        args: of the command; kept. Its `restart_from` is as in `Run`; `overwrite` removes what an earlier run wrote
+            there, and nothing else.
         same: names of arguments that a run which is gone on with must have had alike.
 
     Raises:
         InputError: the folder holds an earlier run (and neither overwrite nor a restart was asked for), another run
             than the one to go on with, or something that is not a run.
     """
-    if restart_from is not None:
+    if args.restart_from is not None:
         _check_same(folder, args, same)
     else:
-        _make_room(folder, overwrite=overwrite)
-    run = Run(folder, restart_from=restart_from)
+        _make_room(folder, overwrite=args.overwrite)
+    run = Run(folder, restart_from=args.restart_from)
     write_json(folder / PARAMS, parameters(args))
     with run:
         try:
@@ -142,16 +111,8 @@ def parameters(args: Any) -> dict[str, Any]:
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "anther": version("anther"),
         "python": platform.python_version(),
-        "libraries": {name: _version(name) for name in LIBRARIES},
+        "libraries": {name: installed_version(name) for name in LIBRARIES},
     }
-
-
-def _version(library: str) -> str | None:
-    """Return a library's version; None where the extra that brings it is not installed."""
-    try:
-        return version(library)
-    except PackageNotFoundError:
-        return None
 
 
 def _check_same(folder: Path, args: Any, names: tuple[str, ...]) -> None:
@@ -161,39 +122,25 @@ def _check_same(folder: Path, args: Any, names: tuple[str, ...]) -> None:
     now = json.loads(json.dumps({name: getattr(args, name) for name in names}, default=str))
     other = [f"{name} {was[name]} instead of {now[name]}" for name in names if name in was and was[name] != now[name]]
     if other:
-        raise bad_input(
-            "restart-from",
-            given=f"{folder}, a run with {', '.join(other)}",
-            allowed="a run of the same plant, seen alike",
-            do="Ask for what that run was, or choose another folder.",
-        )
+        given, do = f"{folder}, a run with {', '.join(other)}", "Ask for what that run was, or choose another folder."
+        raise bad_input("restart-from", given=given, allowed="a run of the same plant, seen alike", do=do)
 
 
 def _make_room(folder: Path, *, overwrite: bool) -> None:
     if not any(made_folder(folder).iterdir()):
         return
+    allowed = "a new or empty folder"
     if not (folder / PARAMS).is_file():
-        raise bad_input(
-            "run folder",
-            given=f"{folder}, which holds other files",
-            allowed="a new or empty folder",
-            do="Choose another.",
-        )
+        given = f"{folder}, which holds other files"
+        raise bad_input("run folder", given=given, allowed=allowed, do="Choose another.")
     if not overwrite:
-        raise bad_input(
-            "run folder",
-            given=f"{folder}, which holds {_what_run(folder)}",
-            allowed="a new or empty folder",
-            do="Choose another, or add --overwrite or --restart-from STAGE.",
-        )
+        do = "Choose another, or add --overwrite or --restart-from STAGE."
+        raise bad_input("run folder", given=f"{folder}, which holds {_what_run(folder)}", allowed=allowed, do=do)
     others = sorted({path.name for path in folder.iterdir()} - WRITTEN)
     if others:
-        raise bad_input(
-            "overwrite",
-            given=f"{folder}, which holds a run and besides it {', '.join(others[:5])}",
-            allowed="a folder with nothing but a run: only what a run wrote is removed",
-            do="Move the other files, or choose another folder.",
-        )
+        given = f"{folder}, which holds a run and besides it {', '.join(others[:5])}"
+        allowed = "a folder with nothing but a run: only what a run wrote is removed"
+        raise bad_input("overwrite", given=given, allowed=allowed, do="Move the other files, or choose another folder.")
     for name in WRITTEN:
         path = folder / name
         if path.is_dir() and not path.is_symlink():
@@ -214,45 +161,11 @@ def _what_run(folder: Path) -> str:
 
 def finish(run: Run) -> RunResults:
     """Write the report of a run and return its results as read back from the folder."""
-    from anther.report import write_report
-    from anther.results import read_run
+    from anther.report import write_report  # Matplotlib takes a second
 
     results = read_run(run.folder)
     write_report(run.path("report"), results)
     return results
-
-
-def with_what_was_done(record: TrialRecord, done: Done, organ: str | None) -> TrialRecord:
-    """Return the record with grasp, shake, the flowers' motion and what was believed before and after.
-
-    A shake that was planned but never begun is not recorded: it gave the flowers nothing.
-    """
-    plan, answer, shaken = done.shake, done.response, done.trial.shake_times
-    grasp = plan.grasp
-    measured: dict[str, Any] = {}
-    if answer is not None:
-        measured = {
-            "measured_amplitude": tuple(answer.amplitude.tolist()),
-            "measured_amplitude_std": tuple(answer.amplitude_std.tolist()),
-            "measured_acceleration": tuple(answer.acceleration_peak.tolist()),
-        }
-    shake = ShakeRecord(
-        frequency=plan.frequency,
-        amplitude=plan.amplitude,
-        duration=float(shaken[-1] - shaken[0]) if len(shaken) else 0.0,
-        waveform="sine",
-        direction=tuple(plan.direction.tolist()),
-    )
-    return replace(
-        record,
-        grasp=GraspRecord(grasp.arc_length, grasp.stem_diameter, grasp.confidence, organ, tuple(grasp.pose7)),
-        shake=shake if len(shaken) else None,
-        predicted_amplitude=tuple(plan.predicted_amplitude.tolist()),
-        predicted_acceleration=tuple(plan.predicted_acceleration.tolist()),
-        believed=done.believed,
-        material=done.material,
-        **measured,
-    )
 
 
 def remember(record: TrialRecord, folder: Path, history: str) -> str | None:
@@ -276,10 +189,7 @@ def add_run(folder: Path, history: str) -> int | None:
         InputError: no run with a trial, or the history cannot be written.
     """
     if not (existing(folder) / VISIT).exists():
-        raise bad_input(
-            str(folder),
-            given=f"a folder without {VISIT}",
-            allowed="a run folder of `anther trial`",
-            do="Trials of earlier versions are in their history already.",
-        )
+        do = "Trials of earlier versions are in their history already."
+        allowed = "a run folder of `anther trial`"
+        raise bad_input(str(folder), given=f"a folder without {VISIT}", allowed=allowed, do=do)
     return add_missing(read_record(folder / VISIT), history)

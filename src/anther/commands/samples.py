@@ -20,11 +20,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Write the samples and say what they are.
-
-    Raises:
-        InputError: some of them are there already, or the folder cannot be written.
-    """
+    """Write the samples and say what they are."""
     for path in write_samples(args.out):
         print(f"{path!s:24}{SAMPLES[path.name]}")
     print("The table in README.md has a command for each.")

@@ -10,6 +10,11 @@ from typing import Annotated
 
 import tyro
 
+from anther.checks import check_range
+from anther.errors import MissingExtra, bad_input
+from anther.files import existing
+from anther.history import count_trials, shown
+
 LOCALHOST = "127.0.0.1"
 SHORTEST = 16
 """Characters of a token."""
@@ -32,17 +37,7 @@ class Args:
 
 
 def run(args: Args) -> None:
-    """Serve until Ctrl-C.
-
-    Raises:
-        InputError: a history, folder, token, address or port that cannot be used.
-        MissingExtra: FastAPI is not installed.
-    """
-    from anther.checks import check_range
-    from anther.errors import MissingExtra, bad_input
-    from anther.files import existing
-    from anther.history import count_trials, shown
-
+    """Serve until Ctrl-C."""
     check_range("port", args.port, 0, 65535)
     try:
         import uvicorn
@@ -69,13 +64,7 @@ def run(args: Args) -> None:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    """Return a socket that listens there.
-
-    Raises:
-        InputError: the port is taken or reserved, or the address is not this computer's.
-    """
-    from anther.errors import bad_input
-
+    """Return a socket that listens there."""
     try:
         return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:

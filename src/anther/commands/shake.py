@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,13 +11,13 @@ import numpy as np
 from scipy.signal import detrend, hilbert
 
 from anther.checks import check_range
-from anther.commands.rod_plant import PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
+from anther.commands.rod_plant import AXES, PlantOptions, RodPlant, hanging, held_nodes, read_plant, with_stem
 from anther.elastic_rod import Burst, Chirp, Clamp, Drive, Rods, Trajectory, natural_frequencies, simulate
-from anther.files import replacing, write_json
-from anther.pictures.shake import draw_shake
+from anther.files import write_json
+from anther.pictures import save_figure
+from anther.pictures.rods import draw_shake
 
 Shake = Drive | Chirp | Burst
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,65 +59,42 @@ class Args(PlantOptions):
     """Print the result as JSON."""
 
 
-@dataclass(frozen=True)
-class FlowerMotion:
-    """How the flower answers the shake."""
-
-    flower_amplitude_m: float
-    flower_peak_m: float
-    flower_frequency_hz: float
-    grip_amplitude_m: float
-    grip_force_peak_n: float
-    grip_moment_peak_nm: float
-    amplitude_ratio: float | None
-    first_frequency_hz: float
-    energy_start_j: float
-    newton_iterations: int
-    split_steps: int
-
-
 def run(args: Args) -> None:
-    """Simulate the shake, print the flower's motion, and write the results to `out`.
-
-    Raises:
-        InputError: a bad file or option.
-        StageFailure: the rods cannot stand, or the motion cannot be solved.
-    """
+    """Simulate the shake, print the flower's motion, and write the results to `out`."""
     check_range("amplitude", args.amplitude, 0, 1, "m")
     check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
     check_range("end_frequency", args.end_frequency, 1e-3, 1e4, "Hz")
     check_range("duration", args.duration, 10 * args.dt, 3600, "s")
     plant = read_plant(args) if args.grip is not None else with_stem(read_plant(args))
-    grip, flower = _grip(args, plant), _flower(args, plant)
+    grip, flower = _nodes(args, plant)
     plant = hanging(plant, args.skeleton) if args.rest == "hanging" else plant
     last = args.end_frequency if args.waveform == "chirp" else args.frequency
     rods, clamp = plant.damped(float(np.sqrt(args.frequency * last))), plant.clamp
     also = held_nodes(plant, grip, args.pads)[1:]
     drive = _drive(args, grip, also)
     trajectory = simulate(rods, clamp, drive, args.duration, args.dt, integrator=args.integrator)
-    motion = measure(rods, clamp, drive, trajectory, flower)
-    named = {"grip_node": int(plant.numbers[grip]), "flower_node": int(plant.numbers[flower])}
+    result = {"grip_node": int(plant.numbers[grip]), "flower_node": int(plant.numbers[flower])}
+    result |= measure(rods, clamp, drive, trajectory, flower)
     if args.out is not None:
         trajectory.save(args.out / "trajectory.npz")
-        write_json(args.out / "shake.json", named | asdict(motion))
-        with replacing(args.out / "shake.png") as temporary:
-            figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
-            figure.savefig(temporary, dpi=110)
-    print(json.dumps(named | asdict(motion), indent=2) if args.json else _text(args, motion, plant, **named))
+        write_json(args.out / "shake.json", result)
+        figure = draw_shake(rods, grip, flower, drive.direction, trajectory, 1 / last)
+        save_figure(figure, args.out / "shake.png")
+    print(json.dumps(result, indent=2) if args.json else _text(args, result, plant.notes))
 
 
-def _grip(args: Args, plant: RodPlant) -> int:
-    if args.grip is not None:
-        return plant.node(args.grip)
-    assert plant.stem_nodes is not None
-    along = plant.distances()[plant.stem_nodes]
-    return int(plant.stem_nodes[np.abs(along - 0.5 * along[-1]).argmin()])
-
-
-def _flower(args: Args, plant: RodPlant) -> int:
+def _nodes(args: Args, plant: RodPlant) -> tuple[int, int]:
+    """Return the nodes of grip and flower."""
+    along = plant.distances()
     if args.flower is not None:
-        return plant.node(args.flower)
-    return int(plant.flower_nodes[0]) if len(plant.flower_nodes) else int(plant.distances().argmax())
+        flower = plant.node(args.flower)
+    else:
+        flower = int(plant.flower_nodes[0]) if len(plant.flower_nodes) else int(along.argmax())
+    if args.grip is not None:
+        return plant.node(args.grip), flower
+    assert plant.stem_nodes is not None
+    height = along[plant.stem_nodes]
+    return int(plant.stem_nodes[np.abs(height - 0.5 * height[-1]).argmin()]), flower
 
 
 def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:
@@ -131,8 +108,8 @@ def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:
             return Drive(grip, axis, amplitude, frequency, args.ramp, also)
 
 
-def measure(rods: Rods, clamp: Clamp, drive: Shake, trajectory: Trajectory, flower: int) -> FlowerMotion:
-    """Return how the flower moves along the drive's direction.
+def measure(rods: Rods, clamp: Clamp, drive: Shake, trajectory: Trajectory, flower: int) -> dict[str, Any]:
+    """Return how the flower moves along the drive's direction, units in the names.
 
     The amplitude is the median of the Hilbert envelope of the detrended displacement and the frequency its FFT peak,
     the paper's own measures (R2).
@@ -140,19 +117,19 @@ def measure(rods: Rods, clamp: Clamp, drive: Shake, trajectory: Trajectory, flow
     along = trajectory.displacement(flower) @ drive.direction
     amplitude, frequency = vibration(along, float(trajectory.times[1]))
     grip = vibration(trajectory.displacement(drive.node) @ drive.direction, float(trajectory.times[1]))[0]
-    return FlowerMotion(
-        flower_amplitude_m=amplitude,
-        flower_peak_m=float(np.abs(along).max()),
-        flower_frequency_hz=frequency,
-        grip_amplitude_m=grip,
-        grip_force_peak_n=float(np.linalg.norm(trajectory.grip_force, axis=1).max()),
-        grip_moment_peak_nm=float(np.linalg.norm(trajectory.grip_moment, axis=1).max()),
-        amplitude_ratio=amplitude / drive.amplitude if drive.amplitude else None,
-        first_frequency_hz=float(natural_frequencies(rods, clamp, 1).frequencies[0]),
-        energy_start_j=float(trajectory.energy[0]),
-        newton_iterations=trajectory.newton_iterations,
-        split_steps=trajectory.split_steps,
-    )
+    return {
+        "flower_amplitude_m": amplitude,
+        "flower_peak_m": float(np.abs(along).max()),
+        "flower_frequency_hz": frequency,
+        "grip_amplitude_m": grip,
+        "grip_force_peak_n": float(np.linalg.norm(trajectory.grip_force, axis=1).max()),
+        "grip_moment_peak_nm": float(np.linalg.norm(trajectory.grip_moment, axis=1).max()),
+        "amplitude_ratio": amplitude / drive.amplitude if drive.amplitude else None,
+        "first_frequency_hz": float(natural_frequencies(rods, clamp, 1).frequencies[0]),
+        "energy_start_j": float(trajectory.energy[0]),
+        "newton_iterations": trajectory.newton_iterations,
+        "split_steps": trajectory.split_steps,
+    }
 
 
 def vibration(displacement: Any, dt: float) -> tuple[float, float]:
@@ -164,15 +141,17 @@ def vibration(displacement: Any, dt: float) -> tuple[float, float]:
     return float(np.median(envelope)), float(np.fft.rfftfreq(padded, dt)[np.argmax(spectrum)])
 
 
-def _text(args: Args, motion: FlowerMotion, plant: RodPlant, *, grip_node: int, flower_node: int) -> str:
-    ratio = "" if motion.amplitude_ratio is None else f", {motion.amplitude_ratio:.3f} of the shake"
+def _text(args: Args, told: dict[str, Any], notes: tuple[str, ...]) -> str:
+    ratio = "" if told["amplitude_ratio"] is None else f", {told['amplitude_ratio']:.3f} of the shake"
+    moment = f" and moment {told['grip_moment_peak_nm']:.3g} N m" if args.pads else ""
     lines = [
-        f"flower node {flower_node}: {motion.flower_amplitude_m * 1e3:.3f} mm along {args.axis} (Hilbert envelope"
-        f"{ratio}), {motion.flower_frequency_hz:.3f} Hz, at most {motion.flower_peak_m * 1e3:.3f} mm from rest",
-        f"grip node {grip_node}: {motion.grip_amplitude_m * 1e3:.3f} mm, peak force {motion.grip_force_peak_n:.3g} N"
-        + (f" and moment {motion.grip_moment_peak_nm:.3g} N m" if args.pads else ""),
-        f"first natural frequency, not gripped: {motion.first_frequency_hz:.3f} Hz",
-        f"{motion.newton_iterations} Newton iterations, {motion.split_steps} split steps",
-        *(f"note: {note}" for note in plant.notes),
+        f"flower node {told['flower_node']}: {1e3 * told['flower_amplitude_m']:.3f} mm along {args.axis} "
+        f"(Hilbert envelope{ratio}), {told['flower_frequency_hz']:.3f} Hz, "
+        f"at most {1e3 * told['flower_peak_m']:.3f} mm from rest",
+        f"grip node {told['grip_node']}: {1e3 * told['grip_amplitude_m']:.3f} mm, "
+        f"peak force {told['grip_force_peak_n']:.3g} N{moment}",
+        f"first natural frequency, not gripped: {told['first_frequency_hz']:.3f} Hz",
+        f"{told['newton_iterations']} Newton iterations, {told['split_steps']} split steps",
+        *(f"note: {note}" for note in notes),
     ]
     return "\n".join(lines if args.out is None else [*lines, f"written: {args.out}"])

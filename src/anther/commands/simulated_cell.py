@@ -7,16 +7,17 @@ from functools import cache, partial
 
 import numpy as np
 
-from anther import pipeline
 from anther.arm.model import ArmModel, outline
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
 from anther.arm.sawyer import SAWYER
-from anther.arm.views import FAST, Views, capture_time, cylinder_points, plan_views
 from anther.arm.views import Params as ViewParams
+from anther.arm.views import Views, capture_time, plan_views
 from anther.capture import Capture
-from anther.devices import JointTrajectory, SafetyLimits, Tap, untapped
+from anther.cloud import Cloud
+from anther.devices import SafetyLimits, Tap, untapped
 from anther.geometry import Array, Box, look_at
+from anther.pipeline import RobotSide
 from anther.runs import Advance
 from anther.safety import guard
 from anther.shake import ActuatorName, Crop
@@ -31,6 +32,8 @@ from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
 from anther.sim.true_plant import as_true
 from anther.sim.truth import NOMINAL, Truth
+
+Place = tuple[float, float, float]
 
 USUAL_DISTANCE = 0.72
 """Of the pot's axis in front of the Sawyer [m]: where facts: sawyer 6 tabulates what the arm can shake."""
@@ -77,7 +80,7 @@ def layout(distance: float, *, beyond: bool = False) -> Layout:
     """
     axis = np.array([distance, 0.0, 0.0])
 
-    def box(lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Box:
+    def box(lower: Place, upper: Place) -> Box:
         return Box(axis + lower, axis + upper)
 
     bench = box((-0.30, -0.55, -0.60), (0.50, 0.55, -0.48))
@@ -110,21 +113,12 @@ def safety_limits(place: Layout, arm: ArmModel = SAWYER) -> SafetyLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCell:
-    """A plant, its robot, and the world that both live in.
-
-    Attributes:
-        plant: ground truth, for the judge.
-        world: MuJoCo's world; its log is what the judge reads.
-        views: the views the arm takes.
-        to_waiting: the motion after the last of them, made while the computer works on them.
-        robot_side: what the pipeline is given.
-    """
+    """A plant (ground truth), MuJoCo's world, whose log the judge reads, the views, and what the pipeline is given."""
 
     plant: SimPlant
     world: world.Cell
     views: Views
-    to_waiting: JointTrajectory
-    robot_side: pipeline.RobotSide
+    robot_side: RobotSide
 
     @property
     def capture_seconds(self) -> float:
@@ -134,11 +128,8 @@ class SimulatedCell:
 
 def grow(species: Crop, seed: int, viewpoint: float, distance: float, truth: Truth = NOMINAL) -> SimPlant:
     """Grow a plant in a pot `distance` [m] in front of the arm; `viewpoint` [deg] turns it about the pot's axis."""
-    match species:
-        case "tomato":
-            return as_true(grow_tomato(seed, viewpoint=viewpoint, axis=(distance, 0.0)), truth)
-        case "pepper":
-            return as_true(grow_pepper(seed, viewpoint=viewpoint, axis=(distance, 0.0)), truth)
+    grown = {"tomato": grow_tomato, "pepper": grow_pepper}[species]
+    return as_true(grown(seed, viewpoint=viewpoint, axis=(distance, 0.0)), truth)
 
 
 def in_wind(plant: SimPlant, scene: Scene, views: Views, truth: Truth) -> Sight:
@@ -154,14 +145,6 @@ def views_at(distance: float, views: ViewParams, arm: ArmModel = SAWYER) -> View
     """Return the views of a pot `distance` [m] in front of the arm: the same for every plant."""
     place = layout(distance)
     return plan_views(place.region, place.solids, views, arm=arm)
-
-
-@cache
-def to_waiting(distance: float, views: ViewParams, arm: ArmModel = SAWYER) -> JointTrajectory:
-    """Return the motion from the last view to where the arm waits, around where the plant may be."""
-    place = layout(distance)
-    planner = Planner(cylinder_points(place.region), np.zeros((0, 3)), place.solids, params=FAST, arm=arm)
-    return planner.move(views_at(distance, views, arm).joints[-1], arm.waiting)
 
 
 def build(
@@ -185,53 +168,30 @@ def build(
     views are rendered, not driven to: the arm stands where it waits after the last of them.
 
     Raises:
-        StageFailure: "unreachable" when the arm reaches fewer than three views, or not where it waits.
+        StageFailure: "unreachable" when the arm reaches fewer than three views.
     """
     distance = usual_distance(arm) if distance is None else distance
     place = layout(distance, beyond=actuator == "gripper")
-    planned, last = views_at(distance, views, arm), to_waiting(distance, views, arm)
+    planned = views_at(distance, views, arm)
     plant = grow(species, seed, viewpoint, distance, truth)
     noise = np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit])
     scene = Scene.of_plant(plant)
     coil = arm_model.COIL_FORCE if actuator == "gripper" else 0.0
     mujoco = world.Cell(plant, arm.waiting, world.Params(coil_force=coil), truth, arm)
-    robot = robot_of(
-        mujoco,
-        errors=camera_errors(truth),
-        T_world_side_camera=place.T_world_side_camera,
-        seed=int(noise.integers(1 << 31)),
-        scene=scene,
-    )
-    limits = safety_limits(place, arm)
-    return SimulatedCell(
-        plant=plant,
-        world=mujoco,
-        views=planned,
-        to_waiting=last,
-        robot_side=pipeline.RobotSide(
-            take_views=lambda advance: photograph(
-                in_wind(plant, scene, planned, truth),
-                planned.joints,
-                seed,
-                viewpoint,
-                visit,
-                progress=advance,
-                truth=truth,
-                arm=arm,
-            )[0],
-            plan_around=lambda cloud: Planner(
-                cloud.points,
-                cloud.obstacles,
-                place.solids,
-                space=place.arm_space,
-                params=replace(BRISK, home=tuple(arm.waiting.tolist())),
-                arm=arm,
-            ),
-            robot=guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits),
-            workspace=place.workspace,
-            limits=limits,
-        ),
-    )
+    seen_from, drawn = place.T_world_side_camera, int(noise.integers(1 << 31))
+    robot = robot_of(mujoco, errors=camera_errors(truth), T_world_side_camera=seen_from, seed=drawn, scene=scene)
+    limits, home = safety_limits(place, arm), tuple(arm.waiting.tolist())
+    sight = in_wind(plant, scene, planned, truth)
+
+    def take_views(advance: Advance) -> Capture:
+        return photograph(sight, planned.joints, seed, viewpoint, visit, progress=advance, truth=truth, arm=arm)[0]
+
+    def plan_around(cloud: Cloud) -> Planner:
+        params, space = replace(BRISK, home=home), place.arm_space
+        return Planner(cloud.points, cloud.obstacles, place.solids, space=space, params=params, arm=arm)
+
+    robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
+    return SimulatedCell(plant, mujoco, planned, RobotSide(take_views, plan_around, robot, place.workspace, limits))
 
 
 def photograph(
@@ -247,18 +207,10 @@ def photograph(
 ) -> tuple[Capture, CaptureTruth]:
     """Return what the wrist camera sees of a plant from joints (V, J) [rad], and the truth, which is for judges.
 
-    Depth noise, the arm's errors and the error of the hand-eye calibration all come from `seed`, `viewpoint` [deg] and
-    `visit`; `truth` says how large they are.
+    Its errors come from `seed`, `viewpoint` [deg] and `visit`; `truth` says how large they are.
     """
     sight, camera = (np.random.default_rng([seed, int(viewpoint), k + 10 * visit]) for k in range(2))
     T_flange_cam_true = perturbed_hand_eye(arm.tool.T_flange_cam, camera, factor=truth.hand_eye_error)
-    return capture_views(
-        plant,
-        joints,
-        arm.forward,
-        T_flange_cam_true,
-        arm.tool.T_flange_cam,
-        rng=sight,
-        errors=camera_errors(truth),
-        progress=progress,
-    )
+    believed, errors = arm.tool.T_flange_cam, camera_errors(truth)
+    poses = (joints, arm.forward, T_flange_cam_true, believed)
+    return capture_views(plant, *poses, rng=sight, errors=errors, progress=progress)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import tyro
 from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
-from anther.files import replacing
+from anther.files import json_text
 from anther.flowers import flower_centres
 from anther.formats.clouds import Axis, Units, read_cloud
 from anther.formats.skeleton_file import supposed_radius
@@ -22,6 +21,7 @@ from anther.formats.skeletons import SkeletonFile, read_skeleton, write_skeleton
 from anther.geometry import Array
 from anther.grasp import Grasp, plan_grasps, save_grasps
 from anther.grasp import Params as GraspParams
+from anther.pictures import save_figure
 from anther.skeleton import Params, Skeleton, nearest_node, skeletonize
 from anther.stem import LOW, Stem, find_stem
 from anther.stem import Params as StemParams
@@ -34,6 +34,8 @@ Place = tuple[float, float, float]
 STEM = {"tomato": 5e-3, "pepper": 6e-3}
 """Radius of a main stem at its base [m]: tomato 4 to 6 mm, remembered, no source found; pepper 5 and 7 mm at harvest
 (facts: pollination 2)."""
+GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "reason")
+"""Numbers of the grasp that are told."""
 ROOTLESS = (".txt", ".ply")
 """Files that say nothing of where the plant stands."""
 
@@ -41,15 +43,13 @@ ROOTLESS = (".txt", ".ply")
 def read_source(
     path: Path, *, radius: float | None = None, root: str | None = None, crop: Crop = "tomato"
 ) -> tuple[SkeletonFile, Skeleton]:
-    """Return a skeleton file, rooted, and the skeleton in it.
+    """Return a skeleton file (.npz, .swc, .txt, .ply, .graphml or .mtg), rooted, and the skeleton in it.
 
     Args:
-        path: .npz, .swc, .txt, .ply, .graphml or .mtg.
         radius: of every node [m]; None: those in the file, else the crop's stem at its base, thinner with what a node
             carries (`supposed_radius`).
         root: where the plant stands, see `node_named`; None: the file's own root, or where the way up begins to rise.
             What lies flat there is then a scrap of soil, and left out.
-        crop: whose stem.
 
     Raises:
         InputError: a bad file, radius or node.
@@ -82,31 +82,27 @@ def node_named(option: str, text: str, source: SkeletonFile) -> int:
 def main_stem(skeleton: Skeleton, tip: int | None = None, flowers_at: Array | None = None) -> Stem:
     """Return the main stem of a skeleton that somebody else made.
 
-    Args:
-        skeleton: the tree.
-        tip: the node at which the stem ends, by who knows better; None: where it is found to end or, if that leaves
-            it a stub, at the plant's top, with a note.
-        flowers_at: see `find_stem`.
+    It ends at the node `tip`, by who knows better; None: where it is found to end or, if that leaves it a stub, at the
+    plant's top, with a note.
 
     Raises:
         StageFailure: there is none.
     """
     nodes = skeleton.nodes
+
+    def ended(at: int) -> Stem:
+        x, y, z = nodes[at].tolist()
+        return find_stem(skeleton, StemParams(tip=(x, y, z)), flowers_at=flowers_at)
+
     if tip is not None:
-        return find_stem(skeleton, StemParams(tip=_xyz(nodes[tip])), flowers_at=flowers_at)
+        return ended(tip)
     found, top = find_stem(skeleton, flowers_at=flowers_at), int(nodes[:, 2].argmax())
     rise, height = np.ptp(nodes[found.node_ids, 2]), nodes[top, 2] - nodes[0, 2]
     if rise >= LOW * height:
         return found
-    stem = find_stem(skeleton, StemParams(tip=_xyz(nodes[top])), flowers_at=flowers_at)
-    stub = f"only {1e3 * rise:.0f} of {1e3 * height:.0f} mm look like a main stem"
+    stem, stub = ended(top), f"only {1e3 * rise:.0f} of {1e3 * height:.0f} mm look like a main stem"
     note = f"main stem: {stub}; the way to the top is taken for it. --stem-tip names its end, --root its base."
     return replace(stem, notes=(*stem.notes, note))
-
-
-def _xyz(node: Array) -> Place:
-    x, y, z = node.tolist()
-    return x, y, z
 
 
 def place(option: str, text: str) -> Place:
@@ -118,12 +114,8 @@ def place(option: str, text: str) -> Place:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise bad_input(
-            option,
-            given=text,
-            allowed="x,y,z in metres, as `anther view` prints it on a click",
-            do=f"Write {option}=0.01,0.02,0.",
-        ) from None
+        allowed = "x,y,z in metres, as `anther view` prints it on a click"
+        raise bad_input(option, given=text, allowed=allowed, do=f"Write {option}=0.01,0.02,0.") from None
     return x, y, z
 
 
@@ -171,9 +163,14 @@ def run(args: Args) -> None:
     grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)
     seconds = time.perf_counter() - begin
     if args.out is not None:
-        write_results(args.out, cloud, skeleton, stem, grasps)
+        from anther.pictures.plant import draw_plant  # Matplotlib takes a second
+
+        skeleton.save(args.out / "skeleton.npz")
+        write_skeleton(args.out / "skeleton.swc", skeleton, stem.organ_names())
+        save_grasps(args.out / "grasp.json", grasps)  # all, best first
+        save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), args.out / "overview.png")
     result = summary(cloud, skeleton, stem, grasps[0], notes) | {"seconds": seconds, "out": args.out}
-    print(json.dumps(result, indent=2, default=_plain) if args.json else _text(result))
+    print(json_text(result).rstrip() if args.json else _text(result))
 
 
 def best_grasps(
@@ -193,33 +190,8 @@ def best_grasps(
         return grasps, (f"the gripper does not fit this plant ({failure})",)
 
 
-def write_results(folder: Path, cloud: Cloud, skeleton: Skeleton, stem: Stem, grasps: list[Grasp]) -> None:
-    """Write skeleton.npz, skeleton.swc, grasp.json (all grasps, best first) and overview.png."""
-    skeleton.save(folder / "skeleton.npz")
-    write_skeleton(folder / "skeleton.swc", skeleton, stem.organ_names())
-    save_grasps(folder / "grasp.json", grasps)
-    from anther.pictures.plant import draw_plant  # Matplotlib takes a second
-
-    with replacing(folder / "overview.png") as temporary:
-        draw_plant(cloud, skeleton, stem, grasps[0]).savefig(temporary, dpi=110)
-
-
-def grasp_numbers(grasp: Grasp) -> dict[str, Any]:
-    """Return the grasp as numbers [m] with names; `pose` is x, y, z, qx, qy, qz, qw of the flange."""
-    return {
-        "pose": grasp.pose7,
-        "point": grasp.point,
-        "tangent": grasp.tangent,
-        "approach": grasp.approach,
-        "arc_length": grasp.arc_length,
-        "stem_diameter": grasp.stem_diameter,
-        "clearance": grasp.clearance,
-        "reason": grasp.reason,
-    }
-
-
 def summary(cloud: Cloud, skeleton: Skeleton, stem: Stem, grasp: Grasp, notes: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Return what was found, in words and numbers [m]."""
+    """Return what was found, in words and numbers [m]; the grasp's pose is x, y, z, qx, qy, qz, qw of the flange."""
     return {
         "points": len(cloud.points),
         "nodes": len(skeleton.nodes),
@@ -228,7 +200,7 @@ def summary(cloud: Cloud, skeleton: Skeleton, stem: Stem, grasp: Grasp, notes: t
         "stem_length": float(stem.arc_length[-1]),
         "stem_diameter_at_grasp": grasp.stem_diameter,
         "attachments": len(stem.attachments),
-        "grasp": grasp_numbers(grasp),
+        "grasp": {"pose": grasp.pose7} | {name: getattr(grasp, name) for name in GRASP},
         "notes": [*cloud.notes, *skeleton.notes, *stem.notes, *notes],
     }
 
@@ -243,7 +215,3 @@ def _text(result: dict[str, Any]) -> str:
         f"{result['seconds']:.1f} s" + (f"; results in {result['out']}" if result["out"] else ""),
     ]
     return "\n".join(lines)
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else str(value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,19 +9,19 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from anther.errors import AntherError, bad_input
-from anther.files import existing, made_folder, read_object, replacing, write_json
+from anther.files import existing, made_folder, read_object, write_json
 from anther.flowers import flower_centres
 from anther.formats.clouds import Axis, Units, read_cloud
 from anther.formats.tables import write_table
+from anther.pictures import save_figure
 from anther.pictures.plant import draw_plant
 from anther.skeleton import Params, skeletonize
 from anther.stem import Params as StemParams
 from anther.stem import find_stem
-from anther.traits import LEVELS, Limb, Traits, measure
+from anther.traits import LEVELS, Limb, measure
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".npz")
 COUNTED = ("branch", "truss", "leaf")
@@ -69,12 +68,7 @@ class Args:
 
 
 def run(args: Args) -> int:
-    """Measure what is not measured yet, write the tables; return 1 if a plant could not be measured.
-
-    Raises:
-        InputError: no such folder, no cloud in it.
-        MissingExtra: Parquet without pyarrow.
-    """
+    """Measure what is not measured yet, write the tables; return 1 if a plant could not be measured."""
     folder = existing(args.clouds)
     own = args.out.resolve()  # may lie among the clouds, and holds .csv and .npz
     found = sorted(
@@ -86,11 +80,16 @@ def run(args: Args) -> int:
         allowed = f"a folder with clouds: {', '.join(SUFFIXES)}"
         raise bad_input(str(folder), given="none in it", allowed=allowed, do="For one cloud: `anther skeletonize`.")
     made_folder(args.out)
-    console, rows = Console(), list[dict[str, Any]]()
+    console, rows = Console(markup=False, highlight=False), list[dict[str, Any]]()
     for path in found:
         name = str(path.relative_to(folder))
         rows.append(_measured(args, path, name))
-        console.print(escape(_line(rows[-1])), highlight=False)
+        row = rows[-1]
+        told = f"not measured: {row['failure']}"
+        if not row["failure"]:
+            limbs = ", ".join(f"{row[f'{organ}_count']} {organ}" for organ in COUNTED)
+            told = f"stem {row['stem_length_m']:.3f} m, {limbs}"
+        console.print(f"{row['plant']}: {told}")
     suffix = "parquet" if args.parquet else "csv"
     limbs = ({"plant": row["plant"]} | limb for row in rows for limb in row["limbs"])
     write_table(args.out / f"plants.{suffix}", COLUMNS, ({n: row.get(n) for n in COLUMNS} for row in rows))
@@ -128,20 +127,12 @@ def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
     traits = measure(skeleton, stem)
     skeleton.save(place / "skeleton.npz")
     stem.save(place / "stem.npz")
-    with replacing(place / "overview.png") as temporary:
-        draw_plant(cloud, skeleton, stem).savefig(temporary, dpi=110)
-    notes = "; ".join((*cloud.notes, *skeleton.notes, *stem.notes))
-    return flat(traits) | {
-        "points": len(cloud.points),
-        "notes": notes,
-        "limbs": [limb._asdict() for limb in traits.limbs],
-    }
-
-
-def flat(traits: Traits) -> dict[str, Any]:
-    """Return the traits as a line of the table: `COLUMNS` but for the file's own."""
+    save_figure(draw_plant(cloud, skeleton, stem), place / "overview.png")
     angles = [limb.angle_deg for limb in traits.limbs if limb.organ == "leaf"]
     return {
+        "points": len(cloud.points),
+        "notes": "; ".join((*cloud.notes, *skeleton.notes, *stem.notes)),
+        "limbs": [limb._asdict() for limb in traits.limbs],
         "plant_height_m": traits.plant_height_m,
         "stem_length_m": traits.stem_length_m,
         "stem_lean_deg": traits.stem_lean_deg,
@@ -155,30 +146,12 @@ def flat(traits: Traits) -> dict[str, Any]:
     }
 
 
-def _line(row: dict[str, Any]) -> str:
-    if row["failure"]:
-        return f"{row['plant']}: not measured: {row['failure']}"
-    limbs = ", ".join(f"{row[f'{organ}_count']} {organ}" for organ in COUNTED)
-    return f"{row['plant']}: stem {row['stem_length_m']:.3f} m, {limbs}"
-
-
 def _print(console: Console, rows: list[dict[str, Any]], path: Path) -> None:
-    table = Table(
-        "trait", "median", "5 %", "95 %", title=f"{sum(not row['failure'] for row in rows)} of {len(rows)} plants"
-    )
-    for name, values in _numbers(rows):
-        low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
-        table.add_row(name, *(f"{value:.3g}" for value in (middle, low, high)))
-    console.print(table)
-    console.print(
-        f"{path}, and limbs beside it; a picture of every plant in {path.parent / 'plants'}",
-        highlight=False,
-        markup=False,
-    )
-
-
-def _numbers(rows: list[dict[str, Any]]) -> Iterator[tuple[str, list[float]]]:
+    measured = sum(not row["failure"] for row in rows)
+    table = Table("trait", "median", "5 %", "95 %", title=f"{measured} of {len(rows)} plants")
     for name, kind in COLUMNS.items():
         values = [row[name] for row in rows if kind is not str and row.get(name) is not None]
         if values:
-            yield name, values
+            table.add_row(name, *(f"{value:.3g}" for value in np.quantile(values, [0.5, 0.05, 0.95])))
+    console.print(table)
+    console.print(f"{path}, and limbs beside it; a picture of every plant in {path.parent / 'plants'}")

@@ -12,18 +12,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from anther.arm import ArmName
-from anther.commands.mask_source import MaskSource
+from anther.cells import read_cell
+from anther.checks import check_range
+from anther.commands.run_folder import TrialLog, finish, open_run, parameters, remember
+from anther.commands.trial_summary import print_summary, summarise
 from anther.devices import Tap, untapped
-from anther.pipeline import Params
+from anther.errors import StageFailure, bad_input
+from anther.files import write_json
+from anther.history import (
+    Belief,
+    GraspRecord,
+    ShakeRecord,
+    TrialRecord,
+    earlier_shake,
+    facts_prior,
+    shown,
+    starting_material,
+)
+from anther.pipeline import Done, MaskSource, Params, mask_finder, pollinate
+from anther.results import EXECUTED, FILM, SUMMARY
+from anther.runs import WHERE_IT_STOPPED, stage_under_way
 from anther.shake import ActuatorName, Crop, Preset, with_preset
 
 if TYPE_CHECKING:
     from anther.arm.views import Params as ViewParams
     from anther.commands.hardware_cell import HardwareCell
     from anther.commands.simulated_cell import SimulatedCell
-    from anther.history import Belief, TrialRecord
-    from anther.pipeline import Done
-    from anther.shake import EarlierShake
     from anther.sim.judge import Verdict
 
 SIMULATED = "simulated"
@@ -94,17 +108,7 @@ def run(args: Args) -> int:
         0 only if all three parts of the verdict are good: the main stem was held through the shake, the plant was not
         harmed, and its flowers moved as in a breeze or more; 1 if one of them is not; 2 if it never came to that.
     """
-    from anther.checks import check_range
-    from anther.commands.mask_source import mask_finder
-    from anther.commands.run_folder import TrialLog, finish, open_run, parameters, remember
-    from anther.commands.trial_summary import print_summary, summarise
-    from anther.errors import StageFailure, bad_input
-    from anther.files import write_json
-    from anther.history import shown
-    from anther.pictures.shake import save_film
-    from anther.pipeline import pollinate
-    from anther.results import EXECUTED, FILM, SUMMARY
-    from anther.runs import WHERE_IT_STOPPED, stage_under_way
+    from anther.pictures.report import save_film  # Matplotlib takes a second
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
@@ -113,21 +117,16 @@ def run(args: Args) -> int:
     if args.restart_from == WHERE_IT_STOPPED and stage_under_way(out) in ("response", "report"):
         args = replace(args, restart_from="execution")
     if args.restart_from in ("response", "report"):
-        raise bad_input(
-            "restart-from",
-            given=f"'{args.restart_from}'",
-            allowed="a stage up to 'execution'",
-            do="The simulated world and its video are not kept: restart from execution.",
-        )
+        do = "The simulated world and its video are not kept: restart from execution."
+        given, allowed = f"'{args.restart_from}'", "a stage up to 'execution'"
+        raise bad_input("restart-from", given=given, allowed=allowed, do=do)
     args = replace(_resolved(args), params=_params(args))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
-    belief, earlier, began = _belief(args), _earlier(args), datetime.now(UTC)
+    belief, began = _belief(args), datetime.now(UTC)
+    earlier = None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
     cell = done = verdict = failure = None
-    with (
-        ExitStack() as machines,
-        open_run(out, args, restart_from=args.restart_from, overwrite=args.overwrite, same=SAME) as run,
-    ):
+    with ExitStack() as machines, open_run(out, args, SAME) as run:
         log = machines.enter_context(TrialLog(run, wanted=args.log))
         try:
             cell = run.timed("cell", lambda _: machines.enter_context(_cell(args, log.tap)))
@@ -137,7 +136,7 @@ def run(args: Args) -> int:
             verdict = None if cell.world is None else run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
-        summary = summarise(cell, done, verdict, failure, args.params)
+        summary = summarise(cell, done, verdict, failure)
         summary |= {"seconds": dict(run.seconds), "parameters": parameters(args), **log.close(failure, verdict)}
         summary |= {"material_source": belief.source, "material_reason": belief.reason}
         write_json(run.folder / SUMMARY, summary)
@@ -154,9 +153,6 @@ def run(args: Args) -> int:
 
 def _resolved(args: Args) -> Args:
     """Return the arguments with the arm, and in the simulated cell the distance, that they leave open."""
-    from anther.checks import check_range
-    from anther.errors import bad_input
-
     if args.cell == SIMULATED:
         from anther.arm.arms import in_simulated_cell
         from anther.commands.simulated_cell import usual_distance
@@ -165,8 +161,6 @@ def _resolved(args: Args) -> Args:
         distance = usual_distance(in_simulated_cell(name)) if args.distance is None else args.distance
         check_range("distance", distance, 0.3, 3.0, "m")
         return replace(args, arm=name, distance=distance)
-    from anther.cells import read_cell
-
     if args.arm is not None:
         raise bad_input("arm", given=f"{args.arm} and a cell file", allowed="one of the two", do="Name it in the file.")
     return replace(args, arm=read_cell(args.cell).model.name)
@@ -174,14 +168,11 @@ def _resolved(args: Args) -> Args:
 
 def _params(args: Args) -> Params:
     """Return the stages' parameters: those asked for, with what the shake's preset and --no-watch change."""
-    from anther.errors import bad_input
-
     bounds = args.params.shake if args.shake is None else with_preset(args.shake, args.params.shake)
     watch, actuator = args.watch and args.params.escalate, args.actuator or args.params.actuator
     if actuator == "gripper" and not (watch and bounds.keeps_limits):
-        raise bad_input(
-            "actuator", given="gripper with --no-watch or --shake paper", allowed="arm", do="A motor is always watched."
-        )
+        given = "gripper with --no-watch or --shake paper"
+        raise bad_input("actuator", given=given, allowed="arm", do="A motor is always watched.")
     return replace(args.params, shake=bounds, escalate=watch and bounds.keeps_limits, actuator=actuator)
 
 
@@ -197,7 +188,6 @@ def _cell(args: Args, tap: Tap) -> Iterator[SimulatedCell | HardwareCell]:
     if args.cell == SIMULATED:
         yield _build(args, tap)
         return
-    from anther.cells import read_cell
     from anther.commands.hardware_cell import hardware_cell
 
     with hardware_cell(read_cell(args.cell), _views(args), tap) as cell:
@@ -216,39 +206,17 @@ def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
     from anther.commands.simulated_cell import build
     from anther.sim.truth import NOMINAL, draw
 
-    truth = draw(args.seed) if args.truth == "wide" else NOMINAL
     return build(
         args.plant,
         args.seed,
         args.viewpoint,
         _views(args),
         distance=args.distance,
-        truth=truth,
+        truth=draw(args.seed) if args.truth == "wide" else NOMINAL,
         actuator=args.params.actuator,
         tap=tap,
         arm=in_simulated_cell(args.arm or "sawyer"),
     )
-
-
-def _belief(args: Args) -> Belief:
-    """Return what is believed of the plant. A history that cannot be read stops the trial before anything moves."""
-    from anther.history import Belief, facts_prior, starting_material
-
-    if args.material == "facts":
-        return Belief(facts_prior(args.plant), "facts", f"the facts' prior of {args.plant}, as asked for")
-    return starting_material(args.plant, _label(args), args.history)
-
-
-def _earlier(args: Args) -> EarlierShake | None:
-    from anther.history import earlier_shake
-
-    return None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
-
-
-def _label(args: Args) -> str:
-    if args.cell != SIMULATED:
-        return args.label or Path(args.cell).stem
-    return f"simulated {args.seed}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
 
 
 def _judge(cell: SimulatedCell, done: Done) -> Verdict:
@@ -258,17 +226,48 @@ def _judge(cell: SimulatedCell, done: Done) -> Verdict:
     return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency, done.trial.steady)
 
 
+def _belief(args: Args) -> Belief:
+    """Return what is believed of the plant. A history that cannot be read stops the trial before anything moves."""
+    if args.material == "facts":
+        return Belief(facts_prior(args.plant), "facts", f"the facts' prior of {args.plant}, as asked for")
+    return starting_material(args.plant, _label(args), args.history)
+
+
+def _label(args: Args) -> str:
+    if args.cell != SIMULATED:
+        return args.label or Path(args.cell).stem
+    return f"simulated {args.seed}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
+
+
 def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], done: Done | None) -> TrialRecord:
     """Return what the history keeps of the trial: what was held and not harmed teaches.
 
-    That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that.
+    That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that. A shake
+    that was planned but never begun is not recorded: it gave the flowers nothing.
     """
-    from anther.commands.run_folder import with_what_was_done
-    from anther.history import TrialRecord
-
-    result = {
-        "held_unharmed": bool(summary["held"] and summary["unharmed"] is not False),
-        "failure": summary["failure"],
-    }
-    record = TrialRecord(args.plant, _label(args), **result, run=str(out), robot=args.robot, time=began)
-    return record if done is None else with_what_was_done(record, done, summary["organ_grasped"])
+    unharmed = bool(summary["held"] and summary["unharmed"] is not False)
+    failure = summary["failure"]
+    record = TrialRecord(args.plant, _label(args), unharmed, failure, run=str(out), robot=args.robot, time=began)
+    if done is None:
+        return record
+    plan, answer, times, grasp = done.shake, done.response, done.trial.shake_times, done.shake.grasp
+    shake = ShakeRecord(
+        frequency=plan.frequency,
+        amplitude=plan.amplitude,
+        duration=float(times[-1] - times[0]) if len(times) else 0.0,
+        waveform="sine",
+        direction=tuple(plan.direction.tolist()),
+    )
+    organ, pose = summary["organ_grasped"], tuple(grasp.pose7)
+    return replace(
+        record,
+        grasp=GraspRecord(grasp.arc_length, grasp.stem_diameter, grasp.confidence, organ, pose),
+        shake=shake if len(times) else None,
+        predicted_amplitude=tuple(plan.predicted_amplitude.tolist()),
+        predicted_acceleration=tuple(plan.predicted_acceleration.tolist()),
+        measured_amplitude=() if answer is None else tuple(answer.amplitude.tolist()),
+        measured_amplitude_std=() if answer is None else tuple(answer.amplitude_std.tolist()),
+        measured_acceleration=() if answer is None else tuple(answer.acceleration_peak.tolist()),
+        believed=done.believed,
+        material=done.material,
+    )

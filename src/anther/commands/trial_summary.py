@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +10,6 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.devices import GripperState
-from anther.escalation import SHORTEST
 from anther.execution import Step, Trial, lost_grip
 from anther.geometry import Array
 from anther.response import MOVED, moved
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from anther.commands.hardware_cell import HardwareCell
     from anther.commands.simulated_cell import SimulatedCell
     from anther.errors import StageFailure
-    from anther.pipeline import Done, Params
+    from anther.pipeline import Done
     from anther.results import RunResults
     from anther.sim.judge import Verdict
 
@@ -31,7 +30,6 @@ def summarise(
     done: Done | None,
     verdict: Verdict | None,
     failure: StageFailure | None,
-    params: Params,
 ) -> dict[str, Any]:
     """Return trial.json: flat but for the steps, units in the names, null for what was not reached or measured.
 
@@ -39,11 +37,12 @@ def summarise(
     real plant nobody knows whether it was harmed; held is what the gripper felt before and after the shake,
     flowers_moved what the side camera measured, null if nothing, and success that neither failed.
     """
+    answer = None if done is None else done.response
     return {
         **_verdict(done, verdict, failure),
         **_planned(done),
-        **_watched(cell, done, params),
-        **_measured(done),
+        **_watched(done),
+        **({} if answer is None else _flowers("measured", answer.amplitude, answer.acceleration_peak)),
         **_held(cell, done),
         **_true(verdict),
         "simulated_capture_seconds": None if cell is None else cell.capture_seconds,
@@ -51,53 +50,45 @@ def summarise(
     }
 
 
+NOTHING_SEEN = "Nothing is in sight"
+"""How a watched shake begins to say that the plan alone is carried out."""
 STOPPED = ("device_fault", "interrupted", "limits_exceeded")
 """Ends of an execution that say more than what the judge then found between the pads."""
-
-
-LOADS = {
-    "stem": "stem_strain",
-    "pedicel": "pedicel_strain",
-    "base": "base_strain",
-    "leaf": "leaf_acceleration_ms2",
-}
+LOADS = {"stem": "stem_strain", "pedicel": "pedicel_strain", "base": "base_strain", "leaf": "leaf_acceleration_ms2"}
 """Kind of load -> its name in trial.json, after "true_"; after "borne_": what this plant bears of it."""
 
 
 def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure | None) -> dict[str, Any]:
-    if done is not None and verdict is None and failure is None:
-        trial, slipped = done.trial, _slipped(done.trial)
-        held, felt = trial.finished and not slipped, _felt(done)
-        parts = {"success": held and moved(felt) is not False, "held": held, "unharmed": None}
-        parts |= {
-            "flowers_moved": moved(felt),
-            "felt_flowers": len(felt),
-            "felt_flower_acceleration_median_ms2": _median(felt),
-        }
+    told: dict[str, Any] = {"success": False, "held": False, "unharmed": None, "flowers_moved": None}
+    told |= {"failure": None, "message": None, "organ_grasped": None}
+    if failure is not None:
+        return told | {"failure": failure.kind, "message": str(failure)}
+    if done is None:
+        return told
+    trial = done.trial
+    if verdict is None:  # a real plant
+        slipped, felt = _slipped(trial), _felt(done)
+        held = trial.finished and not slipped
         why = ("slipped", slipped) if trial.finished and slipped else (trial.failure, trial.stop_reason)
-        return parts | {"failure": why[0], "message": why[1], "organ_grasped": None}
-    if done is None or verdict is None:
-        kind, message = (None, None) if failure is None else (failure.kind, str(failure))
-        parts = {"success": False, "held": False, "unharmed": None, "flowers_moved": None}
-        return parts | {"failure": kind, "message": message, "organ_grasped": None}
-    stopped = done.trial.failure in STOPPED
+        told |= {"success": held and moved(felt) is not False, "held": held, "flowers_moved": moved(felt)}
+        told |= {"felt_flowers": len(felt), "felt_flower_acceleration_median_ms2": _median(felt)}
+        return told | {"failure": why[0], "message": why[1]}
+    stopped = trial.failure in STOPPED
     return {
         "success": verdict.success and not stopped,
         "held": verdict.held and not stopped,
         "unharmed": verdict.unharmed,
         "flowers_moved": verdict.flowers_moved,
-        "failure": done.trial.failure if stopped else verdict.failure,
-        "message": done.trial.stop_reason if stopped else verdict.reason,
+        "failure": trial.failure if stopped else verdict.failure,
+        "message": trial.stop_reason if stopped else verdict.reason,
         "organ_grasped": verdict.organ_grasped or None,
     }
 
 
 def _slipped(trial: Trial) -> str:
     """Return how the gripper felt that it lost what it held, or never had it; empty if it did not."""
-    if len(trial.gripper) < 2:
-        return "nothing was gripped"
-    before, after = (GripperState(opening, force, bool(holds)) for opening, force, holds in trial.gripper[:2].tolist())
-    return lost_grip(before, after) if before.is_gripping else "nothing was gripped"
+    states = [GripperState(opening, force, bool(holds)) for opening, force, holds in trial.gripper[:2].tolist()]
+    return lost_grip(*states) if len(states) == 2 and states[0].is_gripping else "nothing was gripped"
 
 
 def _felt(done: Done) -> Array:
@@ -121,10 +112,7 @@ def _planned(done: Done | None) -> dict[str, Any]:
         "shake_frequency_hz": shake.frequency,
         "shake_direction": shake.direction,
         "shake_duration_s": shake.duration,
-        "predicted_flower_amplitude_m": shake.predicted_amplitude,
-        "predicted_flower_amplitude_median_m": _median(shake.predicted_amplitude),
-        "predicted_flower_acceleration_ms2": shake.predicted_acceleration,
-        "predicted_flower_acceleration_median_ms2": _median(shake.predicted_acceleration),
+        **_flowers("predicted", shake.predicted_amplitude, shake.predicted_acceleration),
         "execution": done.trial.stop_reason,
         "learned_youngs_pa": done.material.youngs,
         "learned_damping_ratio": done.material.damping_ratio,
@@ -133,19 +121,28 @@ def _planned(done: Done | None) -> dict[str, Any]:
     }
 
 
-NOTHING_SEEN = "Nothing is in sight"
-"""How a watched shake begins to say that the plan alone is carried out."""
+def _flowers(how: str, amplitude: Array, acceleration: Array) -> dict[str, Any]:
+    return {
+        f"{how}_flower_amplitude_m": amplitude,
+        f"{how}_flower_amplitude_median_m": _median(amplitude),
+        f"{how}_flower_acceleration_ms2": acceleration,
+        f"{how}_flower_acceleration_median_ms2": _median(acceleration),
+    }
 
 
-def _watched(cell: SimulatedCell | HardwareCell | None, done: Done | None, params: Params) -> dict[str, Any]:
+def _watched(done: Done | None) -> dict[str, Any]:
     """How the shake was raised, step by step, and what ended it; or why the plan alone was carried out."""
-    if cell is None or done is None or not len(done.trial.shake_times):
+    if done is None or not len(done.trial.shake_times):
         return {}
-    times, steps = done.trial.shake_times, done.trial.steps
-    told: dict[str, Any] = {
+    times, steps, alone = done.trial.shake_times, done.trial.steps, done.alone
+    if not steps:
+        alone = alone or "it ended before anything was seen"
+    elif steps[0].decided.startswith(NOTHING_SEEN):
+        alone = "nothing was in the side camera's sight"
+    told = {
         "shaking_seconds": float(times[-1] - times[0]),
         "shake_steps": len(steps),
-        "plan_alone_because": _alone(cell, steps, params),
+        "plan_alone_because": alone,
         "steps": [_step(step, float(times[0])) for step in steps],
     }
     if not steps:
@@ -156,21 +153,6 @@ def _watched(cell: SimulatedCell | HardwareCell | None, done: Done | None, param
         "step_closest_limit": steps[-1].binds,
         "shake_ended_by": " ".join(step.decided for step in steps[-2:]),
     }
-
-
-def _alone(cell: SimulatedCell | HardwareCell, steps: Sequence[Step], params: Params) -> str | None:
-    """Return why the plan alone was carried out; None if the shake was raised."""
-    if steps:
-        return "nothing was in the side camera's sight" if steps[0].decided.startswith(NOTHING_SEEN) else None
-    if not params.shake.keeps_limits:
-        return "the paper's shake is done as it is"
-    if not params.escalate:
-        return "it was not to be watched, as asked"
-    if cell.robot_side.robot.side_camera is None:
-        return "there is no side camera"
-    if cell.robot_side.limits.shake_duration < SHORTEST:
-        return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
-    return "no flower was found that could be watched"
 
 
 def _step(step: Step, start: float) -> dict[str, Any]:
@@ -187,18 +169,6 @@ def _step(step: Step, start: float) -> dict[str, Any]:
         "share_of_limits": step.loads,
         "decided": step.decided,
         "deciding_seconds": step.seconds,
-    }
-
-
-def _measured(done: Done | None) -> dict[str, Any]:
-    if done is None or done.response is None:
-        return {}
-    response = done.response
-    return {
-        "measured_flower_amplitude_m": response.amplitude,
-        "measured_flower_amplitude_median_m": _median(response.amplitude),
-        "measured_flower_acceleration_ms2": response.acceleration_peak,
-        "measured_flower_acceleration_median_ms2": _median(response.acceleration_peak),
     }
 
 
@@ -260,42 +230,37 @@ def print_summary(results: RunResults) -> None:
     Console(markup=False).print(table)
 
 
-def _rows(results: RunResults) -> list[tuple[str, str]]:
+def _rows(results: RunResults) -> Iterator[tuple[str, str]]:
     s = results.summary or {}
-    rows = [("verdict", results.headline), ("", s["message"] or "")]
-    rows += [(answer.question, f"{answer.said}; {answer.why}".removesuffix("; ")) for answer in results.answers()]
-    if "grasp_pose7" in s:
-        organ = s["organ_grasped"] or ("" if s["unharmed"] is None else "nothing")
-        height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
-        confidence = s.get("grasp_confidence")
-        sure = "" if confidence is None else f"; the main stem with a probability of {confidence:.0%}"
-        where = f"{height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"
-        rows.append(("grasped", f"{organ}, {where}".removeprefix(", ")))
-        along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
-        amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
-        seconds = s.get("shaking_seconds", s["shake_duration_s"])
-        rows.append(
-            (
-                "shake",
-                f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {seconds:.1f} s in all",
-            )
-        )
-        if s.get("shake_steps") is not None:
-            rows.append(("watched", watched_words(s)))
-        rows.append(("flowers, predicted", _motion(s, "predicted")))
-        rows.append(("flowers, measured", _motion(s, "measured")))
-        true = s.get("true_flower_amplitude_median_m")
-        if true is not None:
-            acceleration = s["true_flower_acceleration_median_ms2"]
-            rows.append(("flowers, simulated", f"median {1000 * true:.2f} mm, {acceleration:.1f} m/s²"))
-    return rows
+    yield "verdict", results.headline
+    yield "", s["message"] or ""
+    for answer in results.answers():
+        yield answer.question, f"{answer.said}; {answer.why}".removesuffix("; ")
+    if "grasp_pose7" not in s:
+        return
+    organ = s["organ_grasped"] or ("" if s["unharmed"] is None else "nothing")
+    confidence = s.get("grasp_confidence")
+    sure = "" if confidence is None else f"; the main stem with a probability of {confidence:.0%}"
+    height, diameter = 100 * s["grasp_arc_length_m"], 1000 * s["grasp_stem_diameter_m"]
+    where = f"{height:.1f} cm above the root, {diameter:.1f} mm thick as measured{sure}"
+    yield "grasped", f"{organ}, {where}".removeprefix(", ")
+    along = " ".join(f"{x:+.2f}" for x in s["shake_direction"])
+    amplitude, frequency = 1000 * s["shake_amplitude_m"], s["shake_frequency_hz"]
+    seconds = s.get("shaking_seconds", s["shake_duration_s"])
+    yield "shake", f"{amplitude:.2f} mm at {frequency:.1f} Hz along ({along}), {seconds:.1f} s in all"
+    if s.get("shake_steps") is not None:
+        yield "watched", watched_words(s)
+    yield "flowers, predicted", _motion(s, "predicted")
+    yield "flowers, measured", _motion(s, "measured")
+    true = s.get("true_flower_amplitude_median_m")
+    if true is not None:
+        acceleration = s["true_flower_acceleration_median_ms2"]
+        yield "flowers, simulated", f"median {1000 * true:.2f} mm, {acceleration:.1f} m/s²"
 
 
 def _motion(s: dict[str, Any], kind: str) -> str:
-    amplitude, acceleration = (
-        s.get(f"{kind}_flower_amplitude_median_m"),
-        s.get(f"{kind}_flower_acceleration_median_ms2"),
-    )
+    names = (f"{kind}_flower_amplitude_median_m", f"{kind}_flower_acceleration_median_ms2")
+    amplitude, acceleration = (s.get(name) for name in names)
     if amplitude is None or acceleration is None:
         return "not measurable"
     seen = np.isfinite(np.array(s[f"{kind}_flower_amplitude_m"], dtype=float))

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
-if TYPE_CHECKING:
-    from anther.results import RunResults
+from anther.checks import check_range
+from anther.commands.run_folder import LOG
+from anther.commands.skeletonize import main_stem, read_source
+from anther.errors import StageFailure, bad_input
+from anther.results import RunResults, read_run
 
 
 @dataclass(frozen=True)
@@ -30,14 +34,11 @@ class Args:
 
 def run(args: Args) -> None:
     """Read the run and show it."""
-    from anther.checks import check_range
-
     check_range("port", 1 if args.port is None else args.port, 1, 65535)
     if args.live:
         _show(args)
         return
-    from anther import viewer
-    from anther.results import read_run
+    from anther import viewer  # needs the extra `view`
 
     check_range("exaggeration", args.exaggeration, 0, 1000)
     results = skeleton_results(args.run) if args.run.is_file() else read_run(args.run)
@@ -50,12 +51,6 @@ def run(args: Args) -> None:
 
 def skeleton_results(path: Path) -> RunResults:
     """Return what can be shown of an imported skeleton: its lines and, if one is found, its main stem."""
-    from contextlib import suppress
-
-    from anther.commands.skeletonize import main_stem, read_source
-    from anther.errors import StageFailure
-    from anther.results import RunResults
-
     source, skeleton = read_source(path)
     stem = None
     with suppress(StageFailure):
@@ -65,18 +60,15 @@ def skeleton_results(path: Path) -> RunResults:
 
 def _show(args: Args) -> None:
     """Serve the trial's log until Ctrl-C."""
-    from anther.commands.run_folder import LOG
-    from anther.errors import bad_input
-    from anther.log.live import PORT, show
+    from anther.log.live import PORT, show  # needs the extra `log`
 
     path = args.run / LOG
     if args.html is not None:
         raise bad_input("html", given="with --live", allowed="one of them", do="Leave one out.")
 
     def ready(port: int) -> None:
-        print(
-            f"Open ws://localhost:{port} in Foxglove or Lichtblick (Open connection). Ctrl-C ends this, not the trial."
-        )
+        how = f"Open ws://localhost:{port} in Foxglove or Lichtblick (Open connection)"
+        print(f"{how}. Ctrl-C ends this, not the trial.")
         if not path.exists():
             print(f"waiting for {path} ...")
 

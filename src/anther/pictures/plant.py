@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from anther.cloud import Cloud
+from anther.flowers import Flowers
 from anther.geometry import Array
-from anther.stem import BRANCH, LEAF, STEM, TRUSS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from anther.cloud import Cloud
-    from anther.flowers import Flowers
-    from anther.grasp import Grasp
-    from anther.skeleton import Skeleton
-    from anther.stem import Stem
+from anther.grasp import Grasp
+from anther.skeleton import Skeleton
+from anther.stem import BRANCH, LEAF, STEM, TRUSS, Stem
 
 STEM_COLOR, BRANCH_COLOR, GRASP_COLOR, FLOWER_COLOR, LEAF_COLOR = "#7a3b12", "#1f6fb2", "#c2389a", "#e0a100", "#9db89f"
 ORGAN_COLORS = {STEM: STEM_COLOR, BRANCH: BRANCH_COLOR, TRUSS: "#d05a00", LEAF: "#2e8540"}

@@ -1,67 +1,46 @@
-"""The report's figures, drawn with matplotlib without a screen.
-
-Picture of a shake that was watched: what was commanded, what the flowers felt, and how close the limits were.
-"""
+"""The report's figures: views, plant, response map, motion, the shake step by step, and the film of its end."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import cv2
 import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.ndimage import uniform_filter1d
 
 from anther.capture import Capture
+from anther.devices import Frame
 from anther.execution import Step
+from anther.files import written
 from anther.masks import FLOWER, PLANT, Masks
-from anther.pictures.plant import draw_plant
 from anther.response import Response
 from anther.shake import ShakePlan
-
-if TYPE_CHECKING:
-    from anther.results import RunResults
 
 mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "white"})
 
 GREEN, MAGENTA, ORANGE, INK = "#2f7d4f", "#c2389a", "#d9772b", "#1d2a22"
 SHOWN_VIEWS = 8
+SECONDS, WIDTH, COLOURS, SLOWER = 1.5, 320, 96, 2.0
+"""Of the film's last frames, its width [px], colours, and times slower than it was."""
 
 
-def close(figure: Figure) -> None:
-    """Free a figure's memory."""
-    figure.clear()
-
-
-def views(capture: Capture | None, masks: Masks | None) -> Figure:
-    """Draw a contact sheet of eight views, evenly picked, with the mask outlined."""
-    assert capture is not None
+def draw_views(capture: Capture, masks: Masks | None) -> Figure:
+    """Return a contact sheet of eight views, evenly picked, with the mask outlined."""
     chosen = np.unique(np.linspace(0, capture.views - 1, SHOWN_VIEWS).round().astype(int))
-    figure = Figure(figsize=(11, 2.05 * -(-len(chosen) // 4) * 0.82))
+    rows = -(-len(chosen) // 4)
+    figure = Figure(figsize=(11, 1.68 * rows))
+    dark = {"facecolor": "black", "alpha": 0.5, "pad": 1.5, "lw": 0}
     for place, view in enumerate(chosen):
-        axes = figure.add_axes(
-            (
-                place % 4 / 4 + 0.003,
-                1 - (place // 4 + 1) / -(-len(chosen) // 4) + 0.006,
-                0.244,
-                0.98 / -(-len(chosen) // 4),
-            )
-        )
+        axes = figure.add_axes((place % 4 / 4 + 0.003, 1 - (place // 4 + 1) / rows + 0.006, 0.244, 0.98 / rows))
         axes.imshow(overlay(capture, masks, int(view)))
         axes.set_axis_off()
-        axes.text(
-            0.02,
-            0.04,
-            f"{view}",
-            transform=axes.transAxes,
-            color="white",
-            fontsize=8,
-            bbox={"facecolor": "black", "alpha": 0.5, "pad": 1.5, "lw": 0},
-        )
+        axes.text(0.02, 0.04, f"{view}", transform=axes.transAxes, color="white", fontsize=8, bbox=dark)
     return figure
 
 
@@ -92,23 +71,14 @@ def _depth_colours(depth: NDArray[Any]) -> NDArray[Any]:
     return colours
 
 
-def plant(results: RunResults) -> Figure:
-    """Draw cloud, skeleton, stem, flowers and grasp from several sides."""
-    assert results.cloud is not None
-    assert results.skeleton is not None
-    assert results.stem is not None
-    grasp = results.shake.grasp if results.shake is not None else next(iter(results.grasps), None)
-    return draw_plant(results.cloud, results.skeleton, results.stem, grasp, flowers=results.flowers)
-
-
-def response_map(shake: ShakePlan) -> Figure:
+def draw_response_map(shake: ShakePlan) -> Figure:
     """Draw mean flower acceleration over grip height and frequency, with the chosen shake marked."""
     figure = Figure(figsize=(10, 3.6), layout="constrained")
-    draw_response_map(figure, figure.subplots(), shake)
+    _draw_response_map(figure, figure.subplots(), shake)
     return figure
 
 
-def draw_response_map(figure: Figure, axes: Any, shake: ShakePlan) -> None:
+def _draw_response_map(figure: Figure, axes: Any, shake: ShakePlan) -> None:
     """Draw the response map into axes, with its colours beside it."""
     response = shake.response_map
     allowed = np.where(response.acceleration > 0, response.acceleration, np.nan)
@@ -123,13 +93,11 @@ def draw_response_map(figure: Figure, axes: Any, shake: ShakePlan) -> None:
     axes.set_title("grey: no shake that is allowed and large enough to be trusted", fontsize=9, loc="left")
 
 
-def motion(shake: ShakePlan | None, response: Response | None) -> Figure:
-    """Draw the best-seen flower's track and, per flower, predicted against measured amplitude."""
-    assert shake is not None
-    assert response is not None
+def draw_motion(shake: ShakePlan, response: Response) -> Figure:
+    """Return the best-seen flower's track and, per flower, predicted against measured amplitude."""
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[3, 2])
-    draw_track(left, shake, response)
+    _draw_track(left, shake, response)
     draw_amplitudes(right, shake, response)
     return figure
 
@@ -139,16 +107,9 @@ def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
     index = np.arange(len(shake.predicted_amplitude))
     low, high = 1000 * shake.predicted_amplitude_interval.T
     middle = 1000 * shake.predicted_amplitude
+    span = [np.maximum(middle - low, 0), np.maximum(high - middle, 0)]
     axes.bar(index - 0.2, middle, 0.38, color=GREEN, label="predicted")
-    axes.errorbar(
-        index - 0.2,
-        middle,
-        [np.maximum(middle - low, 0), np.maximum(high - middle, 0)],
-        fmt="none",
-        ecolor=INK,
-        capsize=3,
-        lw=1,
-    )
+    axes.errorbar(index - 0.2, middle, span, fmt="none", ecolor=INK, capsize=3, lw=1)
     found, error, bound = (1000 * x for x in (response.amplitude, response.amplitude_std, response.at_most))
     axes.bar(index + 0.2, np.nan_to_num(found), 0.38, color=ORANGE, label="measured")
     axes.errorbar(index + 0.2, found, error, fmt="none", ecolor=INK, capsize=3, lw=1)
@@ -158,7 +119,7 @@ def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
     axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
 
 
-def draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
+def _draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
     """Draw the surest flower's displacement along the axis seen most clearly, without the plant's slow sway."""
     if not response.visible.any():
         axes.text(0.5, 0.5, "no flower could be measured", ha="center", transform=axes.transAxes)
@@ -175,27 +136,19 @@ def draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
     axes.plot(times, 1000 * track[:, clearest], ".-", color=ORANGE, lw=1, ms=4)
     for sign in (-1, 1):
         axes.axhline(sign * 1000 * shake.predicted_amplitude[flower], color=GREEN, ls="--", lw=1.2)
-    axes.set(
-        xlabel="time [s]",
-        ylabel=f"displacement along {'xyz'[clearest]} [mm]",
-        title=f"flower {flower + 1} without slow sway: measured (dots), predicted amplitude (dashed)",
-    )
+    axes.set(xlabel="time [s]", ylabel=f"displacement along {'xyz'[clearest]} [mm]")
+    axes.set_title(f"flower {flower + 1} without slow sway: measured (dots), predicted amplitude (dashed)")
 
 
 def draw_plan(plan: ShakePlan) -> Figure:
     """Return a figure of three panels."""
     figure = Figure(figsize=(11, 7.2), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
-    draw_response_map(figure, figure.add_subplot(grid[0, :]), plan)
+    _draw_response_map(figure, figure.add_subplot(grid[0, :]), plan)
     _draw_limits(figure.add_subplot(grid[1, 0]), plan)
     _draw_flowers(figure.add_subplot(grid[1, 1]), plan)
-    figure.suptitle(
-        f"{1e3 * plan.amplitude:.2g} mm at {plan.frequency:.3g} Hz, {plan.duration:.2g} s, held "
-        f"{100 * plan.grasp.arc_length:.0f} cm up the stem",
-        x=0.01,
-        ha="left",
-    )
+    shake = f"{1e3 * plan.amplitude:.2g} mm at {plan.frequency:.3g} Hz, {plan.duration:.2g} s"
+    figure.suptitle(f"{shake}, held {100 * plan.grasp.arc_length:.0f} cm up the stem", x=0.01, ha="left")
     return figure
 
 
@@ -220,16 +173,14 @@ def _draw_flowers(axes: Any, plan: ShakePlan) -> None:
 def draw_steps(steps: Sequence[Step], start: float, target: float | None = None) -> Figure:
     """Return a figure of three panels over time: amplitude of each tone, flowers, share of each limit that was closest.
 
-    Args:
-        steps: of one shake, one or more.
-        start: when it began [s], on the clock of the steps.
-        target: what the flowers should feel [m/s2].
+    The shake began at `start` [s], on the clock of the steps; `target` is what the flowers should feel [m/s2].
     """
     figure = Figure(figsize=(10, 5.4), layout="constrained")
     tones, flowers, limits = figure.subplots(3, 1, sharex=True)
     _draw_tones(tones, steps, start)
     middle = [(step.begin + step.end) / 2 - start for step in steps]
-    flowers.plot(middle, [_most(step) for step in steps], "^-", color=MAGENTA, lw=1, label="most of any flower")
+    most = [max((a for a in step.flowers if np.isfinite(a)), default=np.nan) for step in steps]
+    flowers.plot(middle, most, "^-", color=MAGENTA, lw=1, label="most of any flower")
     flowers.plot(middle, [step.median for step in steps], "o-", color=ORANGE, label="median of those measured")
     if target is not None:
         flowers.axhline(target, color=GREEN, ls="--", lw=1.2, label="target")
@@ -267,6 +218,19 @@ def _draw_use(axes: Any, steps: Sequence[Step], start: float) -> None:
     axes.set(ylabel="of the closest\nlimit [%]", ylim=(0, None))
 
 
-def _most(step: Step) -> float:
-    seen = [a for a in step.flowers if np.isfinite(a)]
-    return max(seen, default=float("nan"))
+def save_film(path: Path, frames: Sequence[Frame]) -> None:
+    """Write the end of a recording, in order of time, as an animated GIF; nothing of fewer than two frames.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    last = [frame for frame in frames if frame.time >= frames[-1].time - SECONDS]
+    if len(last) < 2:
+        return
+    height = round(WIDTH * last[0].rgb.shape[0] / last[0].rgb.shape[1])
+    pictures = [Image.fromarray(frame.rgb).resize((WIDTH, height)) for frame in last]
+    palette = pictures[0].quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    apart = 1000 * SLOWER * (last[-1].time - last[0].time) / (len(last) - 1)
+    with written(path, "a folder that can be written"):
+        shown[0].save(path, save_all=True, append_images=shown[1:], duration=round(apart), loop=0, optimize=True)

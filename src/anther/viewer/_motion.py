@@ -77,11 +77,7 @@ def motion_of(results: RunResults) -> Replay | None:
 
 
 def _arm(results: RunResults) -> ArmModel:
-    """Return the run's arm; one that Anther does not know by name is in the run's cell file.
-
-    Raises:
-        InputError: that file is gone.
-    """
+    """Return the run's arm; one that Anther does not know by name is in the run's cell file."""
     if results.simulated:
         return in_simulated_cell(results.arm)
     return named(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model
@@ -111,19 +107,16 @@ def _swayed(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, ti
 
 def _swing(read: Array, along: Array, frequencies: Array, times: Array, within: tuple[float, float]) -> ComplexArray:
     """Return (T, K) phasors of the grip's motion: of one tone about each time, of several over the whole step."""
-    many = len(frequencies) > 1
-    out = np.zeros((len(times), len(frequencies)), dtype=np.complex128)
-    for i, time in enumerate(times):
-        if many and i:
-            out[i] = out[0]
-            continue
-        half = AROUND / float(frequencies.min())
-        near = (read >= within[0]) & (read < within[1]) if many else np.abs(read - time) <= half
+
+    def phasors(near: NDArray[np.bool_]) -> ComplexArray:
         phase = 2 * np.pi * read[near, None] * frequencies
         basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones(near.sum())])
         parts = np.linalg.lstsq(basis, along[near], rcond=None)[0]
-        out[i] = parts[: len(frequencies)] + 1j * parts[len(frequencies) : -1]
-    return out
+        return parts[: len(frequencies)] + 1j * parts[len(frequencies) : -1]
+
+    if len(frequencies) > 1:
+        return np.tile(phasors((read >= within[0]) & (read < within[1])), (len(times), 1))
+    return np.array([phasors(np.abs(read - time) <= AROUND / frequencies[0]) for time in times]).reshape(-1, 1)
 
 
 def _filmed(results: RunResults, times: Array) -> Array:

@@ -57,11 +57,6 @@ class Handles:
     said: list[str] = field(default_factory=list)
     legend: str = ""
 
-    @property
-    def nodes(self) -> int:
-        """How many nodes the skeleton has."""
-        return len(self.rest)
-
     def bend(self, moved: Array) -> None:
         """Draw the skeleton with its nodes displaced by (N, 3) [m]."""
         nodes = (self.rest + moved).astype(np.float32)
@@ -72,13 +67,7 @@ class Handles:
 
 
 def build_scene(server: viser.ViserServer, results: RunResults, most_points: int | None = None) -> Handles:
-    """Add what a run holds to a viser scene: cloud, obstacles, cameras, skeleton, stem, flowers, grasps.
-
-    Args:
-        server: viser's.
-        results: of the run.
-        most_points: of the cloud that are drawn; None: all.
-    """
+    """Add what a run holds to a viser scene; of the cloud at most so many points, None: all."""
     scene, handles = server.scene, Handles()
     scene.set_up_direction("+z")
     scene.add_frame("/world", axes_length=0.1, axes_radius=0.002)
@@ -99,13 +88,11 @@ def _add_cloud(scene: Any, results: RunResults, handles: Handles, most: int | No
     if cloud is None:
         return
     step = 1 if most is None else max(1, -(-len(cloud.points) // most))
-    points = cloud.points[::step]
+    points = cloud.points[::step].astype(np.float32)
     colours = cloud.colors[::step] if cloud.colors is not None else np.tile([90, 150, 90], (len(points), 1))
-    colours = PALE * 255 + (1 - PALE) * colours
+    colours = (PALE * 255 + (1 - PALE) * colours).astype(np.uint8)
     size = POINT_SIZE * np.sqrt(step)
-    plant = scene.add_point_cloud(
-        "/plant", points.astype(np.float32), colours.astype(np.uint8), point_size=size, point_shape="circle"
-    )
+    plant = scene.add_point_cloud("/plant", points, colours, point_size=size, point_shape="circle")
     handles.layers["cloud"] = [plant]
     if len(cloud.obstacles):
         grey = np.full((len(cloud.obstacles), 3), 120, np.uint8)
@@ -117,22 +104,13 @@ def _add_cameras(scene: Any, results: RunResults, handles: Handles) -> None:
     if results.capture is None:
         return
     k = results.capture.intrinsics
-    views = []
-    for i, T in enumerate(results.capture.T_world_cam):
-        position, wxyz = placed(T)
-        view = scene.add_camera_frustum(
-            f"/views/{i:02d}",
-            fov=2 * np.arctan(k.height / (2 * k.fy)),
-            aspect=k.width / k.height,
-            scale=0.03,
-            thickness=0.001,
-            position=position,
-            wxyz=wxyz,
-            color=(90, 110, 170),
-            visible=False,
+    style = {"fov": 2 * np.arctan(k.height / (2 * k.fy)), "aspect": k.width / k.height, "color": (90, 110, 170)}
+    handles.layers["views"] = [
+        scene.add_camera_frustum(
+            f"/views/{i:02d}", **style, scale=0.03, thickness=0.001, position=position, wxyz=wxyz, visible=False
         )
-        views.append(view)
-    handles.layers["views"] = views
+        for i, (position, wxyz) in enumerate(map(placed, results.capture.T_world_cam))
+    ]
 
 
 def _add_skeleton(scene: Any, results: RunResults, handles: Handles) -> None:
@@ -159,10 +137,9 @@ def _add_skeleton(scene: Any, results: RunResults, handles: Handles) -> None:
     handles.said = _said(skeleton, organ, results)
     handles.layers["thickness"] = [handles.joints]
     if results.flowers is not None:
+        style = {"radius": FLOWER_RADIUS, "color": (240, 60, 200), "opacity": 0.35}
         handles.layers["flowers at rest"] = [
-            scene.add_icosphere(
-                f"/flowers/{i + 1}", radius=FLOWER_RADIUS, color=(240, 60, 200), position=tuple(p), opacity=0.35
-            )
+            scene.add_icosphere(f"/flowers/{i + 1}", position=tuple(p), **style)
             for i, p in enumerate(results.flowers.positions)
         ]
 
