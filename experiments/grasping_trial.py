@@ -25,7 +25,7 @@ from anther.execution import EARLY, execute
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
-from anther.shake import ArmShaker, Crop, plan_shake
+from anther.shake import Crop, arm_shaker, plan_shake
 from anther.sim.judge import judge
 from anther.sim.truth import NOMINAL, Truth, draw
 
@@ -216,7 +216,7 @@ def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
     rods = model_plant(seen, material, params)
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
-    shake = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
+    shake = plan_shake(rods, [grasp], arm_shaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
     robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)
     trial = execute(planner, shake, robot, cell.robot_side.limits)
     return Done(shake, trial, None, rods.material)

@@ -46,8 +46,7 @@ from anther.response.points import Sight, sight
 from anther.shake import Crop
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import RINGING, load_error
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST, RINGING, load_error
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.robot import cut_out

@@ -39,7 +39,7 @@ from anther.pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance
 from anther.safety import GuardedArm
-from anther.shake import ArmShaker, Crop, EarlierShake, ShakePlan, plan_shake
+from anther.shake import Crop, EarlierShake, ShakePlan, arm_shaker, plan_shake
 from anther.sim.truth import WIDE
 
 SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
@@ -138,7 +138,7 @@ def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
     rods = model_plant(seen, material, params)
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
-    plan = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
+    plan = plan_shake(rods, [grasp], arm_shaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
     shake: ShakePlan = replace(plan, press=float(side.limits.pressing.most(grasp.stem_diameter)), **PAPER_SHAKE)
     limits = replace(side.limits, contact_force=PAPER_FORCE)
     arm = GuardedArm(side.robot.arm._arm, limits)  # the cell's own guard would stop it

@@ -14,11 +14,22 @@ from anther.devices import ArmSample
 from anther.escalation import _foresight as foresight_module
 from anther.escalation import _knowledge as knowledge
 from anther.escalation._foresight import LOADS, Foresight, foresee, misfit, narrowed
-from anther.escalation._gripper import ARM_FOLLOWS, gripper_motion, links
-from anther.escalation._knowledge import Answer, Known, Look, answered, known, lateness, summed
+from anther.escalation._knowledge import (
+    ARM_FOLLOWS,
+    Answer,
+    Known,
+    Look,
+    answered,
+    gripper_motion,
+    known,
+    lateness,
+    links,
+    summed,
+)
+from anther.escalation._option import Allowed, remembered, risk
 from anther.plant import TOMATO, build_plant
 from anther.shake.observables import observables, semi_major
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST
 from anther.swing import Swing
 
 ROWS = np.arange(FLOWERS + POINTS)
@@ -297,15 +308,15 @@ def test_the_fewer_flowers_are_known_the_more_their_pedicels_count_as_bent() -> 
 
 
 def test_of_two_looks_the_one_that_allowed_less_is_not_forgotten() -> None:
-    less, more = knowledge.Allowed(1e-3, 5.0, "slip"), knowledge.Allowed(4e-3, 20.0, "the target")
-    assert knowledge.remembered(more, less) == less, "what was seen last allows no more than it says"
-    both = knowledge.remembered(less, more)
+    less, more = Allowed(1e-3, 5.0, "slip"), Allowed(4e-3, 20.0, "the target")
+    assert remembered(more, less) == less, "what was seen last allows no more than it says"
+    both = remembered(less, more)
     assert (both.amplitude, both.flowers, both.binds) == (pytest.approx(2e-3), pytest.approx(10.0), "slip")
 
 
 def test_more_is_risked_of_what_was_watched_but_never_more_than_half() -> None:
     for planned in (0.001, 0.02, 0.09, 0.4):
-        assert planned < knowledge.risk(planned) <= 0.5
+        assert planned < risk(planned) <= 0.5
 
 
 def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:

@@ -356,7 +356,7 @@ def _planned(
         assert at.joints is not None
         return planner.shake_limit(at.joints, direction, frequencies)
 
-    actuator = shake.ArmShaker(arm_limit) if params.actuator == "arm" else shake.VibratingGripper()
+    actuator = shake.arm_shaker(arm_limit) if params.actuator == "arm" else shake.VIBRATING_GRIPPER
     return run.stage(
         "shake plan",
         ShakePlan.load,

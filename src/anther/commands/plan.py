@@ -26,15 +26,14 @@ from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.runs import FILES
 from anther.shake import (
+    VIBRATING_GRIPPER,
     Actuator,
     ActuatorName,
-    ArmShaker,
     Crop,
-    Objective,
     Params,
     Preset,
     ShakePlan,
-    VibratingGripper,
+    arm_shaker,
     like_breeze,
     plan_shake,
     sawyer_limit,
@@ -69,8 +68,6 @@ class Args:
     likened to."""
     material: Path | None = None
     """What `anther identify` measured (material.json)."""
-    objective: Objective | None = None
-    """What three flowers of four feel, or mean flower amplitude as in the paper; by default what --params says."""
     actuator: ActuatorName = "arm"
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
     shake: Preset | None = None
@@ -113,7 +110,7 @@ def run(args: Args) -> None:
 def _actuator(args: Args) -> Actuator:
     """Return what shakes: of a run its arm, by the Sawyer's table where no arm was asked for the grasp."""
     if args.actuator == "gripper":
-        return VibratingGripper()
+        return VIBRATING_GRIPPER
     params = args.source / PARAMS
     name = str(read_object(params).get("arm") or "sawyer") if params.is_file() else "sawyer"
 
@@ -125,11 +122,11 @@ def _actuator(args: Args) -> Actuator:
 
         return shake_limit(named(name), grasp.joints, direction, frequencies)
 
-    return ArmShaker(limit)
+    return arm_shaker(limit)
 
 
 def _params(args: Args) -> Params:
-    given = {name: getattr(args, name) for name in ("objective", "lowest", "highest", "frequencies")}
+    given = {name: getattr(args, name) for name in ("lowest", "highest", "frequencies")}
     params = args.params if args.shake is None else with_preset(args.shake, args.params)
     return replace(params, **{name: value for name, value in given.items() if value is not None})
 

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
+from scipy.sparse import vstack
 
 from anther.geometry import Array
 from anther.plant import PlantModel
-from anther.shake.observables import ComplexArray, observables, semi_major
+from anther.shake.observables import ComplexArray, displacements, observables, semi_major
 from anther.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
 from anther.shake.search import Version, held_radius, scenarios, vectors, wrench
 
@@ -150,9 +150,7 @@ def _foreseen(
     seen: NDArray[np.int64],
 ) -> list[ComplexArray]:
     look = observables(member.plant, plant)
-    nodes = (4 * seen[:, None] + np.arange(3)).ravel()
-    size = (len(nodes), look.operator.shape[1])
-    points = csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), nodes)), size)
+    points = displacements(seen, len(plant.rods.nodes))
     answer = vectors(member, grip, vstack([look.operator, points], format="csr"), tones)
     found = np.moveaxis(answer.vectors[:, 0], -1, 1)
     held = np.moveaxis(wrench(member, grip, answer)[:, 0], -1, 1)

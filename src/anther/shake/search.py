@@ -11,13 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.stats import qmc
 
 from anther.elastic_rod import Array, Observed, compiled, observed_response
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
-from anther.shake.observables import ComplexArray, branch_of, observables
+from anther.shake.observables import ComplexArray, branch_of, displacements, observables
 from anther.shake.pads import PADS, Pads, friction_force
 
 
@@ -202,9 +201,7 @@ def answer(
     """
     plant = version.plant
     nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
-    at = (4 * nodes[:, None] + np.arange(3)).ravel()
-    seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 4 * len(plant.rods.nodes)))
-    response = vectors(version, grips, seen, frequencies)
+    response = vectors(version, grips, displacements(nodes, len(plant.rods.nodes)), frequencies)
     flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
     return Phasors(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
 
