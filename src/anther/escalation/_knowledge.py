@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.devices import ArmSample
-from anther.escalation._foresight import LOADS, Foresight, misfit, narrowed
+from anther.escalation._foresight import Foresight, misfit, narrowed
 from anther.geometry import Array
 from anther.oscillation import peak
 from anther.response.points import Swings
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import FAST, FLOWER_SPREAD, blended, fastness, load_error
+from anther.shake.params import FAST, FLOWER_SPREAD, LOADS, blended, fastness, load_error
 
 SEEN_ERROR = {
     "stem_strain": (0.9, 0.42),
@@ -150,13 +150,11 @@ def settled(swings: Swings, hertz: float) -> Swings:
 def lateness(foresight: Foresight, look: Look) -> float:
     """Return by how much the camera's clock is late [s]: that of `LATE` which the members explain best."""
     members = [_members(foresight, look, i) for i in range(len(look.tones))]
-
-    def off(late: float) -> float:
-        return sum(
-            misfit(m, *_used(foresight, look, *_turned(foresight, look, i, late))) for i, m in enumerate(members)
-        )
-
-    return float(LATE[int(np.argmin([off(late) for late in LATE]))])
+    off = [
+        sum(misfit(m, *_turned(foresight, look, i, late), look.swings.axes) for i, m in enumerate(members))
+        for late in LATE
+    ]
+    return float(LATE[int(np.argmin(off))])
 
 
 def answered(foresight: Foresight, look: Look, i: int, late: float, before: Known | None = None) -> Answer:
@@ -177,7 +175,7 @@ def answered(foresight: Foresight, look: Look, i: int, late: float, before: Know
         across, omega = np.linalg.norm(motion[own][:, :2], axis=1), 2 * np.pi * foresight.tones[look.tones[i]]
         mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > JUMP * before.most)
     motion[own][mistaken] = std[own][mistaken] = np.nan
-    found = narrowed(members, *_used(foresight, look, motion, std))
+    found = narrowed(members, motion, std, look.swings.axes)
     return Answer(found, motion[own], std[own], look.swings.axes[own], sharpened(look.swings, own))
 
 
@@ -286,15 +284,6 @@ def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[Comp
     parts = np.where(shallow[:, None], [1.0, 1.0, np.nan], 1.0)
     turned = parts * np.exp(2j * np.pi * tone * late) / look.commanded[i]
     return np.asarray(moved * turned), look.swings.std * np.abs(turned)
-
-
-def _used(
-    foresight: Foresight, look: Look, motion: ComplexArray, std: Array
-) -> tuple[NDArray[np.int64], ComplexArray, Array, Array]:
-    """Return rows, motion, deviation and axes of what was followed, as `narrowed` takes them."""
-    used = np.flatnonzero(np.isfinite(std[:, 0]))
-    rows = np.concatenate([np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])])
-    return rows[used], motion[used], std[used], look.swings.axes[used]
 
 
 def sharpened(swings: Swings, own: slice) -> Array:

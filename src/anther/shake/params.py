@@ -41,6 +41,8 @@ beside what scenarios explain. Measured by us on 85 simulated plants whose truth
 (docs/reports/wide_truth.md), three grips and 1-17 Hz; of leaves on 16 of them; of the force that friction bears in the
 grip on 20 plants, tomatoes and peppers 3 and 40-48, 1.3-15 Hz."""
 
+LOADS = tuple(LOAD_ERROR)
+
 FAST_LOAD_ERROR = LOAD_ERROR | {"joint_strain": (0.4, 0.8), "base_strain": (0.9, 0.95)}
 """The same from `RINGING` on: 24 plants (seeds 500-511), two grips, 17 to 38 Hz (docs/reports/loads.md)."""
 
