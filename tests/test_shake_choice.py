@@ -266,8 +266,8 @@ def test_tones_are_those_that_move_flowers_most_each_apart_from_the_others(most:
     amplitude = np.tile(size[:, None, None], (1, 1, 2))
     own = SimpleNamespace(value=1e-2, limit=np.ones((len(hertz), 1, 2)))
     found = SimpleNamespace(frequencies=hertz, bounds={"arm": own}, amplitude=amplitude, least=1e-4)
-    grips, first = SimpleNamespace(directions=np.eye(3)[None, :2]), 30
-    given = cast(Any, (found, grips, SimpleNamespace(flower=gain), (first, 0, 1)))
+    found.grips, found.flower, first = SimpleNamespace(directions=np.eye(3)[None, :2]), gain, 30
+    given = cast(Any, (found, (first, 0, 1)))
     tones = tones_at(*given, most, None)
     assert tones.frequencies[0] == hertz[first], "the plan's own comes first"
     assert len(tones.frequencies) <= most
@@ -282,16 +282,16 @@ def test_tones_are_those_that_move_flowers_most_each_apart_from_the_others(most:
 def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the solver halves is worth half, and so is the next tone; another tone and another grip are as they were."""
     frequencies, score = np.array([5.0, 5.2, 9.0]), np.array([1.0, 0.9, 0.7])[:, None, None] * [[1.0], [0.5]]
-    found = Search(frequencies, np.ones(3), np.full((3, 2, 1), 4e-3), score, {}, 1e-4)
+    found = Search(*cast(Any, (None, None)), frequencies, np.full((3, 2, 1), 4e-3), score, {}, 1e-4)
 
     def halved_below_6_hz(*given: Any) -> Checked:
-        at = given[4]
+        at = given[2]
         kept = 0.5 if frequencies[at[0]] < 6 else 1.0
         shake = Drive(0, np.array([1.0, 0, 0]), kept * found.amplitude[at], frequencies[at[0]], 0)
         return Checked(shake, np.zeros(1), np.zeros((1, 2)), [], ())
 
     monkeypatch.setattr(_verification, "check", halved_below_6_hz)
-    left, at, _ = _verification.best_that_holds(*cast(Any, (None, None, None)), found, QUICK)
+    left, at, _ = _verification.best_that_holds(cast(Any, None), found, QUICK)
     assert at == (2, 0, 0)
     assert left.score[:, 0, 0] == pytest.approx([0.5, 0.45, 0.7])
     assert left.score[:, 1, 0] == pytest.approx(score[:, 1, 0])
@@ -307,11 +307,9 @@ def test_who_plans_is_told_where_a_flower_moves_otherwise_than_linear_theory_say
     monkeypatch.setattr(
         _verification, "verified", lambda _, asked, *__, **___: (replace(asked, amplitude=2e-3), done, ())
     )
-    found = Search(np.array([5.0]), np.ones(1), size, size, {}, 1e-4)
-    response = SimpleNamespace(flower=gain[None, None, None, None])
-    grips = SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1])
-    params = replace(QUICK, keeps_limits=False)
-    notes = check(*cast(Any, (plant, grips, response)), found, (0, 0, 0), params).notes
+    grips = cast(Any, SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1]))
+    found = Search(grips, gain[None, None, None, None], np.array([5.0]), size, size, {}, 1e-4)
+    notes = check(plant, found, (0, 0, 0), replace(QUICK, keeps_limits=False)).notes
     assert [f"by {100 * abs(times - 1):.0f} %" in note for note in notes] == [True] * told
 
 

@@ -18,7 +18,6 @@ from anther.shake._actuators import VIBRATING_GRIPPER, Actuator, ActuatorName, a
 from anther.shake._plan import EarlierShake, ResponseMap, RunnerUp, ShakePlan
 from anther.shake._verification import Checked, best_that_holds
 from anther.shake.choice import (
-    Grips,
     Place,
     Search,
     as_earlier,
@@ -32,7 +31,7 @@ from anther.shake.choice import (
 )
 from anther.shake.pads import PADS, Pads
 from anther.shake.params import PRESETS, Crop, Params, PlantLimits, Preset, like_breeze, with_preset
-from anther.shake.search import Gains, gains, scenarios
+from anther.shake.search import gains, scenarios
 
 __all__ = [
     "PADS", "PRESETS", "VIBRATING_GRIPPER", "Actuator", "ActuatorName", "Crop", "EarlierShake", "Pads", "Params",
@@ -88,11 +87,15 @@ def plan_shake(
     found = search(response, grips, grasps, frequencies, actuator, params)
     if not np.any(found.score >= 0):
         raise _nothing_allowed(found, len(grasps), actuator)
-    again = None if earlier is None else as_earlier(found, grips, earlier)
+    again = None if earlier is None else as_earlier(found, earlier)
     found, earlier = (found, None) if again is None else (again, earlier)
-    found, at, done = best_that_holds(plant, grips, response, found, params)
+    found, at, done = best_that_holds(plant, found, params)
+    notes = plant.notes + done.notes
+    if earlier is not None:
+        begins = f"{1e3 * earlier.amplitude:.2g} mm at {earlier.frequency:.3g} Hz"
+        notes += (f"shake: begins as an earlier visit ended, {begins}.",)
     other = _runner_up(found, at)
-    q, g, d = at
+    _, g, d = at
     score, pressed = float(found.score[at]), press(done.limits)
     acceleration = (2 * np.pi * done.shake.frequency) ** 2 * done.amplitude
     return ShakePlan(
@@ -101,7 +104,7 @@ def plan_shake(
         direction=grips.directions[g, d],
         amplitude=done.shake.amplitude,
         frequency=done.shake.frequency,
-        duration=float(found.duration[q]),
+        duration=params.lasts(done.shake.frequency),
         press=pressed,
         predicted_amplitude=done.amplitude,
         predicted_amplitude_interval=done.amplitude[:, None] * done.spread,
@@ -111,18 +114,10 @@ def plan_shake(
         limits=done.limits,
         runner_up=other,
         reason=_reason(done, other, float(grips.arc_length[g]), pressed, score, kept=params.keeps_limits),
-        response_map=_map(grips, response, found, len(grasps)),
-        tones=tones_at(found, grips, response, at, actuator.tones, earlier),
+        response_map=_map(found, len(grasps)),
+        tones=tones_at(found, at, actuator.tones, earlier),
         pads=params.pads,
-        notes=plant.notes + done.notes + _remembered(earlier),
-    )
-
-
-def _remembered(earlier: EarlierShake | None) -> tuple[str, ...]:
-    if earlier is None:
-        return ()
-    return (
-        f"shake: begins as an earlier visit ended, {1e3 * earlier.amplitude:.2g} mm at {earlier.frequency:.3g} Hz.",
+        notes=notes,
     )
 
 
@@ -177,12 +172,12 @@ def _reason(
     )
 
 
-def _map(grips: Grips, response: Gains, found: Search, grasps: int) -> ResponseMap:
+def _map(found: Search, grasps: int) -> ResponseMap:
     """Return the best direction's response at the map's heights."""
-    rows = np.arange(grasps, len(grips.nodes))
-    mean = response.flower.mean(axis=(0, -1))[:, rows]
+    rows = np.arange(grasps, len(found.grips.nodes))
+    mean = found.flower.mean(axis=(0, -1))[:, rows]
     size = found.amplitude[:, rows]
     acceleration = np.where(size < found.least, 0, mean * size * (2 * np.pi * found.frequencies[:, None, None]) ** 2)
     at = acceleration.argmax(axis=2)[..., None]
     pick = [np.take_along_axis(values, at, axis=2)[..., 0].T for values in (acceleration, mean, size)]
-    return ResponseMap(found.frequencies, grips.arc_length[rows], *pick)
+    return ResponseMap(found.frequencies, found.grips.arc_length[rows], *pick)

@@ -54,15 +54,11 @@ def sawyer_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
     """
     f = np.asarray(frequencies, dtype=float)
     vertical = np.array([0.0, 0.0, 1.0]) - grasp.approach[2] * grasp.approach
-    size = float(np.linalg.norm(vertical))
-    vertical = vertical / size if size > 1e-6 else np.zeros(3)
-    lateral = np.cross(vertical, grasp.approach)
-    shares = [abs(float(direction @ axis)) for axis in (grasp.approach, vertical, lateral)]
-    if size <= 1e-6:  # straight down: the two remaining axes are alike
-        shares[2] = float(np.linalg.norm(direction - (direction @ grasp.approach) * grasp.approach))
-    tables = (_APPROACH, _VERTICAL, _LATERAL)
-    needed = np.sum([share / _amplitude(table, f) for share, table in zip(shares, tables, strict=True)], axis=0)
-    return 1 / np.maximum(needed, 1e-9)
+    vertical /= max(float(np.linalg.norm(vertical)), 1e-6)  # straight down there is none: all else is lateral
+    along, up = abs(float(direction @ grasp.approach)), abs(float(direction @ vertical))
+    aside = float(np.sqrt(max(direction @ direction - along**2 - up**2, 0.0)))
+    shares = ((along, _APPROACH), (up, _VERTICAL), (aside, _LATERAL))
+    return 1 / np.maximum(np.sum([share / _amplitude(table, f) for share, table in shares], axis=0), 1e-9)
 
 
 def _amplitude(table: Array, frequencies: Array) -> Array:

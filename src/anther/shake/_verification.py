@@ -25,10 +25,9 @@ from anther.elastic_rod import (
 from anther.errors import StageFailure
 from anther.plant import PlantModel
 from anther.shake._plan import LimitRow
-from anther.shake.choice import Grips, Place, Search, best, closest, limit_rows
+from anther.shake.choice import Place, Search, best, closest, limit_rows
 from anther.shake.observables import Observables, observables, semi_major
 from anther.shake.params import FLOWER_SPREAD, MOST_DURATION, PEAKS, Params
-from anther.shake.search import Gains
 
 CHECKED, NEAR = 4, 0.1
 """So many shakes are simulated until the best holds the limits; those within 10 % of a cut one's frequency count as
@@ -54,9 +53,7 @@ class Checked(NamedTuple):
     notes: tuple[str, ...]
 
 
-def best_that_holds(
-    plant: PlantModel, grips: Grips, response: Gains, found: Search, params: Params
-) -> tuple[Search, Place, Checked]:
+def best_that_holds(plant: PlantModel, found: Search, params: Params) -> tuple[Search, Place, Checked]:
     """Return the best shake as the nonlinear solver leaves it, and the search with the scores of those it cut.
 
     What is cut loses its score in proportion, and so do its neighbours in frequency, which would be cut alike.
@@ -71,7 +68,7 @@ def best_that_holds(
         at = best(found)
         if found.score[at] < 0 or at in checked:
             break
-        done = check(plant, grips, response, found, at, params)
+        done = check(plant, found, at, params)
         alike = (np.abs(np.log(found.frequencies / found.frequencies[at[0]])) < NEAR, at[1])
         if done.shake.amplitude < found.least:
             refused, found.score[alike] = closest(done.limits), -1
@@ -91,13 +88,13 @@ def best_that_holds(
     )
 
 
-def check(plant: PlantModel, grips: Grips, response: Gains, found: Search, at: Place, params: Params) -> Checked:
+def check(plant: PlantModel, found: Search, at: Place, params: Params) -> Checked:
     """Simulate one shake of the search, and put together what linear theory and the simulation say of it."""
     q, g, d = at
-    held, *also = (int(node) for node in grips.nodes[g])
+    held, *also = (int(node) for node in found.grips.nodes[g])
     size = float(found.amplitude[at])
-    shake = Drive(held, grips.directions[g, d], size, float(found.frequencies[q]), 0, tuple(also))
-    gain = response.flower[:, q, g, d]  # (M, F)
+    shake = Drive(held, found.grips.directions[g, d], size, float(found.frequencies[q]), 0, tuple(also))
+    gain = found.flower[:, q, g, d]  # (M, F)
     done = Shaken(size * gain[0], {})
     try:
         limits = checked_limits(found, at, params)
@@ -111,7 +108,8 @@ def check(plant: PlantModel, grips: Grips, response: Gains, found: Search, at: P
     span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
     spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)
     spread = np.exp([-1, 1] * np.hypot(np.log(np.maximum(spread, 1e-6)), 1.645 * FLOWER_SPREAD))
-    return Checked(shake, done.amplitude, spread, _limits(found, at, shake, done), notes)
+    limits = _limits(found, at, shake, done, params.lasts(shake.frequency))
+    return Checked(shake, done.amplitude, spread, limits, notes)
 
 
 def checked_limits(found: Search, at: Place, params: Params) -> dict[str, float]:
@@ -126,7 +124,7 @@ def checked_limits(found: Search, at: Place, params: Params) -> dict[str, float]
     return limits
 
 
-def _limits(found: Search, at: Place, shake: Drive, done: Shaken) -> list[LimitRow]:
+def _limits(found: Search, at: Place, shake: Drive, done: Shaken, duration: float) -> list[LimitRow]:
     """Return the table of limits: of the plant, what its loads pass with the probability `Params.risk`.
 
     Where the nonlinear solver says more than linear theory of the plant as believed, it is more by that.
@@ -137,7 +135,6 @@ def _limits(found: Search, at: Place, shake: Drive, done: Shaken) -> list[LimitR
         believed = float(found.amplitude[at] * found.bounds[name].believed[at]) * scale
         more = max(done.peaks.get(name, 0.0) / believed, 1.0) if believed > 0 else 1.0
         rows.append((name, value * scale * more, limit, value * scale * more / limit))
-    duration = float(found.duration[at[0]])
     return [*rows, ("duration [s]", duration, MOST_DURATION, duration / MOST_DURATION)]
 
 
@@ -169,15 +166,14 @@ def verified(
         StageFailure: "no_convergence".
     """
     asked, binding = shake.amplitude, ""
+    done = steadily_shaken(plant, shake, springs)
     for _ in range(TRIES):
-        done = steadily_shaken(plant, shake, springs)
         name, worst = max(((n, done.peaks[n] / limit) for n, limit in limits.items()), key=lambda row: row[1])
         if worst <= 1:
             break
         binding, shake = name, replace(shake, amplitude=0.98 * shake.amplitude / worst)
         if shake.amplitude < least:
             break
-    else:
         done = steadily_shaken(plant, shake, springs)
     if not binding:
         return shake, done, ()

@@ -19,7 +19,7 @@ from anther.pressing import Pressing
 from anther.shake._actuators import Actuator
 from anther.shake._plan import EarlierShake, LimitRow, Tones
 from anther.shake.pads import grip_rows, pad_nodes
-from anther.shake.params import FLOWERS, MOST_DURATION, PEAKS, Params, load_error
+from anther.shake.params import FLOWERS, PEAKS, Params, load_error
 from anther.shake.search import Gains
 
 Place = tuple[int, int, int]
@@ -61,13 +61,14 @@ class Bound(NamedTuple):
 
 
 class Search(NamedTuple):
-    """The search space, all (Q, G, D) but `bounds` and `duration`."""
+    """The search space, and how far and how well each of its shakes (Q, G, D) goes."""
 
+    grips: Grips
+    flower: Array  # (M, Q, G, D, F), see `Gains`
     frequencies: Array  # (Q,) [Hz]
-    duration: Array  # (Q,) [s]
-    amplitude: Array  # largest allowed [m]
-    score: Array  # what three flowers of four feel [m/s2]; -1 where `least` is not allowed, and for the map's grips
-    bounds: dict[str, Bound]  # by name; the first `OF_THE_MACHINE` are those in which the plant has no part
+    amplitude: Array  # (Q, G, D) largest allowed [m]
+    score: Array  # (Q, G, D) what three flowers of four feel [m/s2]; -1 where it is not allowed, or for the map alone
+    bounds: dict[str, Bound]  # by name; in the first `OF_THE_MACHINE` the plant has no part
     least: float  # a shake of less amplitude is none [m]
 
 
@@ -136,8 +137,7 @@ def search(
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     score = np.where(amplitude < least, -1.0, amplitude * np.quantile(acceleration, ROBUST, axis=(0, -1)))
     score[:, len(grasps) :] = -1.0
-    duration = np.clip(5 / frequencies, params.duration, MOST_DURATION)
-    return Search(frequencies, duration, amplitude, score, bounds, least)
+    return Search(grips, response.flower, frequencies, amplitude, score, bounds, least)
 
 
 def _sure(value: Array, limit: float) -> Bound:
@@ -172,7 +172,7 @@ APART = 1.15
 """Frequencies worth trying are this factor from each other: responses lose their likeness within 40 %."""
 
 
-def tones_at(found: Search, grips: Grips, response: Gains, at: Place, most: int, earlier: EarlierShake | None) -> Tones:
+def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) -> Tones:
     """Return up to `most` frequencies at which a sine moves flowers most by the model, along any line across a grip.
 
     Of an earlier visit it is that visit's alone, as large as it was there. Where the actuator has no room along one of
@@ -183,11 +183,11 @@ def tones_at(found: Search, grips: Grips, response: Gains, at: Place, most: int,
     reach = np.min([(one.limit / np.maximum(one.value, 1e-12))[:, g] for one in machine], axis=0)
     lines = np.roll(np.arange(reach.shape[1]), -d) if reach.min() >= ROOM else np.array([d])
     reach = reach[:, lines]
-    directions, size = grips.directions[g, lines], found.amplitude[:, g, lines]
+    directions, size = found.grips.directions[g, lines], found.amplitude[:, g, lines]
     if earlier is not None:
         own = reach[[q], :1]
         return Tones(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
-    moved = (2 * np.pi * found.frequencies[:, None]) ** 2 * size * response.flower[:, :, g, lines].mean(axis=(0, -1))
+    moved = (2 * np.pi * found.frequencies[:, None]) ** 2 * size * found.flower[:, :, g, lines].mean(axis=(0, -1))
     worth = np.where(size >= found.least, moved, 0.0).max(axis=1)
     chosen = [q]
     for k in np.argsort(-worth, kind="stable"):
@@ -201,14 +201,14 @@ SAME_PLACE = 0.02
 """A grip is the one of an earlier visit up to this along the stem [m]: the pads are 16 mm wide."""
 
 
-def as_earlier(found: Search, grips: Grips, earlier: EarlierShake) -> Search | None:
+def as_earlier(found: Search, earlier: EarlierShake) -> Search | None:
     """Return the search with no other shakes than an earlier visit's, or None where none of them is allowed."""
     ratio = np.abs(np.log(found.frequencies / earlier.frequency))
     score, q = np.full_like(found.score, -1.0), int(ratio.argmin())
     if ratio[q] > 0.5 * np.log(APART):
         return None
-    for g in np.flatnonzero(np.abs(grips.arc_length - earlier.arc_length) <= SAME_PLACE):
-        d = int(np.abs(grips.directions[g] @ earlier.direction).argmax())
+    for g in np.flatnonzero(np.abs(found.grips.arc_length - earlier.arc_length) <= SAME_PLACE):
+        d = int(np.abs(found.grips.directions[g] @ earlier.direction).argmax())
         score[q, g, d] = found.score[q, g, d]
     return found._replace(score=score) if np.any(score >= 0) else None
 

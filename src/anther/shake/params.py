@@ -168,6 +168,10 @@ class Params:
         """Return the pull that two pads hold against slip when each presses with `press` [N]."""
         return 2 * self.pad_friction * press
 
+    def lasts(self, frequency: float) -> float:
+        """Return how long a shake goes on [s]."""
+        return float(np.clip(5 / frequency, self.duration, MOST_DURATION))
+
 
 def with_preset(name: Preset, params: Params = Params()) -> Params:
     """Return the parameters of a preset: those of `PRESETS` say what the plant may bear, "paper" keeps no limit."""

@@ -77,7 +77,7 @@ def deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
     """Return (count, 8 + B) standard normal deviates for `drawn_version`, B branches."""
     generator = np.random.default_rng(seed)
     engine = qmc.MultivariateNormalQMC(np.zeros(8), engine=qmc.Halton(8, rng=generator), rng=generator)
-    shared = engine.random(count) if count else np.zeros((0, 8))
+    shared = engine.random(count)
     return np.concatenate([shared, generator.normal(size=(count, len(plant.branch_bases)))], axis=1)
 
 
@@ -86,24 +86,17 @@ def drawn_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float)
 
     They are of `drawn_material` (6,), the pads (2,), and ln of each branch's stiffness (B,).
     """
-    own = plant if branch_spread == 0 else _with_branches(plant, branch_of(plant), branch_spread * z[8:])
-    version = _standing(own, drawn_material(plant.material, z[:6], plant.least_youngs), plant.pedicel_spread * z[3])
-    return None if version is None else Version(version, pads.drawn(z[6:8]))
-
-
-def _with_branches(plant: PlantModel, branch: NDArray[Any], logs: Array) -> PlantModel:
-    """Return the plant with each branch's stiffness times exp(its log); not at rest before it is given a material."""
-    factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(logs, 0.0))[branch])
-    return replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
-
-
-def _standing(plant: PlantModel, material: Material, log_pedicel: float) -> PlantModel | None:
+    own, material = plant, drawn_material(plant.material, z[:6], plant.least_youngs)
+    if branch_spread:
+        factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(branch_spread * z[8:], 0.0))[branch_of(plant)])
+        own = replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
     for stiffer in 1.25 ** np.arange(8):
         tried = replace(material, youngs=material.youngs * float(stiffer))
         try:
-            return plant.with_material(tried, pedicel_factor=float(np.exp(log_pedicel)))
+            stands = own.with_material(tried, pedicel_factor=float(np.exp(plant.pedicel_spread * z[3])))
         except StageFailure:
             continue
+        return Version(stands, pads.drawn(z[6:8]))
     return None
 
 
