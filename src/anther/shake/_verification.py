@@ -116,12 +116,8 @@ def checked_limits(found: Search, at: Place, params: Params) -> dict[str, float]
     """Return by name what `PEAKS` may reach for the plant as believed, so that the margin of the search is kept."""
     if not params.keeps_limits:
         return dict.fromkeys(PEAKS.values(), np.inf)
-    limits = {}
-    for kind, limit in params.plant.at(found.frequencies[at[0]]).items():
-        one = found.bounds[PEAKS[kind]]
-        believed = float(one.believed[at])
-        limits[PEAKS[kind]] = float(limit) * (believed / float(one.value[at]) if believed > 0 else 1.0)
-    return limits
+    limits = params.plant.at(found.frequencies[at[0]])
+    return {PEAKS[kind]: float(limit) / found.bounds[PEAKS[kind]].margin(at) for kind, limit in limits.items()}
 
 
 def _limits(found: Search, at: Place, shake: Drive, done: Shaken, duration: float) -> list[LimitRow]:
@@ -132,9 +128,8 @@ def _limits(found: Search, at: Place, shake: Drive, done: Shaken, duration: floa
     scale = shake.amplitude / found.amplitude[at]
     rows: list[LimitRow] = []
     for name, value, limit, _ in limit_rows(found, at):
-        believed = float(found.amplitude[at] * found.bounds[name].believed[at]) * scale
-        more = max(done.peaks.get(name, 0.0) / believed, 1.0) if believed > 0 else 1.0
-        rows.append((name, value * scale * more, limit, value * scale * more / limit))
+        reached = max(value * scale, done.peaks.get(name, 0.0) * found.bounds[name].margin(at))
+        rows.append((name, reached, limit, reached / limit))
     return [*rows, ("duration [s]", duration, MOST_DURATION, duration / MOST_DURATION)]
 
 

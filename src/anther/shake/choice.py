@@ -59,6 +59,10 @@ class Bound(NamedTuple):
     limit: Array  # of a shape that goes with it
     believed: Array  # (Q, G, D) the same of the plant as believed, without the margin
 
+    def margin(self, at: Place) -> float:
+        """Return how many times as large as believed it counts."""
+        return float(self.value[at] / self.believed[at]) if self.believed[at] > 0 else 1.0
+
 
 class Search(NamedTuple):
     """The search space, and how far and how well each of its shakes (Q, G, D) goes."""
