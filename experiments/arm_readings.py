@@ -4,7 +4,7 @@
 
 Simulated Sawyers whose truth is drawn wide (`anther.sim.truth.WIDE`) hold nothing and move their grip along a line, at
 all of `TONES` at once, with 1 m/s2 each. On these were set `ARM_MODE`, `ARM_ERROR`, `ARM_FOLLOWS` and `ARM_ASIDE` of
-`anther.escalation._gripper`.
+`anther.escalation._knowledge`.
 
 Keys of --json, each for a tone <hz>: error_<hz>, error_75_<hz> and error_90_<hz>, quantiles of what is wrong in the
 readings over what was commanded; beyond_<hz>, what the gripper does over what is read, median; follows_<hz> and
@@ -26,11 +26,11 @@ from rich.table import Table
 from anther.arm.sawyer import READY, SAWYER
 from anther.commands.simulated_cell import grow
 from anther.devices import ArmSample
-from anther.escalation._gripper import ARM_ERROR, ARM_MODE, gripper_motion
+from anther.escalation._knowledge import ARM_ERROR, ARM_MODE, gripper_motion
 from anther.files import write_json
 from anther.geometry import Array
 from anther.shake.observables import ComplexArray
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST
 from anther.sim import cell as world
 
 TONES = np.array([2.7, 4.3, 6.4, 8.5, 11.3, 14.1, 16.9, 18.5, 20.5])

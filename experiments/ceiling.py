@@ -33,7 +33,7 @@ from anther import sweep
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow
 from anther.files import write_json
 from anther.geometry import Array
-from anther.shake._actuators import VibratingGripper
+from anther.shake._actuators import ACCELERATION, STROKE, VIBRATING_GRIPPER
 from anther.shake.observables import semi_major
 from anther.sim.plant import Organ
 from anther.sim.truth import TOLERANCE
@@ -49,11 +49,11 @@ class Reach(NamedTuple):
     acceleration: float
 
 
-MOTOR, SHARE = VibratingGripper(), 0.8
+MOTOR, SHARE = VIBRATING_GRIPPER, 0.8
 REACH = {
     # In ten trials a Sawyer could do 1.4 to 5.5 mm at 5 to 10 Hz, 2.5 to 5.8 m/s2.
     "escalated": Reach(np.geomspace(2, 20, 26), 12e-3, 4.0),
-    "motor": Reach(np.geomspace(MOTOR.lowest, MOTOR.highest, 20), SHARE * MOTOR.stroke, SHARE * MOTOR.acceleration),
+    "motor": Reach(np.geomspace(MOTOR.lowest, MOTOR.highest, 20), SHARE * STROKE, SHARE * ACCELERATION),
 }
 HARMED = 0.025
 

@@ -25,7 +25,7 @@ from anther.execution import EARLY, execute
 from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
 from anther.runs import Advance, Run
-from anther.shake import ArmShaker, Crop, ShakePlan, plan_shake
+from anther.shake import Crop, ShakePlan, arm_shaker, plan_shake
 from anther.sim.judge import judge
 from anther.sim.truth import NOMINAL, Truth, draw
 
@@ -220,7 +220,7 @@ def paper_plan(cell: SimulatedCell, seen: Seen, material: Material) -> tuple[Pla
     grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
     rods = model_plant(seen, material, params)
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
-    shake = plan_shake(rods, [grasp], ArmShaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
+    shake = plan_shake(rods, [grasp], arm_shaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
     return planner, shake, rods.material
 
 

@@ -45,8 +45,7 @@ from anther.response.points import Sight, sight
 from anther.shake import Crop
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import RINGING, load_error
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST, RINGING, load_error
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene
 from anther.sim.robot import SIDE
@@ -91,16 +90,15 @@ def one(species: Crop, seed: int) -> list[dict[str, Any]]:
         gap, nearest = KDTree(middles).query(places)
         used = at.shown & (gap < NEAR)
         true = loads_of(grip, TONES) | {"leaf_load": leaf_load(plant, middles, motion)}
-        both = [np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])]
         for k, tone in enumerate(TONES):
-            shown = np.einsum("px,pxa->pa", motion[k, nearest[used]], at.axes[used])
-            size = np.linalg.norm(shown[:, :2], axis=1, keepdims=True)
-            noise = rng.normal(size=(2, *shown.shape)) / np.sqrt(2)
-            shown = shown + SEEN_WITH * size * (noise[0] + 1j * noise[1])
-            std = 0.03 * at.per_pixel[used, None] * (2 * np.pi * tone) ** 2 / SHAKEN[k] * [1, 1, np.nan]
+            shown, std = (np.full((len(used), 3), np.nan, kind) for kind in (complex, float))
+            shown[used] = np.einsum("px,pxa->pa", motion[k, nearest[used]], at.axes[used])
+            size = np.linalg.norm(shown[used, :2], axis=1, keepdims=True)
+            noise = rng.normal(size=(2, used.sum(), 3)) / np.sqrt(2)
+            shown[used] += SEEN_WITH * size * (noise[0] + 1j * noise[1])
+            std[used] = 0.03 * at.per_pixel[used, None] * (2 * np.pi * tone) ** 2 / SHAKEN[k] * [1, 1, np.nan]
             members = foresight.of(k, direction)
-            found = narrowed(members, np.concatenate(both)[used], shown, std, at.axes[used])
-            after = after_a_look(foresight, float(tone), found, at, used, shown, std)
+            after = after_a_look(foresight, float(tone), narrowed(members, shown, std, at.axes), at, shown, std)
             row: dict[str, Any] = {"species": species, "seed": seed, "height": height, "tone": tone}
             for kind in LOADS:
                 if foresight.where[kind].stop > foresight.where[kind].start:
@@ -116,13 +114,11 @@ def said(members: Array, error: tuple[Array, Array]) -> tuple[float, float]:
 
 
 def after_a_look(
-    foresight: Foresight, tone: float, found: ComplexArray, at: Sight, used: Array, shown: ComplexArray, std: Array
+    foresight: Foresight, tone: float, found: ComplexArray, at: Sight, shown: ComplexArray, std: Array
 ) -> dict[str, tuple[float, float]]:
     """Return by kind what `said` does of a load, once members were narrowed (`found`) and flowers seen to move."""
     flowers = len(at.flowers)
-    motion, deviation = np.full((len(used), 3), np.nan, complex), np.full((len(used), 3), np.nan)
-    motion[used], deviation[used] = shown, std
-    answer = Answer(found, motion[:flowers], deviation[:flowers], at.axes[:flowers])
+    answer = Answer(found, shown[:flowers], std[:flowers], at.axes[:flowers])
     middle, most = (known(foresight, tone, answer, 0.0, risk).loads for risk in (0.5, RISK))
     return {kind: (middle[kind] / seen_error(tone)[kind][0], most[kind]) for kind in LOADS}
 

@@ -29,8 +29,7 @@ from anther.grasp import Grasp
 from anther.identification import Felt, ObservedShake, Refinement, refine
 from anther.plant import Material, PlantModel
 from anther.response import measure_response
-from anther.shake import Crop, ShakePlan
-from anther.shake._limits import sawyer_limit
+from anther.shake import Crop, ShakePlan, sawyer_limit
 from anther.shake._verification import steadily_shaken
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes

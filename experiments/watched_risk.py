@@ -41,7 +41,7 @@ from anther.commands.simulated_cell import PRESETS, SimulatedCell, build
 from anther.devices import LEAD, ArmSample, Frame
 from anther.errors import StageFailure
 from anther.escalation import Escalation
-from anther.escalation import _knowledge as knowledge
+from anther.escalation import _option as option
 from anther.execution import Step
 from anther.files import write_json
 from anther.geometry import Array
@@ -50,8 +50,7 @@ from anther.plant import PEPPER, TOMATO
 from anther.response.points import Sight, Swings, sight
 from anther.shake import PlantLimits, ShakePlan
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import RINGING
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST, RINGING
 from anther.sim.judge import Harm
 from anther.sim.plant import Organ
 from anther.sim.truth import TOLERANCE
@@ -192,7 +191,7 @@ def shake(kept: Kept, at: Sight, true: TrueMotion, risk: float, noise: int) -> d
     with ExitStack() as instead:
         for name, value in (("swings", filmed), ("gripper_motion", read), ("sight", lambda *_: at)):
             instead.enter_context(patch.object(escalation, name, value))
-        instead.enter_context(patch.object(knowledge, "WATCHED", risk))
+        instead.enter_context(patch.object(option, "WATCHED", risk))
         escalated = kept.anew()
         piece.append(escalated.begin(None))  # pyright: ignore[reportArgumentType]
         while piece[-1].amplitudes.any():
@@ -225,7 +224,7 @@ def judged(kept: Kept, true: TrueMotion, steps: Sequence[Step]) -> dict[str, Any
         alone = len(step.frequencies) == 1
         worst = {kind: max(load, loads[kind] if alone else TOGETHER * loads[kind]) for kind, load in worst.items()}
         if alone:
-            said = {kind: step.loads[knowledge.WORDS[name]] for kind, name in SAID.items()}
+            said = {kind: step.loads[option.WORDS[name]] for kind, name in SAID.items()}
             said = {kind: share * getattr(kept.bears, f"{kind}_strain") for kind, share in said.items()}
             looks.append({"hertz": step.frequencies[0]} | {kind: loads[kind] / said[kind] for kind in said})
     return {"felt": felt, "harm": Harm(worst, {}).probability, "looks": looks}
@@ -248,7 +247,7 @@ def metrics(way: str, rows: Sequence[dict[str, Any]]) -> dict[str, float]:
         for row in rows
         for one in row["shakes"]
         for look in one["looks"]
-        if one["risk"] == knowledge.WATCHED
+        if one["risk"] == option.WATCHED
     ]
     for band, (low, high) in BANDS.items():
         looks = [look for look, _ in used if low < look["hertz"] <= high]

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation import Escalation, Params
-from anther.escalation._foresight import LOADS, Foresight
+from anther.escalation._foresight import Foresight
 from anther.geometry import Array, Intrinsics, look_at
 from anther.response.points import Swings
 from anther.shake import Params as Limits
 from anther.shake import ResponseMap, ShakePlan
 from anther.shake._plan import Tones
 from anther.shake.observables import ComplexArray, semi_major
+from anther.shake.params import LOADS
 from anther.swing import Swing
 
 TONES = np.array([2.5, 4.0, 6.3])

@@ -11,8 +11,7 @@ from sample_plants import branched, grasps_on
 from anther.errors import InputError
 from anther.plant import TOMATO, build_plant
 from anther.shake import PRESETS, Crop, Params, like_breeze, plan_shake
-from anther.shake._breeze import BREEZE, WIND, breeze
-from anther.shake._verification import PEAKS
+from anther.shake.params import BREEZE, PEAKS, WIND, breeze
 
 CROPS: tuple[Crop, Crop] = ("tomato", "pepper")
 ROWS = [(name, crop) for name in BREEZE for crop in CROPS]
@@ -38,28 +37,31 @@ def test_a_pepper_needs_more_wind_than_a_tomato() -> None:
 
 
 def test_what_was_not_computed_is_left_empty() -> None:
-    assert breeze(PEAKS[0], 0.01, "tomato") is None
-    assert breeze(PEAKS[2], 0.01, "tomato") is None
-    assert like_breeze(PEAKS[0], 0.01, "tomato") == ""
-    assert like_breeze(PEAKS[1], 0.01, None) == ""
+    assert breeze(PEAKS["stem_strain"], 0.01, "tomato") is None
+    assert breeze(PEAKS["base_strain"], 0.01, "tomato") is None
+    assert like_breeze(PEAKS["stem_strain"], 0.01, "tomato") == ""
+    assert like_breeze(PEAKS["joint_strain"], 0.01, None) == ""
 
 
 def test_words_say_where_the_table_ends() -> None:
-    assert like_breeze(PEAKS[1], 1e-4, "tomato") == "2 m/s or less"
-    assert like_breeze(PEAKS[1], 0.5, "tomato") == "6 m/s or more"
-    assert like_breeze(PEAKS[1], BREEZE[PEAKS[1]]["pepper"][1], "pepper") == "4.0 m/s"
+    assert like_breeze(PEAKS["joint_strain"], 1e-4, "tomato") == "2 m/s or less"
+    assert like_breeze(PEAKS["joint_strain"], 0.5, "tomato") == "6 m/s or more"
+    assert like_breeze(PEAKS["joint_strain"], BREEZE[PEAKS["joint_strain"]]["pepper"][1], "pepper") == "4.0 m/s"
     with pytest.raises(InputError, match="pedicel"):
-        breeze(PEAKS[1], -1.0, "tomato")
+        breeze(PEAKS["joint_strain"], -1.0, "tomato")
 
 
 def test_the_names_are_those_of_a_plans_limits() -> None:
     skeleton, stem, flowers = branched()
-    few = Params(frequencies=2, directions=2, heights=0, draws=1, lowest=3, highest=4.9)
+    few = Params(frequencies=2, lowest=3, highest=4.9)
     plan = plan_shake(build_plant(skeleton, stem, flowers, None, TOMATO), grasps_on(skeleton, stem, [8]), params=few)
     assert set(BREEZE) <= {name for name, *_ in plan.limits}
 
 
 def test_bolder_presets_are_more_wind() -> None:
     for crop in CROPS:
-        winds = [breeze(PEAKS[1], PRESETS[name].pedicel_strain, crop) or 0 for name in ("gentle", "default", "bold")]
+        winds = [
+            breeze(PEAKS["joint_strain"], PRESETS[name].pedicel_strain, crop) or 0
+            for name in ("gentle", "default", "bold")
+        ]
         assert winds[0] < winds[1] < winds[2]

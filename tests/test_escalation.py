@@ -18,12 +18,22 @@ from anther import escalation
 from anther.errors import InputError
 from anther.escalation import Escalation, Params
 from anther.escalation import _foresight as foresight_module
-from anther.escalation._gripper import ARM_ASIDE, drawn_errors
-from anther.escalation._knowledge import DAMPING, JUMP, MOST_GROWTH, SEEN_ERROR, Answer, known, limits_of, risk, settled
-from anther.escalation._option import SLOW
+from anther.escalation._knowledge import (
+    ARM_ASIDE,
+    DAMPING,
+    JUMP,
+    MOST_GROWTH,
+    SEEN_ERROR,
+    Answer,
+    drawn_errors,
+    known,
+    settled,
+)
+from anther.escalation._option import SLOW, limits_of, risk
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
-from anther.shake import PlantLimits, plant_limits
+from anther.shake import PlantLimits
+from anther.shake import params as shake_params
 from anther.shake.observables import semi_major
 from anther.shake.params import FLOWER_SPREAD
 
@@ -32,18 +42,19 @@ WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
 SIGHTED, BLIND = np.ones(FLOWERS + POINTS, bool), np.zeros(FLOWERS + POINTS, bool)
 FREE = replace(made_plan(reach=(0.2, 0.2, 0.2)), press=1000.0)
 """A plan whose actuator and pads end nothing."""
-Shaken = Callable[[World], Escalation]
+Shaken = Callable[..., Escalation]
 
 
 @pytest.fixture
 def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     """Shake a world with a camera that sees as it says and an arm that reads so, by members trusted to 2 %."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
-    monkeypatch.setattr(plant_limits, "GUSTS", float(TONES.max()))  # leaves count at every tone
+    monkeypatch.setattr(shake_params, "GUSTS", float(TONES.max()))  # leaves count at every tone
     monkeypatch.setattr(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones))))
     monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 
-    def run(world: World) -> Escalation:
+    def run(world: World, raised: float = escalation.RAISED) -> Escalation:
+        monkeypatch.setattr(escalation, "RAISED", raised)
         monkeypatch.setattr(escalation, "swings", world.swings)
         return world.shaken(world.escalation())
 
@@ -77,12 +88,12 @@ def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken
     gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
     foresight = made_foresight(2, gains=gains)
     world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
-    world.params = Params(raised=3.0, most_seconds=30)
+    world.params = Params(most_seconds=30)
     # leaves bear the same at every tone, so what the flowers do there decides
     allowed = [most(world, tone) for tone in range(3)]
     expected = int(np.argmax([flowers for _, flowers in allowed]))
     assert sorted(flowers for _, flowers in allowed)[-2] < 0.7 * allowed[expected][1]
-    watched = shaken(world)
+    watched = shaken(world, raised=3.0)
     last = watched.steps[-1]
     assert last.frequencies == pytest.approx([TONES[expected]])
     assert last.amplitudes[0] == pytest.approx(allowed[expected][0], rel=0.1)
@@ -122,8 +133,8 @@ def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, alo
         truth[:, axis, :FLOWERS] = share * flowers
     world = World(believed, truth, plan=made_plan(reach=(0.02,) * 3, lines=8), limits=Limits(plant=WEAK))
     world.plan = replace(world.plan, press=1000.0)
-    world.params = Params(most=1e4, target=1e3, raised=3.0, most_seconds=30)
-    watched = shaken(world)
+    world.params = Params(most=1e4, target=1e3, most_seconds=30)
+    watched = shaken(world, raised=3.0)
     check_pieces(world, watched)
     assert len(watched.steps[0].frequencies) == len(watched.steps[1].frequencies) == len(TONES)
     assert watched.steps[0].direction == pytest.approx(lines[0])
@@ -147,15 +158,13 @@ def test_a_second_probe_is_gentler_by_what_the_first_passed_a_limit(shaken: Shak
 def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
     for seed in range(5):
         foresight = made_foresight(seed)
-        world = World(
-            foresight, foresight.vectors[4], plan=FREE, params=Params(12.0, most=500.0, raised=3.0, most_seconds=30)
-        )
+        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(12.0, most=500.0, most_seconds=30))
         world.limits = Limits(plant=WEAK)
-        watched = shaken(world)
+        watched = shaken(world, raised=3.0)
         last = watched.steps[-1]
         assert last.median == pytest.approx(12.0, rel=0.06)
         held = world.pieces[-2]
-        assert held.seconds - held.ramp >= world.params.hold
+        assert held.seconds - held.ramp >= escalation.HOLD
         assert "the target" in watched.steps[-2].decided
 
 
@@ -201,9 +210,9 @@ def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(
 
 def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None:
     foresight = made_foresight(1)
-    world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(30.0, 31.0, raised=3.0, most_seconds=30.0))
+    world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(30.0, 31.0, most_seconds=30.0))
     world.limits = Limits(plant=WEAK)
-    watched = shaken(world)
+    watched = shaken(world, raised=3.0)
     felt = [np.nanmax(step.flowers) for step in single(watched)]
     assert max(felt) < 31.0 * 1.03
     assert max(felt) > 29.0
@@ -218,8 +227,9 @@ def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None
         foresight = made_foresight(seed, unsure=unsure, gains=gains)
         plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist(), lines)
         world = World(foresight, foresight.vectors[seed % 32], plan=plan, late=float(rng.uniform(0, 0.03)))
-        world.params = Params(raised=float(rng.uniform(1.1, 2)), target=float(rng.uniform(5, 40)))
-        watched = shaken(world)
+        raised = float(rng.uniform(1.1, 2))
+        world.params = Params(target=float(rng.uniform(5, 40)))
+        watched = shaken(world, raised)
         check_pieces(world, watched)
         for step in single(watched):
             assert step.used <= 1.03, step
@@ -245,7 +255,7 @@ def check_pieces(world: World, watched: Escalation) -> None:
         (tone,) = np.flatnonzero(piece.amplitudes) if not piece.stops else [0]
         before = piece.before[tone]
         start = tones.amplitudes.flat[tone] if np.count_nonzero(piece.before) != 1 or before == 0 else 0.0
-        assert piece.amplitudes[tone] <= params.raised * max(before, start) + 1e-12
+        assert piece.amplitudes[tone] <= escalation.RAISED * max(before, start) + 1e-12
 
 
 @pytest.mark.parametrize("lines", [1, 8])
@@ -387,18 +397,16 @@ def test_a_flower_that_is_lost_where_it_was_just_seen_takes_the_shake_further_ba
     assert second == pytest.approx(again, rel=0.05)
     assert "Watched again" in watched.steps[looks - 1].decided
     assert "flowers were lost from sight" in watched.steps[looks].decided
-    assert held <= again / world.params.raised * 1.0001
+    assert held <= again / escalation.RAISED * 1.0001
 
 
 def test_a_step_adds_at_most_half_the_target_to_any_flower_seen(shaken: Shaken) -> None:
     """The first by what the probe saw of it, the others by the look before."""
     for seed in range(5):
         foresight = made_foresight(seed)
-        world = World(
-            foresight, foresight.vectors[4], plan=FREE, params=Params(20.0, 30.0, raised=4.0, most_seconds=30)
-        )
+        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(20.0, 30.0, most_seconds=30))
         world.limits = Limits(plant=WEAK)
-        steps = single(shaken(world))
+        steps = single(shaken(world, raised=4.0))
         felt = [0.0, *(np.nanmax(step.flowers) for step in steps)]
         planned = world.plan.tones.amplitudes.max() * world.flowers(
             int(np.abs(TONES - steps[0].frequencies[0]).argmin())
@@ -435,7 +443,7 @@ def test_a_shake_at_which_flowers_in_sight_do_not_seem_to_move_is_raised(shaken:
     )
     steps, held = single(shaken(noisy)), shaken(sharp).steps[-1].amplitudes[0]
     assert np.isnan(steps[0].flowers).all()
-    assert steps[1].amplitudes[0] == pytest.approx(noisy.params.raised * steps[0].amplitudes[0])
+    assert steps[1].amplitudes[0] == pytest.approx(escalation.RAISED * steps[0].amplitudes[0])
     assert 0.5 * held < steps[-1].amplitudes[0] <= 1.05 * held
 
 
@@ -464,10 +472,11 @@ def test_the_time_ends_a_shake_that_could_be_raised_further(
 ) -> None:
     foresight = made_foresight(1)
     monkeypatch.setattr(escalation, "LOOK", 0.4)
-    params = Params(raised=1.06, most_seconds=seconds, hold=0.6, target=1000, most=10_000)
+    monkeypatch.setattr(escalation, "HOLD", 0.6)
+    params = Params(most_seconds=seconds, target=1000, most=10_000)
     world = World(foresight, foresight.vectors[4], plan=replace(FREE, tones=made_plan((1e-4,) * 3).tones))
     world.params, world.limits = params, Limits(plant=WEAK)
-    watched = shaken(world)
+    watched = shaken(world, raised=1.06)
     assert "time" in watched.steps[-2].decided
     check_pieces(world, watched)
     assert world.pieces[-1].begin + world.pieces[-1].seconds > seconds - 1.5
@@ -558,9 +567,6 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     [
         {"target": 0.0},
         {"target": 30.0, "most": 29.0},
-        {"raised": 1.0},
-        {"raised": 5.0},
-        {"hold": 0.1},
         {"most_seconds": 1.0},
         {"most_seconds": 100.0},
         {"target": float("nan")},

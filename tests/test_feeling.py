@@ -13,7 +13,7 @@ from fake_robot import horizontal_grasp
 from anther.execution import Trial
 from anther.geometry import Array
 from anther.identification import feel
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST
 
 F, START = 6.0, 41.3
 GRIP = np.array([0.02, 0.0, 0.1])

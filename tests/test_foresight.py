@@ -13,12 +13,23 @@ from scipy.stats import norm
 from anther.devices import ArmSample
 from anther.escalation import _foresight as foresight_module
 from anther.escalation import _knowledge as knowledge
-from anther.escalation._foresight import LOADS, Foresight, foresee, misfit, narrowed
-from anther.escalation._gripper import ARM_FOLLOWS, gripper_motion, links
-from anther.escalation._knowledge import Answer, Known, Look, answered, known, lateness, summed
+from anther.escalation._foresight import Foresight, foresee, misfit, narrowed
+from anther.escalation._knowledge import (
+    ARM_FOLLOWS,
+    Answer,
+    Known,
+    Look,
+    answered,
+    gripper_motion,
+    known,
+    lateness,
+    links,
+    summed,
+)
+from anther.escalation._option import Allowed, remembered, risk
 from anther.plant import TOMATO, build_plant
 from anther.shake.observables import observables, semi_major
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST, LOADS
 from anther.swing import Swing
 
 ROWS = np.arange(FLOWERS + POINTS)
@@ -48,10 +59,10 @@ def test_what_was_seen_exactly_of_a_member_tells_which_it_is(member: int, monkey
     foresight = made_foresight(3)
     truth = of(foresight)[member]
     std = deviation(np.full(len(ROWS), 1e-9))
-    roughly = narrowed(of(foresight), ROWS, seen(truth), std, AXES).mean(axis=0)
+    roughly = narrowed(of(foresight), seen(truth), std, AXES).mean(axis=0)
     assert off(foresight, roughly, truth) < 0.35
     monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
-    exactly = narrowed(of(foresight), ROWS, seen(truth), std, AXES)
+    exactly = narrowed(of(foresight), seen(truth), std, AXES)
     assert off(foresight, exactly.mean(axis=0), truth) < 1e-2
     for kind in LOADS:
         (load,) = foresight.load(kind, truth[None])
@@ -67,7 +78,7 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
         for i, count in enumerate((0, 1, 5, 26)):
             some = ROWS[:count]
             std = deviation(np.full(count, 0.3))
-            found = narrowed(of(foresight), some, seen(truth, some), std, AXES[:count])
+            found = narrowed(of(foresight), seen(truth, some), std, AXES[:count])
             errors[i] += off(foresight, found.mean(axis=0), truth) ** 2
     assert np.all(np.diff(errors) < 0)
     assert errors[-1] < 0.1 * errors[0]
@@ -75,14 +86,14 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_with_nothing_seen_the_members_are_as_they_were() -> None:
     foresight = made_foresight(3)
-    nothing = narrowed(of(foresight), ROWS[:0], np.zeros((0, 3), complex), np.zeros((0, 3)), AXES[:0])
+    nothing = narrowed(of(foresight), np.zeros((0, 3), complex), np.zeros((0, 3)), AXES[:0])
     assert np.array_equal(nothing, of(foresight))
 
 
 def test_what_is_all_noise_changes_nothing() -> None:
     foresight = made_foresight(3)
     truth = of(foresight)[9]
-    unsure = narrowed(of(foresight), ROWS, seen(truth), deviation(np.full(len(ROWS), 1e4)), AXES)
+    unsure = narrowed(of(foresight), seen(truth), deviation(np.full(len(ROWS), 1e4)), AXES)
     assert np.allclose(unsure, of(foresight), rtol=1e-2, atol=1e-2)
 
 
@@ -94,7 +105,7 @@ def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> N
         truth = of(foresight)[member]
         for _ in range(4):
             noise = 0.2 * (rng.normal(size=(5, 3)) + 1j * rng.normal(size=(5, 3)))
-            found = narrowed(of(foresight), ROWS[:5], seen(truth, ROWS[:5]) + noise, std, AXES[:5])
+            found = narrowed(of(foresight), seen(truth, ROWS[:5]) + noise, std, AXES[:5])
             loads = foresight.load("stem_strain", found)
             errors.append(loads.mean() - foresight.load("stem_strain", truth[None])[0])
             spreads.append(loads.std())
@@ -110,14 +121,14 @@ def test_a_point_that_is_less_sure_counts_for_less() -> None:
     wrong[0] += 3.0  # the first flower is another one
     alike, doubted = np.full(len(ROWS), 0.05), np.full(len(ROWS), 0.05)
     doubted[0] = 10.0
-    believing, doubting = (narrowed(of(foresight), ROWS, wrong, deviation(std), AXES) for std in (alike, doubted))
+    believing, doubting = (narrowed(of(foresight), wrong, deviation(std), AXES) for std in (alike, doubted))
     assert off(foresight, doubting.mean(axis=0), truth) < off(foresight, believing.mean(axis=0), truth)
 
 
 def test_members_that_explain_what_was_seen_fit_better_than_others() -> None:
     foresight, other = made_foresight(3), made_foresight(4)
     std = deviation(np.full(len(ROWS), 0.01))
-    fits = [misfit(of(foresight), ROWS, seen(of(f)[9]), std, AXES) for f in (foresight, other)]
+    fits = [misfit(of(foresight), seen(of(f)[9]), std, AXES) for f in (foresight, other)]
     assert fits[0] < fits[1]
 
 
@@ -131,7 +142,7 @@ def test_the_misfit_is_that_of_gaussian_noise_and_the_members_own_spread(monkeyp
     covariance = np.eye(used.sum()) + off.T @ off.conj() / (len(members) - 1)
     miss = (motion[used] - said.mean(axis=0)) / std[used]
     expected = (miss.conj() @ np.linalg.solve(covariance, miss)).real + np.linalg.slogdet(covariance)[1]
-    assert misfit(members, ROWS, motion, std, AXES) == pytest.approx(expected)
+    assert misfit(members, motion, std, AXES) == pytest.approx(expected)
 
 
 def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndarray = ALONG) -> Look:
@@ -297,15 +308,15 @@ def test_the_fewer_flowers_are_known_the_more_their_pedicels_count_as_bent() -> 
 
 
 def test_of_two_looks_the_one_that_allowed_less_is_not_forgotten() -> None:
-    less, more = knowledge.Allowed(1e-3, 5.0, "slip"), knowledge.Allowed(4e-3, 20.0, "the target")
-    assert knowledge.remembered(more, less) == less, "what was seen last allows no more than it says"
-    both = knowledge.remembered(less, more)
+    less, more = Allowed(1e-3, 5.0, "slip"), Allowed(4e-3, 20.0, "the target")
+    assert remembered(more, less) == less, "what was seen last allows no more than it says"
+    both = remembered(less, more)
     assert (both.amplitude, both.flowers, both.binds) == (pytest.approx(2e-3), pytest.approx(10.0), "slip")
 
 
 def test_more_is_risked_of_what_was_watched_but_never_more_than_half() -> None:
     for planned in (0.001, 0.02, 0.09, 0.4):
-        assert planned < knowledge.risk(planned) <= 0.5
+        assert planned < risk(planned) <= 0.5
 
 
 def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:

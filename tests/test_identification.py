@@ -90,7 +90,7 @@ def plan(plant: PlantModel) -> ShakePlan:
     return plan_shake(
         plant,
         grasps_on(skeleton, stem, [8]),
-        params=ShakeParams(frequencies=8, lowest=3, highest=5, draws=2, directions=2),
+        params=ShakeParams(frequencies=8, lowest=3, highest=5),
     )
 
 

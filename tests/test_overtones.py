@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from made_foresight import ALONG, FLOWERS, TONES, made_foresight
 
-from anther.escalation._knowledge import Answer, known, settled
-from anther.escalation._overtones import SIGNIFICANCE, sharpened
+from anther.escalation._knowledge import SIGNIFICANCE, Answer, known, settled, sharpened
 from anther.response.points import Swings
 from anther.response.thresholds import LARGE, OVERTONES, overtones
 

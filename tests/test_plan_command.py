@@ -18,8 +18,8 @@ from anther.plant import TOMATO, build_plant
 from anther.runs import FILES
 from anther.shake import Params, ShakePlan
 
-FAST = Params(directions=2, heights=3, draws=1)
-WORDS = ["--frequencies", "4", "--params.draws", "1", "--params.directions", "2", "--params.heights", "0"]
+FAST = Params()
+WORDS = ["--frequencies", "4"]
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from anther.devices import Frame
-from anther.escalation._overtones import sharpened
+from anther.escalation._knowledge import sharpened
 from anther.geometry import Array, Intrinsics
 from anther.response._petals import smoothed
 from anther.response.points import (

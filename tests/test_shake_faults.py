@@ -23,7 +23,7 @@ from anther.plant import Params as PlantParams
 from anther.shake import Params as ShakeParams
 from anther.shake import PlantLimits, plan_shake
 
-QUICK = ShakeParams(frequencies=6, lowest=3, highest=6, draws=1, directions=2, heights=0)
+QUICK = ShakeParams(frequencies=6, lowest=3, highest=6)
 
 
 def test_a_plant_without_visible_flowers_is_shaken_for_supposed_ones_and_says_so() -> None:

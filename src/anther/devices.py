@@ -304,7 +304,7 @@ class SafetyLimits:
             a shake. At 12 m/s^2 a Sawyer is at its own limits (facts: sawyer 6: 11.6 mm at 5 Hz, 2.9 mm at 10 Hz).
         shake_duration: of all shaking of a visit [s]. Trellises are shaken for 60 s (facts: pollination 1a); half of
             that leaves a watched shake of twenty seconds time to go on where decisions are late.
-        motor_stroke: farthest that a motor may move the pads to either side [m] (`shake.VibratingGripper`).
+        motor_stroke: farthest that a motor may move the pads to either side [m] (`shake.VIBRATING_GRIPPER`).
         motor_acceleration: with which it may move them [m/s^2]: moves a flower with 50 m/s^2 at gain 1 (facts:
             pollination 1b). A guess.
         grip_force: largest force between the pads [N]: the URDF's effort limit of a finger (facts: sawyer 3).

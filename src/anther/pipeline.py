@@ -275,7 +275,7 @@ def _shaken(
         return planner.shake_limit(at.joints, direction, frequencies)
 
     by_arm = params.actuator == "arm"
-    actuator = shake.ArmShaker(arm_limit) if by_arm else shake.VibratingGripper()
+    actuator = shake.arm_shaker(arm_limit) if by_arm else shake.VIBRATING_GRIPPER
     robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
 
     def told(advance: Advance) -> execution.Progress:

@@ -27,15 +27,14 @@ from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flower
 from anther.results import PARAMS
 from anther.runs import FILES, kept
 from anther.shake import (
+    VIBRATING_GRIPPER,
     Actuator,
     ActuatorName,
-    ArmShaker,
     Crop,
-    Objective,
     Params,
     Preset,
     ShakePlan,
-    VibratingGripper,
+    arm_shaker,
     like_breeze,
     plan_shake,
     sawyer_limit,
@@ -70,8 +69,6 @@ class Args:
     likened to."""
     material: Path | None = None
     """What `anther identify` measured (material.json)."""
-    objective: Objective | None = None
-    """What three flowers of four feel, or mean flower amplitude as in the paper; by default what --params says."""
     actuator: ActuatorName = "arm"
     """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
     shake: Preset | None = None
@@ -110,7 +107,7 @@ def run(args: Args) -> None:
 def _actuator(args: Args, arm: str) -> Actuator:
     """Return what shakes: this arm, by the Sawyer's table where no arm was asked for the grasp."""
     if args.actuator == "gripper":
-        return VibratingGripper()
+        return VIBRATING_GRIPPER
 
     def limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
         if grasp.joints is None:
@@ -120,11 +117,11 @@ def _actuator(args: Args, arm: str) -> Actuator:
 
         return shake_limit(named(arm), grasp.joints, direction, frequencies)
 
-    return ArmShaker(limit)
+    return arm_shaker(limit)
 
 
 def _params(args: Args) -> Params:
-    given = {name: getattr(args, name) for name in ("objective", "lowest", "highest", "frequencies")}
+    given = {name: getattr(args, name) for name in ("lowest", "highest", "frequencies")}
     params = args.params if args.shake is None else with_preset(args.shake, args.params)
     return replace(params, **{name: value for name, value in given.items() if value is not None})
 

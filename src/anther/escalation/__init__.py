@@ -5,38 +5,37 @@ F flowers, P points that the camera may see, R readings of the arm, N shakes: a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.devices import LEAD, ArmSample, Frame
 from anther.escalation._foresight import Foresight, foresee, watch_points
-from anther.escalation._gripper import gripper_motion, links
 from anther.escalation._knowledge import (
-    Allowed,
     Answer,
     Known,
     Look,
-    allowed,
     answered,
+    gripper_motion,
     known,
     lateness,
-    limits_of,
-    risk,
+    links,
     settled,
     summed,
 )
-from anther.escalation._option import Option
-from anther.escalation._params import SHORTEST, Params
-from anther.escalation._record import carried_out, noted, shares
+from anther.escalation._option import SHORTEST, WORDS, Option, Params, limits_of, risk
 from anther.execution import Line, Step
 from anther.geometry import Array, Intrinsics
 from anther.response.points import likeness, sight, swings
 from anther.response.thresholds import overtones
 from anther.shake import Params as Limits
 from anther.shake import ShakePlan
+from anther.shake.observables import semi_major
+from anther.shake.params import FLOWER_SPREAD
 from anther.swing import Swing
 
 __all__ = ["SHORTEST", "Escalation", "Foresight", "Params", "foresee", "watch_points"]
@@ -61,6 +60,9 @@ logarithms, from there to what the probes promise: of many tones the one that pr
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
 LASTING = (OUT_OF_SIGHT, NO_TIME)
 """What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
+RAISED, HOLD = 2.0, 1.2
+"""A step is at most so many times the one before; the last one goes on so long [s]: a flower approaches what it can
+free within 0.6 s."""
 BETTER = 1.6
 """Another tone or line is turned to for so many times the motion: of many promises the largest is too large."""
 ENOUGH = 1.05
@@ -69,11 +71,10 @@ LOST = 0.5  # a shake is ended when fewer than this share of the points followed
 
 
 class Next(NamedTuple):
-    """What follows: amplitudes (N,) [m], for how long [s] after a ramp as `ramp` needs [s], and why."""
+    """What follows: amplitudes (N,) [m], for how long [s] after a ramp, and why."""
 
     amplitudes: Array
     seconds: float
-    ramp: float
     words: str
 
 
@@ -122,9 +123,8 @@ class Escalation:
         self._hertz = tones.frequencies[self._tone]
         self._limits = [limits_of(limits, plan.press, hertz) for hertz in self._hertz.tolist()]
         self._risk = risk(limits.risk)
-        self._reach, self._planned = tones.reach.ravel(), tones.amplitudes.ravel()
         self._answers: list[list[Answer]] = []
-        self._options: dict[int, Option] = {}
+        self._options: list[Option] = []
         self._late, self._in_sight, self._last = 0.0, 0, False
         self._sure = 0.0
         self._doubted = False
@@ -151,7 +151,8 @@ class Escalation:
         intrinsics, T_world_cam = self._camera
         self._sight = sight(frame, intrinsics, T_world_cam, *self._places)
         probe = self._probe_along(0)
-        return Swing.first(self._hertz, probe.amplitudes, probe.ramp + probe.seconds + LEAD, probe.ramp)
+        ramp = self._ramp(np.flatnonzero(probe.amplitudes))
+        return Swing.first(self._hertz, probe.amplitudes, ramp + probe.seconds + LEAD, ramp)
 
     def since(self, piece: Swing) -> float:
         """Return from when on the piece under way is steady [s], counted from the shake's begin."""
@@ -166,27 +167,64 @@ class Escalation:
         if not self.steps:
             self._in_sight = look.followed
             self._late = lateness(self._foresight, look) if look.followed else 0.0
-        active = np.flatnonzero(self._piece.amplitudes)
-        before = [one.told if (one := self._options.get(n)) else None for n in active.tolist()]
+        active = np.flatnonzero(piece.amplitudes).tolist()
+        before = [self._options[n].told for n in active] if self._options else [None] * len(active)
         answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
-        told = [self._known(int(n), one) for n, one in zip(active, answers, strict=True)]
-        loads = shares(np.abs(look.commanded), told, [self._limits[n] for n in active])
-        if self._probing:
+        told = [self._known(n, one) for n, one in zip(active, answers, strict=True)]
+        shaken = list(zip(piece.amplitudes[active].tolist(), active, told, strict=True))
+        shares = {k: sum(a * one.loads[k] / self._limits[n][k] for a, n, one in shaken) for k in WORDS}
+        if self._last:
+            follows = Next(np.zeros(len(self._hertz)), 0.0, "Held long enough.")
+        elif look.followed < LOST * self._in_sight:
+            words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
+            follows = Next(np.zeros(len(self._hertz)), 0.0, words)
+        elif self._probing:
             self._answers.append(answers)
-            follows = self._after_probe(look, max(loads.values()))
+            follows = self._after_probe(max(shares.values()))
         else:
-            self._looked_at(int(active[0]), told[0])
-            follows = self._decided(look, int(active[0]))
-        when = steady[0].time, steady[-1].time
-        step = noted(self._foresight.tones, look, told, loads, when, follows.words, perf_counter() - started)
+            self._looked_at(active[0], told[0])
+            follows = self._decided(active[0])
+        felt = np.sqrt(sum((a * one.flowers) ** 2 for a, _, one in shaken))
+        step = Step(
+            steady[0].time,
+            steady[-1].time,
+            tuple(self._hertz[active].tolist()),
+            tuple(piece.amplitudes[active].tolist()),
+            tuple(look.direction.tolist()),
+            tuple(np.where(told[0].seen, felt, np.nan).tolist()),
+            {WORDS[kind]: share for kind, share in shares.items()},
+            follows.words,
+            perf_counter() - started,
+        )
         self.steps = (*self.steps, step)
-        ramp = max(follows.ramp, *(self._ramp(int(n)) for n in active))
+        ramp = self._ramp(np.flatnonzero(piece.amplitudes + follows.amplitudes))
         moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0
         return piece.then(follows.amplitudes, ramp + moving, ramp)
 
     def executed(self, steps: Sequence[Step]) -> ShakePlan:
         """Return the plan as it was carried out: the last step, and what the plant as believed would do in it."""
-        return carried_out(self.plan, self._foresight, steps) if steps else self.plan
+        if not steps:
+            return self.plan
+        last, tones = steps[-1], self._foresight.tones
+        tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
+        direction = np.array(last.direction)
+        size = amplitude * semi_major(self._foresight.of(tone, direction)[:, self._foresight.where["flowers"]])
+        spread = np.quantile(np.log(np.maximum(size, 1e-12)), [0.05, 0.95], axis=0).T
+        logs = np.log(np.maximum(size[0], 1e-12))[:, None]
+        wide = np.exp(logs + [-1, 1] * np.hypot(spread - logs, 1.645 * FLOWER_SPREAD))
+        omega2 = (2 * np.pi * tones[tone]) ** 2
+        return replace(
+            self.plan,
+            direction=direction,
+            frequency=float(tones[tone]),
+            amplitude=amplitude,
+            duration=last.end - last.begin,
+            predicted_amplitude=size[0],
+            predicted_amplitude_interval=wide,
+            predicted_acceleration=omega2 * size[0],
+            predicted_acceleration_interval=omega2 * wide,
+            reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
+        )
 
     @property
     def _probe(self) -> float:
@@ -203,7 +241,7 @@ class Escalation:
         size = PROBED / gentler * alone / np.sqrt(len(alone))
         size /= max(1.0, float(np.sum(size / tones.reach[:, line])))  # peaks add up
         amplitudes = np.where(self._line == line, size[self._tone], 0.0)
-        return Next(amplitudes, self._probe, self._ramp(int(self._hertz.argmin())), "Probed across that line as well.")
+        return Next(amplitudes, self._probe, "Probed across that line as well.")
 
     def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
@@ -214,29 +252,22 @@ class Escalation:
         else:
             gripper, doubt = links(gripper_motion(steady, self._middle, tones), tones)
         expected = None
-        if all(n in self._options for n in active.tolist()):
-            pictures = [self._options[n].told.picture for n in active.tolist()]
-            expected = np.stack([c * picture for c, picture in zip(commanded, pictures, strict=True)], axis=1)
+        if self._options:
+            expected = np.stack([c * self._options[n].told.picture for c, n in zip(commanded, active)], axis=1)  # noqa: B905
         seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
         return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
         return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
 
-    def _allowed(self, shake: int, one: Known) -> Allowed:
-        return allowed(one, self._limits[shake], float(self._reach[shake]), self.params)
-
     def _looked_at(self, shake: int, one: Known) -> None:
         """Learn of a shake that was done alone. By what its promise is not kept, those of the others count less too."""
-        if shake not in self._options:
-            self._options[shake] = Option(float(self._hertz[shake]), one, self._allowed(shake, one), alone=True)
-            return
-        kept = self._options[shake].looked_at(one, self._allowed(shake, one))
-        for option in self._options.values():
+        kept = self._options[shake].looked_at(one)
+        for option in self._options:
             if not option.alone:
                 option.may = option.may._replace(flowers=kept * option.may.flowers)
 
-    def _after_probe(self, look: Look, borne: float) -> Next:
+    def _after_probe(self, borne: float) -> Next:
         """Return what follows a probe: the next one, or the shake with which flowers can be moved most.
 
         `borne`: the largest of the probe's loads, over what may be borne. The next probe is as much gentler.
@@ -246,33 +277,24 @@ class Escalation:
             self._last = True
             words = "Nothing is in sight: the plan alone is carried out."
             return self._only(0, self.plan.amplitude, self.plan.duration, words)
-        if look.followed < LOST * self._in_sight:
-            return self._rest(look)
         if len(self._answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._answers)], gentler=max(borne, 1.0))
+        planned, reach = tones.amplitudes.ravel().tolist(), tones.reach.ravel().tolist()
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
             answer = summed([along[tone] for along in self._answers], tones.parts(int(line)))
-            one = self._known(shake, answer)
-            self._options[shake] = Option(float(self._hertz[shake]), one, self._allowed(shake, one))
-        return self._decided(look, 0) if len(self._hertz) == 1 else self._turned_to(self._best(), {})
+            known_of, hertz = self._known(shake, answer), float(self._hertz[shake])
+            option = Option(hertz, self._limits[shake], planned[shake], reach[shake], self.params, known_of)
+            self._options.append(option)
+        return self._decided(0) if len(self._hertz) == 1 else self._turned_to(self._best())
 
     def _best(self) -> int:
         """Return the shake that may move the flowers most."""
-        promised = {n: option.promised for n, option in self._options.items()}
-        return max(promised, key=lambda n: (min(promised[n], self.params.target), promised[n]))
+        promised = [option.promised for option in self._options]
+        return max(range(len(promised)), key=lambda n: (min(promised[n], self.params.target), promised[n]))
 
-    def _rest(self, look: Look) -> Next:
-        words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
-        return Next(np.zeros(len(self._hertz)), 0.0, RAMP, words)
-
-    def _decided(self, look: Look, now: int) -> Next:
+    def _decided(self, now: int) -> Next:
         """Return what follows a shake that was looked at."""
-        amplitude = float(self._piece.amplitudes[now])
-        if self._last:
-            return Next(np.zeros(len(self._hertz)), 0.0, RAMP, "Held long enough.")
-        if look.followed < LOST * self._in_sight:
-            return self._rest(look)
-        option = self._options[now]
+        amplitude, option = float(self._piece.amplitudes[now]), self._options[now]
         lost = option.lost(amplitude, self.params.most)
         if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
             return self._again(now, min(amplitude, option.may.amplitude), OUT_OF_SIGHT)
@@ -281,35 +303,35 @@ class Escalation:
         option.tried = max(option.tried, amplitude)
         told = bool(np.isfinite(option.told.most).any())
         option.shown |= told
-        blind = [n for n, one in self._options.items() if one.alone and not one.shown]
+        blind = [one for one in self._options if one.alone and not one.shown]
         stays = not told and (option.shown or len(blind) == 1)
         if told:  # flowers that are followed and do not seem to move move little
             self._sure = amplitude
         elif stays:
             option.may = option.may._replace(flowers=0.0)  # another shake may show them
         else:  # as two did not, a third would not: what the model allows
-            for n in blind:
-                may = self._allowed(n, self._options[n].told)
-                self._options[n].may = may.within(float(self._planned[n]), OUT_OF_SIGHT)
+            for one in blind:
+                one.keep_to_plan(OUT_OF_SIGHT)
         best = self._best()
         if self._options[best].promised > BETTER * option.may.flowers and self._fits(best):
-            return self._turned_to(best, {now: amplitude})
+            return self._turned_to(best)
         return self._raised(now, amplitude, lost=stays)
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
-        return Next(amplitude * (np.arange(len(self._hertz)) == shake), seconds, self._ramp(shake), words)
+        return Next(amplitude * (np.arange(len(self._hertz)) == shake), seconds, words)
 
     def _again(self, shake: int, amplitude: float, why: str) -> Next:
         self._doubted = True
         return self._only(shake, amplitude, self._watch(shake), f"Watched again at {1e3 * amplitude:.2g} mm: {why}.")
 
-    def _turned_to(self, shake: int, done: Mapping[int, float]) -> Next:
-        most, tones, seen = self._options[shake].may, self.plan.tones, bool(self._options[shake].told.seen.any())
-        least = float(self._planned[shake]) * (1 if seen else BEGINS)
+    def _turned_to(self, shake: int) -> Next:
+        option, lines = self._options[shake], self.plan.tones.directions
+        most, seen = option.may, bool(option.told.seen.any())
+        least = option.planned * (1 if seen else BEGINS)
         self._sure, self._doubted = least, False
-        first = least * min((most.amplitude / least) ** (FIRST * seen), self.params.raised)
-        begin = min(max(least, first, self.params.raised * done.get(shake, 0.0)), max(least, self._adding(shake)))
-        turned = np.degrees(np.arccos(min(abs(float(tones.directions[self._line[shake]] @ tones.directions[0])), 1.0)))
+        first = least * min((most.amplitude / least) ** (FIRST * seen), RAISED)
+        begin = max(least, min(first, self._adding(shake)))
+        turned = np.degrees(np.arccos(min(abs(float(lines[self._line[shake]] @ lines[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
             f" m/s2 with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
@@ -324,9 +346,9 @@ class Escalation:
     def _raised(self, shake: int, now: float, *, lost: bool) -> Next:
         """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is."""
         option, may = self._options[shake], self._options[shake].may
-        higher, why = min(may.amplitude, self.params.raised * now, now + self._adding(shake)), may.binds
+        higher, why = min(may.amplitude, RAISED * now, now + self._adding(shake)), may.binds
         if lost:  # also what was seen at this amplitude may have grown since
-            sure = self._sure if ENOUGH * self._sure < now or not option.tried else now / self.params.raised
+            sure = self._sure if ENOUGH * self._sure < now or not option.tried else now / RAISED
             higher, why = min(sure, higher), OUT_OF_SIGHT
         elif not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
@@ -336,21 +358,22 @@ class Escalation:
         if not self._doubted and why not in LASTING:
             return self._again(shake, higher, why)
         self._last = True
-        best = max(self._options, key=lambda n: self._options[n].moved)
+        best = max(range(len(self._options)), key=lambda n: self._options[n].moved)
         if best != shake and self._options[best].moved > ENOUGH * now * float(np.median(option.told.flowers)):
             why = f"{why}; more moved at {self._hertz[best]:.3g} Hz"
             shake, higher = best, self._options[best].borne
         else:
             higher = min(now, higher)
-        return self._only(shake, higher, self.params.hold, f"Held at {1e3 * higher:.2g} mm: {why}.")
+        return self._only(shake, higher, HOLD, f"Held at {1e3 * higher:.2g} mm: {why}.")
 
     def _fits(self, shake: int) -> bool:
         """Return whether there is time for one more step, the hold after it, and coming to rest."""
-        ramp, ends = self._ramp(shake), self._piece.begin + self._piece.seconds
-        return ends + 3 * ramp + self._watch(shake) + self.params.hold + 2 * LEAD <= self.params.most_seconds
+        ends = self._piece.begin + self._piece.seconds
+        return ends + 3 * self._ramp([shake]) + self._watch(shake) + HOLD + 2 * LEAD <= self.params.most_seconds
 
-    def _ramp(self, shake: int) -> float:
-        return max(RAMP, 0.5 / float(self._hertz[shake]))
+    def _ramp(self, shakes: Sequence[int] | NDArray[np.int64]) -> float:
+        """Return how long changes of some shakes take [s]."""
+        return float(np.max(0.5 / self._hertz[shakes], initial=RAMP))
 
     def _watch(self, shake: int) -> float:
         return max(LOOK, PERIODS / float(self._hertz[shake]))

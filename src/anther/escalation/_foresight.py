@@ -5,18 +5,17 @@ M members, K tones, S vectors.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, vstack
 
 from anther.geometry import Array
 from anther.plant import PlantModel
 from anther.shake.observables import ComplexArray, observables, semi_major
 from anther.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
-from anther.shake.search import Version, held_radius, scenarios, vectors, wrench
+from anther.shake.search import held_radius, motions, scenarios
 
 MEMBERS = 32
 """Plants that are drawn; more change the narrowed loads by less than the camera's errors do."""
@@ -28,8 +27,6 @@ stem's motion along itself cannot be seen. Measured on three simulated plants.""
 MOST_POINTS = 60
 """Of the plant that are watched beside the flowers."""
 
-LOADS = ("stem_strain", "joint_strain", "base_strain", "leaf_load", "grip_force")
-
 
 class Foresight(NamedTuple):
     """What one metre of gripper motion along each axis of the world does, as phasors.
@@ -37,8 +34,7 @@ class Foresight(NamedTuple):
     Attributes:
         tones: (K,) [Hz].
         vectors: (M, K, 3, S, 3), by axis of the gripper's motion; the first member is the plant as believed.
-        where: kind -> rows of S: "flowers" [m/m], "points" [m/m], and `LOADS` [1/m, leaves 1/s2], whose length is the
-            load; of the grip its force, pivoting moment and twist [N/m, N].
+        where: kind -> rows of S, see `search.motions`: flowers first, then points, then loads.
         hangs: (R,) number of the flower that hangs on each of the pedicels' vectors.
         radius: of the stem between the pads [m].
         pad_width: along the stem [m].
@@ -63,7 +59,9 @@ class Foresight(NamedTuple):
             return friction_force(*sizes.T, radius=self.radius, width=self.pad_width)
         return sizes.max(axis=1, initial=0.0)
 
-    def pedicels(self, vectors: ComplexArray, shown: Array, most: Array | None = None, unknown: float = 0.0) -> Array:
+    def pedicels(
+        self, vectors: ComplexArray, shown: Array, most: Array | float = np.nan, unknown: float = 0.0
+    ) -> Array:
         """Return (M,) the largest strain of pedicels of vectors (M, S, 3), where flowers swing as they were seen to.
 
         A pedicel is bent by its own flower's inertia, so its strain follows what that flower does, whatever moves it.
@@ -79,12 +77,9 @@ class Foresight(NamedTuple):
         """
         strain, swing = (semi_major(vectors[:, self.where[kind]]) for kind in ("joint_strain", "flowers"))
         if np.isfinite(shown).any():
-            more = shown / np.maximum(swing, 1e-12)
+            more, still = shown / np.maximum(swing, 1e-12), most / np.maximum(swing, 1e-12)
+            more = np.where(np.isnan(more), np.minimum(still, _usual(more)), more)
             hidden = _usual(more)
-            if most is not None:
-                still = np.minimum(most / np.maximum(swing, 1e-12), hidden)
-                more = np.where(np.isnan(more), still, more)
-                hidden = _usual(more)
             if unknown:
                 spread = unknown * np.sqrt(1 + 1 / np.isfinite(more[0]).sum())
                 drawn = hidden * np.exp(spread * np.random.default_rng(0).normal(size=more.shape))
@@ -107,7 +102,6 @@ def foresee(
     seen: NDArray[np.int64],
     *,
     pads: Pads = PADS,
-    seed: int = 0,
 ) -> Foresight:
     """Return what shakes of one grip should do, for plants and pads drawn from what is believed.
 
@@ -117,17 +111,16 @@ def foresee(
         tones: (K,) [Hz].
         seen: (P,) rod nodes that a camera may see.
         pads: as believed.
-        seed: of the draws.
     """
     grip = pad_nodes(plant, grip_rows(plant, point[None]), pads.width)
-    members = scenarios(plant, MEMBERS, seed, pads=pads, branch_spread=BRANCH_SPREAD)
-    found = [_foreseen(member, plant, grip, tones, seen) for member in members]
-    kinds = ("flowers", "points", *LOADS)
-    ends = np.cumsum([0, *(part.shape[2] for part in found[0])])
-    where = {kind: slice(int(a), int(b)) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
-    radius = float(held_radius(plant, grip)[0])
-    vectors_ = np.array([np.concatenate(parts, axis=2) for parts in found])
-    return Foresight(tones, vectors_, where, _hanging(plant), radius, pads.width)
+    members = scenarios(plant, MEMBERS, pads=pads, branch_spread=BRANCH_SPREAD)
+    found = [motions(member, grip, tones, like=plant, points=seen)[0] for member in members]
+    ends = np.cumsum([0, *(part.shape[2] for part in found[0].values())])
+    where = {kind: slice(int(a), int(b)) for kind, a, b in zip(found[0], ends[:-1], ends[1:], strict=True)}
+    vectors = np.array(
+        [np.moveaxis(np.concatenate([part[:, 0] for part in one.values()], axis=1), -1, 1) for one in found]
+    )
+    return Foresight(tones, vectors, where, _hanging(plant), float(held_radius(plant, grip)[0]), pads.width)
 
 
 def _hanging(plant: PlantModel) -> NDArray[np.int64]:
@@ -142,26 +135,6 @@ def _hanging(plant: PlantModel) -> NDArray[np.int64]:
     return flower[look.edges[look.joint_strain - look.strains[0]]]
 
 
-def _foreseen(
-    member: Version,
-    plant: PlantModel,
-    grip: Sequence[NDArray[np.int64]],
-    tones: Array,
-    seen: NDArray[np.int64],
-) -> list[ComplexArray]:
-    look = observables(member.plant, plant)
-    nodes = (4 * seen[:, None] + np.arange(3)).ravel()
-    size = (len(nodes), look.operator.shape[1])
-    points = csr_array((np.ones(len(nodes)), (np.arange(len(nodes)), nodes)), size)
-    answer = vectors(member, grip, vstack([look.operator, points], format="csr"), tones)
-    found = np.moveaxis(answer.vectors[:, 0], -1, 1)
-    held = np.moveaxis(wrench(member, grip, answer)[:, 0], -1, 1)
-    omega2 = (2 * np.pi * tones[:, None, None, None]) ** 2
-    strains = [found[:, :, rows] for rows in (look.stem_strain, look.joint_strain, look.base_strain)]
-    leaves = omega2 * found[:, :, look.leaf_load]
-    return [found[:, :, look.flowers], found[:, :, found.shape[2] - len(seen) :], *strains, leaves, held]
-
-
 def watch_points(plant: PlantModel) -> NDArray[np.int64]:
     """Return up to `MOST_POINTS` nodes of stem, branches and leaves that lie far from each other: farthest first."""
     stalks = plant.is_pedicel | np.isin(np.arange(len(plant.is_pedicel)), plant.flower_nodes)
@@ -174,9 +147,7 @@ def watch_points(plant: PlantModel) -> NDArray[np.int64]:
     return nodes[chosen]
 
 
-def narrowed(
-    members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, axes: Array
-) -> ComplexArray:
+def narrowed(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> ComplexArray:
     """Return (M, S, 3) what a shake does, once points were seen to move in the camera's picture.
 
     The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
@@ -186,49 +157,34 @@ def narrowed(
 
     Args:
         members: (M, S, 3) what they say of that shake, `Foresight.of`, per metre commanded.
-        rows: (P,) rows of S that were seen.
-        motion: (P, 3) per metre commanded, along `axes`; any where it was not seen.
+        motion: (P, 3) of the first P of S per metre commanded, along `axes`; any where it was not seen.
         std: (P, 3) standard deviation of either part; NaN where it was not seen.
         axes: (P, 3, 3) see `response.points.Sight`.
     """
-    if not len(rows):
-        return members
-    count, seen = len(members), _seen(members, rows, motion, std, axes)
-    off = (members - members.mean(axis=0)).reshape(count, -1) / np.sqrt(count - 1)
-    drawn = np.random.default_rng(0).normal(size=(2, *seen.miss.shape))
-    misses = seen.miss + drawn[0] + 1j * drawn[1]
-    weights = np.linalg.solve(seen.gram, seen.spread.conj() @ misses.T).T
+    miss, spread, gram = _seen(members, motion, std, axes)
+    off = (members - members.mean(axis=0)).reshape(len(members), -1) / np.sqrt(len(members) - 1)
+    drawn = np.random.default_rng(0).normal(size=(2, *miss.shape))
+    misses = miss + drawn[0] + 1j * drawn[1]
+    weights = np.linalg.solve(gram, spread.conj() @ misses.T).T
     return members + (weights @ off).reshape(members.shape)
 
 
-def misfit(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, axes: Array) -> float:
+def misfit(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:
     """Return -2 ln likelihood of what was seen of one shake, up to a constant; arguments as of `narrowed`."""
-    if not len(rows):
-        return 0.0
-    seen = _seen(members, rows, motion, std, axes)
-    miss = seen.miss.mean(axis=0)
-    explained = np.linalg.solve(seen.gram, seen.spread.conj() @ miss) @ seen.spread
-    return float(np.vdot(miss, miss - explained).real) + float(np.linalg.slogdet(seen.gram)[1])
+    misses, spread, gram = _seen(members, motion, std, axes)
+    miss = misses.mean(axis=0)
+    explained = np.linalg.solve(gram, spread.conj() @ miss) @ spread
+    return float(np.vdot(miss, miss - explained).real) + float(np.linalg.slogdet(gram)[1])
 
 
-class _Seen(NamedTuple):
-    """Members beside the V numbers that were seen, in standard deviations of those.
-
-    Attributes:
-        miss: (M, V) seen less what each member says.
-        spread: (M, V) of the members about their mean, over the root of M - 1.
-        gram: (M, M) of the members' spread, and 1.
-    """
-
-    miss: ComplexArray
-    spread: ComplexArray
-    gram: ComplexArray
-
-
-def _seen(members: ComplexArray, rows: NDArray[np.int64], motion: ComplexArray, std: Array, axes: Array) -> _Seen:
-    said, used = np.einsum("mpx,pxa->mpa", members[:, rows], axes), np.isfinite(std)
+def _seen(
+    members: ComplexArray, motion: ComplexArray, std: Array, axes: Array
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return what was seen less what each member says (M, V), in standard deviations of those V numbers; the members'
+    spread about their mean over the root of M - 1 (M, V); and its gram (M, M), and 1."""
+    said, used = np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes), np.isfinite(std)
     sizes = [np.linalg.norm(np.where(used, one, 0.0), axis=1) for one in (motion, said.mean(axis=0))]
     noise = np.hypot(std, MISFIT * np.max(sizes, axis=0)[:, None])[used]
     miss, off = (motion - said)[:, used] / noise, (said - said.mean(axis=0))[:, used] / noise
     spread = off / np.sqrt(len(members) - 1)
-    return _Seen(miss, spread, np.eye(len(members)) + spread.conj() @ spread.T)
+    return miss, spread, np.eye(len(members)) + spread.conj() @ spread.T

@@ -5,23 +5,20 @@ F flowers, K tones, M members, P points, S vectors.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.escalation._foresight import LOADS, Foresight, misfit, narrowed
-from anther.escalation._gripper import drawn_errors
-from anther.escalation._overtones import SIGNIFICANCE, sharpened
-from anther.escalation._params import Params
+from anther.devices import ArmSample
+from anther.escalation._foresight import Foresight, misfit, narrowed
 from anther.geometry import Array
+from anther.oscillation import peak
 from anther.response.points import Swings
-from anther.shake import Params as Limits
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
-from anther.shake.params import FLOWER_SPREAD, blended, fastness, load_error
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST, FLOWER_SPREAD, LOADS, blended, fastness, load_error
 
 SEEN_ERROR = {
     "stem_strain": (0.9, 0.42),
@@ -48,21 +45,8 @@ hang on pedicels that may be softer. In 25 shakes of the whole cell with up to 4
 than was said, in 30 with more 1 did; with this factor 4 and 4 had. 53 other plants (MuJoCo's linear equations), with
 `WATCHED` 3 instead of 2: 7.2 instead of 7.6 m/s2 (geometric mean), harm 0.9 instead of 1.4 %."""
 
-WATCHED = 3.0
-"""So many times the plan's risk is allowed once the camera has seen the shake: a load that passes what is said of it
-seldom passes what the plant bears. By the arm, 53 plants (MuJoCo's linear equations, with `FEW`): with 2, 3 and 4 the
-median flower felt 6.4, 7.2 and 7.9 m/s2 (geometric mean) and 0.6, 0.9 and 1.4 % were harmed. By the motor, 40 plants of
-the whole cell: with 8 times 4 were harmed."""
-
-WORDS = {
-    "stem_strain": "the bending of the stem",
-    "joint_strain": "the bending of pedicels",
-    "base_strain": "the bending of branch bases",
-    "leaf_load": "the load at leaf bases",
-    "grip_force": "slip",
-}
-"""The kinds of load, for people."""
-
+SIGNIFICANCE = 3.0
+"""A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
 seen: a tone is not taken for what it might do."""
@@ -108,19 +92,6 @@ class Known(NamedTuple):
     picture: ComplexArray
 
 
-class Allowed(NamedTuple):
-    """How far a shake may be raised: amplitude [m], the flowers' median there [m/s2], and what ends it."""
-
-    amplitude: float
-    flowers: float
-    binds: str
-
-    def within(self, amplitude: float, binds: str) -> Allowed:
-        """Return it with no more than another amplitude [m], and what ends it there."""
-        share = amplitude / self.amplitude
-        return self if share >= 1 else Allowed(amplitude, share * self.flowers, binds)
-
-
 class Look(NamedTuple):
     """One look at a shake of K tones along one line; phasors are on the robot's clock.
 
@@ -155,7 +126,7 @@ class Answer(NamedTuple):
         flowers: (F, 3) motion that the camera measured, along `axes`; NaN where it did not.
         std: (F, 3) its standard deviation.
         axes: (F, 3, 3) see `response.points.Sight`.
-        peak: (F,) see `_overtones.sharpened`.
+        peak: (F,) see `sharpened`.
     """
 
     members: ComplexArray
@@ -179,13 +150,11 @@ def settled(swings: Swings, hertz: float) -> Swings:
 def lateness(foresight: Foresight, look: Look) -> float:
     """Return by how much the camera's clock is late [s]: that of `LATE` which the members explain best."""
     members = [_members(foresight, look, i) for i in range(len(look.tones))]
-
-    def off(late: float) -> float:
-        return sum(
-            misfit(m, *_used(foresight, look, *_turned(foresight, look, i, late))) for i, m in enumerate(members)
-        )
-
-    return float(LATE[int(np.argmin([off(late) for late in LATE]))])
+    off = [
+        sum(misfit(m, *_turned(foresight, look, i, late), look.swings.axes) for i, m in enumerate(members))
+        for late in LATE
+    ]
+    return float(LATE[int(np.argmin(off))])
 
 
 def answered(foresight: Foresight, look: Look, i: int, late: float, before: Known | None = None) -> Answer:
@@ -206,7 +175,7 @@ def answered(foresight: Foresight, look: Look, i: int, late: float, before: Know
         across, omega = np.linalg.norm(motion[own][:, :2], axis=1), 2 * np.pi * foresight.tones[look.tones[i]]
         mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > JUMP * before.most)
     motion[own][mistaken] = std[own][mistaken] = np.nan
-    found = narrowed(members, *_used(foresight, look, motion, std))
+    found = narrowed(members, motion, std, look.swings.axes)
     return Answer(found, motion[own], std[own], look.swings.axes[own], sharpened(look.swings, own))
 
 
@@ -275,34 +244,6 @@ def _like_the_others(members: ComplexArray, motion: ComplexArray, std: Array, ax
     return ~seen | (more <= usual * np.exp(MISTAKEN * FLOWER_SPREAD))
 
 
-def allowed(one: Known, limits: Mapping[str, float], reach: float, params: Params) -> Allowed:
-    """Return how far a shake may be raised.
-
-    Args:
-        one: what is known of it.
-        limits: see `limits_of`.
-        reach: amplitude that the actuator manages [m].
-        params: what is enough.
-    """
-    median, largest = float(np.median(one.flowers)), float(one.flowers[one.seen].max(initial=0.0))
-    caps = {kind: limit / max(one.loads[kind], 1e-12) for kind, limit in limits.items()}
-    caps["what the actuator can do"] = reach
-    caps["the target"] = params.target / max(median, 1e-12)
-    caps["the most a flower may feel"] = params.most / max(largest, 1e-12)
-    binds = min(caps, key=lambda name: caps[name])
-    return Allowed(caps[binds], median * caps[binds], WORDS.get(binds, binds))
-
-
-def remembered(before: Allowed, now: Allowed) -> Allowed:
-    """Return how far a shake may be raised after two looks at it: if the first allowed less, half of that counts [ln].
-
-    What swung far once may do so again, and what is seen of a swing errs by a quarter.
-    """
-    share = min(1.0, (before.amplitude / now.amplitude) ** 0.5)
-    binds = now.binds if share == 1 else before.binds
-    return Allowed(share * now.amplitude, share * now.flowers, binds)
-
-
 def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:
     """Return (F,) motion away from the camera that it did not see.
 
@@ -326,18 +267,6 @@ def seen_error(hertz: float) -> Mapping[str, tuple[float, float]]:
     return {kind: (float(median), float(spread)) for kind, (median, spread) in errors.items()}
 
 
-def risk(planned: float) -> float:
-    """Return the share of watched shakes in which a load may be larger than is said; of a plan's."""
-    return min(WATCHED * planned, 0.5)
-
-
-def limits_of(limits: Limits, press: float, hertz: float) -> dict[str, float]:
-    """Return by kind what the plant may bear at a tone [Hz], and what pads hold that press with `press` [N]."""
-    plant, leaf = limits.plant, float(limits.plant.leaf_load_at(hertz))
-    values = (plant.stem_strain, plant.pedicel_strain, plant.base_strain, leaf, limits.held(press))
-    return dict(zip(LOADS, values, strict=True))
-
-
 def _members(foresight: Foresight, look: Look, i: int) -> ComplexArray:
     """Return (M, S, 3) what the members say per metre commanded; each has its own error of the gripper's motion."""
     tone = int(look.tones[i])
@@ -357,10 +286,69 @@ def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[Comp
     return np.asarray(moved * turned), look.swings.std * np.abs(turned)
 
 
-def _used(
-    foresight: Foresight, look: Look, motion: ComplexArray, std: Array
-) -> tuple[NDArray[np.int64], ComplexArray, Array, Array]:
-    """Return rows, motion, deviation and axes of what was followed, as `narrowed` takes them."""
-    used = np.flatnonzero(np.isfinite(std[:, 0]))
-    rows = np.concatenate([np.arange(s.start, s.stop) for s in (foresight.where["flowers"], foresight.where["points"])])
-    return rows[used], motion[used], std[used], look.swings.axes[used]
+def sharpened(swings: Swings, own: slice) -> Array:
+    """Return (F,) the peak of each flower's acceleration over what it would be without overtones.
+
+    Args:
+        swings: of one tone.
+        own: of its points, the flowers.
+    """
+    tone, over = np.nan_to_num(swings.phasors[own, 0]), np.nan_to_num(swings.overtones[own])
+    if not over.size:
+        return np.ones(len(tone))
+    least = SIGNIFICANCE * np.sqrt(np.nansum(swings.std[own] ** 2, axis=1))
+    over = np.where(np.linalg.norm(over, axis=2, keepdims=True) > least[:, None, None], over, 0.0)
+    whole, sine = peak(np.concatenate([tone[:, None], over], axis=1)), peak(tone[:, None])
+    return np.divide(whole, sine, out=np.ones(len(tone)), where=sine > 0)
+
+
+ARM_MODE, ARM_ERROR = 28.0, 0.6
+"""Links swing beyond their motors, which is what an arm reads, by 1 / (1 - (f / `ARM_MODE`)^2) [Hz], with an error of
+`ARM_ERROR` (f / `FAST`)^3 times what was commanded. Measured on 24 simulated Sawyers (experiments/arm_readings.py, wide
+truth, two lines each) that hold nothing: by 1.10 at 8.5, 1.19 at 11.3, 1.5 at 16.9 Hz; median and 75 % quantile of the
+error 3 and 12 % at 6.4, 8 and 33 % at 11.3, 20 and 104 % at 16.9 Hz."""
+ARM_FOLLOWS, ARM_ASIDE = 0.9, 0.3
+"""Whatever it reads an arm does about so much of what is commanded, at any phase (the same arms: 0.54 to 1.55 at 18.5
+Hz), and so much of that along any other line."""
+
+
+def gripper_motion(samples: Sequence[ArmSample], middle: Callable[[Array], Array], tones: Array) -> ComplexArray:
+    """Return (K, 3) phasors of the gripper's motion by the arm's readings, world, on the robot's clock [m].
+
+    Args:
+        samples: of the arm while the tones were steady.
+        middle: joints (R, J) -> (R, 3) place of the grip, world [m].
+        tones: (K,) [Hz].
+    """
+    times = np.array([s.time for s in samples])
+    places = middle(np.array([s.measured for s in samples]))
+    phase = 2 * np.pi * times[:, None] * tones
+    basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(times), times - times.mean()])
+    parts = np.linalg.solve(basis.T @ basis + 1e-12 * np.eye(basis.shape[1]), basis.T @ places)
+    return np.asarray(parts[: len(tones)] + 1j * parts[len(tones) : 2 * len(tones)], dtype=np.complex128)
+
+
+def links(readings: ComplexArray, tones: Array) -> tuple[ComplexArray, Array]:
+    """Return how the gripper swings, (K, 3) phasors [m], and `Look.doubt`, when an arm reads so.
+
+    An arm reads its motors. Above the modes of its links that says less of its gripper than what it was told.
+
+    Args:
+        readings: (K, 3) phasors of the gripper, if links went as their motors do [m].
+        tones: (K,) [Hz].
+    """
+    error = ARM_ERROR * (tones / FAST) ** 3
+    weight = ARM_FOLLOWS**2 / (ARM_FOLLOWS**2 + error**2)
+    beyond = 1 / (1 - np.minimum(tones / ARM_MODE, 0.7) ** 2)  # nearer to the mode readings count for little
+    return readings * (weight * beyond)[:, None], error * np.sqrt(weight)
+
+
+def drawn_errors(count: int, direction: Array, tone: int) -> ComplexArray:
+    """Return (M, 3) what `count` members add to the gripper's motion, with a `Look.doubt` of 1.
+
+    Each turns the `direction` (3,) that is commanded in its own way, the same in every look at a tone, so that lines
+    still add up.
+    """
+    parts = np.random.default_rng([0, tone]).normal(size=(2, count, 10)) / np.sqrt(2)
+    along, aside = np.split(parts[0] + 1j * parts[1], [1], axis=1)
+    return np.asarray(along * direction + ARM_ASIDE * aside.reshape(-1, 3, 3) @ direction, dtype=np.complex128)

@@ -15,7 +15,7 @@ from anther.geometry import Array
 from anther.oscillation import fit_swing
 from anther.response import Response, StemMotion
 from anther.shake import ShakePlan
-from anther.shake.plant_limits import FAST
+from anther.shake.params import FAST
 
 
 def _unknown() -> Array:
@@ -133,7 +133,7 @@ SIGNIFICANCE = 3.0
 
 def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> Felt:
     """Return what the arm did and felt; nothing above `FAST`, where its links do not go as its motors, which it reads
-    (`escalation._gripper.ARM_ERROR`), and where a motor in the gripper shakes.
+    (`escalation._knowledge.ARM_ERROR`), and where a motor in the gripper shakes.
 
     The gripper's motion follows from the measured joints. Of the force an arm tells the size alone, in which the stem's
     constant pull is mixed. But of its square, |F0 + Im(F exp(i w t))|^2, only the motion's force F has a part at twice

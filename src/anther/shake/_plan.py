@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,10 +16,16 @@ from anther.grasp import Grasp, grasp_of, grasp_row
 from anther.shake.pads import PADS, Pads
 
 SCHEMA = 7
-"""Of the files written; one of schema 5, which told a waveform, is read where that is a sine."""
+"""Of the files written."""
 
 LimitRow = tuple[str, float, float, float]
 """(name, value, limit, share of the limit that is used)."""
+
+
+def _to_arrays(record: ResponseMap | Tones | ShakePlan, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Check fields of a record, and make them read-only arrays."""
+    for name, shape in shapes.items():
+        object.__setattr__(record, name, check_array(name.replace("_", " "), getattr(record, name), shape))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,10 +51,8 @@ class ResponseMap:
 
     def __post_init__(self) -> None:
         q, g = len(self.frequencies), len(self.arc_length)
-        object.__setattr__(self, "frequencies", check_array("map frequencies", self.frequencies, (q,)))
-        object.__setattr__(self, "arc_length", check_array("map arc length", self.arc_length, (g,)))
-        for name in ("acceleration", "per_metre", "amplitude"):
-            object.__setattr__(self, name, check_array(f"map {name}", getattr(self, name), (g, q)))
+        shapes = {"frequencies": (q,), "arc_length": (g,)}
+        _to_arrays(self, shapes | dict.fromkeys(("acceleration", "per_metre", "amplitude"), (g, q)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,11 +72,8 @@ class Tones:
     reach: Array
 
     def __post_init__(self) -> None:
-        shape = (len(self.frequencies), len(self.directions))
-        for name, wanted in zip(
-            ("frequencies", "directions", "amplitudes", "reach"), (shape[:1], (shape[1], 3), shape, shape), strict=True
-        ):
-            object.__setattr__(self, name, check_array(f"tones {name}", getattr(self, name), wanted))
+        k, d = len(self.frequencies), len(self.directions)
+        _to_arrays(self, {"frequencies": (k,), "directions": (d, 3), "amplitudes": (k, d), "reach": (k, d)})
 
     @property
     def probed(self) -> tuple[int, ...]:
@@ -110,7 +110,7 @@ class RunnerUp:
     Attributes:
         grasp_index: into the ranked grasps.
         frequency, amplitude: [Hz], [m].
-        score: of the objective, perhaps not checked by the nonlinear solver; the plan's own is `ShakePlan.score`.
+        score: as `ShakePlan.score`, perhaps not checked by the nonlinear solver.
     """
 
     grasp_index: int
@@ -136,8 +136,7 @@ class ShakePlan:
             the gain, and of one flower about its plant [m].
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
-        score: of the objective by linear theory over the scenarios: what three flowers of four should feel [m/s2], or
-            mean flower amplitude [m].
+        score: by linear theory over the scenarios, what three flowers of four should feel [m/s2].
         limits: (name, value, limit, share used) each; values of the plant are those of the cautious scenario by linear
             theory, or of the plant as believed by the nonlinear solver where these are larger.
         runner_up: the next best, or None.
@@ -170,9 +169,8 @@ class ShakePlan:
 
     def __post_init__(self) -> None:
         f = len(self.predicted_amplitude)
-        for name, shape in _SHAPES.items():
-            wanted = tuple(f if n is None else n for n in shape)
-            object.__setattr__(self, name, check_array(name.replace("_", " "), getattr(self, name), wanted))
+        shapes = {"direction": (3,), "predicted_amplitude": (f,), "predicted_acceleration": (f,)}
+        _to_arrays(self, shapes | {"predicted_amplitude_interval": (f, 2), "predicted_acceleration_interval": (f, 2)})
         check_range("shake amplitude", self.amplitude, 0, 1, "m")
         check_range("shake frequency", self.frequency, 1e-3, 1e4, "Hz")
         check_range("shake duration", self.duration, 1e-3, 3600, "s")
@@ -182,14 +180,10 @@ class ShakePlan:
 
     def save(self, path: Path | str) -> None:
         """Write JSON (kind 'shake plan')."""
-        row: dict[str, Any] = {"kind": "shake plan", "schema": SCHEMA}
-        row |= {name: getattr(self, name) for name in _SAVED}
+        row = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        row |= {name: asdict(row[name]) for name in _PARTS if row[name] is not None}
         row["grasp"] = grasp_row(self.grasp)
-        row["pads"] = asdict(self.pads)
-        row["runner_up"] = None if self.runner_up is None else asdict(self.runner_up)
-        row["response_map"] = {name: getattr(self.response_map, name) for name in ResponseMap.__dataclass_fields__}
-        row["tones"] = {name: getattr(self.tones, name) for name in Tones.__dataclass_fields__}
-        write_json(path, row)
+        write_json(path, {"kind": "shake plan", "schema": SCHEMA} | row)
 
     @classmethod
     def load(cls, path: Path | str) -> ShakePlan:
@@ -202,26 +196,13 @@ class ShakePlan:
         if not isinstance(row, dict) or (row.get("kind"), row.get("schema")) != ("shake plan", SCHEMA):
             raise bad_input(str(path), given="another file", allowed=f"a shake plan, schema {SCHEMA}", do="Plan again.")
         try:
-            return cls(
-                grasp=grasp_of(row["grasp"]),
-                runner_up=None if row["runner_up"] is None else RunnerUp(**row["runner_up"]),
-                response_map=ResponseMap(**row["response_map"]),
-                tones=Tones(**row["tones"]),
-                pads=Pads(**row["pads"]),
-                **{name: row[name] for name in _SAVED},
-            )
+            row |= {name: part(**row[name]) for name, part in _PARTS.items() if row[name] is not None}
+            row["grasp"] = grasp_of(row["grasp"])
+            return cls(**{name: row[name] for name in cls.__dataclass_fields__})
         except (KeyError, TypeError) as error:
             raise bad_input(
                 str(path), given=f"a broken shake plan ({error!r})", allowed="what save wrote", do="Plan again."
             ) from error
 
 
-_NESTED = ("grasp", "runner_up", "response_map", "tones", "pads")
-_SAVED = tuple(name for name in ShakePlan.__dataclass_fields__ if name not in _NESTED)
-_SHAPES: dict[str, tuple[int | None, ...]] = {
-    "direction": (3,),
-    "predicted_amplitude": (None,),
-    "predicted_amplitude_interval": (None, 2),
-    "predicted_acceleration": (None,),
-    "predicted_acceleration_interval": (None, 2),
-}
+_PARTS = {"runner_up": RunnerUp, "response_map": ResponseMap, "tones": Tones, "pads": Pads}

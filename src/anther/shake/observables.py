@@ -53,7 +53,7 @@ def observables(plant: PlantModel, like: PlantModel | None = None) -> Observable
     limit in g is a share of the leaf's own weight (facts: pollination 1d, safety factor 1.7 of petioles).
     """
     n = len(plant.rods.nodes)
-    flowers, load = _displacements(_flowers(plant), n), _displacements(_loads(plant), n)
+    flowers, load = displacements(plant.flower_nodes, n), _operator(_loads(plant), n, 4)
     found = joints(plant.rods, plant.clamp.planted)
     bending, edges, counts = _bending(plant, found.moments, like or plant)
     operator = vstack([flowers, bending @ found.strains, load], format="csr")
@@ -84,6 +84,13 @@ def semi_major(vectors: ComplexArray) -> Array:
 STRAIGHT = 0.999
 """Cosine of the kink up to which an edge goes straight on, 2.6 degrees: of a twisting moment 4.5 % bends beyond it."""
 
+
+def displacements(nodes: NDArray[Any], count: int) -> Any:
+    """Return the sparse operator (3P, 4N) from the unknowns of `count` nodes to the displacements of (P,) of them."""
+    row = np.arange(len(nodes))
+    return _operator((len(nodes), row, nodes, np.tile(np.eye(3), (len(nodes), 1, 1))), count, 4)
+
+
 Blocks = tuple[int, NDArray[Any], NDArray[Any], Array]
 """Vectors that are sums of (3, 3) blocks times vectors of nodes or joints: how many, then of each block which vector
 (B,) and which node or joint (B,), and the blocks (B, 3, 3)."""
@@ -97,15 +104,6 @@ def _operator(blocks: Blocks, size: int, width: int) -> Any:
     operator = csr_array((values.ravel(), (row.ravel(), column.ravel())), (3 * count, width * size))
     operator.eliminate_zeros()
     return operator
-
-
-def _displacements(blocks: Blocks, size: int) -> Any:
-    return _operator(blocks, size, 4)
-
-
-def _flowers(plant: PlantModel) -> Blocks:
-    count = len(plant.flower_nodes)
-    return count, np.arange(count), plant.flower_nodes, np.tile(np.eye(3), (count, 1, 1))
 
 
 def _bending(plant: PlantModel, moments: Array, like: PlantModel) -> tuple[Any, NDArray[Any], list[int]]:

@@ -11,14 +11,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import vstack
 from scipy.stats import qmc
 
-from anther.elastic_rod import Array, Observed, compiled, observed_response
+from anther.elastic_rod import Array, Observed, observed_response
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
-from anther.shake.observables import ComplexArray, branch_of, observables
+from anther.shake.observables import ComplexArray, branch_of, displacements, observables
 from anther.shake.pads import PADS, Pads, friction_force
+from anther.shake.params import LOADS, PEAKS
+
+NO_POINTS = np.zeros(0, dtype=np.int64)
 
 
 class Gains(NamedTuple):
@@ -74,7 +77,7 @@ def deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
     """Return (count, 8 + B) standard normal deviates for `drawn_version`, B branches."""
     generator = np.random.default_rng(seed)
     engine = qmc.MultivariateNormalQMC(np.zeros(8), engine=qmc.Halton(8, rng=generator), rng=generator)
-    shared = engine.random(count) if count else np.zeros((0, 8))
+    shared = engine.random(count)
     return np.concatenate([shared, generator.normal(size=(count, len(plant.branch_bases)))], axis=1)
 
 
@@ -83,24 +86,17 @@ def drawn_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float)
 
     They are of `drawn_material` (6,), the pads (2,), and ln of each branch's stiffness (B,).
     """
-    own = plant if branch_spread == 0 else _with_branches(plant, branch_of(plant), branch_spread * z[8:])
-    version = _standing(own, drawn_material(plant.material, z[:6], plant.least_youngs), plant.pedicel_spread * z[3])
-    return None if version is None else Version(version, pads.drawn(z[6:8]))
-
-
-def _with_branches(plant: PlantModel, branch: NDArray[Any], logs: Array) -> PlantModel:
-    """Return the plant with each branch's stiffness times exp(its log); not at rest before it is given a material."""
-    factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(logs, 0.0))[branch])
-    return replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
-
-
-def _standing(plant: PlantModel, material: Material, log_pedicel: float) -> PlantModel | None:
+    own, material = plant, drawn_material(plant.material, z[:6], plant.least_youngs)
+    if branch_spread:
+        factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(branch_spread * z[8:], 0.0))[branch_of(plant)])
+        own = replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
     for stiffer in 1.25 ** np.arange(8):
         tried = replace(material, youngs=material.youngs * float(stiffer))
         try:
-            return plant.with_material(tried, pedicel_factor=float(np.exp(log_pedicel)))
+            stands = own.with_material(tried, pedicel_factor=float(np.exp(plant.pedicel_spread * z[3])))
         except StageFailure:
             continue
+        return Version(stands, pads.drawn(z[6:8]))
     return None
 
 
@@ -138,31 +134,47 @@ def _gains_of(
     version: Version, grips: Sequence[NDArray[Any]], directions: Array, frequencies: Array
 ) -> tuple[Array, ...]:
     """Return the gains of one scenario."""
-    plant, seen = version.plant, observables(version.plant)
-    response = vectors(version, grips, seen.operator, frequencies)
-    flowers = response.vectors[:, :, seen.flowers]
-    response.vectors[:, :, seen.flowers] = _answered(plant, grips, flowers, response.pads)
-    size = _sizes(response.vectors, directions)
-    omega2 = (2 * np.pi * frequencies[:, None, None]) ** 2
-    kinds = (seen.stem_strain, seen.joint_strain, seen.base_strain, seen.leaf_load)
-    stem, joint, base, load = (size[..., rows].max(axis=-1, initial=0.0) for rows in kinds)
-    borne = _borne(version, grips, response, directions)
-    return size[..., seen.flowers], stem, joint, base, omega2 * load, borne
+    plant = version.plant
+    moved, pads = motions(version, grips, frequencies)
+    flowers = _sizes(_answered(plant, grips, moved["flowers"], pads), directions)
+    *loads, wrench = (_sizes(moved[kind], directions) for kind in LOADS)
+    largest = (size.max(axis=-1, initial=0.0) for size in loads)
+    radius = held_radius(plant, grips)[:, None]
+    borne = friction_force(*np.moveaxis(wrench, -1, 0), radius=radius, width=version.pads.width)
+    return flowers, *largest, borne
 
 
-def _borne(version: Version, grips: Sequence[NDArray[Any]], response: Observed, directions: Array) -> Array:
-    """Return (Q, G, D) what friction must bear, per metre of grip motion [N/m]."""
-    sizes, radius = _sizes(wrench(version, grips, response), directions), held_radius(version.plant, grips)[:, None]
-    return friction_force(*np.moveaxis(sizes, -1, 0), radius=radius, width=version.pads.width)
+def motions(
+    version: Version,
+    grips: Sequence[NDArray[Any]],
+    frequencies: Array,
+    like: PlantModel | None = None,
+    points: NDArray[np.int64] = NO_POINTS,
+) -> tuple[dict[str, ComplexArray], ComplexArray]:
+    """Return what one metre of gripper motion along each axis does, (Q, G, K, 3, 3) by kind, and to the pads.
 
+    Without the material's gain. "flowers" and "points" [m/m]; of `LOADS` what their length is the load of [1/m, leaves
+    1/s2], of the grip its force, pivoting moment and twist, as `friction_force` takes them [N/m, N].
 
-def wrench(version: Version, grips: Sequence[NDArray[Any]], response: Observed) -> ComplexArray:
-    """Return (Q, G, 3, 3, 3) force, pivoting moment and twist of the grip for each axis, as `friction_force` takes."""
-    rods, held = version.plant.rods, np.array([grip[0] for grip in grips])
+    Args:
+        version: one scenario.
+        grips: G lists of the rod nodes between the pads, see `pad_nodes`.
+        frequencies: (Q,) [Hz].
+        like: see `observables`.
+        points: (P,) rod nodes that are observed too.
+    """
+    rods, seen = version.plant.rods, observables(version.plant, like)
+    operator = vstack([seen.operator, displacements(points, len(rods.nodes))], format="csr")
+    response = _observed(version, grips, operator, frequencies)
+    moved, held = response.vectors, np.array([grip[0] for grip in grips])
     stem = rods.nodes[held] - rods.nodes[rods.parent[held]]
     stem /= np.linalg.norm(stem, axis=1, keepdims=True)
     twist = stem[:, :, None] * stem[:, None] @ response.moment
-    return np.stack([response.force, response.moment - twist, twist], axis=2)
+    parts = {"flowers": moved[:, :, seen.flowers], "points": moved[:, :, moved.shape[2] - len(points) :]}
+    parts |= {kind: moved[:, :, getattr(seen, kind)] for kind in PEAKS}
+    parts["leaf_load"] = (2 * np.pi * frequencies[:, None, None, None, None]) ** 2 * parts["leaf_load"]
+    parts["grip_force"] = np.stack([response.force, response.moment - twist, twist], axis=2)
+    return parts, response.pads
 
 
 def held_radius(plant: PlantModel, grips: Sequence[NDArray[Any]]) -> Array:
@@ -202,9 +214,7 @@ def answer(
     """
     plant = version.plant
     nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
-    at = (4 * nodes[:, None] + np.arange(3)).ravel()
-    seen = csr_array((np.ones(len(at)), (np.arange(len(at)), at)), (len(at), 4 * len(plant.rods.nodes)))
-    response = vectors(version, grips, seen, frequencies)
+    response = _observed(version, grips, displacements(nodes, len(plant.rods.nodes)), frequencies)
     flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
     return Phasors(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
 
@@ -216,11 +226,8 @@ def flower_motion(
     return answer(version, grips, direction, frequencies).flowers
 
 
-def vectors(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
-    """Return what an operator (`observables`) sees of one scenario, without the material's gain.
-
-    The damping ratio is the same at every frequency (hysteretic).
-    """
+def _observed(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
+    """Return what an operator sees of one scenario. The damping ratio is the same at every frequency (hysteretic)."""
     plant, loss = version.plant, 2 * version.plant.material.damping_ratio
     springs = version.pads.springs
     return observed_response(plant.rods, plant.clamp, grips, operator, frequencies, loss_factor=loss, springs=springs)
@@ -238,20 +245,14 @@ def _answered(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: Complex
     return carried + plant.material.response_gain * (vectors - carried)
 
 
-@compiled
-def _sizes(vectors: Any, directions: Any) -> Any:
-    """Return (Q, G, D, K) the `semi_major` of vectors (Q, G, K, 3, 3) times directions (G, D, 3)."""
-    Q, G, K = vectors.shape[:3]
-    out = np.empty((Q, G, directions.shape[1], K))
-    for q in range(Q):
-        for g in range(G):
-            for d in range(directions.shape[1]):
-                x, y, z = directions[g, d]
-                for k in range(K):
-                    square, product = 0.0, 0j
-                    for i in range(3):
-                        v = vectors[q, g, k, i, 0] * x + vectors[q, g, k, i, 1] * y + vectors[q, g, k, i, 2] * z
-                        square += v.real * v.real + v.imag * v.imag
-                        product += v * v
-                    out[q, g, d, k] = np.sqrt(0.5 * (square + abs(product)))
-    return out
+def _sizes(vectors: ComplexArray, directions: Array) -> Array:
+    """Return (Q, G, D, K) the `semi_major` of V d for V (Q, G, K, 3, 3) and directions d (G, D, 3).
+
+    |V d|^2 and V d . V d are forms in d: their matrices are found once for all directions.
+    """
+    pairs = (directions[:, :, :, None] * directions[:, :, None]).reshape(*directions.shape[:2], 9)
+    square, product = (
+        (part @ vectors).reshape(*vectors.shape[:3], 9) @ np.swapaxes(pairs, 1, 2)
+        for part in (np.swapaxes(vectors.conj(), -1, -2), np.swapaxes(vectors, -1, -2))
+    )
+    return np.swapaxes(np.sqrt(np.maximum(0.5 * (square.real + np.abs(product)), 0)), 2, 3)
