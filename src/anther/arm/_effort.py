@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pinocchio
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
+from anther.arm._collision import urdf
 from anther.arm.model import ArmModel
 from anther.devices import JointTrajectory
 from anther.errors import StageFailure
@@ -83,22 +83,6 @@ def shake_amplitude(arm: ArmModel, q: Array, rates: Array, frequencies: ArrayLik
 
 @cache
 def _model(arm: ArmModel) -> tuple[Any, Any]:
-    model = pin.Model()
-    joint = 0
-    for i, (name, link) in enumerate(zip(arm.joints, arm.links, strict=True)):
-        place = pin.SE3(Rotation.from_euler("xyz", link.rpy).as_matrix(), np.array(link.xyz, dtype=float))
-        joint = model.addJoint(joint, pin.JointModelRZ(), place, name)
-        model.appendBodyToJoint(joint, _inertia(link.mass, link.com, link.inertia), pin.SE3.Identity())
-        for rider in (rider for rider in arm.riders if rider.link == i):
-            at = pin.SE3(np.eye(3), np.array(rider.xyz))
-            model.appendBodyToJoint(joint, _inertia(rider.mass, rider.com, rider.inertia), at)
-    flange, tool = pin.SE3(arm.T_last_flange), arm.tool
-    for mass, com in ((tool.mass, tool.com), (tool.camera_mass, tool.camera[0].center)):
-        model.appendBodyToJoint(joint, _inertia(mass, com, (0.0,) * 6), flange)
+    model = pin.buildModelFromXML(urdf(arm))
     model.armature = arm.rotor_inertia
     return model, model.createData()
-
-
-def _inertia(mass: float, com: ArrayLike, moments: tuple[float, ...]) -> Any:
-    xx, yy, zz, xy, xz, yz = moments
-    return pin.Inertia(mass, np.array(com, dtype=float), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))

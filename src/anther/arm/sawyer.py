@@ -16,7 +16,7 @@ from math import pi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from anther.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Rider, Solid, Tool
+from anther.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Solid, Tool
 from anther.geometry import transform
 from anther.grasp.clearance import GripperShape
 
@@ -116,10 +116,10 @@ BASE_SOLIDS = (
     Solid("controller_box", (-0.325, 0, -0.38), (0.11, 0.2, 0.265)),
     Solid("pedestal_feet", (-0.1225, 0, -0.758), (0.385, 0.35, 0.155)),
 )
-HEAD = Rider(
+HEAD = Link(
     "head",
-    0,
     (0.0, 0.0, 0.2965),
+    (0.0, 0.0, 0.0),
     1.5795,
     (0.0053207, -2.6549e-05, 0.1021),
     (0.011833, 0.0082709, 0.0049661, -4.4669e-06, 4.9425e-05, 4.2124e-07),
@@ -206,7 +206,7 @@ SAWYER = ArmModel(
     floor=FLOOR_Z,
     base_capsules=BASE_CAPSULES,
     base_solids=BASE_SOLIDS,
-    riders=(HEAD,),
+    riders=((0, HEAD),),
     wrist=Capsule((0, 0, -0.1345), (0, 0, -0.0525), LINKS[5].capsules[1].radius),  # right_l5's round end
 )
 T_FLANGE_GRASP = TOOL.T_flange_grasp
