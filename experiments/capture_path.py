@@ -22,9 +22,9 @@ from path_judge import SIGHT, Surroundings, judge_path
 from rich.console import Console
 from rich.table import Table
 
-from anther.arm import _timing as timing
+from anther.arm import _motions as motions
 from anther.arm import sawyer, sharpness
-from anther.arm._effort import USABLE
+from anther.arm._motions import USABLE
 from anther.arm.views import SEEN, Views, capture_time, cylinder_points
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, views_at
 from anther.devices import JointTrajectory
@@ -79,7 +79,7 @@ def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
         "sharp_span_needed_ms": 1000 * camera.span,
         "shortest_sharp_span_ms": 1000 * min(spans[:-1]),  # after the last view the arm stands
         "farthest_from_view_mm": 1000 * max(off),
-        "driven_effort_share": float(np.abs(log.torques / sawyer.EFFORT).max()),
+        "driven_effort_share": float(np.abs(log.torques / sawyer.SAWYER.effort).max()),
         "contacts": len(log.contact_other),
     }
 
@@ -97,7 +97,7 @@ def through_views(views: Views) -> tuple[JointTrajectory, Array]:
         if dwell > 0:
             parts.append(JointTrajectory.standstill(motion.positions[-1], float(dwell)))
         now = arrivals[-1] + float(dwell)
-    return timing.joined(parts), np.array(arrivals)
+    return motions.joined(parts), np.array(arrivals)
 
 
 def longest(flags: NDArray[np.bool_]) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from anther.arm import _kinematics, sawyer, shaking
-from anther.arm import _timing as timing
+from anther.arm import _motions as motions
 from anther.arm._collision import CollisionWorld
 from anther.arm._kinematics import newton_step
 from anther.arm.planner import SEARCH_STEP, Planner
@@ -93,14 +93,14 @@ def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():
     way = np.array([0.8, 0, 0, 0, 0, 0, 0])
     rate = 30 * t**2 - 60 * t**3 + 30 * t**4
     motion = JointTrajectory(t, sawyer.NEUTRAL + share[:, None] * way, rate[:, None] * way)
-    speed = timing.flange_speed(sawyer.SAWYER, motion)
-    calm = timing.slowed(sawyer.SAWYER, motion, 0.5 * speed)
-    assert timing.flange_speed(sawyer.SAWYER, calm) == pytest.approx(0.5 * speed, rel=1e-6)
+    speed = motions.flange_speed(sawyer.SAWYER, motion)
+    calm = motions.slowed(sawyer.SAWYER, motion, 0.5 * speed)
+    assert motions.flange_speed(sawyer.SAWYER, calm) == pytest.approx(0.5 * speed, rel=1e-6)
     assert calm.duration == pytest.approx(2 * motion.duration)
     np.testing.assert_array_equal(calm.positions, motion.positions)
-    assert timing.slowed(sawyer.SAWYER, motion, 2 * speed).duration == pytest.approx(motion.duration)
+    assert motions.slowed(sawyer.SAWYER, motion, 2 * speed).duration == pytest.approx(motion.duration)
     hasty = JointTrajectory(t / 4, motion.positions, 4 * motion.velocities)
-    slow = timing.slowed(sawyer.SAWYER, hasty, 100.0)
+    slow = motions.slowed(sawyer.SAWYER, hasty, 100.0)
     acceleration = CubicHermiteSpline(slow.times, slow.positions, slow.velocities)(slow.times, 2)
     assert 0.9 < np.abs(acceleration / sawyer.ACCELERATION).max() <= 1
 
@@ -403,9 +403,9 @@ def test_planner_refuses_points_that_are_none():
 
 def test_joined_motions_follow_each_other():
     path = np.linspace(sawyer.NEUTRAL, sawyer.NEUTRAL + 0.1, 9)
-    there = timing.along_line(sawyer.SAWYER, path, 0.1, 0.05)
-    back = timing.along_line(sawyer.SAWYER, path[::-1], 0.1, 0.05)
-    both = timing.joined([there, back])
+    there = motions.along_line(sawyer.SAWYER, path, 0.1, 0.05)
+    back = motions.along_line(sawyer.SAWYER, path[::-1], 0.1, 0.05)
+    both = motions.joined([there, back])
     assert both.duration == pytest.approx(there.duration + back.duration)
     np.testing.assert_allclose(both.positions[[0, -1]], [path[0], path[0]], atol=1e-9)
     assert_within_limits(both)
