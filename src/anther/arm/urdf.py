@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-import pinocchio
 import trimesh
 from numpy.typing import ArrayLike
 from scipy.cluster.vq import kmeans2
@@ -24,8 +24,6 @@ from anther.arm.sawyer import TOOL
 from anther.errors import bad_input
 from anther.files import read_lines
 from anther.geometry import Array, inverse, transform
-
-pin: Any = pinocchio  # its names come from C++ at run time; type checkers do not see them
 
 SURFACE = 3000  # points on a link's shapes, beside their corners
 ROTOR = 1 / 150  # kg m^2 of rotor inertia for each N m of effort: a guess, half of Sawyer's
@@ -66,6 +64,7 @@ def from_urdf(
     Raises:
         InputError: no such file, no XML, no chain between the links, a joint that slides, or a link without a shape.
     """
+    pin: Any = import_module("pinocchio")  # of the extra `cell`, which arms that are no URDF can be shown without
     tree = _tree_from(_robot(path), base, tip)
     model = pin.buildModelFromXML(ElementTree.tostring(tree, encoding="unicode"))
     data = model.createData()
@@ -81,8 +80,10 @@ def from_urdf(
         if frame.parentJoint in shapes:
             shapes[frame.parentJoint] += _points(link, frame.placement.homogeneous, path, packages)
     turns = [np.eye(4), *(transform(_onto(data.joints[j].S[3:]), np.zeros(3)) for j in chain)]
-    links = [_link(model, j, *turns[i : i + 2], shapes[j]) for i, j in enumerate(chain)]
+    bodies = [pin.SE3(inverse(turn)).act(model.inertias[j]) for j, turn in zip(chain, turns[1:], strict=True)]
+    links = [_link(model, j, *turns[i : i + 2], bodies[i], shapes[j]) for i, j in enumerate(chain)]
     lower, upper, velocity, effort = np.array([_limits(model, j) for j in chain]).T
+    T_flange = end.placement.homogeneous @ (np.eye(4) if T_tip_flange is None else T_tip_flange)
     arm = ArmModel(
         name=name,
         joints=tuple(model.names[j] for j in chain),
@@ -94,9 +95,7 @@ def from_urdf(
         rotor_inertia=ROTOR * effort,
         stiffness=SPRING * effort,
         links=tuple(links),
-        T_last_flange=inverse(turns[-1])
-        @ end.placement.homogeneous
-        @ (np.eye(4) if T_tip_flange is None else T_tip_flange),
+        T_last_flange=inverse(turns[-1]) @ T_flange,
         tool=tool,
         neutral=np.asarray(ready, dtype=float),
         ready=np.asarray(ready, dtype=float),
@@ -123,10 +122,11 @@ def _robot(path: Path) -> Any:
 def _tree_from(robot: Any, base: str, tip: str) -> Any:
     """Return all that hangs on the base as a URDF of its own; of a tip that is fixed only where it is."""
     links = {link.get("name"): link for link in robot.findall("link")}
-    tree, open_ = ElementTree.Element("robot", name="arm"), [base]
+    tree, open_ = ElementTree.Element("robot", name="arm"), [base] if base in links else []
     while open_:
         name = open_.pop()
-        tree.append(links[name])
+        bare = ElementTree.SubElement(tree, "link", name=name)
+        bare.extend(part for part in links[name] if part.tag in ("inertial", "collision"))
         for joint in robot.findall("joint"):
             if joint.find("parent").get("link") == name:
                 tree.append(joint)
@@ -141,20 +141,17 @@ def _tree_from(robot: Any, base: str, tip: str) -> Any:
     return tree
 
 
-def _link(model: Any, j: int, turn_before: Array, turn: Array, shapes: Sequence[Array]) -> Link:
+def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes: Sequence[Array]) -> Link:
     """Return the link that joint j turns; turns (4, 4) take our frames, of it and of the one before, to the URDF's."""
-    name = next(frame.name for frame in model.frames if frame.parentJoint == j and frame.type == pin.BODY)
+    name = next(frame.name for frame in model.frames if frame.parentJoint == j and frame.type.name == "BODY")
     if not shapes:
         raise bad_input(f"link {name}", given="no collision shape", allowed="at least one", do="Add one to the URDF.")
     T = inverse(turn_before) @ model.jointPlacements[j].homogeneous @ turn
     points = np.concatenate(shapes) @ turn[:3, :3]
-    body = pin.SE3(inverse(turn)).act(model.inertias[j])
     x, y, z = body.inertia
     moments = (x[0], y[1], z[2], x[1], x[2], y[2])
-    numbers = (
-        tuple(map(float, part)) for part in (T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments)
-    )
-    xyz, turned, com, inertia = numbers
+    told: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
+    xyz, turned, com, inertia = (tuple(map(float, part)) for part in told)
     return Link(name, xyz, turned, body.mass, com, inertia, capsules_around(points))  # type: ignore[arg-type]
 
 
@@ -166,7 +163,7 @@ def _points(link: Any, T: Array, path: Path, packages: Path | None) -> list[Arra
         surface = trimesh.sample.sample_surface(mesh, SURFACE, seed=0)[0]
         origin = collision.find("origin")
         told = {} if origin is None else origin.attrib
-        turn = pin.rpy.rpyToMatrix(_numbers(told.get("rpy", "0 0 0")))
+        turn = Rotation.from_euler("xyz", _numbers(told.get("rpy", "0 0 0"))).as_matrix()
         points = np.concatenate([mesh.vertices, surface]) @ turn.T + _numbers(told.get("xyz", "0 0 0"))
         out.append(points @ T[:3, :3].T + T[:3, 3])
     return out
@@ -192,8 +189,10 @@ def _limits(model: Any, j: int) -> tuple[float, float, float, float]:
     """Return lower, upper, velocity and effort of a joint."""
     at, to = model.idx_qs[j], model.idx_vs[j]
     lower, upper = float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])
-    if model.nqs[j] > 1 or upper - lower > 2 * WIDEST:  # a joint that turns on and on has a sine and a cosine
-        lower, upper = (-WIDEST, WIDEST) if model.nqs[j] > 1 else (max(lower, -WIDEST), min(upper, WIDEST))
+    if model.nqs[j] > 1:  # it turns on and on, and these are of its sine and cosine
+        lower, upper = -WIDEST, WIDEST
+    elif upper - lower > 2 * WIDEST:
+        lower, upper = max(lower, -WIDEST), min(upper, WIDEST)
     return lower, upper, float(model.velocityLimit[to]), float(model.effortLimit[to])
 
 
