@@ -75,16 +75,16 @@ def test_inverse_branches_differ_and_near_comes_first():
     assert len(branches) > 10
 
 
-def test_free_motion_stays_within_its_space():
+def test_free_motion_stays_within_its_space(monkeypatch):
     around = np.eye(7)[0]
     here, there = sawyer.NEUTRAL + 0.6 * around, sawyer.NEUTRAL - 1.3 * around
     straight = Planner(NOTHING, NOTHING).move(here, there)
     farthest = sawyer.forward(straight.positions)[:, 0, 3].max()
     wide, narrow = (Box(np.full(3, -2.0), np.array([x, 2.0, 2.0])) for x in (farthest + 0.01, farthest - 0.02))
     assert Planner(NOTHING, NOTHING, space=wide).move(here, there).duration == pytest.approx(straight.duration)
-    quick = MotionParams(search_time=0.1)
+    monkeypatch.setattr("anther.arm.planner.SEARCH_TIME", 0.1)
     with pytest.raises(StageFailure, match="no free path"):  # the search finds the straight line again
-        Planner(NOTHING, NOTHING, space=narrow, params=quick).move(here, there)
+        Planner(NOTHING, NOTHING, space=narrow).move(here, there)
 
 
 def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():

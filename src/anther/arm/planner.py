@@ -30,6 +30,7 @@ HURRY = 0.4  # share of the shake's amplitude that a second less on the way to a
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
 SEARCHES = 3  # for a path, each with half the step of the one before
+SEARCH_TIME = 2.0  # s for a path around obstacles in each of them
 SEEDS = 3  # of each search: the quickest way found is taken
 SHIFTS, SHIFT = 20, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
@@ -54,18 +55,14 @@ class Params:
             "medium" (facts: sawyer 1).
         flange_speed: of the flange in free motion at most [m/s]; just within `devices.SafetyLimits`.
         approach_speed: of the flange along straight lines [m/s].
-        search_time: for a path around obstacles, in each of `SEARCHES` [s].
         home: (J,) joints from which grasps must be reachable [rad]; None is where the arm is ready.
-        seed: of that search.
     """
 
     velocity_share: float = 0.5
     acceleration_share: float = 0.35
     flange_speed: float = 1.45
     approach_speed: float = 0.05
-    search_time: float = 2.0
     home: tuple[float, ...] | None = None
-    seed: int = 0
 
     def __post_init__(self) -> None:
         check_range("velocity share", self.velocity_share, 0.01, 1)
@@ -246,7 +243,7 @@ class Planner:
             goal = self._backed_out(q)[0]
         except StageFailure:
             return False
-        return self._search(self.home, goal, REACH_TIME, SEARCH_STEP, self.params.seed) is not None
+        return self._search(self.home, goal, REACH_TIME, SEARCH_STEP, 0) is not None
 
     def _between(self, start: Place, goal: Place) -> JointTrajectory:
         (begin, leave), (end, enter) = start, goal
@@ -280,7 +277,7 @@ class Planner:
         """Return motions by the ways found, and the waypoints (N, J) of each; free as far as steps [rad] tell."""
         tried = ((self._timed(path, step) for path in paths) for paths in self._detours(start, goal, step))
         ways = [way for some in tried if (way := next(filter(None, some), None))]
-        rng = np.random.default_rng(self.params.seed)
+        rng = np.random.default_rng(0)
         for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False) if ways else ():
             quickest, path = min(ways, key=lambda way: way[0].duration)
             shifts = left * self.arm.velocity / self.arm.velocity.mean() * rng.normal(size=path[1:-1].shape)
@@ -318,19 +315,15 @@ class Planner:
         inside = self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
         return inside and self.world.path_free(path, step)
 
-    def _detours(self, start: Array, goal: Array, step: float) -> Iterator[Iterator[Array]]:
-        """Yield for each way that RRT-Connect finds, one a seed until it finds none, its `_variants`."""
-        for seed in range(self.params.seed, self.params.seed + SEEDS):
-            found = self._search(start, goal, self.params.search_time, step, seed)
+    def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[Array, Array]]:
+        """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, one a seed until it finds none."""
+        for seed in range(SEEDS):
+            found = self._search(start, goal, SEARCH_TIME, step, seed)
             if found is None:
                 return
-            yield self._variants(found, step, seed)
-
-    def _variants(self, found: JointPath, step: float, seed: int) -> Iterator[Array]:
-        """Yield the waypoints (N, J) of a path shortened, and as they are."""
-        cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
-        yield np.array(PathShortcutter(self.world.scene, cut).shortcut(found).positions)
-        yield np.array(found.positions)
+            cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
+            shorter = PathShortcutter(self.world.scene, cut).shortcut(found)
+            yield np.array(shorter.positions), np.array(found.positions)
 
     def _search(self, start: Array, goal: Array, seconds: float, step: float, seed: int) -> JointPath | None:
         """Return a path by RRT-Connect, checked at `step` [rad] only, or None."""
