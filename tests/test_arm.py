@@ -12,7 +12,6 @@ from anther.arm import _motions as motions
 from anther.arm._collision import CollisionWorld
 from anther.arm._kinematics import newton_step
 from anther.arm.planner import SEARCH_STEP, Planner
-from anther.arm.planner import Params as MotionParams
 from anther.devices import JointTrajectory
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, transform
