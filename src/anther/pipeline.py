@@ -14,8 +14,7 @@ from anther.cloud import Cloud, likely_cause
 from anther.devices import Robot, SafetyLimits
 from anther.errors import FailureKind, InputError, StageFailure
 from anther.escalation import SHORTEST, Escalation, foresee, watch_points
-from anther.execution import Trial
-from anther.execution.early_reach import Arrive, early_reach
+from anther.execution import Arrive, Trial, early_reach
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
