@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther import cloud, flowers, grasp, masks, pipeline, plant, shake, skeleton, stem
+from anther import cloud, flowers, masks, pipeline, plant, shake, skeleton, stem
 from anther.cli import main
 from anther.cloud import Cloud, _registration
 from anther.errors import InputError
@@ -16,7 +16,7 @@ from anther.skeleton import skeletonize
 
 STAGES: list[Any] = [
     cloud.Params(), _registration.Params(), masks.Params(), skeleton.Params(),
-    flowers.Params(), grasp.Params(), plant.Params(),
+    flowers.Params(), plant.Params(),
 ]  # fmt: skip
 
 
@@ -44,7 +44,6 @@ def test_all_stages_of_the_pipeline_are_in_the_table() -> None:
         (skeleton.Params, "voxel", 0.0), (skeleton.Params, "spacing", 0.0),
         (skeleton.Params, "recentre", 1_000_000),
         (flowers.Params, "reach", 0.0),
-        (grasp.Params, "wanted", 0),
         (shake.Params, "most_amplitude", 0.0),
         (shake.Params, "most_amplitude", float("inf")), (masks.Params, "ground_radius", 10.0),
     ],
