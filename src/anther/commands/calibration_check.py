@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from anther.calibration import Moved, camera_moved, parse_board, read_intrinsics
-from anther.calibration.proposals import spread
-from anther.calibration.taken import INTRINSICS, Record, Taken, read_record
+from anther.calibration.live import INTRINSICS, Record, Taken, read_record, spread
 from anther.cells import CellFile, read_cell
 from anther.commands.hardware_cell import arm_and_camera
 from anther.commands.live_calibration import Asking, Eye

@@ -15,8 +15,17 @@ from numpy.typing import NDArray
 from anther.arm.board_views import board_planner, first_reached
 from anther.arm.planner import Planner
 from anther.calibration import BoardViews, HandEye, parse_board, read_intrinsics, why_unseen
-from anther.calibration.proposals import candidates, least_alike
-from anther.calibration.taken import ENOUGH, MOST, RESULT, Taken, is_steady, lacks, taken_before
+from anther.calibration.live import (
+    ENOUGH,
+    MOST,
+    RESULT,
+    Taken,
+    candidates,
+    is_steady,
+    lacks,
+    least_alike,
+    taken_before,
+)  # fmt: skip
 from anther.cells import CellFile, read_cell
 from anther.cells.rewriting import point_to_calibration
 from anther.commands.hardware_cell import CALM, arm_and_camera, motion_params
