@@ -39,7 +39,9 @@ class CollisionWorld:
         self._add_points("obstacles", obstacles)
         floor = Box(np.array([-3.0, -3.0, arm.floor - 0.1]), np.array([3.0, 3.0, arm.floor]))
         for i, box in enumerate((floor, *boxes)):
-            self._add_box(f"box{i}", box)
+            shape, middle = SceneBox(*(box.upper - box.lower)), _pose((box.lower + box.upper) / 2)
+            self.scene.addBoxGeometry(f"box{i}", "universe", shape, middle, _GREY)
+            self._stands_still(f"box{i}")
 
     def free(self, q: Array) -> bool:
         """Return whether joints (J,) are within limits and touch nothing."""
@@ -77,11 +79,6 @@ class CollisionWorld:
         self.scene.addOcTreeGeometry(name, "universe", OcTree(list(rows), VOXEL), _pose(np.zeros(3)), _GREY)
         self._stands_still(name)
         return True
-
-    def _add_box(self, name: str, box: Box) -> None:
-        x, y, z = box.upper - box.lower
-        self.scene.addBoxGeometry(name, "universe", SceneBox(x, y, z), _pose((box.lower + box.upper) / 2), _GREY)
-        self._stands_still(name)
 
     def _stands_still(self, name: str) -> None:
         self.scene.setCollisions([(name, other) for other in self._still], False)

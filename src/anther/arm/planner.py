@@ -99,11 +99,6 @@ class Planner:
         self.world = CollisionWorld(arm, *points, boxes)
         self.plant = cube_centres(points[0])
 
-    def inverse(self, T_world_flange: ArrayLike, *, near: ArrayLike | None = None) -> Array:
-        """Return the collision-free joint solutions (B, J) of a flange pose, those nearest to `near` (J,) first."""
-        branches = _kinematics.inverse(self.arm, T_world_flange, near=near)
-        return branches[[self.world.free(q) for q in branches]] if len(branches) else branches
-
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
         """Return joints (J,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
 

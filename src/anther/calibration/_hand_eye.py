@@ -197,7 +197,7 @@ def disagreement(predicted: Array, seen: Array, centre: Array) -> tuple[Array, A
 
 
 def robust_estimate(
-    T_base_flange: Array, T_cam_board: Array, centre: Array, sigmas: tuple[float, float], method: Method, seed: int = 0
+    T_base_flange: Array, T_cam_board: Array, centre: Array, sigmas: tuple[float, float], method: Method
 ) -> tuple[Array, Array, Array]:
     """Return T_flange_cam, T_base_board and the misfit (V,) [-] of the subset of views that most views agree with.
 
@@ -208,14 +208,13 @@ def robust_estimate(
         centre: (3,) of the board [m], where distances are measured.
         sigmas: unit of angles [rad] and of distances [m].
         method: solver.
-        seed: of the draws.
 
     Raises:
         InputError: no subset gives a solution.
     """
     count = len(T_base_flange)
     best, best_score = None, np.inf
-    for views in _subsets(count, np.random.default_rng(seed)):
+    for views in _subsets(count, np.random.default_rng(0)):
         try:
             X, Z = closed_form(T_base_flange[views], T_cam_board[views], method)
         except InputError:

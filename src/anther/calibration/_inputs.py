@@ -81,10 +81,6 @@ class CharucoBoard:
         """The (3,) middle of the board in its own frame [m]."""
         return np.array([self.columns * self.square / 2, self.rows * self.square / 2, 0])
 
-    def opencv(self) -> Any:
-        """Return OpenCV's board."""
-        return self._printed
-
     def find(self, image: NDArray[Any]) -> tuple[Array, Array]:
         """Return (n, 3) corners in the board frame [m] and (n, 2) where they are in the image [px]; n may be 0."""
         corners, ids, _, _ = cv2.aruco.CharucoDetector(self._printed).detectBoard(np.ascontiguousarray(image))
