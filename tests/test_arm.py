@@ -104,7 +104,7 @@ def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():
     assert 0.9 < np.abs(acceleration / sawyer.ACCELERATION).max() <= 1
 
 
-def test_a_newton_step_is_the_damped_least_squares_step():
+def test_compiled_newton_step_is_the_damped_least_squares_step():
     rng = np.random.default_rng(3)
     q, goal = rng.uniform(sawyer.LOWER, sawyer.UPPER, (2, 40, 7))
     target = sawyer.forward(goal)

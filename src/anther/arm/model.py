@@ -246,10 +246,7 @@ class ArmModel:
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Return the (..., 6, J) Jacobian of the flange: linear [m/rad] above angular [rad/rad], in the base frame."""
-        return self.jacobian_at(self.link_poses(q))
-
-    def jacobian_at(self, poses: Array) -> Array:
-        """Return the same for what `link_poses` returned."""
+        poses = self.link_poses(q)
         axes = poses[..., :-1, :3, 2]
         arms = poses[..., -1:, :3, 3] - poses[..., :-1, :3, 3]
         x, y, z = np.moveaxis(axes, -1, 0)
