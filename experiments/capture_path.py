@@ -7,7 +7,7 @@ millisecond by `path_judge` (another collision engine than the planner's): joint
 torque, and the distance of arm, gripper and camera to themselves, bench, pot, side camera, and the upright cylinder
 (0.5 m wide, 0.75 m high) that is kept for the plant. Then the simulated arm, with its servos, drives them before a
 grown plant, which it must not touch. Around each view the span is measured in which a frame shows the plant sharp and
-the arm's readings tell where it was taken (`anther.arm.sharpness`): a camera that runs freely needs 38 ms.
+the arm's readings tell where it was taken (`anther.arm.views`): a camera that runs freely needs 38 ms.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from path_judge import SIGHT, Surroundings, judge_path
 from rich.console import Console
 from rich.table import Table
 
-from anther.arm import _timing as timing
-from anther.arm import sawyer, sharpness
-from anther.arm._effort import USABLE
-from anther.arm.views import SEEN, Views, capture_time, cylinder_points
+from anther.arm import _motions as motions
+from anther.arm import sawyer
+from anther.arm._motions import USABLE
+from anther.arm.views import SEEN, Params, Views, capture_time, cylinder_points, is_sharp
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, views_at
 from anther.devices import JointTrajectory
 from anther.files import write_json
@@ -58,7 +58,7 @@ def judged(views: Views, pot: Box) -> dict[str, float]:
 
 def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
     """Return how the simulated arm follows the whole motion before a plant of that seed, and how long it is sharp."""
-    cell, camera = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY), sharpness.Params()
+    cell, camera = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY), Params()
     motion, arrivals = through_views(views)
     with Console().status(f"driving, {species} {seed}"):
         record = SimArm(cell).follow(motion)
@@ -68,7 +68,7 @@ def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
     for arrival, dwell, T_world_cam in zip(arrivals, views.dwell, views.T_world_cam, strict=True):
         rows = np.flatnonzero(np.abs(record.times - arrival - dwell / 2) < LOOK)
         q = record.measured[rows]
-        sharp = sharpness.is_sharp(sawyer.SAWYER, q, rates[rows], sawyer.T_FLANGE_CAM, points, camera)
+        sharp = is_sharp(sawyer.SAWYER, q, rates[rows], sawyer.T_FLANGE_CAM, points, camera)
         begin, end = longest(sharp)
         spans.append(float(end - begin) * cell.params.timestep)
         at = sawyer.forward(q[begin:end]) @ sawyer.T_FLANGE_CAM
@@ -80,7 +80,7 @@ def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
         "sharp_span_needed_ms": 1000 * camera.span,
         "shortest_sharp_span_ms": 1000 * min(spans[:-1]),  # after the last view the arm stands
         "farthest_from_view_mm": 1000 * max(off),
-        "driven_effort_share": float(np.abs(log.torques / sawyer.EFFORT).max()),
+        "driven_effort_share": float(np.abs(log.torques / sawyer.SAWYER.effort).max()),
         "contacts": len(log.contact_other),
     }
 
@@ -98,7 +98,7 @@ def through_views(views: Views) -> tuple[JointTrajectory, Array]:
         if dwell > 0:
             parts.append(JointTrajectory.standstill(motion.positions[-1], float(dwell)))
         now = arrivals[-1] + float(dwell)
-    return timing.joined(parts), np.array(arrivals)
+    return motions.joined(parts), np.array(arrivals)
 
 
 def longest(flags: NDArray[np.bool_]) -> tuple[int, int]:

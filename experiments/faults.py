@@ -42,8 +42,7 @@ from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, build, grow, layout, safety_limits
 from anther.devices import Arm, DeviceError, Robot, SafetyLimits
 from anther.errors import InputError, StageFailure
-from anther.execution import Trial, execute
-from anther.execution.early_reach import early_reach
+from anther.execution import Trial, early_reach, execute
 from anther.files import read_json, write_json
 from anther.geometry import Array
 from anther.grasp import STAND_OFF

@@ -2,7 +2,7 @@
 
     python experiments/fit_confidence.py
 
-Prints the constants of skeleton/_rooting.py and grasp/_confidence.py. Development plants: 48 grown (`real/grown.py`),
+Prints the constants of skeleton/_rooting.py and grasp/_candidates.py. Development plants: 48 grown (`real/grown.py`),
 five of the ten seedlings of trackplant3d_tomato1a (every third scan), gavriel_maize_28.2.23_8; each disturbed once in
 every way (`real/strict.py`), and for the grasp some development captures of confidence.py as well. None of them is
 among the plants that disturbed_plants.py reports. The root: a conditional logit among low tips, nested in whether the
@@ -32,7 +32,7 @@ from scipy.optimize import minimize
 
 import anther.skeleton as skeleton_stage
 from anther.geometry import Array
-from anther.grasp._confidence import place_evidence
+from anther.grasp._candidates import place_evidence
 from anther.skeleton.raw_tree import RawTree
 from anther.skeleton.support import PlantBase, base_evidence, find_root
 
@@ -120,7 +120,7 @@ def main() -> None:
         if s is not None and len(s.arcs):
             found.evidence += list(place_evidence(s.stem, s.skeleton, s.arcs[::SPARSE]))
             found.right += s.place_right[::SPARSE].tolist()
-    _say(console, "grasp/_confidence.py: FITTED", logistic(np.array(found.evidence), np.array(found.right)))
+    _say(console, "grasp/_candidates.py: FITTED", logistic(np.array(found.evidence), np.array(found.right)))
 
 
 def _say(console: Console, name: str, numbers: Array) -> None:

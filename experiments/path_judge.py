@@ -14,7 +14,7 @@ import mujoco as mujoco_module
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.arm._effort import torques
+from anther.arm._motions import torques
 from anther.arm.model import CAMERA, FLANGE, GRIPPER, ArmModel
 from anther.arm.sawyer import SAWYER
 from anther.devices import JointTrajectory

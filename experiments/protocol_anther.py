@@ -28,8 +28,7 @@ from anther.cells import CellFile, read_cell
 from anther.commands.hardware_cell import connected, look_around, motion_params
 from anther.devices import Robot
 from anther.errors import AntherError
-from anther.execution import EARLY, Trial, execute
-from anther.execution.early_reach import early_reach
+from anther.execution import EARLY, Trial, early_reach, execute
 from anther.runs import Run
 from anther.safety import guard
 from anther.shake import ShakePlan

@@ -31,7 +31,7 @@ from view_figure import draw
 
 from anther import cloud as clouds
 from anther import flowers, masks, skeleton, stem
-from anther.arm.views import Viewpoints, capture_time, reachable_views, visit_views
+from anther.arm.views import Viewpoints, capture_time, reachable_views
 from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, photograph
@@ -138,7 +138,7 @@ def one_plant(species: Crop, seed: int, viewpoints: Viewpoints, counts: dict[str
 
 
 def _capture_seconds(viewpoints: Viewpoints, chosen: list[int]) -> float:
-    return capture_time(visit_views(viewpoints, chosen, PLACE.region, PLACE.solids))
+    return capture_time(viewpoints.visit(chosen))
 
 
 def metrics(plants: list[dict[str, dict[str, Any]]]) -> dict[str, float]:

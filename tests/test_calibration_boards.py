@@ -18,8 +18,8 @@ from anther.calibration import (
     Chessboard,
     board_views,
     calibrate,
-    detect_board,
     estimate_intrinsics,
+    find_corners,
     largest_distortion,
     parse_board,
     read_intrinsics,
@@ -98,7 +98,7 @@ def test_rendered_charuco_views_calibrate_the_camera() -> None:
     flange, seen = poses(8, rng)
     images = [render(board, T) for T in seen]
     images.insert(3, np.full((720, 1280), 90, np.uint8))  # a view without the board
-    views = detect_board(images, CAMERA, board)
+    views = board_views(find_corners(images, board), CAMERA)
     assert 3 not in views.images
     rest = np.array([i - (i > 3) for i in views.images])
     assert len(rest) >= 6
@@ -110,7 +110,7 @@ def test_rendered_charuco_views_calibrate_the_camera() -> None:
 
 def test_images_without_a_board_are_refused() -> None:
     with pytest.raises(InputError, match="none with 8 corners"):
-        detect_board([np.zeros((720, 1280), np.uint8)], CAMERA, CharucoBoard())
+        find_corners([np.zeros((720, 1280), np.uint8)], CharucoBoard())
 
 
 def test_intrinsics_are_estimated_and_distortion_only_where_there_is_some() -> None:

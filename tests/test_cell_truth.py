@@ -140,7 +140,7 @@ def test_a_joint_gives_way_by_torque_over_stiffness_and_its_encoder_does_not_see
     place, axis = (np.array([x[joint.id] for joint in flex]) for x in (d.xanchor, d.xaxis))
     torque = np.einsum("ji,ji->j", axis, np.cross(d.xipos[flange] - place, force))
     assert np.abs(torque).max() > 1.0
-    assert angle == pytest.approx(torque / (2.0 * sawyer.JOINT_STIFFNESS), rel=0.05, abs=1e-6)
+    assert angle == pytest.approx(torque / (2.0 * sawyer.SAWYER.stiffness), rel=0.05, abs=1e-6)
     assert cell.flange_pose() == pytest.approx(sawyer.forward(cell.joints + angle), abs=1e-12)
     assert d.body("flange").xpos == pytest.approx(cell.flange_pose()[:3, 3], abs=1e-5)
 

@@ -14,7 +14,7 @@ import pytest
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import Grasp, load_grasps, plan_grasps, save_grasps
-from anther.grasp._confidence import place_confidence
+from anther.grasp._candidates import place_confidence
 from anther.skeleton import Skeleton
 from anther.skeleton.support import node_confidence, probability
 from anther.stem import Params, Stem, find_stem

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anther.devices import LEAD, ArmSample
-from anther.execution._watched import LONGER, PATIENCE, Deciding
+from anther.execution._beside import LONGER, PATIENCE, Deciding
 from anther.swing import Swing, motion
 
 FIRST = Swing.first([5.0, 9.0], [2e-3, 1e-3], 2.0, 0.5)

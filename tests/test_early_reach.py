@@ -15,8 +15,7 @@ from test_execution import POINT, Plan
 
 from anther.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
 from anther.errors import StageFailure
-from anther.execution import APPROACH_SPEED, EARLY, PHASES, execute
-from anther.execution.early_reach import early_reach
+from anther.execution import APPROACH_SPEED, EARLY, PHASES, early_reach, execute
 from anther.grasp import STAND_OFF
 
 GRASP = horizontal_grasp(POINT, solve(horizontal_grasp(POINT, np.zeros(7)).T_world_flange))
@@ -103,7 +102,7 @@ def test_a_second_ctrl_c_waits_for_the_arm_too(monkeypatch: pytest.MonkeyPatch):
             raise KeyboardInterrupt
         return wait(futures)
 
-    monkeypatch.setattr("anther.execution.early_reach.wait", ctrl_c_first)
+    monkeypatch.setattr("anther.execution._beside.wait", ctrl_c_first)
     arm = SlowArm()
 
     def interrupted() -> None:

@@ -220,7 +220,7 @@ def test_asks_the_arm_lazily_and_keeps_its_joints():
         np.testing.assert_allclose(np.linalg.norm(pregrasp[:3, 3] - grasp[:3, 3]), STAND_OFF)
         return np.arange(7.0) if grasp[2, 3] > -0.1 else None
 
-    grasps = plan_grasps(*make_plant(), Params(wanted=3), reach=reach)
+    grasps = plan_grasps(*make_plant(), reach=reach)
     assert len(grasps) == 3 <= len(asked)
     assert all(g.T_world_flange[2, 3] > -0.1 and np.array_equal(g.joints, np.arange(7)) for g in grasps)
     assert len(np.unique(asked, axis=0)) == len(asked), "what is out of reach wide open is so half open"
@@ -570,10 +570,10 @@ def test_a_petiole_pushes_back_as_a_rod_held_by_the_stem():
 
 
 def test_save_and_load(tmp_path):
-    grasps = plan_grasps(*make_plant(), Params(wanted=2), reach=lambda *_: np.ones(7))
+    grasps = plan_grasps(*make_plant(), reach=lambda *_: np.ones(7))
     save_grasps(tmp_path / "grasp.json", grasps)
     loaded = load_grasps(tmp_path / "grasp.json")
-    assert len(loaded) == 2
+    assert len(loaded) == 3
     np.testing.assert_allclose(loaded[0].T_world_flange, grasps[0].T_world_flange, atol=1e-12)
     np.testing.assert_allclose(loaded[1].joints, grasps[1].joints)
     assert loaded[1].reason == grasps[1].reason

@@ -28,8 +28,17 @@ from anther.calibration import (
     camera_moved,
     flange_motions,
 )
-from anther.calibration.proposals import candidates, sees_board, spread
-from anther.calibration.taken import MOST, Taken, is_steady, lacks, read_record, taken_before
+from anther.calibration.live import (
+    MOST,
+    Taken,
+    candidates,
+    is_steady,
+    lacks,
+    read_record,
+    sees_board,
+    spread,
+    taken_before,
+)  # fmt: skip
 from anther.cells import read_cell
 from anther.cells.rewriting import point_to_calibration
 from anther.cli import main

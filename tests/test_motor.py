@@ -15,8 +15,8 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 from anther.devices import ArmRecord, ArmSample, DeviceError, MoreSwing, SafetyLimits, Watch
 from anther.errors import InputError, StageFailure
 from anther.oscillation import fit_swing
-from anther.safety import guard
-from anther.safety._motor import GuardedMotor, check_swing
+from anther.safety import GuardedMotor, guard
+from anther.safety._motion import check_swing
 from anther.sim import arm_model
 from anther.sim._motor import SimMotor
 from anther.sim.cell import Cell, Params

@@ -8,7 +8,7 @@ from path_judge import SELF, SIGHT, Surroundings, judge_path
 
 from anther.arm import sawyer
 from anther.arm._collision import CollisionWorld
-from anther.arm._effort import USABLE
+from anther.arm._motions import USABLE
 from anther.arm.planner import Planner
 from anther.arm.views import Params, Views, capture_time, plan_views
 from anther.commands.simulated_cell import USUAL_DISTANCE, layout

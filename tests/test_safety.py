@@ -108,7 +108,7 @@ def test_outline_balls_are_the_planner_s_shapes() -> None:
     q = np.random.default_rng(0).uniform(sawyer.LOWER, sawyer.UPPER, (5, 7))
     balls = outline(sawyer.SAWYER, q)
     assert balls.shape == (5, balls.shape[1], 4)
-    tip = sawyer.forward(q) @ [0, sawyer.STROKE / 2, sawyer.TIP_Z, 1]
+    tip = sawyer.forward(q) @ [0, sawyer.STROKE / 2, sawyer.TOOL.tip, 1]
     to_tip = np.linalg.norm(balls[..., :3] - tip[:, None, :3], axis=-1) - balls[..., 3]
     assert np.all(to_tip.min(axis=1) < 0.012)
     elbow = sawyer.link_poses(q)[:, 3, :3, 3]

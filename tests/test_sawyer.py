@@ -80,7 +80,7 @@ def test_reach_matches_the_facts():
 
 
 def test_inertias_are_physical():
-    for link in sawyer.LINKS:
+    for link in sawyer.SAWYER.links:
         xx, yy, zz, xy, xz, yz = link.inertia
         moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         assert moments[0] > 0
@@ -92,15 +92,15 @@ def test_limits_enclose_neutral():
 
 
 def test_fingers_close_along_y_and_touch_at_zero_opening():
-    left, right = sawyer.finger_solids(0.0)
+    left, right = sawyer.TOOL.fingers(0.0)
     assert left.center[1] - left.half[1] == pytest.approx(0)
     assert right.center[1] + right.half[1] == pytest.approx(0)
-    assert left.center[2] + left.half[2] == pytest.approx(sawyer.TIP_Z)
+    assert left.center[2] + left.half[2] == pytest.approx(sawyer.TOOL.tip)
 
 
 def test_camera_does_not_see_the_gripper():
     """Every corner of gripper and open fingers is outside the D455's 87 x 58 degree view."""
-    solids = (sawyer.GRIPPER_BODY, *sawyer.finger_solids(sawyer.STROKE))
+    solids = (sawyer.TOOL.body, *sawyer.TOOL.fingers(sawyer.STROKE))
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
     corners = np.concatenate([np.array(s.center) + signs * s.half for s in solids])
     in_camera = (corners - sawyer.T_FLANGE_CAM[:3, 3]) @ sawyer.T_FLANGE_CAM[:3, :3]
@@ -113,7 +113,7 @@ def test_grasp_planning_assumes_the_same_gripper():
     """Stages do not import the arm, so grasp planning has the gripper's numbers as defaults: they must not drift."""
     gripper = GripperShape()
     assert gripper.depth == pytest.approx(sawyer.T_FLANGE_GRASP[2, 3])
-    assert gripper.pad == (sawyer.PAD[0], sawyer.PAD[2])
+    assert gripper.pad == (sawyer.TOOL.pad[0], sawyer.TOOL.pad[2])
     boxes = {tuple(np.round(box, 6)) for box in gripper.boxes(0.0)}
-    solids = (sawyer.GRIPPER_BODY, *sawyer.CAMERA_SOLIDS, *sawyer.finger_solids(sawyer.STROKE))
+    solids = (sawyer.TOOL.body, *sawyer.TOOL.camera, *sawyer.TOOL.fingers(sawyer.STROKE))
     assert {tuple(np.round(np.r_[np.subtract(s.center, s.half), np.add(s.center, s.half)], 6)) for s in solids} <= boxes

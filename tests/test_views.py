@@ -7,7 +7,7 @@ import pytest
 
 from anther.arm import sawyer
 from anther.arm._collision import CollisionWorld
-from anther.arm.views import Params, capture_time, cylinder_points, plan_views, reachable_views, visit_views
+from anther.arm.views import Params, capture_time, cylinder_points, plan_views, reachable_views
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, layout
 from anther.errors import InputError, StageFailure
 from anther.geometry import Box
@@ -98,7 +98,7 @@ def test_cylinder_points_lie_on_the_cylinder():
 def test_chosen_viewpoints_are_visited(views):
     points = reachable_views(REGION, [BENCH], COARSE)
     chosen = [3, 0, 8, 5]
-    visited = visit_views(points, chosen, REGION, [BENCH], COARSE)
+    visited = points.visit(chosen)
     grid = list(zip(points.azimuth, points.elevation, strict=True))
     order = [grid.index(view) for view in zip(visited.azimuth, visited.elevation, strict=True)]
     assert sorted(order) == sorted(chosen)

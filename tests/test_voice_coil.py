@@ -15,7 +15,7 @@ from fake_shaker import FakeClock, FakeShaker
 from anther.devices import ArmSample, DeviceError, Motor
 from anther.drivers.voice_coil import VoiceCoil, open_port, sealed, unsealed
 from anther.errors import InputError, StageFailure
-from anther.safety._motor import GuardedMotor
+from anther.safety import GuardedMotor
 from anther.swing import Swing
 
 FIRST = Swing.first([30.0, 12.0], [0.8e-3, 0.1e-3], 0.6, 0.2)

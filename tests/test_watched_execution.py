@@ -17,7 +17,7 @@ from anther.arm import sawyer
 from anther.devices import LEAD, ArmSample, DeviceError, Frame, Robot
 from anther.errors import InputError
 from anther.execution import PHASES, Line, Step, Trial, execute
-from anther.execution._watched import LONGER, PATIENCE, Deciding
+from anther.execution._beside import LONGER, PATIENCE, Deciding
 from anther.grasp import STAND_OFF
 from anther.swing import Swing
 

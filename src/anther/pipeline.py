@@ -15,8 +15,7 @@ from anther.cloud import Cloud, likely_cause
 from anther.devices import Robot, SafetyLimits
 from anther.errors import FailureKind, InputError, StageFailure
 from anther.escalation import SHORTEST, Escalation, foresee, watch_points
-from anther.execution import Trial
-from anther.execution.early_reach import Arrive, early_reach
+from anther.execution import Arrive, Trial, early_reach
 from anther.flowers import Flowers
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
@@ -161,9 +160,7 @@ def perceive(
     tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
     centres = flowers.flower_centres(fused)
     main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
-    found = run.stage(
-        "flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres)
-    )
+    found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
     return Seen(labels, fused, tree, main, found)
 
 

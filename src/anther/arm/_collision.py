@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 
 import numpy as np
 from roboplan.core import Box as SceneBox
 from roboplan.core import OcTree, Scene, hasCollisionsAlongPath, loadUrdfSceneDescriptionFromXml
 from scipy.spatial.transform import Rotation
 
-from anther.arm.model import ARM_MARGIN, BASE, CAMERA, FLANGE, GRIPPER, ArmModel, Capsule, Solid, rpy
+from anther.arm.model import ARM_MARGIN, BASE, CAMERA, FLANGE, GRIPPER, ArmModel, Capsule, Link, rpy
 from anther.geometry import Array, Box, occupied_cells, transform
 
 GROUP = "arm"
@@ -38,7 +39,9 @@ class CollisionWorld:
         self._add_points("obstacles", obstacles)
         floor = Box(np.array([-3.0, -3.0, arm.floor - 0.1]), np.array([3.0, 3.0, arm.floor]))
         for i, box in enumerate((floor, *boxes)):
-            self._add_box(f"box{i}", box)
+            shape, middle = SceneBox(*(box.upper - box.lower)), _pose((box.lower + box.upper) / 2)
+            self.scene.addBoxGeometry(f"box{i}", "universe", shape, middle, _GREY)
+            self._stands_still(f"box{i}")
 
     def free(self, q: Array) -> bool:
         """Return whether joints (J,) are within limits and touch nothing."""
@@ -77,11 +80,6 @@ class CollisionWorld:
         self._stands_still(name)
         return True
 
-    def _add_box(self, name: str, box: Box) -> None:
-        x, y, z = box.upper - box.lower
-        self.scene.addBoxGeometry(name, "universe", SceneBox(x, y, z), _pose((box.lower + box.upper) / 2), _GREY)
-        self._stands_still(name)
-
     def _stands_still(self, name: str) -> None:
         self.scene.setCollisions([(name, other) for other in self._still], False)
         self._still.append(name)
@@ -100,45 +98,38 @@ def _pose(center: Array) -> Array:
 
 
 def urdf(arm: ArmModel) -> str:
-    """Return an arm with gripper, open fingers and wrist camera as URDF, every link with its collision shape."""
-    links = [_link(BASE, arm.base_capsules, arm.base_solids)]
-    joints = []
-    parents = (BASE, *(link.name for link in arm.links))
-    for i, (parent, link) in enumerate(zip(parents, arm.links, strict=False)):
-        links.append(_link(link.name, link.capsules, (), ARM_MARGIN))
-        joints.append(
-            f'<joint name="{arm.joints[i]}" type="revolute"><parent link="{parent}"/><child link="{link.name}"/>'
-            f'{_origin(link.xyz, link.rpy)}<axis xyz="0 0 1"/>'
-            f'<limit lower="{arm.lower[i]}" upper="{arm.upper[i]}" velocity="{arm.velocity[i]}"'
+    """Return an arm with gripper, open fingers and wrist camera as URDF, every link with its mass and shape."""
+    tool, T, still, point = arm.tool, arm.T_last_flange, (0.0, 0.0, 0.0), (0.0,) * 6
+    base = Link(BASE, still, still, 0.0, still, point, arm.base_capsules, arm.base_solids)
+    flange = Link(FLANGE, tuple(T[:3, 3]), tuple(rpy(Rotation.from_matrix(T[:3, :3]))), 0.0, still, point, ())
+    gripper = Link(GRIPPER, still, still, tool.mass, tool.com, point, (), (tool.body, *tool.fingers(tool.stroke)))
+    camera = Link(CAMERA, still, still, tool.camera_mass, tool.camera[0].center, point, (), tool.camera)
+    parts = [_link(base, 0.0)]
+    for i, (parent, link) in enumerate(pairwise((base, *arm.links))):
+        parts.append(_link(link, ARM_MARGIN))
+        turn = (
+            f'<axis xyz="0 0 1"/><limit lower="{arm.lower[i]}" upper="{arm.upper[i]}" velocity="{arm.velocity[i]}"'
             f' effort="{arm.effort[i]}" acceleration="{arm.acceleration[i]}"/>'
-            "</joint>"
         )
-    tool, last = arm.tool, arm.links[-1].name
-    flange_rpy = rpy(Rotation.from_matrix(arm.T_last_flange[:3, :3]))
-    links += [
-        *(_link(rider.name, rider.capsules, rider.solids) for rider in arm.riders),
-        _link(FLANGE, (), ()),
-        _link(GRIPPER, (), (tool.body, *tool.fingers(tool.stroke))),
-        _link(CAMERA, (), tool.camera),
-    ]
-    joints += [
-        *(_fixed(f"{r.name}_mount", arm.links[r.link].name, r.name, _origin(r.xyz, (0, 0, 0))) for r in arm.riders),
-        _fixed("flange_mount", last, FLANGE, _origin(arm.T_last_flange[:3, 3], flange_rpy)),
-        _fixed("gripper_mount", FLANGE, GRIPPER, ""),
-        _fixed("camera_mount", FLANGE, CAMERA, ""),
-    ]
-    return f'<robot name="{arm.name}" version="1.2">{"".join(links)}{"".join(joints)}</robot>'
+        parts.append(_joint(arm.joints[i], "revolute", parent.name, link, turn))
+    held = [(arm.links[-1], flange), (flange, gripper), (flange, camera)]
+    for parent, link in [*((arm.links[i], rider) for i, rider in arm.riders), *held]:
+        parts += [_link(link, 0.0), _joint(f"{link.name}_mount", "fixed", parent.name, link)]
+    return f'<robot name="{arm.name}" version="1.2">{"".join(parts)}</robot>'
 
 
-def _link(name: str, capsules: Sequence[Capsule], solids: Sequence[Solid], margin: float = 0.0) -> str:
+def _link(link: Link, margin: float) -> str:
     """A cylinder whose name stands under collision_checking/capsule is read as a capsule by pinocchio."""
-    tags = "".join(f'<capsule name="{name}_capsule{i}"/>' for i in range(len(capsules)))
-    shapes = [(f"{name}_capsule{i}", *_capsule(capsule, margin)) for i, capsule in enumerate(capsules)]
-    shapes += [
-        (s.name, _origin(s.center, (0, 0, 0)), f'<box size="{_numbers(2 * np.array(s.half))}"/>') for s in solids
-    ]
+    tags = "".join(f'<capsule name="{link.name}_capsule{i}"/>' for i in range(len(link.capsules)))
+    shapes = [(f"{link.name}_capsule{i}", *_capsule(capsule, margin)) for i, capsule in enumerate(link.capsules)]
+    shapes += [(s.name, _origin(s.center), f'<box size="{_numbers(2 * np.array(s.half))}"/>') for s in link.solids]
     parts = "".join(f'<collision name="{n}">{at}<geometry>{shape}</geometry></collision>' for n, at, shape in shapes)
-    return f'<link name="{name}">{parts}<collision_checking>{tags}</collision_checking></link>'
+    if link.mass:
+        names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+        moments = " ".join(f'{name}="{float(value)!r}"' for name, value in zip(names, link.inertia, strict=True))
+        weight = f'<mass value="{float(link.mass)!r}"/><inertia {moments}/>'
+        parts += f"<inertial>{_origin(link.com)}{weight}</inertial>"
+    return f'<link name="{link.name}">{parts}<collision_checking>{tags}</collision_checking></link>'
 
 
 def _capsule(capsule: Capsule, margin: float) -> tuple[str, str]:
@@ -148,11 +139,12 @@ def _capsule(capsule: Capsule, margin: float) -> tuple[str, str]:
     return _origin((start + end) / 2, rpy(turn)), f'<cylinder radius="{radius}" length="{length}"/>'
 
 
-def _fixed(name: str, parent: str, child: str, origin: str) -> str:
-    return f'<joint name="{name}" type="fixed"><parent link="{parent}"/><child link="{child}"/>{origin}</joint>'
+def _joint(name: str, kind: str, parent: str, link: Link, turn: str = "") -> str:
+    ends = f'<parent link="{parent}"/><child link="{link.name}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{_origin(link.xyz, link.rpy)}{turn}</joint>'
 
 
-def _origin(xyz: Iterable[float], rpy: Iterable[float]) -> str:
+def _origin(xyz: Iterable[float], rpy: Iterable[float] = (0.0, 0.0, 0.0)) -> str:
     return f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/>'
 
 

@@ -52,14 +52,10 @@ def _useful(arm: ArmModel, q: Array, near: Array | None) -> Array:
     """Return the distinct solutions within limits in order of preference."""
     q = _turned(arm, q)
     q = q[np.all((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN), axis=1)]
-    cost = -limit_room(arm, q) if near is None else np.abs(q - near).max(axis=1)
-    return _distinct(q[np.argsort(cost, kind="stable")])
-
-
-def limit_room(arm: ArmModel, q: Array) -> Array:
-    """Return (...,) the smallest distance of any joint from its limits, as a share of half its range."""
     half = (arm.upper - arm.lower) / 2
-    return 1 - np.max(np.abs(q - (arm.lower + half)) / half, axis=-1)
+    towards_limits = np.max(np.abs(q - (arm.lower + half)) / half, axis=-1)
+    cost = towards_limits - 1 if near is None else np.abs(q - near).max(axis=1)
+    return _distinct(q[np.argsort(cost, kind="stable")])
 
 
 def follow(arm: ArmModel, q: Array, targets: Array) -> Array:

@@ -23,9 +23,7 @@ Tour = list[tuple[int, Array]]
 """(view, joints (J,)) in the order of the visits."""
 
 
-def shortest_tour(
-    arm: ArmModel, free: Callable[[Array], bool], start: Array, choices: Sequence[Array], *, seed: int = 0
-) -> Tour:
+def shortest_tour(arm: ArmModel, free: Callable[[Array], bool], start: Array, choices: Sequence[Array]) -> Tour:
     """Return the shortest tour found, a straight joint line that is not free taken to last `DETOUR` longer.
 
     Lines are checked only when a tour uses them, and the tour is improved with what that taught (Bohlin and Kavraki
@@ -36,12 +34,11 @@ def shortest_tour(
         free: whether the straight line between two rows of joints (2, J) is free.
         start: (J,) joints the arm comes from.
         choices: per view the joints (C, J) to choose from.
-        seed: of the search for an order.
     """
     stops = np.concatenate([start[None], *choices])
     ends = np.cumsum([1, *map(len, choices)])
     layers = [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
-    cost, rng = least_times(arm, stops, stops), np.random.default_rng(seed)
+    cost, rng = least_times(arm, stops, stops), np.random.default_rng(0)
     order, found, checked = list(range(len(choices))), list[tuple[list[int], NDArray[Any]]](), set[tuple[int, int]]()
     for turn in range(ROUNDS):
         again = int(turn > 0)

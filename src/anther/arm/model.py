@@ -9,10 +9,12 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
+from scipy.stats import qmc
 
 from anther.checks import check_array, check_transform
 from anther.errors import bad_input
@@ -45,15 +47,15 @@ class Solid:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A moving link.
+    """A moving link, or one that rides on it.
 
     Attributes:
         name: as in the URDF; link i turns about its +z by joint i.
-        xyz, rpy: joint frame in the parent link's frame at zero angle [m], [rad], R = Rz(y) Ry(p) Rx(r).
+        xyz, rpy: its frame in the parent link's frame at zero angle [m], [rad], R = Rz(y) Ry(p) Rx(r).
         mass: [kg].
         com: centre of mass in the link frame [m].
         inertia: ixx, iyy, izz, ixy, ixz, iyz about the centre of mass [kg m^2].
-        capsules: collision shape in the link frame.
+        capsules, solids: collision shape in the link frame.
     """
 
     name: str
@@ -63,26 +65,7 @@ class Link:
     com: tuple[float, float, float]
     inertia: tuple[float, float, float, float, float, float]
     capsules: tuple[Capsule, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Rider:
-    """What sits on a link and never moves against it; the fields as of `Link`.
-
-    Attributes:
-        link: number of the link that carries it.
-        xyz: its frame in that link's, not turned [m].
-        solids: collision shape beside the capsules.
-    """
-
-    name: str
-    link: int
-    xyz: tuple[float, float, float]
-    mass: float
-    com: tuple[float, float, float]
-    inertia: tuple[float, float, float, float, float, float]
-    capsules: tuple[Capsule, ...]
-    solids: tuple[Solid, ...]
+    solids: tuple[Solid, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +145,7 @@ class ArmModel:
         reach: the farthest that the flange gets from it [m].
         floor: height of the floor [m].
         base_capsules, base_solids: what never moves against the base.
-        riders: what sits on links.
+        riders: what sits on links and never moves against them: number of the link, and what it is.
         wrist: of the link before the last, what lies on the flange's axis whatever the joints, in the flange's frame;
             None where there is no such thing. It saves planning time.
         slows: (J, 2) where the robot allows less speed near the ends of its range, else None: by how much less
@@ -191,7 +174,7 @@ class ArmModel:
     floor: float
     base_capsules: tuple[Capsule, ...] = ()
     base_solids: tuple[Solid, ...] = ()
-    riders: tuple[Rider, ...] = ()
+    riders: tuple[tuple[int, Link], ...] = ()
     wrist: Capsule | None = None
     slows: Array | None = None
     local: Array = field(init=False)
@@ -286,17 +269,17 @@ def outline(arm: ArmModel, q: ArrayLike) -> Array:
     A link is its capsules' axes in balls of their radius; gripper, open fingers and camera are points on their boxes.
     They fill the shapes that `collision` plans with and never stand out of them. Base and riders are left out.
     """
-    poses, begin = arm.link_poses(q), 0
-    found = np.empty((*poses.shape[:-3], sum(map(len, _balls(arm))), 4))
-    for i, balls in enumerate(_balls(arm)):
-        turn, place = poses[..., i, :3, :3], poses[..., i, None, :3, 3]
-        own = found[..., begin : begin + len(balls), :]
-        own[..., :3], own[..., 3] = balls[:, :3] @ np.swapaxes(turn, -1, -2) + place, balls[:, 3]
-        begin += len(balls)
-    return found
+    poses, shapes = arm.link_poses(q), _balls(arm)
+    return np.concatenate([_placed(poses[..., i, :, :], balls) for i, balls in enumerate(shapes)], axis=-2)
 
 
-def of_capsule(capsule: Capsule) -> Array:
+def _placed(T: Array, balls: Array) -> Array:
+    """Return balls (S, 4) of a frame, centre and radius, at its poses (..., 4, 4): (..., S, 4)."""
+    centres = balls[:, :3] @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+    return np.concatenate([centres, np.broadcast_to(balls[:, 3:], (*centres.shape[:-1], 1))], axis=-1)
+
+
+def _of_capsule(capsule: Capsule) -> Array:
     """Return balls (S, 4) of its radius along a capsule's axis: centre and radius [m]."""
     start, end = np.array(capsule.start), np.array(capsule.end)
     count = int(np.ceil(np.linalg.norm(end - start) / SPACING)) + 1
@@ -304,7 +287,7 @@ def of_capsule(capsule: Capsule) -> Array:
     return np.column_stack([centres, np.full(count, capsule.radius)])
 
 
-def of_solid(solid: Solid) -> Array:
+def _of_solid(solid: Solid) -> Array:
     """Return points (S, 4) of radius 0 all over the surface of a box."""
     centre, half = np.array(solid.center), np.array(solid.half)
     axes = [np.linspace(-h, h, int(np.ceil(2 * h / SPACING)) + 1) for h in half]
@@ -316,5 +299,56 @@ def of_solid(solid: Solid) -> Array:
 @cache
 def _balls(arm: ArmModel) -> tuple[Array, ...]:
     """Return the balls (S, 4) of each link and the tool, in their own frames."""
-    tool = np.concatenate([of_solid(s) for s in arm.tool.solids(arm.tool.stroke)])
-    return (*(np.concatenate([of_capsule(c) for c in link.capsules]) for link in arm.links), tool)
+    tool = np.concatenate([_of_solid(s) for s in arm.tool.solids(arm.tool.stroke)])
+    return (*(np.concatenate([_of_capsule(c) for c in link.capsules]) for link in arm.links), tool)
+
+
+POSTURES = 256  # looked at for links that touch
+OFTEN = 0.3  # share of the postures in which links one apart touch, from which on that says nothing
+
+
+def completed(arm: ArmModel) -> ArmModel:
+    """Return an arm with the shoulder, reach and neighbours that follow from its links."""
+    at, q = arm.link_poses(np.zeros(arm.count)), qmc.Sobol(arm.count, scramble=False).random_base2(12)
+    shoulder = np.array([0.0, 0.0, at[1, 2, 3]])
+    far = np.linalg.norm(arm.forward(qmc.scale(q, arm.lower, arm.upper))[:, :3, 3] - shoulder, axis=1).max()
+    return replace(arm, shoulder=shoulder, reach=1.01 * float(far), neighbours=_neighbours(arm))
+
+
+def _neighbours(arm: ArmModel) -> tuple[tuple[str, str], ...]:
+    """Return the pairs of parts that are not to be checked: joined ones, and those whose shapes say nothing.
+
+    The latter touch where the arm is ready or waits, or, links one apart, in more than `OFTEN` of all postures.
+    """
+    names = [BASE, *(link.name for link in arm.links), GRIPPER, CAMERA]
+    tool = len(names) - 2
+    joined = {*zip(names[:tool], names[1:tool], strict=False), (GRIPPER, CAMERA)}
+    joined |= {(names[i], part) for i in (tool - 2, tool - 1) for part in (GRIPPER, CAMERA)}
+    samples = qmc.scale(qmc.Sobol(arm.count, scramble=False).random(POSTURES), arm.lower, arm.upper)
+    q = np.concatenate([[arm.ready, arm.waiting], samples])
+    balls = _parts_at(arm, q)
+    for i, j in combinations(range(len(names)), 2):
+        pair = names[i], names[j]
+        if pair not in joined:
+            touch = np.array([_touch(a, b) for a, b in zip(balls[i], balls[j], strict=True)])
+            if touch[:2].any() or (min(j, tool) - i == 2 and touch.mean() > OFTEN):
+                joined.add(pair)
+    return tuple(sorted(joined))
+
+
+def _parts_at(arm: ArmModel, q: Array) -> list[Array]:
+    """Return balls (Q, S, 4) of base, links, gripper and camera at joints (Q, J): centre and radius [m]."""
+    base = [_of_capsule(c) for c in arm.base_capsules] + [_of_solid(s) for s in arm.base_solids]
+    wider = np.array([0, 0, 0, ARM_MARGIN])
+    links = [np.concatenate([_of_capsule(c) for c in link.capsules]) + wider for link in arm.links]
+    gripper, camera = (arm.tool.body, *arm.tool.fingers(arm.tool.stroke)), arm.tool.camera
+    tools = [np.concatenate([_of_solid(s) for s in solids]) for solids in (gripper, camera)]
+    poses = arm.link_poses(q)
+    ground = np.concatenate(base) if base else np.zeros((0, 4))
+    moving = [_placed(poses[:, min(i, arm.count)], shape) for i, shape in enumerate([*links, *tools])]
+    return [np.tile(ground, (len(q), 1, 1)), *moving]
+
+
+def _touch(a: Array, b: Array) -> bool:
+    gap = np.linalg.norm(a[:, None, :3] - b[None, :, :3], axis=2) - a[:, None, 3] - b[None, :, 3]
+    return bool((gap < 0).any())

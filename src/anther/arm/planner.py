@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathShortcuttingOptions
 from roboplan.rrt import RRT, RRTOptions
 
-from anther.arm import _effort, _kinematics, _timing, shaking
+from anther.arm import _kinematics, _motions, shaking
 from anther.arm._collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
 from anther.arm._tours import DETOUR, least_times
 from anther.arm.model import ARM_MARGIN, ArmModel, outline
@@ -30,6 +30,7 @@ HURRY = 0.4  # share of the shake's amplitude that a second less on the way to a
 STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
 SEARCHES = 3  # for a path, each with half the step of the one before
+SEARCH_TIME = 2.0  # s for a path around obstacles in each of them
 SEEDS = 3  # of each search: the quickest way found is taken
 SHIFTS, SHIFT = 20, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
@@ -54,18 +55,14 @@ class Params:
             "medium" (facts: sawyer 1).
         flange_speed: of the flange in free motion at most [m/s]; just within `devices.SafetyLimits`.
         approach_speed: of the flange along straight lines [m/s].
-        search_time: for a path around obstacles, in each of `SEARCHES` [s].
         home: (J,) joints from which grasps must be reachable [rad]; None is where the arm is ready.
-        seed: of that search.
     """
 
     velocity_share: float = 0.5
     acceleration_share: float = 0.35
     flange_speed: float = 1.45
     approach_speed: float = 0.05
-    search_time: float = 2.0
     home: tuple[float, ...] | None = None
-    seed: int = 0
 
     def __post_init__(self) -> None:
         check_range("velocity share", self.velocity_share, 0.01, 1)
@@ -101,11 +98,6 @@ class Planner:
         points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
         self.world = CollisionWorld(arm, *points, boxes)
         self.plant = cube_centres(points[0])
-
-    def inverse(self, T_world_flange: ArrayLike, *, near: ArrayLike | None = None) -> Array:
-        """Return the collision-free joint solutions (B, J) of a flange pose, those nearest to `near` (J,) first."""
-        branches = _kinematics.inverse(self.arm, T_world_flange, near=near)
-        return branches[[self.world.free(q) for q in branches]] if len(branches) else branches
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
         """Return joints (J,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
@@ -167,8 +159,8 @@ class Planner:
             if not self.world.path_free(path):
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
         length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _kinematics.angle(here, target)
-        motion = _timing.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
-        return _effort.check_effort(self.arm, _timing.within_speed(self.arm, motion))
+        motion = _motions.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
+        return _motions.check_effort(self.arm, _motions.within_speed(self.arm, motion))
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
         """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
@@ -190,7 +182,7 @@ class Planner:
         if not self._may_swing(q, shake.positions[[along.argmin(), along.argmax()]]):
             size = 1e3 * max(piece.reach for piece in pieces)
             raise StageFailure("collision", f"a shake of {size:.1f} mm hits something. Shake less.")
-        return _effort.check_effort(self.arm, shake)
+        return _motions.check_effort(self.arm, shake)
 
     def _wrist_in_plant(self, T_world_flange: Array, length: float) -> bool:
         """Return whether plant is where `ArmModel.wrist` is at the end of a straight way of `length` [m].
@@ -246,21 +238,21 @@ class Planner:
             goal = self._backed_out(q)[0]
         except StageFailure:
             return False
-        return self._search(self.home, goal, REACH_TIME, SEARCH_STEP, self.params.seed) is not None
+        return self._search(self.home, goal, REACH_TIME, SEARCH_STEP, 0) is not None
 
     def _between(self, start: Place, goal: Place) -> JointTrajectory:
         (begin, leave), (end, enter) = start, goal
         parts = [] if leave is None else [leave]
         if np.abs(end - begin).max() > 1e-9 or (leave is None and enter is None):
             parts.append(self._free_motion(begin, end))
-        motion = _timing.joined(parts if enter is None else [*parts, enter.backwards()])
-        return _effort.check_effort(self.arm, _timing.within_speed(self.arm, motion))
+        motion = _motions.joined(parts if enter is None else [*parts, enter.backwards()])
+        return _motions.check_effort(self.arm, _motions.within_speed(self.arm, motion))
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
         p, line = self.params, np.stack([start, goal])
-        motion = _timing.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
-        return _effort.within_effort(
+        motion = _motions.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
+        return _motions.within_effort(
             self.arm, motion if self._open(line, motion.positions, FREE_STEP) else self._around(start, goal)
         )
 
@@ -280,7 +272,7 @@ class Planner:
         """Return motions by the ways found, and the waypoints (N, J) of each; free as far as steps [rad] tell."""
         tried = ((self._timed(path, step) for path in paths) for paths in self._detours(start, goal, step))
         ways = [way for some in tried if (way := next(filter(None, some), None))]
-        rng = np.random.default_rng(self.params.seed)
+        rng = np.random.default_rng(0)
         for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False) if ways else ():
             quickest, path = min(ways, key=lambda way: way[0].duration)
             shifts = left * self.arm.velocity / self.arm.velocity.mean() * rng.normal(size=path[1:-1].shape)
@@ -301,16 +293,16 @@ class Planner:
             return None
         for blend in blends:
             try:
-                rounded = _timing.fastest(
+                rounded = _motions.fastest(
                     self.arm, self.world.scene, path, p.velocity_share, p.acceleration_share, blend
                 )
             except RuntimeError:  # TOPP-RA's linear programs fail on some paths
                 continue
-            kept = _timing.limit_share(self.arm, rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
-            motion = _timing.slowed(self.arm, rounded, p.flange_speed)
+            kept = _motions.limit_share(self.arm, rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
+            motion = _motions.slowed(self.arm, rounded, p.flange_speed)
             if kept and motion.duration < within and self._open(motion.positions[::4], motion.positions, step):
                 return motion, path
-        motion = _timing.stopping(self.arm, path, p.velocity_share, p.acceleration_share, p.flange_speed)
+        motion = _motions.stopping(self.arm, path, p.velocity_share, p.acceleration_share, p.flange_speed)
         return (motion, path) if motion.duration < within and self._open(path, motion.positions, step) else None
 
     def _open(self, path: Array, passed: Array, step: float) -> bool:
@@ -318,19 +310,15 @@ class Planner:
         inside = self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
         return inside and self.world.path_free(path, step)
 
-    def _detours(self, start: Array, goal: Array, step: float) -> Iterator[Iterator[Array]]:
-        """Yield for each way that RRT-Connect finds, one a seed until it finds none, its `_variants`."""
-        for seed in range(self.params.seed, self.params.seed + SEEDS):
-            found = self._search(start, goal, self.params.search_time, step, seed)
+    def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[Array, Array]]:
+        """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, one a seed until it finds none."""
+        for seed in range(SEEDS):
+            found = self._search(start, goal, SEARCH_TIME, step, seed)
             if found is None:
                 return
-            yield self._variants(found, step, seed)
-
-    def _variants(self, found: JointPath, step: float, seed: int) -> Iterator[Array]:
-        """Yield the waypoints (N, J) of a path shortened, and as they are."""
-        cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
-        yield np.array(PathShortcutter(self.world.scene, cut).shortcut(found).positions)
-        yield np.array(found.positions)
+            cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
+            shorter = PathShortcutter(self.world.scene, cut).shortcut(found)
+            yield np.array(shorter.positions), np.array(found.positions)
 
     def _search(self, start: Array, goal: Array, seconds: float, step: float, seed: int) -> JointPath | None:
         """Return a path by RRT-Connect, checked at `step` [rad] only, or None."""
@@ -368,7 +356,7 @@ class Planner:
             at = here[:3, 3].round(3)
             raise StageFailure("collision", f"the flange at {at} m is not free, nor straight behind it.")
         way = path[: free[-1] + 1]
-        return way[-1], _timing.along_line(self.arm, way, free[-1] * LINE_STEP, self.params.approach_speed)
+        return way[-1], _motions.along_line(self.arm, way, free[-1] * LINE_STEP, self.params.approach_speed)
 
 
 def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
@@ -378,7 +366,7 @@ def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: 
     """
     q = check_array("joints", q, (arm.count,))
     quick = shaking.amplitude_limit(arm, q, direction, frequencies)
-    strong = _effort.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
+    strong = _motions.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
     return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
 
 

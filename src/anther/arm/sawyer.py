@@ -16,34 +16,35 @@ from math import pi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from anther.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Rider, Solid, Tool
+from anther.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Solid, Tool
 from anther.geometry import transform
 from anther.grasp.clearance import GripperShape
 
-JOINTS = tuple(f"right_j{i}" for i in range(7))
-LOWER = np.array([-3.0503, -3.8095, -3.0426, -3.0439, -2.9761, -2.9761, -4.7124])  # rad
-UPPER = np.array([3.0503, 2.2736, 3.0426, 3.0439, 2.9761, 2.9761, 4.7124])  # rad
-VELOCITY = np.array([1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545])  # rad/s
-ACCELERATION = np.array([10.0, 8.0, 10.0, 10.0, 12.0, 12.0, 12.0])  # rad/s^2, SDK maximum
-EFFORT = np.array([80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0])  # N m
-ROTOR_INERTIA = np.array([1.0, 1.0, 0.5, 0.5, 0.1, 0.1, 0.1])
-"""Rotor inertia seen at the joint [kg m^2]. None is published: Menagerie has 1 everywhere, with which the wrist's 9 N m
-could not reach the SDK's own 12 rad/s^2, so the small joints have less. Our estimate."""
-NEUTRAL = np.array([0.0, -1.18, 0.0, 2.18, 0.0, 0.57, 3.3161])  # rad; the last is pi + the 10 degree mount twist
-READY = np.array([0.0, -1.57, 0.0, 2.57, 0.0, 0.57, 3.3161])  # rad; neutral drawn back from the plant, our choice
-WAITING = np.array([0.972, -0.046, 0.307, 1.759, -2.142, 1.903, 1.694])
-"""Joints [rad] at which the arm waits for what the views tell, driven to while masks, cloud and plan are computed. They
-are near those of most grasps of eight development captures: the way to the best took 1.1 s in the median, by a straight
-line of the joints in four of eight, instead of 1.8 s from the last view. The gripper's tip is 0.44 m from the
-plant's axis."""
-JOINT_STIFFNESS = np.array([843.0, 843.0, 843.0, 843.0, 250.0, 250.0, 250.0])
-"""Of a joint's spring [N m/rad]: Rethink's figures for Baxter, whose drives are of the same kind; remembered, none was
-found for Sawyer. With them, its first mode lies at 3 Hz; an arm that is sold to carry 4 kg to 0.1 mm has it at some
-8-24 Hz, which is a factor of 6-60."""
-FLOOR_Z = -0.913  # m
+TOOL = Tool(
+    # Rethink electric parallel gripper, standard narrow fingers, soft tips (facts: sawyer 3)
+    mass=0.47,
+    com=(0.0028, -0.0004, 0.0343),
+    stroke=GripperShape().stroke,
+    finger=0.05992,  # 0.0018 + 0.0176 + 0.04552 - 0.005
+    tip=0.13562,  # the SDK's
+    pad=(0.016, 0.007, 0.037),
+    thickness=0.008,  # our estimate, the URDF's fingers are meshes
+    speed=0.15,  # the slowest the SDK accepts
+    # our estimate from the gripper's mesh extents; no primitive is published for it
+    body=Solid("gripper_body", (0, 0, 0.03), (0.032, 0.055, 0.03)),
+    # Intel RealSense D455, 124 x 29 x 26 mm, 0.12 kg with bracket. The bracket is our choice: the camera sits 9 cm
+    # beside the flange axis along +x with its long side along y and looks parallel to the approach axis. The nearest
+    # edge of the fingers is then 38 degrees off the optical axis, outside the 29 degree half field of view. The image
+    # is upright when the flange's +x points up.
+    camera_mass=0.12,
+    T_flange_cam=transform(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), [0.09, 0, 0.03]),
+    camera=(
+        Solid("camera", (0.09, 0, 0.017), (0.0145, 0.062, 0.013)),
+        Solid("bracket", (0.0575, 0, 0.003), (0.0325, 0.02, 0.003)),
+    ),
+)
 
-
-LINKS = (
+_LINKS = (
     Link(
         "right_l0",
         (0, 0, 0.08),
@@ -109,17 +110,12 @@ LINKS = (
     ),
 )
 
-# What never moves against the base (pedestal 60.9 kg), and the head, which rides on right_l0 with head_pan = 0.
-# The head's face shapes overlap right_l2 at neutral (facts: sawyer 1e), so that pair is never checked.
-BASE_CAPSULES = (Capsule((0, 0, 0.0), (0, 0, 0.16), 0.08), Capsule((-0.02, 0, -0.42), (-0.02, 0, -0.18), 0.18))
-BASE_SOLIDS = (
-    Solid("controller_box", (-0.325, 0, -0.38), (0.11, 0.2, 0.265)),
-    Solid("pedestal_feet", (-0.1225, 0, -0.758), (0.385, 0.35, 0.155)),
-)
-HEAD = Rider(
+# The head rides on right_l0 with head_pan = 0. Its face shapes overlap right_l2 at neutral (facts: sawyer 1e), so that
+# pair is never checked.
+_HEAD = Link(
     "head",
-    0,
     (0.0, 0.0, 0.2965),
+    (0.0, 0.0, 0.0),
     1.5795,
     (0.0053207, -2.6549e-05, 0.1021),
     (0.011833, 0.0082709, 0.0049661, -4.4669e-06, 4.9425e-05, 4.2124e-07),
@@ -127,87 +123,60 @@ HEAD = Rider(
     (Solid("screen", (0.025, 0, 0.1), (0.01, 0.13, 0.08)),),
 )
 
-T_L6_FLANGE = transform(Rotation.from_rotvec([0, 0, pi / 2]).as_matrix(), [0, 0, 0.0245])
-
-# Gripper: Rethink electric parallel gripper, standard narrow fingers, soft tips (facts: sawyer 3). In the flange frame.
-GRIPPER_MASS = 0.47  # kg, the whole end effector
-GRIPPER_COM = (0.0028, -0.0004, 0.0343)  # m
-STROKE = GripperShape().stroke  # m, largest opening between the pads
-FINGER_Z = 0.05992  # m, where the fingers leave the body: 0.0018 + 0.0176 + 0.04552 - 0.005
-TIP_Z = 0.13562  # m, the SDK's tip
-PAD = (0.016, 0.007, 0.037)  # m: width along x, thickness along y, length along z, ending at the tip
-FINGER_THICKNESS = 0.008  # m along y behind the pad; our estimate, the URDF's fingers are meshes
-FINGER_SPEED = 0.15  # m/s, the slowest the SDK accepts
-# The body's outline is our estimate from the gripper's mesh extents; no primitive is published for it.
-GRIPPER_BODY = Solid("gripper_body", (0, 0, 0.03), (0.032, 0.055, 0.03))
-
-# Wrist camera: Intel RealSense D455, 124 x 29 x 26 mm, 0.12 kg with bracket. The bracket is our choice: the camera sits
-# 9 cm beside the flange axis along +x with its long side along y and looks parallel to the approach axis. The nearest
-# edge of the fingers is then 38 degrees off the optical axis, outside the 29 degree half field of view. The image is
-# upright when the flange's +x points up.
-CAMERA_MASS = 0.12  # kg
-T_FLANGE_CAM = transform(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), [0.09, 0, 0.03])
-CAMERA_SOLIDS = (
-    Solid("camera", (0.09, 0, 0.017), (0.0145, 0.062, 0.013)),
-    Solid("bracket", (0.0575, 0, 0.003), (0.0325, 0.02, 0.003)),
-)
-
-TOOL = Tool(
-    mass=GRIPPER_MASS,
-    com=GRIPPER_COM,
-    stroke=STROKE,
-    finger=FINGER_Z,
-    tip=TIP_Z,
-    pad=PAD,
-    thickness=FINGER_THICKNESS,
-    speed=FINGER_SPEED,
-    body=GRIPPER_BODY,
-    camera_mass=CAMERA_MASS,
-    T_flange_cam=T_FLANGE_CAM,
-    camera=CAMERA_SOLIDS,
-)
-
-# Links so near each other in the chain that they cannot collide, or that always overlap by their shapes
-# (facts: sawyer 1e and 7, after sawyer_moveit's SRDF).
-NEIGHBOURS = (
-    *((f"right_l{i}", f"right_l{i + 1}") for i in range(6)),
-    *((f"right_l{i}", f"right_l{i + 2}") for i in range(5)),
-    ("base", "right_l0"),
-    ("base", "right_l1"),
-    ("base", "head"),
-    ("head", "right_l0"),
-    ("head", "right_l1"),
-    ("head", "right_l2"),
-    ("right_l0", "right_l3"),
-    ("right_l1", "right_l4"),
-    *((f"right_l{i}", tool) for i in (3, 4, 5, 6) for tool in (GRIPPER, CAMERA)),
-    (GRIPPER, CAMERA),
-)
-
 SAWYER = ArmModel(
     name="sawyer",
-    joints=JOINTS,
-    lower=LOWER,
-    upper=UPPER,
-    velocity=VELOCITY,
-    acceleration=ACCELERATION,
-    effort=EFFORT,
-    rotor_inertia=ROTOR_INERTIA,
-    stiffness=JOINT_STIFFNESS,
-    links=LINKS,
-    T_last_flange=T_L6_FLANGE,
+    joints=tuple(f"right_j{i}" for i in range(7)),
+    lower=np.array([-3.0503, -3.8095, -3.0426, -3.0439, -2.9761, -2.9761, -4.7124]),
+    upper=np.array([3.0503, 2.2736, 3.0426, 3.0439, 2.9761, 2.9761, 4.7124]),
+    velocity=np.array([1.74, 1.328, 1.957, 1.957, 3.485, 3.485, 4.545]),
+    acceleration=np.array([10.0, 8.0, 10.0, 10.0, 12.0, 12.0, 12.0]),  # SDK maximum
+    effort=np.array([80.0, 80.0, 40.0, 40.0, 9.0, 9.0, 9.0]),
+    # None is published: Menagerie has 1 everywhere, with which the wrist's 9 N m could not reach the SDK's own 12
+    # rad/s^2, so the small joints have less. Our estimate.
+    rotor_inertia=np.array([1.0, 1.0, 0.5, 0.5, 0.1, 0.1, 0.1]),
+    # Rethink's figures for Baxter, whose drives are of the same kind; remembered, none was found for Sawyer. With them,
+    # its first mode lies at 3 Hz; an arm that is sold to carry 4 kg to 0.1 mm has it at some 8-24 Hz, which is a factor
+    # of 6-60.
+    stiffness=np.array([843.0, 843.0, 843.0, 843.0, 250.0, 250.0, 250.0]),
+    links=_LINKS,
+    T_last_flange=transform(Rotation.from_rotvec([0, 0, pi / 2]).as_matrix(), [0, 0, 0.0245]),
     tool=TOOL,
-    neutral=NEUTRAL,
-    ready=READY,
-    waiting=WAITING,
-    neighbours=NEIGHBOURS,
+    neutral=np.array([0.0, -1.18, 0.0, 2.18, 0.0, 0.57, 3.3161]),  # the last is pi + the 10 degree mount twist
+    ready=np.array([0.0, -1.57, 0.0, 2.57, 0.0, 0.57, 3.3161]),  # neutral drawn back from the plant, our choice
+    # Driven to while masks, cloud and plan are computed, and near the joints of most grasps of eight development
+    # captures: the way to the best took 1.1 s in the median, by a straight line of the joints in four of eight, instead
+    # of 1.8 s from the last view. The gripper's tip is 0.44 m from the plant's axis.
+    waiting=np.array([0.972, -0.046, 0.307, 1.759, -2.142, 1.903, 1.694]),
+    # Links so near each other in the chain that they cannot collide, or that always overlap by their shapes
+    # (facts: sawyer 1e and 7, after sawyer_moveit's SRDF).
+    neighbours=(
+        *((f"right_l{i}", f"right_l{i + 1}") for i in range(6)),
+        *((f"right_l{i}", f"right_l{i + 2}") for i in range(5)),
+        ("base", "right_l0"),
+        ("base", "right_l1"),
+        ("base", "head"),
+        ("head", "right_l0"),
+        ("head", "right_l1"),
+        ("head", "right_l2"),
+        ("right_l0", "right_l3"),
+        ("right_l1", "right_l4"),
+        *((f"right_l{i}", tool) for i in (3, 4, 5, 6) for tool in (GRIPPER, CAMERA)),
+        (GRIPPER, CAMERA),
+    ),
     shoulder=np.array([0.0, 0.0, 0.317]),
     reach=1.13,  # facts: sawyer 2
-    floor=FLOOR_Z,
-    base_capsules=BASE_CAPSULES,
-    base_solids=BASE_SOLIDS,
-    riders=(HEAD,),
-    wrist=Capsule((0, 0, -0.1345), (0, 0, -0.0525), LINKS[5].capsules[1].radius),  # right_l5's round end
+    floor=-0.913,
+    # what never moves against the base (pedestal 60.9 kg)
+    base_capsules=(Capsule((0, 0, 0.0), (0, 0, 0.16), 0.08), Capsule((-0.02, 0, -0.42), (-0.02, 0, -0.18), 0.18)),
+    base_solids=(
+        Solid("controller_box", (-0.325, 0, -0.38), (0.11, 0.2, 0.265)),
+        Solid("pedestal_feet", (-0.1225, 0, -0.758), (0.385, 0.35, 0.155)),
+    ),
+    riders=((0, _HEAD),),
+    wrist=Capsule((0, 0, -0.1345), (0, 0, -0.0525), _LINKS[5].capsules[1].radius),  # right_l5's round end
 )
-T_FLANGE_GRASP = TOOL.T_flange_grasp
-finger_solids, link_poses, forward, jacobian = TOOL.fingers, SAWYER.link_poses, SAWYER.forward, SAWYER.jacobian
+
+JOINTS, LOWER, UPPER, VELOCITY = SAWYER.joints, SAWYER.lower, SAWYER.upper, SAWYER.velocity
+ACCELERATION, NEUTRAL, READY = SAWYER.acceleration, SAWYER.neutral, SAWYER.ready
+STROKE, T_FLANGE_CAM, T_FLANGE_GRASP = TOOL.stroke, TOOL.T_flange_cam, TOOL.T_flange_grasp
+link_poses, forward, jacobian = SAWYER.link_poses, SAWYER.forward, SAWYER.jacobian

@@ -16,6 +16,9 @@ from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
 from anther.swing import Swing, motion
 
+RATE = 500.0
+"""Samples of a shake per second; 40 per period if that is more."""
+
 
 def unit(direction: ArrayLike) -> Array:
     """Return `direction` (3,) with length 1.
@@ -57,7 +60,7 @@ def joint_rates(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: 
 
 
 def swing_trajectory(
-    arm: ArmModel, q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float, rate: float = 500.0
+    arm: ArmModel, q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float
 ) -> JointTrajectory:
     """Return the joint motion that moves the flange to and fro along a straight line, its orientation held.
 
@@ -70,7 +73,6 @@ def swing_trajectory(
         direction: (3,) of the shake, world.
         pieces: what the flange does along it, one after the other.
         reach: that no piece goes beyond [m].
-        rate: samples per second; raised to 40 per period if that is more.
 
     Raises:
         InputError: a number out of range.
@@ -81,7 +83,7 @@ def swing_trajectory(
     check_range("reach of a swing", reach, 1e-6, 0.2, "m")
     check_range("shake frequency", highest, 0.1, 50, "Hz")
     check_range("displacement of a swing", size, 0, 1.0001 * reach, "m")
-    times = np.linspace(0, seconds, int(np.ceil(seconds * max(rate, 40 * highest))) + 1)
+    times = np.linspace(0, seconds, int(np.ceil(seconds * max(RATE, 40 * highest))) + 1)
     d, d_rate = motion(pieces, times)
     path = _joints_along(arm, np.asarray(q, dtype=np.float64), unit(direction), reach, highest)
     trajectory = JointTrajectory(times, path(d), path(d, 1) * d_rate[:, None])
@@ -120,12 +122,6 @@ def _follow_with_elbow(arm: ArmModel, q: Array, targets: Array, direction: Array
     return np.array(path)
 
 
-def _weights(arm: ArmModel, omega: Array) -> Array:
-    """Return (Q, J) what a joint rate of 1 rad/m costs at angular frequencies (Q,), in shares of its limits."""
-    omega = omega[:, None]
-    return np.maximum(omega / arm.velocity, omega**2 / arm.acceleration)
-
-
 def _particular_and_null(arm: ArmModel, q: ArrayLike, direction: Array) -> tuple[Array, Array]:
     """Return the least joint rates (..., J) per metre along `direction`, and unit rates that leave the flange still.
 
@@ -149,7 +145,8 @@ def _slowest_motion(arm: ArmModel, q: ArrayLike, direction: Array, omega: Array)
         (..., Q, J) rates, (..., Q) that worst, and (..., Q) the share t of the null motion.
     """
     particular, null = (rates[..., None, :] for rates in _particular_and_null(arm, q, direction))
-    weights = _weights(arm, omega)
+    per_joint = omega[:, None]
+    weights = np.maximum(per_joint / arm.velocity, per_joint**2 / arm.acceleration)  # of 1 rad/m, in shares of limits
     a, b = particular * weights, null * weights
     i, j = np.triu_indices(arm.count, 1)
     with np.errstate(divide="ignore", invalid="ignore"):

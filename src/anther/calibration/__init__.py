@@ -12,20 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
-from anther.calibration._boards import Board, CharucoBoard, Chessboard, parse_board, why_unseen
 from anther.calibration._hand_eye import (
     METHODS,
     HandEye,
     Method,
     MethodError,
-    compare,
+    Moved,
+    camera_moved,
+    closed_form,
     disagreement,
-    left_out_errors,
     predicted_board,
     robust_estimate,
-)
-from anther.calibration._moved import Moved, camera_moved
-from anther.calibration._pose_file import read_intrinsics, read_poses
+)  # fmt: skip
+from anther.calibration._inputs import (
+    Board,
+    CharucoBoard,
+    Chessboard,
+    parse_board,
+    read_intrinsics,
+    read_poses,
+    why_unseen,
+)  # fmt: skip
 from anther.calibration._refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
 from anther.calibration._views import (
     CELLS,
@@ -33,7 +40,6 @@ from anther.calibration._views import (
     BoardViews,
     board_views,
     check_motions,
-    detect_board,
     estimate_intrinsics,
     find_corners,
     flange_motions,
@@ -41,37 +47,17 @@ from anther.calibration._views import (
     largest_distortion,
     motion_warnings,
     undistorted,
-)
+)  # fmt: skip
 from anther.checks import check_transform
-from anther.errors import bad_input
+from anther.errors import InputError, bad_input
 from anther.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 
 __all__ = [
-    "CELLS",
-    "Board",
-    "BoardCorners",
-    "BoardViews",
-    "CharucoBoard",
-    "Chessboard",
-    "HandEye",
-    "Method",
-    "MethodError",
-    "Moved",
-    "board_views",
-    "calibrate",
-    "camera_moved",
-    "detect_board",
-    "estimate_intrinsics",
-    "find_corners",
-    "flange_motions",
-    "image_coverage",
-    "largest_distortion",
-    "parse_board",
-    "read_intrinsics",
-    "read_poses",
-    "undistorted",
-    "why_unseen",
-]
+    "CELLS", "Board", "BoardCorners", "BoardViews", "CharucoBoard", "Chessboard", "HandEye", "Method", "MethodError",
+    "Moved", "board_views", "calibrate", "camera_moved", "estimate_intrinsics", "find_corners",
+    "flange_motions", "image_coverage", "largest_distortion", "parse_board", "read_intrinsics", "read_poses",
+    "undistorted", "why_unseen",
+]  # fmt: skip
 
 FEW_FOR_NOISE = 6
 """With fewer views the arm's errors are `ARM_ERRORS`; with more they are where the estimate begins."""
@@ -103,7 +89,7 @@ def calibrate(
 
     Args:
         T_base_flange: (V, 4, 4) flange poses of the views, V >= 3.
-        views: of the board from them (`detect_board`).
+        views: of the board from them (`board_views`).
         intrinsics: of the camera.
         method: closed-form solver of the first estimate.
         free_intrinsics: whether focal lengths and principal point are sought too, from where they are given: for
@@ -129,7 +115,7 @@ def calibrate(
     fit, noise, used = _without_outliers(problem, X, Z, used, pixel_noise(views))
     problem, board = problem.at(fit.intrinsics), board_views(views.corners, fit.intrinsics).T_cam_board
     turn, shift = disagreement(predicted_board(flange, fit.T_flange_cam, fit.T_base_board), board, centre)
-    left_out = left_out_errors(problem, board, centre, fit, noise, used)
+    left_out = _left_out_errors(problem, board, centre, fit, noise, used)
     spread = np.sqrt([np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1] for i in (0, 3)])
     return HandEye(
         T_flange_cam=fit.T_flange_cam,
@@ -147,7 +133,7 @@ def calibrate(
         pixel_noise=noise.pixel,
         arm_rotation_error=noise.rotation,
         arm_translation_error=noise.translation,
-        methods=compare(problem, board, centre, fit, noise, used, left_out),
+        methods=_compare(problem, board, centre, fit, noise, used, left_out),
         method=f"{method} + nonlinear refinement",
         notes=_notes(flange, used, names, float(spread[1])),
     )
@@ -218,3 +204,67 @@ def _half(values: Array) -> float:
 def _hopeless(flange: Array, board: Array, centre: Array, X: Array, Z: Array) -> bool:
     turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
     return _half(turn) > HOPELESS[0] or _half(shift) > HOPELESS[1]
+
+
+def _left_out_errors(
+    problem: Problem,
+    T_cam_board: Array,
+    centre: Array,
+    fit: Fit,
+    noise: Noise,
+    used: NDArray[Any],
+    method: Method | None = None,
+) -> Array:
+    """Return (V, 3): how far off each view is [px], [rad], [m] from what the other used views predict.
+
+    NaN for outliers, and for all where only three views are left.
+
+    Args:
+        problem: all views.
+        T_cam_board: (V, 4, 4) the board seen in each view alone.
+        centre: (3,) of the board [m], where distances are measured.
+        fit: to all used views, where each refinement starts.
+        noise: of corners and arm.
+        used: (V,) views that are not outliers.
+        method: a closed form; None: the refinement.
+
+    Raises:
+        InputError: a solution without one of the views is not possible.
+    """
+    out = np.full((len(used), 3), np.nan)
+    for view in np.flatnonzero(used) if used.sum() > 3 else ():
+        others = used & (np.arange(len(used)) != view)
+        if method is None:
+            X, Z, camera, _ = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, others)
+        else:
+            (X, Z), camera = closed_form(problem.T_base_flange[others], T_cam_board[others], method), fit.intrinsics
+        turn, shift = disagreement(predicted_board(problem.T_base_flange, X, Z), T_cam_board, centre)
+        out[view] = problem.at(camera).pixel_rms(X, Z)[view], turn[view], shift[view]
+    return out
+
+
+def _compare(
+    problem: Problem, T_cam_board: Array, centre: Array, fit: Fit, noise: Noise, used: NDArray[Any], left_out: Array
+) -> tuple[MethodError, ...]:
+    """Return how the closed forms differ from the result, and how well each predicts a view it has not seen.
+
+    The last row is the result itself, whose errors are `left_out` (V, 3). A solver that finds nothing has no row.
+    """
+    rows, problem = [], problem.at(fit.intrinsics)
+    for method in METHODS:
+        try:
+            X, Z = closed_form(problem.T_base_flange[used], T_cam_board[used], method)
+            errors = _left_out_errors(problem, T_cam_board, centre, fit, noise, used, method)
+        except InputError:
+            continue
+        turn, shift = disagreement(X[None], fit.T_flange_cam[None], np.zeros(3))
+        rows.append(MethodError(method, float(turn[0]), float(shift[0]), *_rms(problem, X, Z, used, errors)))
+    X, Z = fit.T_flange_cam, fit.T_base_board
+    return (*rows, MethodError("result", 0.0, 0.0, *_rms(problem, X, Z, used, left_out)))
+
+
+def _rms(problem: Problem, X: Array, Z: Array, used: NDArray[Any], errors: Array) -> tuple[float, float, float, float]:
+    """Return the RMS over the used views of the reprojection error and of the three errors of a view left out."""
+    columns = np.column_stack([problem.pixel_rms(X, Z), errors])[used]
+    pixel, left_pixel, turn, shift = (float(rms) for rms in np.sqrt(np.mean(columns**2, axis=0)))
+    return pixel, left_pixel, turn, shift

@@ -14,8 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
 
-from anther.calibration._refinement import Fit, Noise, Problem, refine
+from anther.calibration._refinement import LEAST_PIXEL_NOISE, Noise, Problem, misfit, refine
+from anther.calibration._views import BoardViews
 from anther.checks import check_array, check_transform
 from anther.errors import InputError, bad_input
 from anther.files import read_object, understood, write_json
@@ -195,7 +197,7 @@ def disagreement(predicted: Array, seen: Array, centre: Array) -> tuple[Array, A
 
 
 def robust_estimate(
-    T_base_flange: Array, T_cam_board: Array, centre: Array, sigmas: tuple[float, float], method: Method, seed: int = 0
+    T_base_flange: Array, T_cam_board: Array, centre: Array, sigmas: tuple[float, float], method: Method
 ) -> tuple[Array, Array, Array]:
     """Return T_flange_cam, T_base_board and the misfit (V,) [-] of the subset of views that most views agree with.
 
@@ -206,14 +208,13 @@ def robust_estimate(
         centre: (3,) of the board [m], where distances are measured.
         sigmas: unit of angles [rad] and of distances [m].
         method: solver.
-        seed: of the draws.
 
     Raises:
         InputError: no subset gives a solution.
     """
     count = len(T_base_flange)
     best, best_score = None, np.inf
-    for views in _subsets(count, np.random.default_rng(seed)):
+    for views in _subsets(count, np.random.default_rng(0)):
         try:
             X, Z = closed_form(T_base_flange[views], T_cam_board[views], method)
         except InputError:
@@ -252,65 +253,97 @@ def _nearest_rotation(R: Array) -> Array:
     return U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
 
 
-def left_out_errors(
-    problem: Problem,
-    T_cam_board: Array,
-    centre: Array,
-    fit: Fit,
-    noise: Noise,
-    used: NDArray[Any],
-    method: Method | None = None,
-) -> Array:
-    """Return (V, 3): how far off each view is [px], [rad], [m] from what the other used views predict.
+# Has the camera moved on the flange since it was calibrated? The arm goes to joints that it had in the calibration, so
+# that what is wrong with its kinematics is wrong twice and cancels. Board and camera are then as they were, or one of
+# them has moved: a camera by the same way in the flange's frame in every view, a board by the same way in the base
+# frame. Each is fitted (`refine`); squared residuals tell which it was.
+Verdict = Literal["still", "camera", "board", "camera or board", "more"]
+CAMERA, BOARD, BOTH = slice(0, 6), slice(6, 12), slice(0, 12)
+CERTAIN = 4.0
+"""A movement counts beyond so many standard deviations of a normal distribution: once in 16 000 mornings by chance."""
+TRIFLE = float(np.deg2rad(0.1)), 0.5e-3
+"""Less is not told, however certain [rad], [m]. A guess: a camera that warms up moves as much, and no grasp is lost."""
+LIKELIER = 9.0
+"""One explanation is preferred when its squared misfit is less by this [-]: it is then 90 times as likely."""
 
-    NaN for outliers, and for all where only three views are left.
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """What moved between calibration and check.
+
+    Attributes:
+        verdict: "still"; what moved; "camera or board" where the views do not tell which; "more" where neither explains
+            them alone.
+        rotation, translation: by which the camera moved on the flange, if it was the camera (or both) [rad], [m].
+        rotation_error, translation_error: their standard errors, in the worst direction [rad], [m].
+        board_rotation, board_translation: by which the board's centre moved, if it was the board [rad], [m].
+    """
+
+    verdict: Verdict
+    rotation: float
+    translation: float
+    rotation_error: float
+    translation_error: float
+    board_rotation: float
+    board_translation: float
+
+
+def camera_moved(
+    found: HandEye,
+    then: tuple[Array, Array],
+    T_base_flange: Array,
+    views: BoardViews,
+    intrinsics: Intrinsics,
+    centre: Array,
+) -> Moved:
+    """Return what moved since a calibration.
 
     Args:
-        problem: all views.
-        T_cam_board: (V, 4, 4) the board seen in each view alone.
-        centre: (3,) of the board [m], where distances are measured.
-        fit: to all used views, where each refinement starts.
-        noise: of corners and arm.
-        used: (V,) views that are not outliers.
-        method: a closed form; None: the refinement.
+        found: the calibration.
+        then: T_base_flange and T_cam_board (V, 4, 4) of its views at the same places.
+        T_base_flange: (V, 4, 4) today, V >= 3, the same to about a degree.
+        views: V, of the board, today.
+        intrinsics: of the camera.
+        centre: (3,) of the board [m].
 
     Raises:
-        InputError: a solution without one of the views is not possible.
+        InputError: another count of views, or views that determine nothing.
     """
-    out = np.full((len(used), 3), np.nan)
-    for view in np.flatnonzero(used) if used.sum() > 3 else ():
-        others = used & (np.arange(len(used)) != view)
-        if method is None:
-            X, Z, camera, _ = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, others)
-        else:
-            (X, Z), camera = closed_form(problem.T_base_flange[others], T_cam_board[others], method), fit.intrinsics
-        turn, shift = disagreement(predicted_board(problem.T_base_flange, X, Z), T_cam_board, centre)
-        out[view] = problem.at(camera).pixel_rms(X, Z)[view], turn[view], shift[view]
-    return out
+    today = check_transform("T_base_flange", T_base_flange, len(views.images))
+    flange_then, T_cam_board = (check_transform("views of the calibration", T, len(today)) for T in then)
+    X, Z = found.T_flange_cam, found.T_base_board
+    # The flange as the calibration has it from what the camera saw then: the arm's errors, and that view's, are in it.
+    as_seen_then = Z @ inverse(T_cam_board) @ inverse(X)
+    problem = Problem.of(today @ inverse(flange_then) @ as_seen_then, views, intrinsics)
+    twice = np.sqrt(2) * np.array([found.pixel_noise, found.arm_rotation_error, found.arm_translation_error])
+    noise = Noise(max(float(twice[0]), LEAST_PIXEL_NOISE), float(twice[1]), float(twice[2]))
+    all_views = np.full(len(today), True)
+    fits = {name: refine(problem, X, Z, noise, all_views, part) for name, part in _PARTS.items()}
+    rest = {name: misfit(problem, fit.T_flange_cam, fit.T_base_board, noise) for name, fit in fits.items()}
+    gain = misfit(problem, X, Z, noise) - np.array([rest["camera"], rest["board"]])
+    camera, board = _way(X, fits["camera"].T_flange_cam), _way(Z, fits["board"].T_base_board, centre)
+    verdict = _verdict(rest, gain, bool(np.all(np.array([camera, board]) < TRIFLE)))
+    fit = fits["both" if verdict == "more" else "camera"]
+    turn, shift = (float(np.sqrt(np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1])) for i in (0, 3))
+    return Moved(verdict, *_way(X, fit.T_flange_cam), turn, shift, *board)
 
 
-def compare(
-    problem: Problem, T_cam_board: Array, centre: Array, fit: Fit, noise: Noise, used: NDArray[Any], left_out: Array
-) -> tuple[MethodError, ...]:
-    """Return how the closed forms differ from the result, and how well each predicts a view it has not seen.
-
-    The last row is the result itself, whose errors are `left_out` (V, 3). A solver that finds nothing has no row.
-    """
-    rows, problem = [], problem.at(fit.intrinsics)
-    for method in METHODS:
-        try:
-            X, Z = closed_form(problem.T_base_flange[used], T_cam_board[used], method)
-            errors = left_out_errors(problem, T_cam_board, centre, fit, noise, used, method)
-        except InputError:
-            continue
-        turn, shift = disagreement(X[None], fit.T_flange_cam[None], np.zeros(3))
-        rows.append(MethodError(method, float(turn[0]), float(shift[0]), *_rms(problem, X, Z, used, errors)))
-    X, Z = fit.T_flange_cam, fit.T_base_board
-    return (*rows, MethodError("result", 0.0, 0.0, *_rms(problem, X, Z, used, left_out)))
+_PARTS: dict[str, slice] = {"camera": CAMERA, "board": BOARD, "both": BOTH}
 
 
-def _rms(problem: Problem, X: Array, Z: Array, used: NDArray[Any], errors: Array) -> tuple[float, float, float, float]:
-    """Return the RMS over the used views of the reprojection error and of the three errors of a view left out."""
-    columns = np.column_stack([problem.pixel_rms(X, Z), errors])[used]
-    pixel, left_pixel, turn, shift = (float(rms) for rms in np.sqrt(np.mean(columns**2, axis=0)))
-    return pixel, left_pixel, turn, shift
+def _verdict(rest: dict[str, float], gain: Array, trifling: bool) -> Verdict:
+    limit = float(chi2.isf(2 * norm.sf(CERTAIN), 6))
+    if trifling or gain.max() <= limit:
+        return "still"
+    if min(rest["camera"], rest["board"]) - rest["both"] > limit:
+        return "more"
+    if abs(rest["camera"] - rest["board"]) < LIKELIER:
+        return "camera or board"
+    return "camera" if rest["camera"] < rest["board"] else "board"
+
+
+def _way(before: Array, after: Array, point: Array | None = None) -> tuple[float, float]:
+    """Return angle [rad] and distance [m] between two poses, the distance of a (3,) point of the moving frame."""
+    turn = Rotation.from_matrix(before[:3, :3].T @ after[:3, :3]).magnitude()
+    p = np.zeros(3) if point is None else point
+    return float(turn), float(np.linalg.norm((after - before)[:3, :3] @ p + (after - before)[:3, 3]))

@@ -7,18 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.calibration._boards import Board
+from anther.calibration._inputs import Board
 from anther.errors import InputError, bad_input
 from anther.geometry import Array, Intrinsics, small_transform, transform_points
 
-LEAST_VIEWS = 3
+LEAST_VIEWS, LEAST_CORNERS = 3, 8
 CELLS = (8, 6)
 """Columns and rows of the grid in which covered cells are counted."""
 
@@ -39,13 +39,6 @@ class BoardCorners:
 
     def __len__(self) -> int:
         return len(self.images)
-
-    def pick(self, views: NDArray[Any]) -> BoardCorners:
-        """Return only these views, given by number or as (V,) booleans."""
-        index = np.arange(len(self))[views]
-        return BoardCorners(
-            self.images[index], tuple(self.points[i] for i in index), tuple(self.pixels[i] for i in index)
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,13 +61,12 @@ class BoardViews:
         return self.corners.images
 
 
-def find_corners(images: Iterable[NDArray[Any]], board: Board, least_corners: int = 8) -> BoardCorners:
-    """Return the board's corners in each image that shows at least `least_corners` of them, not all in one line.
+def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
+    """Return the board's corners in each image that shows at least `LEAST_CORNERS` of them, not all in one line.
 
     Args:
         images: (H, W) or (H, W, 3) uint8.
         board: what was printed; measure its squares.
-        least_corners: fewer corners do not count.
 
     Raises:
         InputError: no image shows the board.
@@ -83,14 +75,14 @@ def find_corners(images: Iterable[NDArray[Any]], board: Board, least_corners: in
     for number, image in enumerate(images):
         known, seen = board.find(image)
         count += 1
-        if len(known) >= least_corners and np.linalg.matrix_rank(known[:, :2] - known[0, :2], tol=1e-9) == 2:
+        if len(known) >= LEAST_CORNERS and np.linalg.matrix_rank(known[:, :2] - known[0, :2], tol=1e-9) == 2:
             numbers.append(number)
             points.append(known)
             pixels.append(seen)
     if not numbers:
         raise bad_input(
             "calibration images",
-            given=f"{count} images, none with {least_corners} corners of the board",
+            given=f"{count} images, none with {LEAST_CORNERS} corners of the board",
             allowed=f"a {board}",
             do="Check the board's size and dictionary, focus and light.",
         )
@@ -178,31 +170,13 @@ def board_views(corners: BoardCorners, intrinsics: Intrinsics) -> BoardViews:
     return BoardViews(corners, np.stack(poses), np.array(errors))
 
 
-def detect_board(
-    images: Iterable[NDArray[Any]], intrinsics: Intrinsics, board: Board, least_corners: int = 8
-) -> BoardViews:
-    """Return the pose of the board in each image that shows at least `least_corners` of its corners.
-
-    Args:
-        images: (H, W) or (H, W, 3) uint8, without distortion.
-        intrinsics: of the camera.
-        board: what was printed; measure its squares.
-        least_corners: fewer corners give no pose.
-
-    Raises:
-        InputError: no image shows the board.
-    """
-    return board_views(find_corners(images, board, least_corners), intrinsics)
-
-
 FEW_VIEWS = 10
 SMALL_TURN = float(np.deg2rad(20))
 """Largest turn below which errors grow: they go with 1 / turn (Tsai and Lenz 1989, section VI) [rad]."""
 SMALL_SECOND_TURN = float(np.deg2rad(15))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motions:
+class Motions(NamedTuple):
     """How the flange turned between views.
 
     Attributes:

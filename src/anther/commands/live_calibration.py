@@ -19,17 +19,19 @@ from numpy.typing import NDArray
 from anther.arm.board_views import board_planner, first_reached
 from anther.arm.planner import Planner
 from anther.calibration import HandEye, Moved, camera_moved, parse_board, read_intrinsics, why_unseen
-from anther.calibration.proposals import candidates, least_alike, spread
-from anther.calibration.taken import (
+from anther.calibration.live import (
     ENOUGH,
     INTRINSICS,
     MOST,
     RESULT,
     Record,
     Taken,
+    candidates,
     is_steady,
     lacks,
+    least_alike,
     read_record,
+    spread,
     taken_before,
 )  # fmt: skip
 from anther.cells import CellFile, read_cell

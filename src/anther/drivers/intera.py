@@ -198,7 +198,7 @@ class RethinkGripper:
             self._io.set("reboot", True)
         self._io.set("calibrate", True)
         self._wait(lambda: bool(self._io.value("is_calibrated")), MOVES, "does not calibrate. Look what is in its way.")
-        self._io.set("speed_mps", sawyer.FINGER_SPEED)
+        self._io.set("speed_mps", sawyer.TOOL.speed)
 
     def close(self) -> None:
         """Sign off from the master; the gripper holds."""

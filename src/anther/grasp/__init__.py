@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,7 @@ from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_object, understood, write_json
 from anther.geometry import Array, inverse, pose7, transform, transform_from_pose7
-from anther.grasp._candidates import Candidates, candidates_along
-from anther.grasp._confidence import place_confidence
-from anther.grasp._params import STAND_OFF, STROKE_MARGIN, Params
+from anther.grasp._candidates import Candidates, candidates_along, place_confidence
 from anther.grasp.clearance import (
     BRANCH,
     FLOWER_POINT,
@@ -41,7 +39,26 @@ __all__ = [
     "save_grasps",
 ]  # fmt: skip
 
-DEFAULTS = Params()
+STROKE_MARGIN = 0.008
+"""The stem must be thinner than the stroke by this [m]."""
+STAND_OFF = 0.12
+"""The straight way in begins this far back along the approach axis [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How grasps are searched and weighed.
+
+    Attributes:
+        gripper: its geometry.
+        fit_gripper: True refuses what this gripper cannot do. False gives the best place on the stem whatever its size:
+            the plant is looked at as if shrunk until its stem fits, and a collision only lowers the score.
+    """
+
+    gripper: GripperShape = field(default_factory=GripperShape)
+    fit_gripper: bool = True
+
+
 SCHEMA = 4
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
@@ -66,6 +83,8 @@ DOUBT = 0.003
 """How far skeleton and cloud may lie beside the truth [m]: of petioles 1.8 to 3.2 mm in 90 of 100 places (measured on
 peppers); what comes this near the closing pads counts as between them."""
 
+WANTED = 3
+"""Grasps that the arm must confirm."""
 ASKED = 150
 """So often is the arm asked before what it has confirmed is enough; `PATIENCE` times as often while that is nothing."""
 PATIENCE = 4
@@ -139,16 +158,13 @@ class Grasp:
         return lambda joints: (forward(joints) @ middle)[:, :3]
 
 
-class Reach(Protocol):
-    """What grasp planning asks of an arm."""
-
-    def __call__(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
-        """Return joints (J,) at the grasp if both poses and the line between them can be reached, else None."""
-        ...
+Reach = Callable[[Array, Array], Array | None]
+"""What grasp planning asks of an arm: T_world_flange (4, 4) before the grasp and at it -> joints (J,) at the grasp if
+both, and the line between them, can be reached, else None."""
 
 
 def plan_grasps(
-    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = DEFAULTS, reach: Reach | None = None
+    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = Params(), reach: Reach | None = None
 ) -> list[Grasp]:
     """Return grasps of the main stem, best first, at different heights.
 
@@ -159,7 +175,7 @@ def plan_grasps(
     Args:
         stem, skeleton, cloud: the plant and, in the cloud, pot and bench.
         params: see `Params`.
-        reach: the arm, asked down the ranking until `params.wanted` grasps are confirmed; None asks no arm.
+        reach: the arm, asked down the ranking until `WANTED` grasps are confirmed; None asks no arm.
 
     Raises:
         StageFailure: "no_grasp_found" (no candidate is clear of pot, bench and stem) or "unreachable" (the arm
@@ -168,11 +184,16 @@ def plan_grasps(
     if len(stem.organ) != len(skeleton.nodes):
         given = f"a stem of {len(stem.organ)} nodes"
         raise bad_input("stem", given=given, allowed=f"of this skeleton ({len(skeleton.nodes)})", do="Find it again.")
-    scale = 1.0 if params.fit_gripper else _shrink_factor(stem, skeleton, params)
+    scale = 1.0
+    if not params.fit_gripper:  # shrunk until the stem fills no more than half the stroke
+        scale = max(1.0, float(2 * np.median(skeleton.radius[stem.node_ids]) / (0.5 * params.gripper.stroke)))
     if scale > 1:
-        stem, skeleton, cloud = _shrunk(stem, skeleton, cloud, 1 / scale)
+        smaller = 1 / scale
+        stem = replace(stem, arc_length=stem.arc_length * smaller)
+        skeleton = replace(skeleton, nodes=skeleton.nodes * smaller, radius=skeleton.radius * smaller)
+        cloud = replace(cloud, points=cloud.points * smaller, obstacles=cloud.obstacles * smaller)
     ranking = _rank(stem, skeleton, cloud, params, toward_base=reach is not None)
-    return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, params, reach)]
+    return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach)]
 
 
 def save_grasps(path: Path | str, grasps: Sequence[Grasp]) -> None:
@@ -220,7 +241,6 @@ class _Ranking:
     order: NDArray[Any]
     fell: Counter[str]
     confidence: Array | None
-    squeezed: Array
 
 
 def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
@@ -261,7 +281,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     total = np.sum(list(costs.values()), axis=0)
     order = np.argsort(np.where(refused, np.inf, total), kind="stable")[: int((~refused).sum())]
     fell = Counter({name: int(yes.sum()) for name, yes in refusals.items() if yes.any()})
-    return _Ranking(candidates, met, costs, order, fell, confidence, _squeezed(candidates, met))
+    return _Ranking(candidates, met, costs, order, fell, confidence)
 
 
 STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
@@ -288,7 +308,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     """Return what speaks against each candidate (C,), by name; 1 is clearly bad. The weights are our judgement."""
     flowers = cloud.points[cloud.labels == FLOWER] if cloud.labels is not None else np.zeros((0, 3))
     flower_distance = KDTree(flowers).query(c.points)[0] if len(flowers) else np.full(len(c.points), np.inf)
-    squeezed = _squeezed(c, met)
+    squeezed = np.maximum(met.spread[:, BRANCH] - c.radius, 0)  # pads fold it, and push the stem aside with it
     aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
     pushed = met.push * c.arc_length / (np.pi / 4 * np.maximum(c.radius, 1e-4) ** 3)  # strain at the root, M r / (E I)
     return {
@@ -309,17 +329,12 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     }
 
 
-def _squeezed(c: Candidates, met: Clearance) -> Array:
-    """Return (C,) how far what the pads fold, and push the stem aside with, reaches beyond the stem [m]."""
-    return np.maximum(met.spread[:, BRANCH] - c.radius, 0)
-
-
-def _first_reached(ranking: _Ranking, params: Params, reach: Reach | None) -> list[Grasp]:
+def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
     """Return the best candidates, `APART` from each other, that the arm confirms, until enough are found."""
     found, asked, refused = list[Grasp](), 0, set[bytes]()
     apart = min(APART, float(ranking.candidates.arc_length.max(initial=0)) / 20) - 1e-9
     for i in ranking.order:
-        if reach is not None and (len(found) == params.wanted or asked >= ASKED * (1 if found else PATIENCE)):
+        if reach is not None and (len(found) == WANTED or asked >= ASKED * (1 if found else PATIENCE)):
             break
         pose = ranking.candidates.T_world_flange[i].tobytes()  # the arm reaches it with either opening or with none
         if pose in refused or any(abs(ranking.candidates.arc_length[i] - g.arc_length) < apart for g in found):
@@ -367,19 +382,8 @@ def _grasp(ranking: _Ranking, i: int) -> Grasp:
         reason="; ".join([reason, *against]),
         confidence=None if ranking.confidence is None else float(ranking.confidence[i]),
         opening=float(c.opening[i]),
-        squeezed=float(ranking.squeezed[i]),
+        squeezed=float(max(ranking.met.spread[i, BRANCH] - c.radius[i], 0)),
     )
-
-
-def _shrink_factor(stem: Stem, skeleton: Skeleton, params: Params) -> float:
-    """Return by how much a plant must shrink for its stem to fill no more than half the stroke; 1 if it fits."""
-    return max(1.0, float(2 * np.median(skeleton.radius[stem.node_ids]) / (0.5 * params.gripper.stroke)))
-
-
-def _shrunk(stem: Stem, skeleton: Skeleton, cloud: Cloud, factor: float) -> tuple[Stem, Skeleton, Cloud]:
-    small_skeleton = replace(skeleton, nodes=skeleton.nodes * factor, radius=skeleton.radius * factor)
-    small_cloud = replace(cloud, points=cloud.points * factor, obstacles=cloud.obstacles * factor)
-    return replace(stem, arc_length=stem.arc_length * factor), small_skeleton, small_cloud
 
 
 def _enlarged(grasp: Grasp, scale: float) -> Grasp:
@@ -387,14 +391,7 @@ def _enlarged(grasp: Grasp, scale: float) -> Grasp:
         return grasp
     T = grasp.T_world_flange.copy()
     T[:3, 3] *= scale
-    return replace(
-        grasp,
-        T_world_flange=T,
-        point=grasp.point * scale,
-        arc_length=grasp.arc_length * scale,
-        stem_diameter=grasp.stem_diameter * scale,
-        clearance=grasp.clearance * scale,
-        opening=grasp.opening * scale,
-        squeezed=None if grasp.squeezed is None else grasp.squeezed * scale,
-        reason=f"for a gripper {scale:.1f} times as large: {grasp.reason}",
-    )
+    lengths = ("point", "arc_length", "stem_diameter", "clearance", "opening", "squeezed")
+    larger = {name: getattr(grasp, name) * scale for name in lengths}
+    reason = f"for a gripper {scale:.1f} times as large: {grasp.reason}"
+    return replace(grasp, T_world_flange=T, reason=reason, **larger)

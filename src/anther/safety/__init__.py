@@ -14,6 +14,7 @@ from anther.checks import check_array
 from anther.devices import (
     Arm,
     ArmRecord,
+    ArmSample,
     Camera,
     DeviceError,
     Frame,
@@ -21,17 +22,41 @@ from anther.devices import (
     GripperState,
     JointTrajectory,
     More,
+    MoreSwing,
+    Motor,
     Robot,
     SafetyLimits,
     Watch,
 )
 from anther.errors import InputError, StageFailure
 from anther.geometry import Array, Intrinsics
-from anther.safety._motion import AT_REST, JUMP, LONGEST, Watchdog, check_shake, check_trajectory, demand
-from anther.safety._motor import GuardedMotor
+from anther.safety._motion import (
+    AT_REST,
+    JUMP,
+    LONGEST,
+    Watchdog,
+    check_shake,
+    check_swing,
+    check_trajectory,
+    demand,
+)  # fmt: skip
+from anther.swing import Swing
 
-__all__ = ["GuardedArm", "GuardedCamera", "GuardedGripper", "check_shake", "check_trajectory", "guard", "stem_stress"]
+__all__ = [
+    "GuardedArm",
+    "GuardedCamera",
+    "GuardedGripper",
+    "GuardedMotor",
+    "check_shake",
+    "check_trajectory",
+    "guard",
+    "stem_stress",
+]
 
+TOO_FAR = 1.3
+"""The pads may move so much more than they were asked to: what a motor that is 15 % off does, and as much again."""
+LEAST = 0.1e-3
+"""What a motor at rest may read [m]."""
 TRIES = 3
 """So often a lost frame is asked for."""
 
@@ -102,50 +127,99 @@ class GuardedArm:
             checked = _copied(trajectory)
             check_trajectory(checked, self.joints(), self._limits, goes_on=more is not None)
             self._expected = None
-            if more is None:
-                record = self._arm.follow(checked, watchdog)
-            else:
-                chain = _Chain(checked, more, self._limits)
-                record = self._arm.follow(checked, watchdog, chain.next)
-                checked = chain.last
+            motions = [checked]
+            onward = None if more is None else lambda: self._next(motions, more)
+            record = self._arm.follow(checked, watchdog, onward)
         except BaseException:
             self._lost = self._lost or watchdog.lost
             with suppress(Exception):  # what went wrong first is what is reported
                 self._arm.hold()
             raise
-        self._expected = checked.positions[-1]
+        self._expected = motions[-1].positions[-1]
         return record
 
     def hold(self) -> None:
         """Stop and hold the present position."""
         self._arm.hold()
 
-
-class _Chain:
-    """Motions that follow each other without a stop; each is checked before the arm is told of it.
-
-    Attributes:
-        last: of them so far.
-    """
-
-    def __init__(self, first: JointTrajectory, more: More, limits: SafetyLimits) -> None:
-        self.last = first
-        self._more, self._limits, self._seconds = more, limits, first.duration
-
-    def next(self) -> JointTrajectory | None:
-        """Return the motion that comes next, or None where the last one ends at rest."""
-        following, ends = self._more(), self.last.velocities[-1]
+    def _next(self, motions: list[JointTrajectory], more: More) -> JointTrajectory | None:
+        """Return what follows these motions without a stop, checked and noted; None where the last ends at rest."""
+        following, last = more(), motions[-1]
         if following is None:
-            demand("speed at the ends", float(np.abs(ends).max()), AT_REST, "rad/s", "Let the last motion end at rest.")
+            ends = float(np.abs(last.velocities[-1]).max())
+            demand("speed at the ends", ends, AT_REST, "rad/s", "Let the last motion end at rest.")
             return None
         checked = _copied(following)
-        self._seconds += checked.duration
-        demand("length of the motion", self._seconds, LONGEST, "s", "Plan shorter motions.")
-        jump = float(np.abs(checked.velocities[0] - ends).max())
+        seconds = sum(motion.duration for motion in [*motions, checked])
+        demand("length of the motion", seconds, LONGEST, "s", "Plan shorter motions.")
+        jump = float(np.abs(checked.velocities[0] - last.velocities[-1]).max())
         demand("jump in speed between motions", jump, JUMP, "rad/s", "Join them with equal speed.")
-        check_trajectory(checked, self.last.positions[-1], self._limits, joined=True, goes_on=True)
-        self.last = checked
+        check_trajectory(checked, last.positions[-1], self._limits, joined=True, goes_on=True)
+        motions.append(checked)
         return checked
+
+
+class GuardedMotor:
+    """A motor that refuses what exceeds the limits, and is stopped whatever goes wrong. It is itself a `Motor`.
+
+    Args:
+        motor: the machine.
+        limits: what no piece and no reading may exceed.
+    """
+
+    def __init__(self, motor: Motor, limits: SafetyLimits) -> None:
+        self._motor, self._limits = motor, limits
+
+    def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
+        """Swing within the limits; return, at rest, what the arm's joints did meanwhile.
+
+        What was checked is a copy, and the copy is what is commanded.
+
+        Raises:
+            StageFailure: limits_exceeded: a piece exceeds a limit, does not join the one before, or nothing follows one
+                that does not end at rest; collision: the arm presses on something. The motor was stopped.
+            DeviceError: the motor refused or stopped, the pads move further than asked, the arm does not stand still or
+                does not tell where it is. The motor was stopped.
+        """
+        pieces: list[Swing] = []
+
+        def following() -> Swing | None:
+            piece = more() if more else None
+            if piece is not None:
+                pieces.append(check_swing(piece, pieces[-1], self._limits))
+            elif not pieces[-1].stops:
+                raise StageFailure("limits_exceeded", "the swing would end in motion. End it with amplitudes of 0.")
+            return None if piece is None else pieces[-1]
+
+        def within(sample: ArmSample) -> None:
+            asked = max(piece.reach for piece in pieces)
+            if not (amplitude := self._motor.amplitude()) <= TOO_FAR * asked + LEAST:
+                told = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
+                raise DeviceError(f"{told} Check its sensor.")
+            if watch:
+                watch(sample)
+
+        still = replace(self._limits, tracking=self._limits.start_tolerance)
+        try:
+            pieces.append(check_swing(first, None, self._limits))
+            record = self._motor.swing(pieces[0], Watchdog(still, within), following)
+            if not (left := self._motor.amplitude()) <= LEAST:
+                raise DeviceError(f"the motor does not come to rest: it still moves by {1e3 * left:.2g} mm.")
+            if not pieces[-1].stops:
+                raise DeviceError("the motor ended before the swing did.")
+        except BaseException:
+            self.stop()
+            raise
+        return record
+
+    def stop(self) -> None:
+        """Stop the motor; what keeps it from stopping is not raised, so that what went wrong before is not hidden."""
+        with suppress(Exception):
+            self._motor.stop()
+
+    def amplitude(self) -> float:
+        """Return what the motor's own sensor reads, see `Motor` [m]."""
+        return self._motor.amplitude()
 
 
 class GuardedGripper:

@@ -1,4 +1,4 @@
-"""What a motion may do: all that is known of it is checked before it begins, and every reading while it lasts."""
+"""What a motion of arm or motor may do: all that is known is checked before, and every reading while it lasts."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.devices import ArmSample, DeviceError, JointTrajectory, SafetyLimits, Watch
-from anther.errors import StageFailure
+from anther.errors import InputError, StageFailure
 from anther.geometry import Array
+from anther.swing import Swing
 
 CHECK_STEP = 0.005
 """A trajectory is checked at its own samples and, in between, this often [s]: 7.5 mm of the flange at its top speed."""
@@ -19,6 +20,8 @@ SOON = 1e-4
 """The flange's speed is the way it goes in this time [s]."""
 SAME = 1e-3
 """Joints that differ by less [rad] are held against the keep-out boxes once: 1.3 mm of an arm stretched out."""
+SWING_STEP = 2.5e-4
+"""A piece is checked so often [s]: 80 times a period of 50 Hz."""
 JUMP = 1e-3
 """Motions that follow each other without a stop join to this [rad/s], and [rad] of the joints."""
 
@@ -176,3 +179,43 @@ class Watchdog:
     def _distrust(self, why: str) -> None:
         self.lost = f"joint readings are stale: {why}. The arm holds; check its connection and start anew."
         raise DeviceError(self.lost)
+
+
+def check_swing(piece: Swing, before: Swing | None, limits: SafetyLimits) -> Swing:
+    """Check all that is known of a piece before it begins; return a copy that nobody else can change.
+
+    The place and its differences at every `SWING_STEP` against stroke, speed and acceleration; the end of the whole
+    against the duration; and that it begins at rest, or as the piece before it ends.
+
+    Args:
+        piece: about to be commanded.
+        before: the piece that it follows; None: it is the first.
+        limits: what is allowed.
+
+    Raises:
+        StageFailure: limits_exceeded, with the value, what is allowed and what to do.
+    """
+    try:
+        tones, goal, start = (np.array(x, dtype=float) for x in (piece.frequencies, piece.amplitudes, piece.before))
+        piece = Swing(tones, goal, piece.seconds, piece.ramp, start, piece.begin)
+    except InputError as error:
+        raise StageFailure("limits_exceeded", str(error)) from error
+    _check_join(piece, before)
+    demand("duration of the swing", piece.begin + piece.seconds, limits.shake_duration, "s", "Swing shorter.")
+    place, rate = piece.motion(np.append(np.arange(0, piece.seconds, SWING_STEP), piece.seconds))
+    demand("swing of the motor", float(np.abs(place).max()), limits.motor_stroke, "m", "Swing less.")
+    demand("speed of the motor", float(np.abs(rate).max()), limits.shake_speed, "m/s", "Swing less or slower.")
+    acceleration = float(np.abs(np.diff(rate)).max()) / SWING_STEP
+    demand("acceleration of the motor", acceleration, limits.motor_acceleration, "m/s^2", "Swing less or slower.")
+    return piece
+
+
+def _check_join(piece: Swing, before: Swing | None) -> None:
+    if before is None:
+        demand("amplitude at the begin of the swing", float(piece.before.sum()), 0.0, "m", "Begin at rest.")
+        demand("begin of the swing", piece.begin, 0.0, "s", "Begin at 0.")
+        return
+    same = piece.frequencies.shape == before.frequencies.shape and bool(np.all(piece.frequencies == before.frequencies))
+    joined = same and np.allclose(piece.before, before.amplitudes, rtol=0, atol=1e-9)
+    if not joined or abs(piece.begin - before.begin - before.seconds) > 1e-9:
+        raise StageFailure("limits_exceeded", "a piece of the swing does not join the one before. Use Swing.then.")

@@ -142,7 +142,7 @@ def _add_link(parent: Any, arm: ArmModel, i: int, truth: Truth, bits: dict[str, 
         flex = body.add_joint(name=flex_name(arm.joints[i]), type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         flex.stiffness, flex.armature = [stiffness, 0, 0], _least_inertia(stiffness)
     _capsules(body, link.name, link.capsules, bits)
-    for rider in (rider for rider in arm.riders if rider.link == i):
+    for rider in (rider for on, rider in arm.riders if on == i):
         riding = body.add_body(name=rider.name, pos=rider.xyz, gravcomp=1)
         _inertial(riding, rider.mass, rider.com, rider.inertia)
         _capsules(riding, rider.name, rider.capsules, bits)

@@ -1,9 +1,15 @@
-"""Calibration boards: what was printed, how the command line writes it, and where its corners are in an image."""
+"""What a user brings: a board, the flange's poses by image name (CSV or JSON), the camera's intrinsics (JSON).
+
+Of a board: what was printed, how the command line writes it, and where its corners are in an image.
+"""
 
 from __future__ import annotations
 
+import csv
+import math
 import re
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,7 +18,8 @@ from numpy.typing import NDArray
 
 from anther.checks import check_range
 from anther.errors import InputError, bad_input
-from anther.geometry import Array
+from anther.files import existing, read_json, read_lines, understood
+from anther.geometry import Array, Intrinsics, transform_from_pose7
 
 SPECS = (
     "charuco:7x5:30mm:22mm[:DICT_4X4_50] (squares, square, marker, dictionary) or chessboard:9x6:25mm (inner corners)"
@@ -73,10 +80,6 @@ class CharucoBoard:
     def centre(self) -> Array:
         """The (3,) middle of the board in its own frame [m]."""
         return np.array([self.columns * self.square / 2, self.rows * self.square / 2, 0])
-
-    def opencv(self) -> Any:
-        """Return OpenCV's board."""
-        return self._printed
 
     def find(self, image: NDArray[Any]) -> tuple[Array, Array]:
         """Return (n, 3) corners in the board frame [m] and (n, 2) where they are in the image [px]; n may be 0."""
@@ -207,3 +210,112 @@ def _length(word: str, text: str) -> float:
     if match is None:
         raise bad_input("board", given=f"'{word}' in '{text}'", allowed="a length with its unit, as 30mm", do="Add it.")
     return float(match[1]) * _UNITS[match[2]]
+
+
+COLUMNS = ("image", "x", "y", "z", "qx", "qy", "qz", "qw")
+REACH = 10.0
+"""A flange farther than this from its base [m] was not given in metres."""
+_NAMES = {"width": "w", "height": "h", "fx": "fl_x", "fy": "fl_y", "cx": "cx", "cy": "cy"}  # Anther's, nerfstudio's
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+
+
+def read_poses(path: Path | str) -> dict[str, Array]:
+    """Return T_base_flange (4, 4) by image name.
+
+    CSV: a first line `image,x,y,z,qx,qy,qz,qw` in any order, then one line per image; `#` starts a comment, and commas,
+    semicolons or tabs separate. JSON: `{"image.png": [x, y, z, qx, qy, qz, qw], ...}`. Metres, base frame, `qw` last.
+
+    Raises:
+        InputError: the file is missing or unusable; the message names the line.
+    """
+    path = existing(path)
+    rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
+    poses: dict[str, Array] = {}
+    for where, name, numbers in rows:
+        if name in poses:
+            raise bad_input(where, given=f"image '{name}' again", allowed="each image once", do="Remove one.")
+        try:
+            pose = [float(number) for number in numbers]
+            T = transform_from_pose7(pose)
+        except (TypeError, ValueError) as error:
+            reason = error if isinstance(error, InputError) else f"{numbers} is not 7 numbers"
+            raise InputError(f"{where}: {reason}") from error
+        if max(map(abs, pose[:3])) > REACH:
+            raise bad_input(
+                where, given=f"a flange at {pose[:3]}", allowed=f"within {REACH:g} m", do="Give positions in metres."
+            )
+        poses[name] = T
+    if not poses:
+        raise bad_input(str(path), given="no poses", allowed="a line per image", do=f"Columns: {', '.join(COLUMNS)}.")
+    return poses
+
+
+def _json_rows(path: Path) -> list[tuple[str, str, Any]]:
+    stored = read_json(path)
+    if not isinstance(stored, dict) or not all(isinstance(numbers, list) for numbers in stored.values()):
+        raise bad_input(
+            str(path),
+            given=f"JSON that is a {type(stored).__name__} of something else",
+            allowed='{"image.png": [x, y, z, qx, qy, qz, qw], ...}',
+            do="See docs/calibration.md.",
+        )
+    return [(f"{path}, '{name}'", name, numbers) for name, numbers in stored.items()]
+
+
+def _csv_rows(path: Path) -> list[tuple[str, str, Any]]:
+    lines = [(n, line) for n, line in enumerate(read_lines(path), 1) if line.strip() and not line.startswith("#")]
+    if not lines:
+        return []
+    separator = next((mark for mark in (";", "\t") if mark in lines[0][1]), ",")
+    with understood(path, "CSV or JSON", "Export it again."):
+        cells = [[word.strip() for word in next(csv.reader([line], delimiter=separator))] for _, line in lines]
+    names, rows = [word.lower() for word in cells[0]], []
+    if sorted(names) != sorted(COLUMNS):
+        raise bad_input(
+            f"{path}, line {lines[0][0]}",
+            given=f"columns {', '.join(names)}",
+            allowed=", ".join(COLUMNS),
+            do="Name each column once, in any order.",
+        )
+    for (number, _), words in zip(lines[1:], cells[1:], strict=True):
+        where = f"{path}, line {number}"
+        if len(words) != len(names):
+            raise bad_input(where, given=f"{len(words)} entries", allowed=str(len(names)), do="Complete the line.")
+        entry = dict(zip(names, words, strict=True))
+        numbers = [entry[name] for name in COLUMNS[1:]]
+        rows.append((where, entry["image"], [n.replace(",", ".") for n in numbers] if separator == ";" else numbers))
+    return rows
+
+
+def read_intrinsics(path: Path | str) -> tuple[Intrinsics, Array]:
+    """Return intrinsics and distortion (5,) k1, k2, p1, p2, k3 from a JSON file.
+
+    It holds width, height, fx, fy, cx, cy, and perhaps k1 ... k3; or it is a `transforms.json` (docs/capture.md), or
+    an earlier `calibration.json`.
+
+    Raises:
+        InputError: the file is missing, or an entry is missing or unusable.
+    """
+    stored = read_json(path)
+    inner = stored.get("intrinsics") if isinstance(stored, dict) else None
+    if isinstance(stored, dict) and isinstance(inner, dict):
+        bent = stored.get("distortion")
+        stored = inner | (dict(zip(_DISTORTION, bent, strict=False)) if isinstance(bent, list) else {})
+    if not isinstance(stored, dict):
+        raise bad_input(str(path), given=type(stored).__name__, allowed=f"{{{', '.join(_NAMES)}}}", do="Correct it.")
+    values = {name: _number(path, stored.get(name, stored.get(other)), name) for name, other in _NAMES.items()}
+    distortion = np.array([_number(path, stored.get(name, 0.0), name) for name in _DISTORTION])
+    width, height = int(values.pop("width")), int(values.pop("height"))
+    return Intrinsics(width, height, **values), distortion
+
+
+def _number(path: Path | str, value: Any, name: str) -> float:
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not number:
+        raise bad_input(
+            f"{path} '{name}'",
+            given="nothing" if value is None else repr(value),
+            allowed=f"a number; the file holds {', '.join(_NAMES)}",
+            do="Add it.",
+        )
+    return float(value)
