@@ -99,7 +99,7 @@ def _pose(center: Array) -> Array:
 
 def urdf(arm: ArmModel) -> str:
     """Return an arm with gripper, open fingers and wrist camera as URDF, every link with its mass and shape."""
-    tool, T, still, point = arm.tool, arm.T_last_flange, (0.0, 0.0, 0.0), (0.0,) * 6
+    tool, T, still, point = arm.tool, arm.T_last_flange, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     base = Link(BASE, still, still, 0.0, still, point, arm.base_capsules, arm.base_solids)
     flange = Link(FLANGE, tuple(T[:3, 3]), tuple(rpy(Rotation.from_matrix(T[:3, :3]))), 0.0, still, point, ())
     gripper = Link(GRIPPER, still, still, tool.mass, tool.com, point, (), (tool.body, *tool.fingers(tool.stroke)))

@@ -81,7 +81,7 @@ def from_urdf(
             shapes[frame.parentJoint] += _points(link, frame.placement.homogeneous, path, packages)
     turns = [np.eye(4), *(transform(_onto(data.joints[j].S[3:]), np.zeros(3)) for j in chain)]
     bodies = [pin.SE3(inverse(turn)).act(model.inertias[j]) for j, turn in zip(chain, turns[1:], strict=True)]
-    links = [_link(model, j, *turns[i : i + 2], bodies[i], shapes[j]) for i, j in enumerate(chain)]
+    links = [_link(model, j, turns[i], turns[i + 1], bodies[i], shapes[j]) for i, j in enumerate(chain)]
     lower, upper, velocity, effort = np.array([_limits(model, j) for j in chain]).T
     T_flange = end.placement.homogeneous @ (np.eye(4) if T_tip_flange is None else T_tip_flange)
     arm = ArmModel(
