@@ -18,7 +18,7 @@ from sqlalchemy.pool import NullPool
 
 from anther.errors import AntherError, InputError, MissingExtra, bad_input
 from anther.files import understood
-from anther.history._tables import VERSION, make_tables, version
+from anther.history.migrations import HEAD, migrate, version
 
 DEFAULT = Path("runs/history.sqlite")
 PATIENCE = 30.0
@@ -28,7 +28,7 @@ INSTALL = "pip install 'anther[postgresql]'"
 
 @contextmanager
 def reading(where: Path | str) -> Iterator[Session | None]:
-    """Yield a session that reads the history, with its tables; None when there is no such file.
+    """Yield a session that reads the history, brought to the newest version; None when there is no such file.
 
     The database itself refuses it to write. Readers never wait for writers, nor writers for readers.
     """
@@ -93,10 +93,10 @@ def _opened(url: URL, *, write: bool) -> Iterator[Session]:
         engine = _engine(_anchored(url), PATIENCE)
         with Session(engine.execution_options(write=write), expire_on_commit=False) as session:
             with _cells_understood(url):
-                if version(session.connection()) != VERSION:
+                if version(session.connection()) != HEAD:
                     session.rollback()
                     with engine.execution_options(write=True).begin() as connection:
-                        make_tables(connection)
+                        migrate(connection)
             yield session
     except (SQLAlchemyError, OSError) as error:
         if isinstance(error, AntherError):

@@ -14,7 +14,6 @@ from typing import Any
 from sqlalchemy import (
     JSON,
     CheckConstraint,
-    Connection,
     DateTime,
     Double,
     ForeignKey,
@@ -23,47 +22,8 @@ from sqlalchemy import (
     TypeDecorator,
     UniqueConstraint,
     false,
-    inspect,
-    text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
-
-from anther.errors import bad_input
-
-VERSION = "0005"
-"""Of these tables. It is kept where Alembic keeps one, which takes over once tables of a release have to change."""
-
-_VIEW = (
-    "CREATE VIEW trials AS SELECT v.id, v.time, p.species, p.label AS plant, v.held_unharmed, v.failure, v.run, "
-    "g.arc_length_m, s.frequency_hz, s.amplitude_m FROM visits v JOIN plants p ON p.id = v.plant_id "
-    "LEFT JOIN grasps g ON g.visit_id = v.id LEFT JOIN shakes s ON s.visit_id = v.id"
-)
-"""For people who write SQL."""
-
-_LOCK = 0x616E7468
-"""Key of PostgreSQL's advisory lock: "anth"."""
-
-
-def version(connection: Connection) -> str | None:
-    """Return the version of a database; None for an empty one."""
-    if not inspect(connection).has_table("alembic_version"):
-        return None
-    return connection.execute(text("SELECT version_num FROM alembic_version")).scalar()
-
-
-def make_tables(connection: Connection) -> None:
-    """Make the tables in a database that has none, in one transaction: of two that begin it at once one does."""
-    if connection.dialect.name == "postgresql":
-        connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
-    found = version(connection)
-    if found is None:
-        Base.metadata.create_all(connection, checkfirst=False)
-        connection.execute(text(_VIEW))
-        connection.execute(text("CREATE TABLE alembic_version (version_num VARCHAR(32) PRIMARY KEY)"))
-        connection.execute(text("INSERT INTO alembic_version VALUES (:version)"), {"version": VERSION})
-    elif found != VERSION:
-        do = "It was written by another Anther: update this one, or name another history."
-        raise bad_input("trial history", given=f"schema version {found[:40]}", allowed=VERSION, do=do)
 
 
 class Utc(TypeDecorator[datetime]):

@@ -1,4 +1,4 @@
-"""A new history has its tables, however many begin it; one of a version that is not known is refused, and kept."""
+"""A new history has the tables of the classes; one of a version that is not known is refused, and kept."""
 
 from __future__ import annotations
 
@@ -8,10 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine, inspect, text
 
+import anther.history.migrations as versions
 from anther.errors import InputError
 from anther.history import TrialRecord, read_trials, record_trial
+from anther.history._tables import Base
+from anther.history.migrations import HEAD
 
 VISIT = TrialRecord("tomato", "a", True)
 
@@ -46,10 +52,29 @@ def test_a_database_with_other_tables_of_such_names_is_refused_and_kept(where: s
         assert inspect(connection).get_table_names() == ["sweeps"], "the tables made before it are gone again"
 
 
-def test_people_who_write_sql_have_a_view(where: str) -> None:
+def test_the_tables_are_those_of_the_classes(where: str) -> None:
     record_trial(VISIT, where)
     with engine_of(where).connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
         assert connection.execute(text("SELECT plant, held_unharmed FROM trials")).one() == ("a", True)
+
+
+def test_a_history_of_the_version_before_is_brought_up_with_all_that_is_in_it(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as before, engine_of(where).begin() as connection:
+        before.setattr(versions, "HEAD", "0003")
+        versions.migrate(connection)
+        connection.execute(text("INSERT INTO plants (species, label, learned) VALUES ('tomato', 'a', '{}')"))
+        row = "(plant_id, time, success) VALUES (1, '2026-05-01 12:00:00', true)"
+        connection.execute(text(f"INSERT INTO visits {row}"))
+    assert [(trial.plant, trial.held_unharmed) for trial in read_trials(where)] == [("a", True)]
+    record_trial(VISIT, where)
+    assert len(read_trials(where)) == 2
+
+
+def test_the_head_is_the_newest_version() -> None:
+    assert ScriptDirectory(str(Path(versions.__file__).parent)).get_current_head() == HEAD
 
 
 def test_a_history_of_another_version_is_refused(where: str) -> None:
