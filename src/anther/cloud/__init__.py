@@ -85,7 +85,7 @@ class Cloud:
         view_used: (V,) bool, false for views left out because the others contradict their pose; None if imported.
         footprint: median width of a pixel at the plant [m]; None if imported.
         seen_through: share of what views judge of each other's points that they see through, 0..1, where that is more
-            than right captures have (`disagreement.py`); else 0.
+            than right captures have (`_doubts.disagreement`); else 0.
     """
 
     points: Array
