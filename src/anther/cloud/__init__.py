@@ -135,9 +135,11 @@ class Cloud:
         if not path.with_suffix(".npz").exists():
             return cls(**fields)
         with understood(path.with_suffix(".npz")):
-            rest = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
+            rest: dict[str, Any] = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
             notes = tuple(json.loads(str(rest.pop("notes"))))
-            numbers = {name: float(rest.pop(name)) for name in ("footprint", "seen_through") if name in rest}
+            numbers: dict[str, Any] = {
+                name: float(rest.pop(name)) for name in ("footprint", "seen_through") if name in rest
+            }
             return cls(**fields, **rest, **numbers, notes=notes)
 
 

@@ -186,7 +186,7 @@ class Skeleton:
             InputError: missing, truncated, or of another kind or schema.
         """
         with understood(path):
-            a = read_npz(path, _KIND, _SCHEMA)
+            a: dict[str, Any] = read_npz(path, _KIND, _SCHEMA)
             a["notes"] = tuple(str(note) for note in a["notes"])
             if "root_confidence" in a:
                 a["root_confidence"] = float(a["root_confidence"])
@@ -278,19 +278,19 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     known = params.root
     if params.method == "thinning":
         tree = _pruned(_not_trivial(thinned_tree(voxels), size), voxels)
-        root, *belief = (nearest_node("root", known, tree.nodes), 1.0, ()) if known else _base(tree)
-        return tree.taking(*rerooted(tree.parent, root)), *belief
+        root, sure, notes = (nearest_node("root", known, tree.nodes), 1.0, ()) if known else _base(tree)
+        return tree.taking(*rerooted(tree.parent, root)), sure, notes
     source = nearest_node("root", known, voxels.points) if known else int(np.argmin(voxels.points[:, 2]))
     paths, levels = _paths(voxels, source, size)
-    belief = (1.0, ())
+    sure, notes = 1.0, ()
     if not known:
         tree = _parted(paths, voxels)
-        root, *belief = _base(tree)
+        root, sure, notes = _base(tree)
         if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
             source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[root], axis=1)))
             paths, levels = _paths(voxels, source, size)
     pruned = _pruned(paths, voxels)
-    return middled(pruned, stem_gain(pruned), voxels, levels), *belief
+    return middled(pruned, stem_gain(pruned), voxels, levels), sure, notes
 
 
 def _paths(voxels: Voxels, source: int, size: float) -> tuple[RawTree, LevelSets]:

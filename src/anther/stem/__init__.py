@@ -97,7 +97,7 @@ class Stem:
             InputError: missing, truncated, or of another kind or schema.
         """
         with understood(path):
-            a = read_npz(path, _KIND, _SCHEMA)
+            a: dict[str, Any] = read_npz(path, _KIND, _SCHEMA)
             notes = tuple(str(note) for note in a.pop("notes"))
             sure = float(a.pop("confidence")) if "confidence" in a else None
             return cls(**a, notes=notes, confidence=sure)
