@@ -203,7 +203,7 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
 
 def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Array) -> list[str]:
     from anther.calibration import image_coverage, largest_distortion
-    from anther.calibration.taken import COVERED
+    from anther.calibration.live import COVERED
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)

@@ -94,7 +94,7 @@ def connected(file: CellFile) -> Iterator[Robot]:
 def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Iterator[HardwareCell]:
     """Connect a cell for one trial; see `connected`. `tap` listens to the bare machines."""
     limits, ratio, arm = file.safety_limits(), file.limits.speed_ratio, file.model
-    boxes = tuple(place.box for place in file.keep_out)
+    boxes = file.keep_out
     with connected(file) as bare:
         robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits)
 

@@ -11,7 +11,8 @@ from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, W
 from anther.errors import bad_input
 from anther.geometry import Array
 from anther.sim import arm_model
-from anther.sim.cell import Cell, mujoco
+from anther.sim._plant_mechanics import mujoco
+from anther.sim.cell import Cell
 from anther.swing import Swing
 
 CYCLE = 0.01
