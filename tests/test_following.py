@@ -127,7 +127,7 @@ def test_the_surer_an_axis_the_more_it_tells_the_frequency() -> None:
         path = track(0.006, 0.012, noise=1e-4, deep_noise=3e-3, seed=seed)
         path[:, 1] = PLACE[1]
         off.append(measured(path).frequency - F)
-    assert np.sqrt(np.mean(np.square(off))) < 0.006
+    assert np.sqrt(np.mean(np.square(off))) < 0.004
 
 
 def test_a_swing_below_a_share_of_a_pixel_is_not_told() -> None:

@@ -377,6 +377,16 @@ def test_the_deviation_of_a_fit_is_of_the_tone_that_is_told_worst() -> None:
     assert hard.std > 1.5 * easy.std
 
 
+def test_a_place_of_which_half_is_unknown_does_not_count() -> None:
+    path = swung_path(0.0)
+    path[10, 0] = path[30, 1] = np.nan
+    basis = _basis(RATED, np.array([5.0]))
+    found = _fitted(basis, path, 0.03)
+    assert found is not None
+    assert found.coefficients[:2] == pytest.approx(np.array([[2.0, -1.0], [0.0, 0.0]]), abs=1e-6)
+    assert np.isfinite(_growing(RATED, basis, [path]))
+
+
 @pytest.mark.parametrize(("missing", "known"), [(23, True), (25, False)])
 def test_a_path_is_fitted_if_it_was_followed_in_six_of_ten_frames(missing: int, known: bool) -> None:
     path = swung_path(0.1)
