@@ -28,6 +28,7 @@ from anther.calibration._inputs import (
     Board,
     CharucoBoard,
     Chessboard,
+    check_size,
     parse_board,
     read_intrinsics,
     read_poses,
@@ -54,7 +55,7 @@ from anther.geometry import Array, Intrinsics, inverse, pose7, transform_from_po
 
 __all__ = [
     "CELLS", "Board", "BoardCorners", "BoardViews", "CharucoBoard", "Chessboard", "HandEye", "Method", "MethodError",
-    "Moved", "board_views", "calibrate", "camera_moved", "estimate_intrinsics", "find_corners",
+    "Moved", "board_views", "calibrate", "camera_moved", "check_size", "estimate_intrinsics", "find_corners",
     "flange_motions", "image_coverage", "largest_distortion", "parse_board", "read_intrinsics", "read_poses",
     "undistorted", "why_unseen",
 ]  # fmt: skip

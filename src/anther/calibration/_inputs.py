@@ -309,6 +309,13 @@ def read_intrinsics(path: Path | str) -> tuple[Intrinsics, Array]:
     return Intrinsics(width, height, **values), distortion
 
 
+def check_size(given: Intrinsics, size: tuple[int, int], whose: str) -> None:
+    """Check that intrinsics are of images of `size` (width, height) [px]."""
+    if (given.width, given.height) != size:
+        own, allowed = f"{given.width} x {given.height} px", f"{size[0]} x {size[1]} px, as {whose}"
+        raise bad_input("intrinsics", given=own, allowed=allowed, do="Give those of this resolution.")
+
+
 def _number(path: Path | str, value: Any, name: str) -> float:
     number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     if not number:

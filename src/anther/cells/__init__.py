@@ -10,7 +10,7 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -309,3 +309,16 @@ def owned(arm: str, folder: Path | None = None) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+@contextmanager
+def kept_open(file: CellFile) -> Iterator[Callable[[Any], Any]]:
+    """Own the cell's arm for the block; yield what is told each machine, and closes it at the end."""
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+
+        def keep(machine: Any) -> Any:
+            stack.callback(getattr(machine, "close", lambda: None))
+            return machine
+
+        yield keep

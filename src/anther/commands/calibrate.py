@@ -104,13 +104,6 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def check_size(given: Intrinsics, size: tuple[int, int], whose: str) -> None:
-    """Check that intrinsics are of images of `size` (width, height) [px]."""
-    if (given.width, given.height) != size:
-        own, allowed = f"{given.width} x {given.height} px", f"{size[0]} x {size[1]} px, as {whose}"
-        raise bad_input("intrinsics", given=own, allowed=allowed, do="Give those of this resolution.")
-
-
 def _from_files(args: Args) -> None:
     """Calibrate from images and poses in files."""
     from anther import calibration
@@ -123,7 +116,7 @@ def _from_files(args: Args) -> None:
     names, notes = _names(folder, poses)
     corners, size = _find(folder, names, board)
     intrinsics, distortion = given or calibration.estimate_intrinsics(corners, *size)
-    check_size(intrinsics, size, "the images")
+    calibration.check_size(intrinsics, size, "the images")
     views = calibration.board_views(calibration.undistorted(corners, intrinsics, distortion), intrinsics)
     seen = tuple(names[number] for number in views.images)
     notes += [f"no board found in {', '.join(n for n in names if n not in seen)}"] if len(seen) < len(names) else []

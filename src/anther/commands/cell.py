@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -48,26 +46,12 @@ def run(args: Args) -> int:
     return enable(file) if args.action == "enable" else jog(file, args.joint, args.by)
 
 
-@contextmanager
-def kept_open(file: CellFile) -> Iterator[Callable[[Any], Any]]:
-    """Own the cell's arm for the block; yield what is told each machine, and closes it at the end."""
-    from anther.cells import owned
-
-    with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
-
-        def keep(machine: Any) -> Any:
-            stack.callback(getattr(machine, "close", lambda: None))
-            return machine
-
-        yield keep
-
-
 def check(file: CellFile) -> int:
     """Connect to each part by itself and print what it sees, or what is missing; nothing moves."""
     from rich.console import Console
     from rich.table import Table
 
+    from anther.cells import kept_open
     from anther.errors import AntherError
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
@@ -100,6 +84,8 @@ def check(file: CellFile) -> int:
 
 def enable(file: CellFile) -> int:
     """Switch the arm's motors on and let the gripper find its ends, each after a yes."""
+    from anther.cells import kept_open
+
     with kept_open(file) as keep:
         arm = keep(file.connect(file.arm))
         if hasattr(arm, "enable") and agreed("Switch the arm's motors on? Nobody in its reach, the stop in your hand."):
@@ -116,6 +102,7 @@ def enable(file: CellFile) -> int:
 
 def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     """Move one joint, None is the last, a little and tell where it went, after a yes."""
+    from anther.cells import kept_open
     from anther.checks import check_range
     from anther.safety import GuardedArm
 

@@ -19,9 +19,8 @@ from anther.arm.sawyer import SAWYER
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import Views, plan_views
 from anther.capture import Capture
-from anther.cells import CellFile, Part
+from anther.cells import CellFile, Part, kept_open
 from anther.cloud import Cloud
-from anther.commands.cell import kept_open
 from anther.devices import JointTrajectory, Robot, Tap, untapped
 from anther.geometry import Array
 from anther.runs import Advance

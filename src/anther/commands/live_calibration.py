@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from anther.arm.board_views import board_planner, first_reached
 from anther.arm.planner import Planner
-from anther.calibration import HandEye, Moved, camera_moved, parse_board, read_intrinsics, why_unseen
+from anther.calibration import HandEye, Moved, camera_moved, check_size, parse_board, read_intrinsics, why_unseen
 from anther.calibration.live import (
     ENOUGH,
     INTRINSICS,
@@ -34,10 +34,8 @@ from anther.calibration.live import (
     spread,
     taken_before,
 )  # fmt: skip
-from anther.cells import CellFile, read_cell
+from anther.cells import CellFile, kept_open, read_cell
 from anther.cells.rewriting import point_to_calibration
-from anther.commands.calibrate import check_size
-from anther.commands.cell import kept_open
 from anther.commands.hardware_cell import CALM, motion_params
 from anther.devices import Arm, Camera, DeviceError, JointTrajectory
 from anther.errors import AntherError, InputError, StageFailure, bad_input
