@@ -2,7 +2,7 @@
 
     python experiments/fit_confidence.py
 
-Prints the constants of skeleton/_rooting.py and grasp/_candidates.py. Development plants: 48 grown (`real/grown.py`),
+Prints the constants of skeleton/support.py and grasp/_candidates.py. Development plants: 48 grown (`real/grown.py`),
 five of the ten seedlings of trackplant3d_tomato1a (every third scan), gavriel_maize_28.2.23_8; each disturbed once in
 every way (`real/strict.py`), and for the grasp some development captures of confidence.py as well. None of them is
 among the plants that disturbed_plants.py reports. The root: a conditional logit among low tips, nested in whether the
@@ -114,8 +114,8 @@ def main() -> None:
         for other, base in {kind: case for kind, *case in reversed([*disturbed(plant)])}.values():
             found.add(other, base)
     weights, seen = fit_root(found.choices)
-    _say(console, "skeleton/_rooting.py: FITTED", weights)
-    _say(console, "skeleton/_rooting.py: SEEN", seen)
+    _say(console, "skeleton/support.py: BASE_FITTED", weights)
+    _say(console, "skeleton/support.py: BASE_SEEN", seen)
     for s in [] if args.quick else samples(CAPTURED, 4, 7, args.clouds):
         if s is not None and len(s.arcs):
             found.evidence += list(place_evidence(s.stem, s.skeleton, s.arcs[::SPARSE]))

@@ -110,6 +110,22 @@ def test_what_cannot_be_connected_is_told() -> None:
         ArmApart(slow_sawyer, {"master": "http://127.0.0.1:1"}, LIMITS)
 
 
+class Cold(DeviceError):
+    """An error of a driver's own, which a process cannot make from its words alone."""
+
+    def __init__(self, code: int, what: str) -> None:
+        super().__init__(f"{what} ({code})")
+
+
+def freezing() -> None:
+    raise Cold(7, "the arm is too cold")
+
+
+def test_an_error_of_a_driver_s_own_kind_is_told_in_its_words() -> None:
+    with pytest.raises(DeviceError, match=r"^the arm is too cold \(7\)$"):
+        ArmApart(freezing, {}, LIMITS)
+
+
 def test_a_process_that_is_killed_is_told() -> None:
     with closing(ArmApart(SlowArm, {}, LIMITS)) as arm:
         start = arm.joints()

@@ -25,6 +25,7 @@ from anther.arm.planner import SHAKE_SHARE, Planner
 from anther.arm.urdf import capsules_around, from_urdf
 from anther.arm.views import Params as ViewParams
 from anther.arm.views import capture_time, plan_views
+from anther.cells._parts import arm_of_urdf
 from anther.commands.simulated_cell import layout, usual_distance
 from anther.errors import InputError
 from anther.geometry import Array, Box, transform
@@ -199,6 +200,32 @@ def test_a_higher_mount_lifts_all_of_an_arm() -> None:
     np.testing.assert_allclose(high.link_poses(q)[..., 2, 3], low.link_poses(q)[..., 2, 3] + 0.2)
     assert high.base_capsules[0].start[2] == pytest.approx(low.base_capsules[0].start[2] + 0.2)
     assert high.shoulder[2] == pytest.approx(low.shoulder[2] + 0.2)
+
+
+@pytest.mark.parametrize(
+    ("told", "instead"),
+    [
+        ('<mass value="2.0" />', '<mass value="2,0" />'),
+        ('<mass value="2.0" />', '<mass value="two" />'),
+        (' izz="0.005"', ""),
+        ('<inertia ixx="0.01" iyy="0.012" izz="0.005" ixy="0.001" ixz="0" iyz="0" />', ""),
+    ],
+)
+def test_a_mass_that_cannot_be_read_is_refused(tmp_path: Path, told: str, instead: str) -> None:
+    """A link without mass would make the torques of every motion too small."""
+    path = tmp_path / "arm.urdf"
+    assert told in URDF.read_text()
+    path.write_text(URDF.read_text().replace(told, instead))
+    with pytest.raises(InputError, match="a URDF of an arm"):
+        arm_of_urdf(path, "foot", "l5", [1.0], six().ready.tolist())
+
+
+def test_a_joint_that_turns_on_and_on_keeps_limits_that_it_states_and_may_be_called_as_a_link(tmp_path: Path) -> None:
+    path, ready = tmp_path / "arm.urdf", six().ready
+    text = URDF.read_text().replace('name="j0" type="revolute"', 'name="l0" type="continuous"')
+    path.write_text(text.replace("</joint>", '<dynamics damping="" /></joint>'))
+    arm = from_urdf("it", path, base="foot", tip="l5", acceleration=1.0, ready=ready)
+    assert (arm.joints[0], arm.lower[0], arm.upper[0]) == ("l0", -2.5, 2.5)
 
 
 def test_what_is_no_arm_is_refused(tmp_path: Path) -> None:

@@ -169,6 +169,16 @@ def test_round_trip(tmp_path: Path) -> None:
     np.testing.assert_allclose(common.vertices, cloud.points)  # type: ignore[union-attr]
 
 
+def test_a_cloud_of_ours_that_lost_its_obstacles_is_refused(tmp_path: Path) -> None:
+    """Pot and bench would be free space to an arm."""
+    Cloud(np.random.default_rng(0).normal(size=(50, 3)), obstacles=np.zeros((3, 3))).save(tmp_path / "03_cloud.ply")
+    told = dict(np.load(tmp_path / "03_cloud.npz"))
+    del told["obstacles"]
+    np.savez(tmp_path / "03_cloud.npz", **told)
+    with pytest.raises(InputError):
+        Cloud.load(tmp_path / "03_cloud.ply")
+
+
 def test_a_foreign_ply_is_a_cloud_without_obstacles(tmp_path: Path) -> None:
     points = np.arange(12.0).reshape(4, 3)
     text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"

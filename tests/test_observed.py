@@ -15,6 +15,7 @@ from anther.elastic_rod import (
     Drive,
     Rocking,
     Springs,
+    _response,
     observed_response,
     simulate,
     steady_motion,
@@ -58,6 +59,15 @@ def test_what_is_observed_is_what_the_whole_response_says(plant: PlantModel, spr
     one = displacements(np.array([1]), len(plant.rods.nodes))
     alone = observed_response(plant.rods, plant.clamp, grips, one, frequencies, loss_factor=0.1, springs=springs)
     np.testing.assert_allclose(found.force, alone.force, rtol=1e-8, atol=1e-8)
+
+
+def test_loads_that_are_solved_in_portions_give_the_same(plant: PlantModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    grips, seen = pad_nodes(plant, np.array([5, 12]), width=0.034), observables(plant).operator
+    whole = observed_response(plant.rods, plant.clamp, grips, seen, np.array([1.5, 7.0]))
+    monkeypatch.setattr(_response, "COLUMNS", 5)
+    portions = observed_response(plant.rods, plant.clamp, grips, seen, np.array([1.5, 7.0]))
+    for one, other in zip(whole, portions, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("springs", [RIGID, SOFT])

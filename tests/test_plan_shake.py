@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -251,6 +252,16 @@ def test_round_trip(plan: ShakePlan, tmp_path: Path) -> None:
         (tmp_path / "broken.json").write_text(text)
         with pytest.raises(InputError):
             ShakePlan.load(tmp_path / "broken.json")
+
+
+@pytest.mark.parametrize("part", ["tones", "pads", "response_map", "grasp"])
+def test_only_a_runner_up_may_be_missing_in_a_plan(plan: ShakePlan, tmp_path: Path, part: str) -> None:
+    path = tmp_path / "plan.json"
+    replace(plan, runner_up=None).save(path)
+    assert ShakePlan.load(path).runner_up is None
+    path.write_text(json.dumps(json.loads(path.read_text()) | {part: None}))
+    with pytest.raises(InputError):
+        ShakePlan.load(path)
 
 
 def test_default_arm_limit_is_the_tabulated_one(grasps: list[Grasp]) -> None:

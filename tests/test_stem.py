@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from made_plants import segment_distance, simple_plant
 from scipy.spatial.transform import Rotation
 
 from anther.cloud import Cloud
-from anther.errors import StageFailure
+from anther.errors import InputError, StageFailure
 from anther.geometry import Array
 from anther.skeleton import Skeleton, skeletonize
 from anther.stem import BRANCH, LEAF, STEM, TRUSS, Stem, find_stem
@@ -268,3 +270,15 @@ def test_save_and_load(tmp_path) -> None:
     again = Stem.load(tmp_path / "stem.npz")
     for name in ("node_ids", "arc_length", "attachments", "organ"):
         assert np.array_equal(getattr(again, name), getattr(stem, name))
+    assert again.fork == stem.fork
+
+
+def test_a_file_that_does_not_say_where_the_stem_forks_is_refused(tmp_path: Path) -> None:
+    """Without it places above a fork would be ranked as if they were on the stem."""
+    path = tmp_path / "stem.npz"
+    find_stem(drawn(line([0, 0, 0], [0, 0, 0.3]), radius=[0.004])).save(path)
+    told = dict(np.load(path))
+    del told["fork"]
+    np.savez(path, **told)
+    with pytest.raises(InputError):
+        Stem.load(path)

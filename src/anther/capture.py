@@ -151,11 +151,11 @@ def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
                 allowed=f"{_PLAUSIBLE_DEPTH[0]:g} to {_PLAUSIBLE_DEPTH[1]:g} m",
                 do="Is it in metres? In a folder, depth_unit_scale_factor says metres per step: 0.001 for millimetres.",
             )
-    furthest = float(np.linalg.norm(T_world_cam[:, :3, 3], axis=1).max())
-    if furthest > _PLAUSIBLE_POSITION:
+    away = np.linalg.norm(T_world_cam[:, :3, 3], axis=1)
+    if away.max() > _PLAUSIBLE_POSITION:
         raise bad_input(
             "T_world_cam",
-            given=f"a camera {furthest:g} m from the world's origin",
+            given=f"a camera {away.max():g} m from the world's origin (view {away.argmax()})",
             allowed=f"at most {_PLAUSIBLE_POSITION:g} m",
             do="Are the poses in metres?",
         )
@@ -220,7 +220,10 @@ def _write_folder(capture: Capture, folder: Path) -> None:
 
 
 def _write_png(path: Path, image: NDArray[Any]) -> None:
-    path.write_bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not ok:
+        raise InputError(f"{path}: the image of shape {image.shape} could not be encoded as PNG.")
+    path.write_bytes(data.tobytes())
 
 
 def _frame(capture: Capture, view: int) -> dict[str, Any]:
@@ -362,6 +365,6 @@ def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
 
 
 def in_threads(work: Callable[[int], Any], items: Iterable[int]) -> list[Any]:
-    """Return what `work` makes of every number, in threads: OpenCV and numba release the GIL."""
+    """Return what `work` makes of all numbers, or raise its first error; in threads: OpenCV, numba drop the GIL."""
     with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
         return list(pool.map(work, items))

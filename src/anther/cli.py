@@ -97,7 +97,7 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 @contextmanager
 def _compiling_told(name: str) -> Iterator[None]:
-    """Say so when a command that has run for `PATIENCE` compiles code, which takes a minute and is kept."""
+    """Say so when a command that brought numba compiles after `PATIENCE`; it takes a minute, and is kept."""
     if "numba" not in sys.modules:
         yield
         return

@@ -69,14 +69,14 @@ def from_urdf(
     model = pin.buildModelFromXML(ElementTree.tostring(tree, encoding="unicode"))
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
-    end = model.frames[model.getFrameId(tip)]
+    end = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
     chain = model.supports[end.parentJoint].tolist()[1:]
     slides = [model.names[j] for j in chain if not model.joints[j].shortname().startswith("JointModelR")]
     if slides or not chain:
         raise bad_input("arm", given=f"joints that do not turn: {slides}", allowed="revolute", do="Choose other links.")
     shapes: dict[int, list[Array]] = {j: [] for j in (0, *chain)}
     for link in tree.iter("link"):
-        frame = model.frames[model.getFrameId(link.get("name"))]
+        frame = model.frames[model.getFrameId(link.get("name"), pin.FrameType.BODY)]
         if frame.parentJoint in shapes:
             shapes[frame.parentJoint] += _points(link, frame.placement.homogeneous, path, packages)
     turns = [np.eye(4), *(transform(_onto(data.joints[j].S[3:]), np.zeros(3)) for j in chain)]
@@ -126,10 +126,10 @@ def _tree_from(robot: Any, base: str, tip: str) -> Any:
     while open_:
         name = open_.pop()
         bare = ElementTree.SubElement(tree, "link", name=name)
-        bare.extend(part for part in links[name] if part.tag in ("inertial", "collision"))
+        bare.extend([part for part in links[name] if part.tag == "collision" or _weighs(part)])
         for joint in robot.findall("joint"):
             if joint.find("parent").get("link") == name:
-                tree.append(joint)
+                tree.append(_only_what_moves(joint))
                 child = joint.find("child").get("link")
                 if child == tip and joint.get("type") == "fixed":
                     tree.append(ElementTree.Element("link", name=tip))
@@ -139,6 +139,32 @@ def _tree_from(robot: Any, base: str, tip: str) -> Any:
         do = "Name two links of one chain."
         raise bad_input("tip", given=f"{tip!r}", allowed=f"a link that hangs on {base!r}", do=do)
     return tree
+
+
+def _weighs(tag: Any) -> bool:
+    """Return whether a link's tag is an inertial with mass; one that urdfdom would drop with a mere message raises."""
+    if tag.tag != "inertial" or float(tag.find("mass").get("value")) <= 0:
+        return False
+    for pair in ("xx", "xy", "xz", "yy", "yz", "zz"):
+        float(tag.find("inertia").attrib[f"i{pair}"])
+    origin = tag.find("origin")
+    for text in {} if origin is None else origin.attrib.values():
+        _numbers(text)
+    return True
+
+
+def _only_what_moves(joint: Any) -> Any:
+    """Return a joint without what is not read; one that turns on and on keeps limits that it states."""
+    kept = ElementTree.Element("joint", joint.attrib)
+    kept.extend([part for part in joint if part.tag in ("origin", "parent", "child", "axis", "limit")])
+    if joint.get("type") not in ("fixed", "revolute", "continuous", "prismatic", "floating", "planar"):
+        given = f"joints that do not turn: {[joint.get('name')]}"
+        raise bad_input("arm", given=given, allowed="revolute", do="Choose other links.")
+    limit = kept.find("limit")
+    if joint.get("type") in ("revolute", "continuous") and limit is not None:
+        kept.set("type", "revolute")
+        limit.attrib = {"lower": "-1e9", "upper": "1e9"} | limit.attrib
+    return kept
 
 
 def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes: Sequence[Array]) -> Link:
@@ -189,9 +215,7 @@ def _limits(model: Any, j: int) -> tuple[float, float, float, float]:
     """Return lower, upper, velocity and effort of a joint."""
     at, to = model.idx_qs[j], model.idx_vs[j]
     lower, upper = float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])
-    if model.nqs[j] > 1:  # it turns on and on, and these are of its sine and cosine
-        lower, upper = -WIDEST, WIDEST
-    elif upper - lower > 2 * WIDEST:
+    if upper - lower > 2 * WIDEST:
         lower, upper = max(lower, -WIDEST), min(upper, WIDEST)
     return lower, upper, float(model.velocityLimit[to]), float(model.effortLimit[to])
 

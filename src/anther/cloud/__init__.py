@@ -140,7 +140,7 @@ class Cloud:
             numbers: dict[str, Any] = {
                 name: float(rest.pop(name)) for name in ("footprint", "seen_through") if name in rest
             }
-            return cls(**fields, **rest, **numbers, notes=notes)
+            return cls(**fields, obstacles=rest.pop("obstacles"), **rest, **numbers, notes=notes)
 
 
 def fuse(

@@ -2,8 +2,8 @@
 
 View by view to those before, ICP drifts on plants (facts: perception, 2.4-5.4 mm against 3.6 mm for the arm's own
 poses). Here every view may move a little: all views' corrections are found together on robust distances between
-neighbouring points of different views, held back by what is known of the arm and the hand-eye
-calibration. Views that the others contradict are placed anew or left out (`_wrong_views.py`).
+neighbouring points of different views, held back by what is known of the arm and the hand-eye calibration. Views that
+the others contradict are placed anew or left out (`_wrong_views.py`).
 Dimensions: V views, N points, P pairs.
 """
 

@@ -52,6 +52,6 @@ def labelled_skeleton(source: Path, radius: float | None, *, new_stem: bool) -> 
         skeleton, labels = file.skeleton(radius), None if file.labels is None else list(file.labels)
     else:
         skeleton = Skeleton.load(kept(source, "skeleton"))
-        if (source / FILES["stem"]).exists():
+        if not new_stem and (source / FILES["stem"]).exists():
             labels = Stem.load(source / FILES["stem"]).organ_names()
     return skeleton, find_stem(skeleton).organ_names() if new_stem else labels

@@ -181,9 +181,9 @@ def build(
     seen_from, drawn = place.T_world_side_camera, int(noise.integers(1 << 31))
     robot = robot_of(mujoco, errors=camera_errors(truth), T_world_side_camera=seen_from, seed=drawn, scene=scene)
     limits, home = safety_limits(place, arm), tuple(arm.waiting.tolist())
-    sight = in_wind(plant, scene, planned, truth)
 
     def take_views(advance: Advance) -> Capture:
+        sight = in_wind(plant, scene, planned, truth)
         return photograph(sight, planned.joints, seed, viewpoint, visit, progress=advance, truth=truth, arm=arm)[0]
 
     def plan_around(cloud: Cloud) -> Planner:

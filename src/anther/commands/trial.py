@@ -245,9 +245,9 @@ def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], don
     That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that. A shake
     that was planned but never begun is not recorded: it gave the flowers nothing.
     """
-    unharmed = bool(summary["held"] and summary["unharmed"] is not False)
+    held_unharmed = bool(summary["held"] and summary["unharmed"] is not False)
     failure = summary["failure"]
-    record = TrialRecord(args.plant, _label(args), unharmed, failure, run=str(out), robot=args.robot, time=began)
+    record = TrialRecord(args.plant, _label(args), held_unharmed, failure, run=str(out), robot=args.robot, time=began)
     if done is None:
         return record
     plan, answer, times, grasp = done.shake, done.response, done.trial.shake_times, done.shake.grasp

@@ -265,7 +265,7 @@ SETTLE = 0.1
 WAITING = 5.0
 """Something of a robot that is on is heard within this [s]."""
 NEAR = 0.05
-"""An arm further than this from where it was sent is held where it is instead [rad]."""
+"""An arm further than this from where it was sent is held where it is instead, and no motion begins there [rad]."""
 
 
 class StreamedArm(ABC):
@@ -354,10 +354,10 @@ class StreamedArm(ABC):
             if now - last > self._silence:
                 late = f"{1e3 * (now - last):.0f} ms after the one before; allowed: {1e3 * self._silence:.0f} ms"
                 raise DeviceError(f"a command came {late}. Let nothing else run on this machine.")
+            self.check_able()
             reference.look_ahead(now - begin)
             self._aim(reference, now - begin)
             last = now
-            self.check_able()
             reading, over = self.readings.last, reference.whole and now - begin >= reference.ends + SETTLE
             if reading is not None and reading.time > seen and (over or reading.time >= seen + self._shown):
                 seen = reading.time

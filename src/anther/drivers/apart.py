@@ -19,7 +19,7 @@ from typing import Any
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, SafetyLimits, Watch
 from anther.drivers._streamed import BESIDE, Coming, served_first
-from anther.errors import AntherError
+from anther.errors import AntherError, InputError, MissingExtra, StageFailure
 from anther.geometry import Array
 from anther.safety import GuardedArm
 
@@ -233,5 +233,9 @@ def _serve(
 
 
 def _told(error: Exception) -> AntherError:
-    """Return an error that every process can read: one of a driver's own library in words."""
-    return error if isinstance(error, AntherError) else DeviceError(str(error) or type(error).__name__)
+    """Return an error that every process can read: one of Anther's own kinds, whatever a driver derives from them."""
+    said = str(error) or type(error).__name__
+    if isinstance(error, StageFailure) and not isinstance(error, DeviceError):
+        return StageFailure(error.kind, said)
+    kinds = (kind for kind in (DeviceError, MissingExtra, InputError) if isinstance(error, kind))
+    return next(kinds, InputError if isinstance(error, AntherError) else DeviceError)(said)

@@ -180,7 +180,8 @@ class Franka:
                     self._moves = False
                     raise DeviceError(f"the arm was stopped: {self._why(said)}.")
                 case _:
-                    check_fresh(np.inf)
+                    old = f"the newest joints are {1e3 * STALE:.0f} ms old, or older; allowed: {1e3 * STALE:.0f} ms"
+                    raise DeviceError(f"{old}. Check network and robot; then start anew.")
 
     def _take(self, told: Told, watch: Watch | None, samples: list[ArmSample]) -> None:
         self._robot.hear(told.stamp, told.arrival)

@@ -80,15 +80,15 @@ class UniversalRobot(StreamedArm):
             if rate is not None and rate > self._at.rate:
                 given = f"rate: got {rate:g} commands a second; allowed: <= {self._at.rate:g}"
                 raise DeviceError(f"{given}. This controller is a CB3: leave rate out.")
-            period = 1 / (rate or self._at.rate)
+            commands = rate or self._at.rate
             super().__init__(
                 names,
-                rate=1 / period,
+                rate=commands,
                 stale=STALE,
                 silence=SILENCE,
                 clock=clock,
                 sleep=sleep,
-                shown=SHOWN - period / 2,
+                shown=SHOWN - 0.5 / commands,
             )
             self.joints()
             self._renew()
@@ -109,7 +109,7 @@ class UniversalRobot(StreamedArm):
     def check_able(self) -> None:
         """Take the newest reading, and check that nothing stops or slows the arm."""
         self._read()
-        if why := self._halted() or self._at.slowed():
+        if why := ENDED if self._control is None else self._halted() or self._at.slowed():
             raise DeviceError(f"the arm was stopped: {why}.")
 
     def hold(self) -> None:
@@ -135,12 +135,13 @@ class UniversalRobot(StreamedArm):
 
     def seen(self) -> list[str]:
         """Return in words what is heard of the controller."""
-        reading, why, version = self._read(), self.cannot(), self._at.version
+        reading, force = self._read(), self._felt(self._clock())
+        why, version = self.cannot(), self._at.version
         return [
             f"{self._at.model}, PolyScope {version[0]}.{version[1]}; the newest joints are "
             f"{1e3 * (self._clock() - reading.time):.0f} ms old",
             f"commands: {1 / self._period:g} a second, lookahead {self._lookahead:g} s, gain {self._gain:g}; "
-            f"force {self._felt(self._clock()):.1f} N",
+            f"force {force:.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
 
@@ -181,8 +182,7 @@ class UniversalRobot(StreamedArm):
             raise DeviceError(f"the arm cannot move: {why or ENDED}.")
         start, here = trajectory.positions[0], self.joints()
         far = float(np.abs(start - here).max()) if start.shape == here.shape else float("inf")
-        if far > NEAR:
-            # servoJ has no speed limit of its own
+        if far > NEAR:  # servoJ has no speed limit of its own
             raise DeviceError(f"the motion begins {far:.3g} rad from where the arm is; allowed: {NEAR:g}. Plan anew.")
         self._sent = (here, np.zeros(len(here)))  # from here on `hold` has a watchdog to end
         if not self._control.setWatchdog(WATCHDOG):

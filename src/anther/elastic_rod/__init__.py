@@ -21,6 +21,7 @@ from anther.elastic_rod._motion import (
 )
 from anther.elastic_rod._response import (
     Observed,
+    displacements,
     frequency_response,
     observed_response,
     response_map,
@@ -51,6 +52,7 @@ __all__ = [
     "Trajectory",
     "base_response",
     "compiled",
+    "displacements",
     "equilibrium",
     "frequency_response",
     "joints",

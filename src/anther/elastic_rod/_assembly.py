@@ -226,7 +226,7 @@ def _gather_springs(
 def _gather(
     x: Any, m1: Any, velocity: Any, b: Any, j: Any, m: Any, start: Any, end: Any, edge: Any, sign: float, i: int
 ) -> None:
-    """Write edge m (from node start to end, director and spin of the given edge) and edge j (m to j) into lane i."""
+    """Write edge e (from node start to end, director and spin of the given edge) and edge f (m to j) into lane i."""
     put3(b, _springs.EDGE_E, i, subtract(load(x, end), load(x, start)))
     put3(b, _springs.EDGE_F, i, subtract(load(x, j), load(x, m)))
     put3(b, _springs.DIRECTOR_E, i, load(m1, edge))
@@ -239,7 +239,7 @@ def _gather(
 
 @merged
 def _gather_soil(soil: Any, b: Any, j: Any, i: int) -> None:
-    """Write the soil, which neither moves nor turns, as edge m into lane i."""
+    """Write the soil, which neither moves nor turns, as edge e into lane i."""
     edge, director = halves(soil, j)
     put3(b, _springs.EDGE_E, i, edge)
     put3(b, _springs.DIRECTOR_E, i, director)

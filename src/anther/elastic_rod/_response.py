@@ -1,4 +1,4 @@
-"""Small vibrations about the equilibrium under gravity: what a shake of the grip, or of the base, does.
+"""Small vibrations about the equilibrium under gravity: what a shake of the grip does.
 
 Branches are condensed onto the trunk, the way from the grips to the root, and complex tree solves go along it. A grip
 that gives is a body between pads, joined to the gripper by springs.
@@ -35,6 +35,9 @@ from anther.elastic_rod._motion import (
 from anther.elastic_rod._rods import GRAVITY, Array, Rods
 from anther.elastic_rod._tree_solver import factor, solve_columns, substitute_columns
 from anther.elastic_rod._vectors import compiled
+
+COLUMNS = 128
+"""Loads solved side by side: enough for the vector units, few enough for cache and memory."""
 
 FINE = "Nodes a few millimetres apart are fine enough: thin them out, or ask for less at once."
 """What to do about rods that are divided too finely."""
@@ -119,7 +122,7 @@ def response_map(
         InputError: node or frequency out of range, or the memory does not suffice.
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
-    pads = [np.atleast_1d(np.asarray(pad)) for pad in grip_nodes]
+    pads = [np.array(check_array("grip node", np.atleast_1d(p), (None,), dtype=np.int64)) for p in grip_nodes]
     seen, hertz = np.array(check_array("observed node", observe, (None,), dtype=np.int64)), checked_hertz(frequencies)
     for node in seen:
         check_node("observed node", int(node), len(rods.nodes))
@@ -132,7 +135,7 @@ def response_map(
 
 
 def displacements(nodes: NDArray[Any], count: int) -> Any:
-    """Return the operator (3K, 4N) of `observed_response` that sees K nodes' displacements."""
+    """Return the operator (3K, 4N) of `observed_response` that sees the displacements of K of N nodes."""
     unknown = (4 * nodes[:, None] + np.arange(3)).ravel()
     return csr_array((np.ones(len(unknown)), (np.arange(len(unknown)), unknown)), (len(unknown), 4 * count))
 
@@ -197,20 +200,23 @@ def observed_response(
     held = [_held_unknowns(rods.parent, pad) for pad in grip_nodes]
     loads = np.unique(np.concatenate(held))
     view = _view(system.model, loads, operator)
-    threads = min(os.cpu_count() or 1, len(frequencies))  # each has columns of its own, see below
+    width = min(len(loads), COLUMNS)
+    threads = min(_cores(), len(frequencies))  # each has columns of its own, see below
     size = 16.0 * len(frequencies) * (len(loads) * len(view.wanted) + 8 * operator.shape[0])
-    size += 48.0 * len(frequencies) * len(held) * operator.shape[0] + 64.0 * threads * len(rods.nodes) * len(loads)
+    size += 48.0 * len(frequencies) * len(held) * operator.shape[0] + 64.0 * threads * len(rods.nodes) * width
     check_room(f"a skeleton of {len(rods.nodes)} nodes", size, FINE)
     trunk = np.empty((len(frequencies), len(loads), len(view.wanted)), np.complex128)
     branch = np.empty((len(frequencies), operator.shape[0], 8), np.complex128)
 
     def solve_some(which: NDArray[Any]) -> None:
         n = len(system.free)
-        dynamic, columns = new_blocks(n, np.complex128), np.zeros((2, n, 4, len(loads)))
+        dynamic, columns = new_blocks(n, np.complex128), np.zeros((2, n, 4, width))
         for q in which:
             set_dynamic(system, 2 * np.pi * float(frequencies[q]), dynamic)
             factor(system.model, dynamic)
-            _trunk_motion(system.model, dynamic, loads, view.trunk, view.wanted, columns, trunk[q])
+            for first in range(0, len(loads), width):
+                some = slice(first, first + width)
+                _trunk_motion(system.model, dynamic, loads[some], view.trunk, view.wanted, columns, trunk[q, some])
             _branch_motion(system.model, dynamic, view.branches, view.preset, view.beyond, branch[q])
 
     _on_all_cores(solve_some, len(frequencies))
@@ -226,9 +232,14 @@ def observed_response(
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
 
 
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _on_all_cores(solve_some: Callable[[NDArray[Any]], None], count: int) -> None:
     """Share the numbers 0 to `count` - 1 out among the cores of this process; one alone is not worth a thread."""
-    cores = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, count)
+    cores = min(_cores(), count)
     if cores <= 1:
         solve_some(np.arange(count))
         return
@@ -329,7 +340,7 @@ def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
 
 @compiled
 def _trunk_motion(model: Model, dynamic: Any, loads: Any, trunk: Any, wanted: Any, columns: Any, out: Any) -> None:
-    """Write (L, W) the motion of the wanted unknowns per unit load; `columns` (2, N, 4, L) is scratch."""
+    """Write (L, W) the motion of the wanted unknowns per unit load; `columns` (2, N, 4, L or more) is scratch."""
     real, imaginary = columns[0], columns[1]
     for j in trunk:
         real[j] = 0

@@ -110,7 +110,7 @@ def strains(b: Bent, m1e: Vector, m1f: Vector, twist: float) -> Vector:
 
 @merged
 def twist_lanes(buffer: Any) -> None:
-    """Fill the rows SINE and COSINE of all"""
+    """Fill the rows SINE and COSINE of all lanes."""
     for i in range(LANES):
         b = bent(get3(buffer, EDGE_E, i), get3(buffer, EDGE_F, i))
         sine, cosine = twist_parts(b, get3(buffer, DIRECTOR_E, i), get3(buffer, DIRECTOR_F, i))

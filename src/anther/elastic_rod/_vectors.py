@@ -48,6 +48,16 @@ def load(array: Any, row: Any) -> Vector:
 
 
 @merged
+def largest_part(rows: Any) -> float:
+    """Return the largest size of the first three numbers of all rows."""
+    worst = 0.0
+    for j in range(len(rows)):
+        for i in range(3):
+            worst = max(worst, abs(rows[j, i]))
+    return worst
+
+
+@merged
 def six(array: Any, row: Any) -> Any:
     """Return one row of an (N, 6) array."""
     return (array[row, 0], array[row, 1], array[row, 2], array[row, 3], array[row, 4], array[row, 5])

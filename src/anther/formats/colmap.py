@@ -287,6 +287,8 @@ def _cameras_binary(data: bytes) -> Iterator[tuple[int, ColmapCamera]]:
     names, at = dict(enumerate(MODELS)), 8
     for _ in range(struct.unpack_from("<Q", data)[0]):
         number, model, width, height = struct.unpack_from("<iiQQ", data, at)
+        if model not in names:
+            raise ValueError(f"camera model {model}")
         params = struct.unpack_from(f"<{MODELS[names[model]]}d", data, at + 24)
         at += 24 + 8 * len(params)
         yield number, ColmapCamera(names[model], width, height, params)

@@ -308,7 +308,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     """Return what speaks against each candidate (C,), by name; 1 is clearly bad. The weights are our judgement."""
     flowers = cloud.points[cloud.labels == FLOWER] if cloud.labels is not None else np.zeros((0, 3))
     flower_distance = KDTree(flowers).query(c.points)[0] if len(flowers) else np.full(len(c.points), np.inf)
-    squeezed = np.maximum(met.spread[:, BRANCH] - c.radius, 0)  # pads fold it, and push the stem aside with it
+    squeezed = met.squeezed(c.radius)
     aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
     pushed = met.push * c.arc_length / (np.pi / 4 * np.maximum(c.radius, 1e-4) ** 3)  # strain at the root, M r / (E I)
     return {
@@ -382,7 +382,7 @@ def _grasp(ranking: _Ranking, i: int) -> Grasp:
         reason="; ".join([reason, *against]),
         confidence=None if ranking.confidence is None else float(ranking.confidence[i]),
         opening=float(c.opening[i]),
-        squeezed=float(max(ranking.met.spread[i, BRANCH] - c.radius[i], 0)),
+        squeezed=float(ranking.met.squeezed(c.radius)[i]),
     )
 
 

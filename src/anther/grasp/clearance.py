@@ -125,6 +125,10 @@ class Clearance:
         """Return what these meet, one after the other."""
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
+    def squeezed(self, radius: Array) -> Array:
+        """Return (P,) how far what the pads fold, and push a stem of radius (P,) aside with, reaches beyond it [m]."""
+        return np.maximum(self.spread[:, BRANCH] - radius, 0)
+
 
 def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surroundings:
     """Return stem, petioles, leaves, flowers and obstacles as balls.

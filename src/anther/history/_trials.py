@@ -238,7 +238,7 @@ def _visit(record: TrialRecord, plant: int) -> Visit:
         grasp=record.grasp and GraspRow(**asdict(record.grasp)),
         shake=record.shake and ShakeRow(**asdict(record.shake)),
         responses=[
-            ResponseRow(flower=k, **{name: v[k] if np.isfinite(v[k]) else None for name, v in motions.items()})
+            ResponseRow(flower=k, **{name: float(v[k]) if np.isfinite(v[k]) else None for name, v in motions.items()})
             for k in range(record.flowers)
         ],
         **_values(record, _OF_VISIT),
@@ -270,7 +270,7 @@ def merge(source: Path | str, where: Path | str = DEFAULT) -> Merged:
     """Take the visits, counts of fruit set and notes of another history into this one.
 
     Args:
-        source: the history to take from; nothing of it changes.
+        source: the history to take from; nothing of it changes but for its schema's version.
         where: the history to add to.
 
     Raises:

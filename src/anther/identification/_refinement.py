@@ -93,8 +93,8 @@ def refine(
     beside the pads, which tell how far these give. The camera's clock is drawn besides. Flowers of one branch err alike
     (`likeness`). What all members miss by far has its error enlarged, as a Student-t likelihood with 4 degrees of
     freedom would, so that a flower mistaken for another does not decide alone.
-    Of what `plant.LEARNED` names, the new material is moved and narrowed as the members were, and the pads likewise;
-    The members themselves predict.
+    Of what `plant.LEARNED` names, the new material is moved and narrowed as the members were, and the pads
+    likewise; the members themselves predict.
 
     A flower that was followed but moved too little to be measured is left-censored: it counts with a member that moves
     it more than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.

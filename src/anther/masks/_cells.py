@@ -54,7 +54,7 @@ LEAST_PART = 20
 
 
 def kinds(seen: Survey, capture: Capture) -> NDArray[np.uint8]:
-    """Return what each cell is, (X, Y, Z) uint8: see `voting.EMPTY` and what follows."""
+    """Return what each cell is, (X, Y, Z) uint8: see `_voting.EMPTY` and what follows."""
     if len(seen.votes) < LAYERS:
         return _by_geometry(seen)
     return _by_colour(seen, *_enough_petals(capture, seen.grid))

@@ -101,7 +101,7 @@ def told_when_memory_is_full(views: int) -> Iterator[None]:
             "batch",
             given=f"{views} views at a time: {str(error).splitlines()[0]}",
             allowed="what fits the GPU's memory",
-            do="Choose a smaller batch or smaller models.",
+            do="Choose a smaller batch, smaller models, or hide the GPU: CUDA_VISIBLE_DEVICES= (empty).",
         ) from error
 
 

@@ -49,7 +49,7 @@ class Survey:
     Attributes:
         grid: the cells.
         cameras: (V, 3, 4) see `pixels_to_cells`.
-        classes: (V, H, W) uint8, see `light.OUTSIDE` and what follows.
+        classes: (V, H, W) uint8, see `_light.OUTSIDE` and what follows.
         votes: (LAYERS, X, Y, Z) uint16, or (1, X, Y, Z) without colour.
         total: (X, Y, Z) votes of every colour.
         below: (X, Y, Z) cells that are ground, whatever their colour.

@@ -14,7 +14,7 @@ __all__ = ["save_figure"]
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure to a file whose suffix says how.
+    """Write a figure, 110 dots an inch, to a file whose suffix says how.
 
     Raises:
         InputError: the file cannot be written.

@@ -53,9 +53,9 @@ __all__ = [
     "stem_stress",
 ]
 
-TOO_FAR = 1.3
+MOTOR_TOO_FAR = 1.3
 """The pads may move so much more than they were asked to: what a motor that is 15 % off does, and as much again."""
-LEAST = 0.1e-3
+MOTOR_AT_REST = 0.1e-3
 """What a motor at rest may read [m]."""
 TRIES = 3
 """So often a lost frame is asked for."""
@@ -193,7 +193,7 @@ class GuardedMotor:
 
         def within(sample: ArmSample) -> None:
             asked = max(piece.reach for piece in pieces)
-            if not (amplitude := self._motor.amplitude()) <= TOO_FAR * asked + LEAST:
+            if not (amplitude := self._motor.amplitude()) <= MOTOR_TOO_FAR * asked + MOTOR_AT_REST:
                 told = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
                 raise DeviceError(f"{told} Check its sensor.")
             if watch:
@@ -203,7 +203,7 @@ class GuardedMotor:
         try:
             pieces.append(check_swing(first, None, self._limits))
             record = self._motor.swing(pieces[0], Watchdog(still, within), following)
-            if not (left := self._motor.amplitude()) <= LEAST:
+            if not (left := self._motor.amplitude()) <= MOTOR_AT_REST:
                 raise DeviceError(f"the motor does not come to rest: it still moves by {1e3 * left:.2g} mm.")
             if not pieces[-1].stops:
                 raise DeviceError("the motor ended before the swing did.")

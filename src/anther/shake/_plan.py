@@ -22,10 +22,11 @@ LimitRow = tuple[str, float, float, float]
 """(name, value, limit, share of the limit that is used)."""
 
 
-def _to_arrays(record: ResponseMap | Tones | ShakePlan, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Check fields of a record, and make them read-only arrays."""
+def _to_arrays(record: ResponseMap | Tones | ShakePlan, what: str, shapes: dict[str, tuple[int, ...]]) -> None:
+    """Check fields of a record, which is called so in errors, and make them read-only arrays."""
     for name, shape in shapes.items():
-        object.__setattr__(record, name, check_array(name.replace("_", " "), getattr(record, name), shape))
+        told = f"{what}{name.replace('_', ' ')}"
+        object.__setattr__(record, name, check_array(told, getattr(record, name), shape))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +53,7 @@ class ResponseMap:
     def __post_init__(self) -> None:
         q, g = len(self.frequencies), len(self.arc_length)
         shapes = {"frequencies": (q,), "arc_length": (g,)}
-        _to_arrays(self, shapes | dict.fromkeys(("acceleration", "per_metre", "amplitude"), (g, q)))
+        _to_arrays(self, "map ", shapes | dict.fromkeys(("acceleration", "per_metre", "amplitude"), (g, q)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +74,8 @@ class Tones:
 
     def __post_init__(self) -> None:
         k, d = len(self.frequencies), len(self.directions)
-        _to_arrays(self, {"frequencies": (k,), "directions": (d, 3), "amplitudes": (k, d), "reach": (k, d)})
+        shapes = {"frequencies": (k,), "directions": (d, 3), "amplitudes": (k, d), "reach": (k, d)}
+        _to_arrays(self, "tones ", shapes)
 
     @property
     def probed(self) -> tuple[int, ...]:
@@ -170,7 +172,9 @@ class ShakePlan:
     def __post_init__(self) -> None:
         f = len(self.predicted_amplitude)
         shapes = {"direction": (3,), "predicted_amplitude": (f,), "predicted_acceleration": (f,)}
-        _to_arrays(self, shapes | {"predicted_amplitude_interval": (f, 2), "predicted_acceleration_interval": (f, 2)})
+        _to_arrays(
+            self, "", shapes | {"predicted_amplitude_interval": (f, 2), "predicted_acceleration_interval": (f, 2)}
+        )
         check_range("shake amplitude", self.amplitude, 0, 1, "m")
         check_range("shake frequency", self.frequency, 1e-3, 1e4, "Hz")
         check_range("shake duration", self.duration, 1e-3, 3600, "s")
@@ -196,7 +200,8 @@ class ShakePlan:
         if not isinstance(row, dict) or (row.get("kind"), row.get("schema")) != ("shake plan", SCHEMA):
             raise bad_input(str(path), given="another file", allowed=f"a shake plan, schema {SCHEMA}", do="Plan again.")
         try:
-            row |= {name: part(**row[name]) for name, part in _PARTS.items() if row[name] is not None}
+            none = row["runner_up"] is None  # all others there must be
+            row |= {name: part(**row[name]) for name, part in _PARTS.items() if not (none and name == "runner_up")}
             row["grasp"] = grasp_of(row["grasp"])
             return cls(**{name: row[name] for name in cls.__dataclass_fields__})
         except (KeyError, TypeError) as error:

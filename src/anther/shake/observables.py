@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from anther.elastic_rod import Array, Rods, joints
+from anther.elastic_rod import Array, Rods, displacements, joints
 from anther.plant import PlantModel
 
 ComplexArray = NDArray[np.complex128]
@@ -83,12 +83,6 @@ def semi_major(vectors: ComplexArray) -> Array:
 
 STRAIGHT = 0.999
 """Cosine of the kink up to which an edge goes straight on, 2.6 degrees: of a twisting moment 4.5 % bends beyond it."""
-
-
-def displacements(nodes: NDArray[Any], count: int) -> Any:
-    """Return the sparse operator (3P, 4N) from the unknowns of `count` nodes to the displacements of (P,) of them."""
-    row = np.arange(len(nodes))
-    return _operator((len(nodes), row, nodes, np.tile(np.eye(3), (len(nodes), 1, 1))), count, 4)
 
 
 Blocks = tuple[int, NDArray[Any], NDArray[Any], Array]

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.sparse import vstack
 from scipy.stats import qmc
 
-from anther.elastic_rod import Array, Observed, observed_response
+from anther.elastic_rod import Array, Observed, displacements, observed_response
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
-from anther.shake.observables import ComplexArray, branch_of, displacements, observables
+from anther.shake.observables import ComplexArray, branch_of, observables
 from anther.shake.pads import PADS, Pads, friction_force
 from anther.shake.params import LOADS, PEAKS
 

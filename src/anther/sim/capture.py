@@ -190,7 +190,7 @@ def capture_from_poses(
     errors, intrinsics = errors or CameraErrors(), intrinsics or d455()
     believed = check_transform("T_world_cam", np.asarray(T_world_cam).reshape(-1, 4, 4))
     drawn = believed @ _pose_errors(len(believed), errors, rng) if T_world_cam_true is None else T_world_cam_true
-    true = check_transform("T_world_cam_true", drawn)
+    true = check_transform("T_world_cam_true", drawn, len(believed))
     still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
     count, size = len(true), (intrinsics.height, intrinsics.width)
     rgb, organ = np.empty((count, *size, 3), np.uint8), np.empty((count, *size), np.uint8)

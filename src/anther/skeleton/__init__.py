@@ -278,12 +278,12 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     known = params.root
     if params.method == "thinning":
         tree = _pruned(_not_trivial(thinned_tree(voxels), size), voxels)
-        root, sure, notes = (nearest_node("root", known, tree.nodes), 1.0, ()) if known else _base(tree)
+        root, sure, notes = (nearest_node("root", known, tree.nodes), 1.0, ()) if known is not None else _base(tree)
         return tree.taking(*rerooted(tree.parent, root)), sure, notes
-    source = nearest_node("root", known, voxels.points) if known else int(np.argmin(voxels.points[:, 2]))
+    source = nearest_node("root", known, voxels.points) if known is not None else int(np.argmin(voxels.points[:, 2]))
     paths, levels = _paths(voxels, source, size)
     sure, notes = 1.0, ()
-    if not known:
+    if known is None:
         tree = _parted(paths, voxels)
         root, sure, notes = _base(tree)
         if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > _SAME_PLACE * voxels.voxel:

@@ -148,7 +148,7 @@ def rooted(links: NDArray[Any], count: int, root: int) -> tuple[Parents, NDArray
 
 
 def without_spurs(tree: RawTree, *, per_width: float = 0, at_least: float = 0) -> RawTree:
-    """Return the tree without side branches not longer than so many half widths at their fork, or `at_least` [m]."""
+    """Return the tree without side branches no longer than `per_width` half widths at their fork, or `at_least` [m]."""
     length = edge_lengths(tree.nodes, tree.parent)
     keep = np.ones(len(tree.parent), dtype=bool)
     for chain in chains(tree.parent, length)[1:]:

@@ -17,6 +17,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from anther.checks import check_room
 from anther.geometry import Array
 
 _FACES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
@@ -138,6 +139,8 @@ def bridges(points: Array, label: NDArray[Any], longest: float) -> NDArray[Any]:
 
 _COARSER = 2
 """The scatter is taken over cells of so many voxels: an eighth of the work, and no less sharp (measured)."""
+_PAIR_BYTES = 64
+"""Memory of a pair of neighbouring cells: two numbers, a weight, and the sparse matrix with its transpose."""
 
 
 def surroundings(index: NDArray[Any], reach: float) -> tuple[Array, Array]:
@@ -151,6 +154,8 @@ def surroundings(index: NDArray[Any], reach: float) -> tuple[Array, Array]:
     _, cell = np.unique(index // _COARSER, axis=0, return_inverse=True)
     count = np.bincount(cell)
     centre = np.stack([np.bincount(cell, weights=column) / count for column in index.T], axis=1)
+    near = 2 / 3 * np.pi * (reach / _COARSER) ** 3  # pairs that a cell has in a full block
+    check_room(f"a plant of {len(index)} voxels", _PAIR_BYTES * near * len(count), "Give a larger voxel.")
     first, second = KDTree(centre).query_pairs(reach, output_type="ndarray").T
     half = sparse.coo_array((np.ones(len(first)), (first, second)), shape=(len(count), len(count))).tocsr()
     squares = (centre[:, :, None] * centre[:, None, :]).reshape(-1, 9)

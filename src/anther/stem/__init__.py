@@ -100,7 +100,7 @@ class Stem:
             a: dict[str, Any] = read_npz(path, _KIND, _SCHEMA)
             notes = tuple(str(note) for note in a.pop("notes"))
             sure = float(a.pop("confidence")) if "confidence" in a else None
-            return cls(**a, notes=notes, confidence=sure)
+            return cls(fork=a.pop("fork"), **a, notes=notes, confidence=sure)
 
 
 def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: Array | None = None) -> Stem:
