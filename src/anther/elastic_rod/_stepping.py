@@ -18,18 +18,7 @@ from anther.elastic_rod._assembly import Blocks, assemble_edges, elastic_energy,
 from anther.elastic_rod._model import Frames, Model
 from anther.elastic_rod._rods import Array
 from anther.elastic_rod._tree_solver import constrain, factor, solve
-from anther.elastic_rod._vectors import (
-    compiled,
-    cross,
-    dot,
-    largest_part,
-    load,
-    merged,
-    norm,
-    scale,
-    subtract,
-    transport,
-)
+from anther.elastic_rod._vectors import compiled, cross, dot, load, merged, norm, peak, scale, subtract, transport
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""
@@ -226,7 +215,7 @@ def implicit_step(model: Model, free: Any, old: State, work: Work, h: float, set
         solve(model, blocks, correction)
         share = min(1.0, LARGEST_TURN / (1e-300 + _largest_turn(parent, new.x, correction)))
         _move(new.x, turn, correction, share)
-        largest = largest_part(correction)
+        largest = peak(correction)
     return -most, residual
 
 

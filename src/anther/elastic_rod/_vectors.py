@@ -48,7 +48,7 @@ def load(array: Any, row: Any) -> Vector:
 
 
 @merged
-def largest_part(rows: Any) -> float:
+def peak(rows: Any) -> float:
     """Return the largest size of the first three numbers of all rows."""
     worst = 0.0
     for j in range(len(rows)):
