@@ -253,6 +253,8 @@ def test_least_stiffness_is_greenhills():
     assert factor * 2e8 == pytest.approx(critical, rel=0.02)
     assert not stands(replace(rods, youngs=0.9 * critical), Clamp.root(rods))
     assert least_stiffness(rods, Clamp([0])) is None
+    soft = least_stiffness(replace(rods, youngs=2e4), Clamp.root(rods))  # the least of the search would be none of rods
+    assert soft == pytest.approx(critical / 2e4, rel=0.02)
 
 
 @pytest.mark.parametrize(("youngs", "standing"), [(0.97, False), (1.03, True)])

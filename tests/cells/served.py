@@ -41,12 +41,12 @@ class TimedSawyer(Sawyer):
     """A command says by the cell's clock for when it is: the served controller goes by that."""
 
     _motion: Reference | None = None
-    _begin, _when = 0.0, None
+    _begun, _when = 0.0, None
 
     def _aim(self, reference: Reference, t: float) -> None:
         if reference is not self._motion:
-            self._motion, self._begin = reference, self._clock() - t
-        self._when = self._begin + t
+            self._motion, self._begun = reference, self._clock() - t
+        self._when = self._begun + t
         super()._aim(reference, t)
         self._when = None
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.elastic_rod._assembly import Blocks, assemble_edges, elastic_energy, move_frames, new_blocks, on_nodes
 from anther.elastic_rod._model import Frames, Model, build_model
 from anther.elastic_rod._motion import Clamp
-from anther.elastic_rod._rods import GRAVITY, Array, NaturalShape, Rods
+from anther.elastic_rod._rods import GRAVITY, LEAST_YOUNGS, Array, NaturalShape, Rods
 from anther.elastic_rod._stepping import LARGEST_TURN, POSITION_FLOOR, State, new_state
 from anther.elastic_rod._strains import joint_slopes, joint_stiffness
 from anther.elastic_rod._tree_solver import constrain, factor, solve
@@ -295,6 +295,8 @@ def least_stiffness(
 ) -> float | None:
     """Return the factor on Young's modulus at which the rods just stand; None if none of those searched does.
 
+    Where they stand with the least that is searched, it is that.
+
     The moments of the weight do not depend on the stiffness: the tangent stiffness is E A - B, so there is one such
     factor, found by bisection of its logarithm.
 
@@ -302,7 +304,7 @@ def least_stiffness(
         rods: the rods; their natural shape is found anew for every factor.
         clamp: what is held.
         fixed: (N,) edges that keep their own Young's modulus.
-        between: the factors that are searched.
+        between: the factors that are searched; no softer than rods may be.
         within: relative error of the factor.
     """
 
@@ -310,11 +312,12 @@ def least_stiffness(
         youngs = np.where(fixed, rods.youngs, np.asarray(rods.youngs) * np.exp(logarithm))
         return stands(replace(rods, youngs=youngs, natural=None), clamp)
 
-    low, high = np.log(between)
+    softest = float(np.broadcast_to(np.where(fixed, np.inf, rods.youngs), len(rods.nodes))[1:].min())
+    low, high = np.log(max(between[0], (1 + 1e-9) * LEAST_YOUNGS / softest)), np.log(between[1])
     if not holds(high):
         return None
     if holds(low):
-        return between[0]
+        return float(np.exp(low))
     while high - low > within:
         middle = (low + high) / 2
         low, high = (low, middle) if holds(middle) else (middle, high)

@@ -129,9 +129,11 @@ class Rods:
         return total
 
 
+LEAST_YOUNGS = 1.0
+"""Of rods [Pa]: what is softer was given in another unit."""
 _LIMITS = (
     ("edge_radius", (1e-6, 1.0), "m"),
-    ("youngs", (1.0, 1e17), "Pa"),
+    ("youngs", (LEAST_YOUNGS, 1e17), "Pa"),
     ("density", (1e-3, 1e5), "kg/m^3"),
     ("bend_over_twist", (0.0, 1e12), ""),
     ("joint_compliance", (0.0, 1e12), "rad/(N m)"),
