@@ -95,9 +95,13 @@ def flowers_at(learned: Refinement, points: Array, direction: Array, frequencies
         direction: (3,) unit vector of the shake.
         frequencies: (Q,) [Hz].
     """
+    return np.moveaxis(_quantiles(_flower_logs(learned, points, direction, frequencies), FLOWER_SPREAD), 1, 0)
+
+
+def _flower_logs(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> Array:
+    """Return (M, Q, G, F) the logarithm of every member's flower amplitudes per metre."""
     held = grips(learned, points)
-    logs = np.array([_log(semi_major(flower_motion(m, held, direction, frequencies))) for m in learned.members])
-    return np.moveaxis(_quantiles(logs, FLOWER_SPREAD), 1, 0)
+    return np.array([_log(semi_major(flower_motion(m, held, direction, frequencies))) for m in learned.members])
 
 
 def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> dict[str, Array]:
@@ -143,8 +147,7 @@ def amplitude_at(learned: Refinement, points: Array, direction: Array, frequenci
         direction: (3,) unit vector of the shake.
         frequencies: (Q,) [Hz].
     """
-    held = grips(learned, points)
-    logs = [_log(semi_major(flower_motion(member, held, direction, frequencies))) for member in learned.members]
+    logs = _flower_logs(learned, points, direction, frequencies)
     return np.swapaxes(np.exp(np.mean(logs, axis=0)), 0, 1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -74,7 +75,7 @@ class Clamp:
         return free
 
 
-class Motion:
+class Motion(ABC):
     """A prescribed motion of a grip that holds `node` and the nodes of `also`."""
 
     __slots__ = ()
@@ -86,9 +87,9 @@ class Motion:
         """The driven nodes, the grip node first; they move as one body, and edges between them cannot twist in it."""
         return (self.node, *self.also)
 
+    @abstractmethod
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] from the start position at (T,) times [s]."""
-        raise NotImplementedError
 
     def rotation(self, times: ArrayLike) -> Array:
         """Return (T, 3) rotation vectors [rad] of the grip about its first node, from the start; here 0."""
