@@ -1,33 +1,93 @@
-"""Run an experiment or benchmark and keep its metrics with the command, the commit and the machine beside them.
+"""Measure what reports show, and write it into them.
 
-python tools/record.py experiments/real_plants.py [OPTIONS]   ->   docs/results/real_plants.json
+    python tools/record.py docs/reports/limits.md [MORE PAGES]
+
+A report names the commands that make its numbers, each in a pair of markers:
+
+    <!-- measured: python experiments/limits.py --plants 4 -->
+    <!-- end -->
+
+What the command prints, its tables as Markdown, goes between them with the commit, and its metrics into
+docs/results/SCRIPT.json. The commit is the last that changed the code. What it has already made is not made again, so
+that a run that was stopped goes on.
 """
 
 import os
 import platform
+import re
+import shlex
 import subprocess
 import sys
-import tempfile
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from anther.files import read_json, write_json
+from anther.files import read_json, write_json, write_text
+
+CODE = ("src", "experiments", "benchmarks", "tools")
+MEASURED = re.compile(r"<!-- measured: (?P<command>.+) -->\n(?P<found>.*?)<!-- end -->", re.DOTALL)
+KEPT = Path("build/measured")
 
 
-def main(script: str, *options: str) -> None:
-    """Run the script with --json and write docs/results/<script>.json."""
-    with tempfile.TemporaryDirectory() as folder:
-        metrics = Path(folder) / "metrics.json"
-        subprocess.run([sys.executable, script, *options, "--json", str(metrics)], check=True)
-        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=True)
-        record = {
-            "command": " ".join(["python", script, *options]),
-            "commit": commit.stdout.strip(),
-            "date": datetime.now(UTC).date().isoformat(),
-            "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
-            "metrics": read_json(metrics),
-        }
-        write_json(Path("docs/results") / f"{Path(script).stem}.json", record)
+def git(*words: str) -> str:
+    """Return what git says."""
+    return subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def measure(command: str, commit: str) -> str:
+    """Run a command of a report, keep its metrics; return what goes between its markers."""
+    _, script, *options = shlex.split(command)
+    out, metrics = KEPT / commit / Path(script).stem, KEPT / commit / f"{Path(script).stem}.json"
+    own = ["--out", str(out)] if '"--out"' in Path(script).read_text() and "--out" not in options else []
+    metrics.parent.mkdir(parents=True, exist_ok=True)
+    begin = time.perf_counter()
+    said = subprocess.run(
+        [sys.executable, script, *options, *own, "--json", str(metrics)],
+        env=os.environ | {"COLUMNS": "1000"},  # no cell is broken over two lines
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    ).stdout
+    minutes = (time.perf_counter() - begin) / 60
+    record = {
+        "command": command,
+        "commit": commit,
+        "date": datetime.now(UTC).date().isoformat(),
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
+        "metrics": read_json(metrics),
+    }
+    write_json(Path("docs/results") / f"{Path(script).stem}.json", record)
+    return f"`{command}` at {commit}, {record['date']}, {minutes:.1f} min:\n\n{markdown(said)}\n"
+
+
+def markdown(said: str) -> str:
+    """Return what a console was told: tables as they are, each other line a paragraph; no progress."""
+    lines = [re.sub(r" {2,}", " ", line.strip()) for line in said.splitlines() if "━" not in line]
+    text = ""
+    for line in filter(None, lines):
+        row = line.startswith("|") and text.endswith("|")
+        text += f"\n{line}" if row else f"\n\n{line}"
+    return text.strip()
+
+
+def record(page: Path, commit: str) -> None:
+    """Measure a page's commands anew, but those that this commit has measured; write the page after each."""
+    for command, found in MEASURED.findall(page.read_text()):
+        if f"` at {commit}," in found:
+            continue
+        print(f"{page.name}: {command}", flush=True)
+        told = f"<!-- measured: {command} -->\n{measure(command, commit)}<!-- end -->"
+        text = page.read_text()
+        write_text(page, text.replace(f"<!-- measured: {command} -->\n{found}<!-- end -->", told))
+
+
+def main(*pages: str) -> None:
+    """Measure the commands of reports, each at the last commit that changed the code."""
+    if changed := git("status", "--porcelain", "--", *CODE):
+        sys.exit(f"Changed and in no commit:\n{changed}\nCommit it first: reports say which commit they are of.")
+    commit = git("log", "-1", "--format=%h", "--", *CODE)
+    for page in pages:
+        record(Path(page), commit)
 
 
 if __name__ == "__main__":
