@@ -18,6 +18,8 @@ from anther.grasp import (
     APART,
     DOUBT,
     OBSTACLE_CLEARANCE,
+    OFF_BY,
+    ROOT_STRAIN,
     STAND_OFF,
     STROKE_MARGIN,
     TOWARD_TIPS,
@@ -406,6 +408,16 @@ def test_every_edge_has_balls_from_its_start_to_its_end():
     np.testing.assert_allclose(aside[:, 0], 0.011 * np.arange(1, 5) / 4)
 
 
+def test_a_petiole_is_no_thicker_than_its_end_where_it_leaves_the_stem():
+    nodes = np.array([[0, 0, 0], [0, 0, 0.02], [0.01, 0, 0.02], [0.02, 0, 0.02]])
+    skeleton = Skeleton(nodes, np.array([-1, 0, 1, 2]), np.array([0.008, 0.006, 0.002, 0.001]))
+    balls = _balls_along(skeleton, np.array([1, 2, 3]), 0.003, np.array([0, 0, 0.01, 0.02]))
+    stem, first, beyond = np.split(balls[:, 3], [7, 11])
+    np.testing.assert_allclose(stem, 0.008 - 0.002 * np.arange(1, 8) / 7)
+    np.testing.assert_allclose(first, 0.002)
+    np.testing.assert_allclose(beyond, 0.002 - 0.001 * np.arange(1, 5) / 4)
+
+
 def test_every_pose_is_a_rotation_and_each_direction_is_tried_both_ways_up():
     """Of a stem in waves too, whose fitted line is shorter than the stem."""
     stem, skeleton, _ = make_plant(branches=())
@@ -466,6 +478,23 @@ def test_the_nearer_the_root_the_more_it_costs():
     cost = ranking.costs["near the root"][order]
     assert np.all(np.diff(cost) <= 1e-12)
     assert cost[0] > 10 * cost[-1]
+
+
+def test_half_of_what_the_pads_fold_pulls_the_stem_aside_and_strains_its_root():
+    """A stem pulled aside by d at height L sees 3 r d / L^2 at its root; a quarter of what it bears is clearly bad."""
+    stem, skeleton, cloud = make_plant(branches=())
+    ranking = _rank(stem, skeleton, cloud, Params(), toward_base=False)
+    c, spread = ranking.candidates, ranking.met.spread.copy()
+    for folded in (0.0, 0.003):
+        spread[:, PETIOLE] = c.radius + folded
+        cost = _costs(c, replace(ranking.met, spread=spread), cloud, Params(), 0.5)["near the root"]
+        strain = 3 * c.radius * (OFF_BY + folded / 2) / c.arc_length**2
+        np.testing.assert_allclose(cost, strain / (0.25 * ROOT_STRAIN))
+
+
+def test_the_reason_tells_thickness_and_clearance_in_millimetres():
+    best = plan_grasps(*make_plant())[0]
+    assert f"{1e3 * best.stem_diameter:.1f} mm thick, clearance {1e3 * best.clearance:.0f} mm" in best.reason
 
 
 def test_above_a_fork_every_place_costs_more_than_well_below_it():
