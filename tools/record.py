@@ -9,7 +9,7 @@ A report names the commands that make its numbers, each in a pair of markers:
 
 What the command prints, its tables as Markdown, goes between them with the commit, and its metrics into
 docs/results/SCRIPT.json. The commit is the last that changed the code. What it has already made is not made again, so
-that a run that was stopped goes on.
+that a run that was stopped goes on; where a command fails the next is run all the same.
 """
 
 import os
@@ -70,15 +70,21 @@ def markdown(said: str) -> str:
     return text.strip()
 
 
-def record(page: Path, commit: str) -> None:
-    """Measure a page's commands anew, but those that this commit has measured; write the page after each."""
+def record(page: Path, commit: str) -> list[str]:
+    """Measure a page's commands anew, but those that this commit has measured; return those that failed."""
+    failed = []
     for command, found in MEASURED.findall(page.read_text()):
         if f"` at {commit}," in found:
             continue
         print(f"{page.name}: {command}", flush=True)
-        told = f"<!-- measured: {command} -->\n{measure(command, commit)}<!-- end -->"
-        text = page.read_text()
-        write_text(page, text.replace(f"<!-- measured: {command} -->\n{found}<!-- end -->", told))
+        begin = f"<!-- measured: {command} -->\n"
+        try:
+            told = measure(command, commit)
+        except subprocess.CalledProcessError:
+            failed.append(command)
+            continue
+        write_text(page, page.read_text().replace(f"{begin}{found}<!-- end -->", f"{begin}{told}<!-- end -->"))
+    return failed
 
 
 def main(*pages: str) -> None:
@@ -86,8 +92,9 @@ def main(*pages: str) -> None:
     if changed := git("status", "--porcelain", "--", *CODE):
         sys.exit(f"Changed and in no commit:\n{changed}\nCommit it first: reports say which commit they are of.")
     commit = git("log", "-1", "--format=%h", "--", *CODE)
-    for page in pages:
-        record(Path(page), commit)
+    failed = [command for page in pages for command in record(Path(page), commit)]
+    if failed:
+        sys.exit("\n".join(["These failed, and what their pages show is as it was:", *failed]))
 
 
 if __name__ == "__main__":
