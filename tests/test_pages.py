@@ -141,6 +141,19 @@ def check_script(words: list[str]) -> None:
     assert all((ROOT / words[n]).is_file() for n in scripts)
 
 
+MEASURED = re.compile(r"<!-- measured: ([^\n]+) -->\n(.*?)<!-- end -->", re.DOTALL)
+
+
+def test_what_measures_a_report_is_there_and_named_once() -> None:
+    """Its result file is named by the script."""
+    found = [(page, *found) for page in PAGES for found in MEASURED.findall(page.read_text())]
+    for _, command, said in found:
+        check_script(shlex.split(command))
+        assert not said or f"`{command}` at " in said
+    scripts = [shlex.split(command)[1] for _, command, _ in found]
+    assert len(set(scripts)) == len(scripts)
+
+
 ENDLESS = {"serve"}
 """Commands that go on until they are stopped; their own tests run them."""
 CHECKS: dict[str, Callable[[list[str]], None]] = {"make": check_make, "pip": check_pip, "python": check_script}

@@ -57,7 +57,7 @@ def measure(command: str, commit: str) -> str:
         "metrics": read_json(metrics),
     }
     write_json(Path("docs/results") / f"{Path(script).stem}.json", record)
-    return f"`{command}` at {commit}, {record['date']}, {minutes:.1f} min:\n\n{markdown(said)}\n"
+    return f"\n`{command}` at {commit}, {record['date']}, {minutes:.1f} min:\n\n{markdown(said)}\n\n"
 
 
 def markdown(said: str) -> str:
