@@ -141,19 +141,6 @@ def check_script(words: list[str]) -> None:
     assert all((ROOT / words[n]).is_file() for n in scripts)
 
 
-MEASURED = re.compile(r"<!-- measured: ([^\n]+) -->\n(.*?)<!-- end -->", re.DOTALL)
-
-
-def test_what_measures_a_report_is_there_and_named_once() -> None:
-    """Its result file is named by the script."""
-    found = [(page, *found) for page in PAGES for found in MEASURED.findall(page.read_text())]
-    for _, command, said in found:
-        check_script(shlex.split(command))
-        assert not said or f"`{command}` at " in said
-    scripts = [shlex.split(command)[1] for _, command, _ in found]
-    assert len(set(scripts)) == len(scripts)
-
-
 ENDLESS = {"serve"}
 """Commands that go on until they are stopped; their own tests run them."""
 CHECKS: dict[str, Callable[[list[str]], None]] = {"make": check_make, "pip": check_pip, "python": check_script}
@@ -350,3 +337,16 @@ def test_the_samples_are_what_they_say(folder: Path) -> None:
     assert main(["identify", *words, "--out", "found"]) == 0
     youngs = read_json("found/identify.json")["youngs"]
     assert abs(youngs["value"] - 90e6) < 2 * youngs["standard_error"]
+
+
+MEASURED = re.compile(r"<!-- measured: ([^\n]+) -->\n(.*?)<!-- end -->", re.DOTALL)
+
+
+def test_what_measures_a_report_is_there_and_named_once() -> None:
+    """Its result file is named by the script."""
+    found = [(page, *found) for page in PAGES for found in MEASURED.findall(page.read_text())]
+    for _, command, said in found:
+        check_script(shlex.split(command))
+        assert not said or f"`{command}` at " in said
+    scripts = [shlex.split(command)[1] for _, command, _ in found]
+    assert len(set(scripts)) == len(scripts)
