@@ -35,6 +35,8 @@ def test_the_answer_is_that_of_one_matrix_with_the_springs_in_it(springs: Spring
         turned = -(found.moment[q, 1] @ WAYS.T).T / springs.rotation
         swung = expected[:, below, :3] - expected[:, 9, :3]
         np.testing.assert_allclose(np.cross(turned, lever), swung, atol=1e-5 * np.abs(expected).max())
+        spun = turned @ (-lever / np.linalg.norm(lever))  # the held edge turns about itself with the pads
+        np.testing.assert_allclose(spun, expected[:, 9, 3], atol=1e-5 * np.abs(expected).max())
 
 
 def test_stiff_springs_are_the_rigid_grip_and_those_that_let_it_turn_are_a_pin() -> None:
