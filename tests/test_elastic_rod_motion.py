@@ -259,6 +259,34 @@ def test_a_violent_shake_of_the_3d_network():
     assert run.energy[-1] - run.energy[0] == pytest.approx(run.work[-1], rel=0.05)
 
 
+def test_the_predictor_does_not_change_the_result():
+    rods, shake = replace(three_d_network(), viscous_time=1e-4), Drive(20, (1, 0, 0), 4e-3, 5)
+    runs = [
+        simulate(rods, Clamp([0, 1]), shake, 0.2, 1e-3, tolerance=1e-10, predictor=predictor)
+        for predictor in ("inertia", "guess displacement", "none")
+    ]
+    np.testing.assert_allclose(runs[1].positions, runs[0].positions, atol=1e-9)
+    np.testing.assert_allclose(runs[2].positions, runs[0].positions, atol=1e-9)
+    assert len({run.newton_iterations for run in runs}) == 3
+    default = simulate(rods, Clamp([0, 1]), shake, 0.2, 1e-3, tolerance=1e-10)
+    np.testing.assert_array_equal(default.positions, runs[0].positions)
+    adrift = [simulate(rods, Clamp([0, 1]), None, 0.05, 1e-3, predictor=p) for p in ("guess displacement", "none")]
+    np.testing.assert_array_equal(adrift[0].positions, adrift[1].positions)
+
+
+def test_the_guess_displacement_takes_four_nodes_on_either_side_along():
+    """With any residual accepted, a step from rest ends where Newton starts."""
+    rods, shake = three_d_network(), Drive(20, (1, 0, 0), 1e-6, 5, also=(21,))
+    shares = np.zeros(len(rods.nodes))
+    shares[16:26] = 0.2, 0.4, 0.6, 0.8, 1, 1, 0.8, 0.6, 0.4, 0.2
+    shares[58:61] = 0.8, 0.6, 0.4  # the branch at node 20, of which node 61 is clamped; that at 15 is too far
+    accept = {"gravity": NO_GRAVITY, "start": "scanned", "integrator": "implicit_euler", "tolerance": 1e9}
+    for predictor, moved in (("guess displacement", shares), ("none", shares == 1)):
+        run = simulate(rods, Clamp([0, 1, 61]), shake, 1e-3, 1e-3, predictor=predictor, **accept)
+        went = np.outer(moved, shake.displacement(run.times)[1])
+        np.testing.assert_allclose(run.positions[1] - run.positions[0], went, atol=1e-14)
+
+
 def test_a_turning_grip_carries_the_rod_and_feels_its_moment():
     rods = cantilever(20, youngs=2e8, viscous_time=0.05)
     times = np.linspace(0, 0.5, 51)
@@ -338,6 +366,8 @@ def test_bad_nodes_grips_and_times_are_refused():
         frequency_response(rods, clamp, 99, (1, 0, 0), [5.0])
     with pytest.raises(InputError, match="time step"):
         simulate(rods, clamp, None, 1.0, 0.0)
+    with pytest.raises(InputError, match="predictor: got luck; allowed: inertia, guess displacement, none"):
+        simulate(rods, clamp, None, 0.1, 1e-3, predictor="luck")
     with pytest.raises(InputError, match="direction"):
         Drive(3, (0, 0, 0), 1e-3, 5)
     folded = Rods([[0, 0, 0], [0, 0, 1], [0, 0, 0.5]], [-1, 0, 1], 1e-3, 1e8, 1e3)

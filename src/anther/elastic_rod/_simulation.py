@@ -33,6 +33,8 @@ from anther.files import read_npz, understood, write_npz
 
 SCHEMA = 3
 
+PREDICTORS = ("inertia", "guess displacement", "none")
+
 NEWTON_LIMIT = 30
 """Newton iterations of a step before it is split."""
 
@@ -109,6 +111,7 @@ def simulate(
     start: Literal["equilibrium", "scanned"] = "equilibrium",
     tolerance: float = 1e-8,
     record_every: int = 1,
+    predictor: Literal["inertia", "guess displacement", "none"] = "inertia",
     moving: tuple[Array, Array] | None = None,
 ) -> Trajectory:
     """Step the rods through time.
@@ -126,6 +129,9 @@ def simulate(
         tolerance: accepted norm of the residual force [N]; a step is also accepted when Newton's correction has
             fallen to rounding noise (1e-12 m).
         record_every: keep every k-th step.
+        predictor: where Newton starts: each node goes on with its velocity; or the four nodes on either side of the
+            grip go along with it, less the farther away (the paper's guess displacement, P21); or only the grip moves.
+            The result does not depend on it beyond the tolerance.
         moving: displacements [m] and spins [rad] (N, 4) from `start`, and their rates (N, 4), with which to begin
             instead of at rest, for instance those of `steady_motion`; the drive must begin likewise.
 
@@ -139,6 +145,8 @@ def simulate(
         raise bad_input("integrator", given=integrator, allowed="midpoint or implicit_euler", do="Check the spelling.")
     if start not in ("equilibrium", "scanned"):
         raise bad_input("start", given=start, allowed="equilibrium or scanned", do="Check the spelling.")
+    if predictor not in PREDICTORS:
+        raise bad_input("predictor", given=predictor, allowed=", ".join(PREDICTORS), do="Check the spelling.")
     nodes = () if drive is None else drive.nodes
     model, frames = build_model(rods, gravity, clamp.planted)
     free = clamp.free(rods, nodes)
@@ -149,7 +157,10 @@ def simulate(
     if moving is not None:
         state = _set_moving(model, state, *moving, nodes)
     settings = Settings(dt, integrator == "midpoint", tolerance, NEWTON_LIMIT, balance=True)
-    return _Run(model, free, state, drive, settings).trajectory(steps, record_every)
+    guess = np.zeros(0 if predictor == "inertia" else len(free))
+    if predictor == "guess displacement":
+        guess = _guess_shares(rods.parent, nodes) * free[:, 0]
+    return _Run(model, free, state, drive, settings, guess).trajectory(steps, record_every)
 
 
 def _set_moving(model: Model, rest: State, displacement: Array, rate: Array, grip: tuple[int, ...]) -> State:
@@ -177,6 +188,16 @@ def _set_moving(model: Model, rest: State, displacement: Array, rate: Array, gri
     return state
 
 
+def _guess_shares(parent: Any, grip: tuple[int, ...]) -> Array:
+    """Return (N,) the share of the grip's move that Newton first gives each node: 1, then 0.8 .. 0.2, beyond it 0."""
+    fifths, parents = np.zeros(len(parent), dtype=np.int64), parent[1:]
+    fifths[list(grip)] = 5
+    for _ in range(4):
+        fifths[1:] = np.maximum(fifths[1:], fifths[parents] - 1)
+        np.maximum.at(fifths, parents, fifths[1:] - 1)
+    return fifths / 5
+
+
 def _check_steps(duration: float, dt: float, record_every: int) -> int:
     check_range("time step", dt, 1e-9, 10, "s")
     check_range("duration", duration, dt, 1e7 * dt, "s")
@@ -188,10 +209,12 @@ def _check_steps(duration: float, dt: float, record_every: int) -> int:
 class _Run:
     """One simulation: the constants, the moving state, and the splitting of steps that do not converge."""
 
-    def __init__(self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings) -> None:
+    def __init__(
+        self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings, guess: Array
+    ) -> None:
         n, frames = len(state.x), state.frames
         self.model, self.free, self.state, self.drive, self.settings = model, free, state, drive, settings
-        self.nodes = np.array(() if drive is None else drive.nodes, dtype=np.int64)
+        self.guess, self.nodes = guess, np.array(() if drive is None else drive.nodes, dtype=np.int64)
         self.edges = gripped_edges(model.parent, tuple(self.nodes.tolist()))
         self.home, self.director = state.x[self.nodes], frames.m1[self.edges]
         mid, end = new_state(state.x, frames), new_state(state.x, frames)
@@ -240,11 +263,11 @@ class _Run:
         """Return what the gripper prescribes at (S + 1,) times [s]."""
         if self.drive is None:
             nothing = np.zeros((len(times), 0, 3))
-            return Grip(self.nodes, self.edges, nothing, nothing)
+            return Grip(self.nodes, self.edges, nothing, nothing, self.guess)
         turn = Rotation.from_rotvec(self.drive.rotation(times)).as_matrix()
         levers = np.einsum("tij,pj->tpi", turn, self.home - self.home[0])
         x = self.home[0] + self.drive.displacement(times)[:, None] + levers
-        return Grip(self.nodes, self.edges, x, np.einsum("tij,qj->tqi", turn, self.director))
+        return Grip(self.nodes, self.edges, x, np.einsum("tij,qj->tqi", turn, self.director), self.guess)
 
     def _advance(
         self, grip: Grip, settings: Settings, first: int, steps: int, every: int, out: Output

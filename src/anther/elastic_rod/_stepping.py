@@ -34,7 +34,6 @@ GROWTH = 4.0
 
 HALVED = 6
 
-
 CREATED = 1e-3
 """Share of the elastic and kinetic energy that a midpoint step may create out of nothing (`_step`)."""
 
@@ -70,6 +69,7 @@ class Grip(NamedTuple):
     edges: Any  # (Q,) int
     x: Array  # (S + 1, P, 3) [m]
     director: Array  # (S + 1, Q, 3) first director
+    guess: Array  # (N,) share of the grip's next move with which Newton starts (P21); (0,): from the velocity
 
 
 class Output(NamedTuple):
@@ -238,6 +238,11 @@ def _guess(free: Any, grip: Grip, old: State, work: Work, step: int, h: float, s
         turn[j] = h * old.v[j, 3] if free[j, 3] else 0.0
         for i in range(3):
             x[j, i] = old.x[j, i] + (h * old.v[j, i] if free[j, i] else 0.0)
+    for j in range(len(grip.guess)):
+        turn[j] = 0.0
+        for i in range(3):
+            along = share * (grip.x[step + 1, 0, i] - grip.x[step, 0, i]) if grip.guess[j] > 0 else 0.0
+            x[j, i] = old.x[j, i] + grip.guess[j] * along
     for k in range(len(grip.nodes)):
         for i in range(3):
             x[grip.nodes[k], i] = (1 - share) * grip.x[step, k, i] + share * grip.x[step + 1, k, i]
@@ -345,12 +350,10 @@ def record(model: Model, grip: Grip, state: State, work: Work, out: Output, row:
         for i in range(3):
             out.x[row, j, i] = state.x[j, i]
             out.director[row, j, i] = state.frames.m1[j, i]
-    out.energy[row] = work.energy[0]
-    out.work[row] = work.energy[2]
+    out.energy[row], out.work[row] = work.energy[0], work.energy[2]
     g = work.blocks.gradient
     for i in range(3):
-        out.force[row, i] = 0.0
-        out.moment[row, i] = 0.0
+        out.force[row, i] = out.moment[row, i] = 0.0
     for k in range(len(grip.nodes)):
         node = grip.nodes[k]
         force = load(g, node)
