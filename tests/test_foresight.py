@@ -410,6 +410,18 @@ def test_a_pedicel_is_bent_as_its_flower_is_seen_to_swing(more: float) -> None:
     assert other.pedicels(vectors, one)[0] == pytest.approx(max(more, 1.0) * said[0].max())
 
 
+@pytest.mark.parametrize("share", [0.25, 4.0])
+def test_a_flower_too_still_to_be_seen_bends_its_pedicel_as_far_as_it_may_swing(share: float) -> None:
+    """But no further than the others tell."""
+    foresight = made_foresight(3)
+    vectors, second = of(foresight)[:1], np.arange(FLOWERS) == 1
+    foresight = foresight._replace(hangs=np.ones_like(foresight.hangs))
+    swing = semi_major(vectors[0, foresight.where["flowers"]])
+    shown, most = np.where(second, np.nan, 2 * swing), np.where(second, share * swing, np.nan)
+    said = semi_major(vectors[:, foresight.where["joint_strain"]]).max()
+    assert foresight.pedicels(vectors, shown, most) == pytest.approx(min(share, 2.0) * said)
+
+
 def test_every_pedicel_is_told_which_flower_hangs_on_it() -> None:
     """A flower that is pushed alone strains its own pedicel and no other."""
     skeleton, stem, flowers = branched()
