@@ -1,6 +1,6 @@
 """The protocol of `grasping.py` with each arm: ten plants from four sides, 30 views, from noisy images to the shake.
 
-    python experiments/arms.py --plants 4 --sides 2 --jobs 2
+    python experiments/arms.py --arms ur5e fr3 xarm7 --quick --jobs 2
 
 Every trial ends in one JSON and one small picture in --out and is not run again. Keys of --json, each with _ARM behind:
 trials, success (how many held the main stem and harmed nothing) with success_low and success_high (Wilson's 95 %
@@ -81,12 +81,10 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides")
     parser.add_argument("--arms", nargs="+", choices=get_args(ArmName), default=list(get_args(ArmName)))
-    parser.add_argument("--plants", type=int, default=len(TEN), help="the first of the ten: tomatoes, then peppers")
-    parser.add_argument("--sides", type=int, default=len(VIEWPOINTS), help="of each plant, the first of the four")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/arms"), help="where finished trials are kept")
     args = parser.parse_args()
-    plants, sides = ([TEN[0], TEN[2]], VIEWPOINTS[:2]) if args.quick else (TEN[: args.plants], VIEWPOINTS[: args.sides])
+    plants, sides = ([TEN[0], TEN[2]], VIEWPOINTS[:2]) if args.quick else (TEN, VIEWPOINTS)
     cases = [Case(*plant, side, arm=arm) for arm in args.arms for plant in plants for side in sides]
     rows = swept(one_trial, asked(cases, rule=False), args.out, args.jobs, crashed)
     table: dict[str, float] = {}
