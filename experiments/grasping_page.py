@@ -123,9 +123,3 @@ def failures(rows: Sequence[Row]) -> list[RenderableType]:
 def trial(row: Row) -> str:
     """Return which trial a row is of, in words."""
     return f"{row['species']} {row['seed']} from {row['viewpoint']}°, {row['arm']}, {row['preset']}"
-
-
-def rows_of(heads: Sequence[str], lines: Iterable[Sequence[object]]) -> str:
-    """Return a Markdown table."""
-    cells = [heads, ["---"] * len(heads), *lines]
-    return "\n".join("| " + " | ".join(str(cell).replace("\n", " ") for cell in line) + " |" for line in cells)

@@ -102,7 +102,7 @@ def told(table: dict[str, float]) -> list[RenderableType]:
         lines.append((words, f"{share:.1%}", *ratio))
     heads = ("what is predicted", "truths inside their 90 % interval", "true over expected, median", "spread of its ln")
     plants, lost = table["plants"], table["plants_lost"]
-    said = f"Predicted: {plants:.0f} plants, {lost:.0f} more without an answer; probed at {tones()}."
+    said = f"Plants predicted: {plants:.0f}, without an answer: {lost:.0f}; probed at {tones()}."
     if not plants:
         return [said]
     return [f"{said} Median error of a flower's amplitude.", errors, "The intervals.", table_of(heads, lines)]
