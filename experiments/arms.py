@@ -16,12 +16,12 @@ from typing import get_args
 
 import numpy as np
 from grasping import SPECIES, VIEWPOINTS
-from grasping_page import effect_cells, failures, say, table_of
 from grasping_table import Row, effects, interval
 from grasping_trial import Case, asked, crashed, one_trial
 from rich.console import RenderableType
 from skeletons import TEN
 from swept import swept
+from trial_tables import effect_cells, failures, say, table_of
 
 from anther.arm import ArmName
 from anther.files import write_json

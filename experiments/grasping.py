@@ -20,12 +20,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from grasping_page import report, say
 from grasping_pictures import sheet
 from grasping_table import metrics
 from grasping_trial import PICTURE, Case, asked, crashed, one_trial
 from skeletons import TEN
 from swept import FOLDER, swept
+from trial_tables import report, say
 
 from anther.files import write_json
 from anther.shake import Crop

@@ -30,12 +30,12 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from grasping_page import EFFECTS, effect_cells, say, table_of
 from grasping_table import effects
 from grasping_trial import Memory, notes, performed, watched
 from hard_plants import denser, leaning, sway, swaying, two_stems
 from rich.console import RenderableType
 from swept import failed, swept
+from trial_tables import EFFECTS, effect_cells, say, table_of
 
 from anther.arm import sawyer
 from anther.capture import Capture

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 import shaking_table
-from grasping_page import say
 from grasping_trial import Memory, paper_plan, performed, truth_of
 from swept import failed, swept
+from trial_tables import say
 from vibration_plant import matched
 
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, build

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from grasping_page import table_of
 from grasping_table import interval
 from rich.console import RenderableType
+from trial_tables import table_of
 
 from anther.response import MOVED
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from grasping_page import EFFECTS, effect_cells, table_of
 from grasping_table import effects, interval
 from grasping_trial import Case
 from rich.console import RenderableType
+from trial_tables import EFFECTS, effect_cells, table_of
 
 from anther.shake import Crop
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from grasping_page import table_of
 from rich.console import RenderableType
 from rich.table import Table
+from trial_tables import table_of
 from wide_plant import HELD, KINDS, SLOW, TONES
 
 from anther.geometry import Array

@@ -27,10 +27,10 @@ from pathlib import Path
 
 import wide_grasping
 import wide_table
-from grasping_page import failures, say
 from grasping_trial import asked, crashed, one_trial
 from rich.console import RenderableType
 from swept import swept
+from trial_tables import failures, say
 from wide_plant import Case, one_plant
 
 from anther.files import read_json, write_json

@@ -10,11 +10,11 @@ import cv2
 import grasping
 import numpy as np
 import pytest
-from grasping_page import report, say
 from grasping_pictures import TILE, sheet
 from grasping_table import as_counted, effects, interval, mcnemar, metrics
 from grasping_trial import crashed
 from swept import FOLDER, swept
+from trial_tables import report, say
 
 
 def told(capsys, rows: list) -> str:

@@ -1,4 +1,4 @@
-"""The result of `grasping.py` as tables, and how trials are told."""
+"""What trials did, as tables: successes beside the paper's, its rule, times, failures."""
 
 from __future__ import annotations
 
