@@ -98,12 +98,12 @@ def report(rows: Sequence[Row]) -> list[RenderableType]:
         "way", "plants", "median flower [m/s²] (95 % interval)", "tomatoes", "peppers", "plants at 5 m/s²",
         "flowers at 5 m/s²", "pollen freed (5 to 95 %)", "shaking [s]",
     )  # fmt: skip
-    flowers = table_of(heads, [(way, str(len(mine)), *_flowers(mine)) for way, mine in ways.items()])
+    flowers = table_of(heads, [(way, str(len(mine)), *map(_known, _flowers(mine))) for way, mine in ways.items()])
     heads = (
         "way", "stem held", "stem, branches [%]", "pedicels [%]", "other stalks [%]", "leaf bases [g]", "slip [mm]",
         "plants past a limit (95 % interval)", "probability of harm",
     )  # fmt: skip
-    plants = table_of(heads, [(way, *_plants(mine)) for way, mine in ways.items()])
+    plants = table_of(heads, [(way, *map(_known, _plants(mine))) for way, mine in ways.items()])
     lost = [row for row in rows if not row.get("held") or harmed(row)]
     lines = [(r["way"], f"{r['species']} {r['seed']}", r.get("message")) for r in lost]
     wrong = table_of(("way", "plant", "what happened"), lines) if lines else "No trial failed."
@@ -126,6 +126,11 @@ def _compared(rows: Sequence[Row]) -> list[str]:
     if np.isfinite(right):
         said.append(f"The camera's last measurement is within 15 % of the true peak for {right:.0%} of the flowers.")
     return said
+
+
+def _known(cell: str) -> str:
+    """Return a cell, or a dash where no plant was shaken."""
+    return "–" if "nan" in cell else cell
 
 
 def _middle(rows: Sequence[Row], key: str, factor: float = 1.0) -> float:
