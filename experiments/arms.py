@@ -1,6 +1,6 @@
-r"""The protocol of `grasping.py` with each arm: ten plants from four sides, 30 views, from noisy images to the shake.
+"""The protocol of `grasping.py` with each arm: ten plants from four sides, 30 views, from noisy images to the shake.
 
-    python tools/record.py experiments/arms.py --jobs 2 --page docs/reports/arms.md
+    python experiments/arms.py --arms ur5e fr3 xarm7 --quick --jobs 2
 
 Every trial ends in one JSON and one small picture in --out and is not run again. Keys of --json, each with _ARM behind:
 trials, success (how many held the main stem and harmed nothing) with success_low and success_high (Wilson's 95 %
@@ -16,13 +16,12 @@ from typing import get_args
 
 import numpy as np
 from grasping import SPECIES, VIEWPOINTS
-from grasping_page import effect_cells, failures, insert, rows_of
 from grasping_table import Row, effects, interval
 from grasping_trial import Case, asked, crashed, one_trial
-from rich.console import Console
-from rich.markdown import Markdown
+from rich.console import RenderableType
 from skeletons import TEN
 from swept import swept
+from trial_tables import effect_cells, failures, say, table_of
 
 from anther.arm import ArmName
 from anther.files import write_json
@@ -30,16 +29,16 @@ from anther.files import write_json
 CALLED = {"fr3": "panda"}
 """What the keys of --json call an arm: Franka's is Panda there, though the one that is simulated is Research 3."""
 MEDIANS = {
-    "shake_amplitude_m": ("shake [mm]", 1e3, "{:.2f}"),
-    "shake_frequency_hz": ("at [Hz]", 1.0, "{:.1f}"),
-    "capture_s": ("views [s]", 1.0, "{:.0f}"),
-    "reach_s": ("to the grasp [s]", 1.0, "{:.0f}"),
+    "shake_amplitude_m": ("amplitude of the shake [mm]", 1e3, "{:.2f}"),
+    "shake_frequency_hz": ("its frequency [Hz]", 1.0, "{:.1f}"),
+    "capture_s": ("taking the views [s]", 1.0, "{:.0f}"),
+    "reach_s": ("reaching the grasp [s]", 1.0, "{:.0f}"),
 }
 """Of a trial: the head of its column, the column's scale, how it is written."""
 EFFECTS = ("harm_probability_mean", "moved_share", "flower_acceleration_median_ms2")
 
 
-def table_of(arm: str, rows: Sequence[Row]) -> dict[str, float]:
+def metrics(arm: str, rows: Sequence[Row]) -> dict[str, float]:
     """Return the flat table of one arm's trials."""
     ours = [row["ours"] for row in rows]
     won, _ = wins(rows, arm, "")
@@ -51,7 +50,7 @@ def table_of(arm: str, rows: Sequence[Row]) -> dict[str, float]:
     return {f"{key}_{CALLED.get(arm, arm)}": value for key, value in found.items()}
 
 
-def report(arms: Sequence[str], rows: Sequence[Row], table: dict[str, float]) -> str:
+def report(arms: Sequence[str], rows: Sequence[Row], table: dict[str, float]) -> list[RenderableType]:
     """Return a line an arm, and every failure."""
     lines = []
     for arm in arms:
@@ -61,10 +60,13 @@ def report(arms: Sequence[str], rows: Sequence[Row], table: dict[str, float]) ->
         between = f"{own['success_low']:.0%} to {own['success_high']:.0%}"
         medians = [how.format(scale * own[key]) if key in own else "" for key, (_, scale, how) in MEDIANS.items()]
         lines.append((f"`{arm}`", held[0], between, *held[1:], *effect_cells(own, EFFECTS), *medians))
-    heads = ["arm", "held and unharmed", "95 % interval", *SPECIES, "harm", "moved", "flowers [m/s²]"]
-    heads += [head for head, *_ in MEDIANS.values()]
-    lost = [f"**{arm}**\n\n{said}" for arm in arms if (said := failures([row for row in rows if row["arm"] == arm]))]
-    return "\n\n".join([rows_of(heads, lines), *lost])
+    heads = ["arm", "held and unharmed", "95 % interval", *SPECIES, "probability of harm", "flowers moved (5 m/s²)"]
+    heads += ["median flower [m/s²]", *(head for head, *_ in MEDIANS.values())]
+    return [
+        "The same trials with each arm; from the median flower on medians over trials.",
+        table_of(heads, lines),
+        *failures(rows),
+    ]
 
 
 def wins(rows: Sequence[Row], arm: str, species: str) -> tuple[int, int]:
@@ -74,27 +76,23 @@ def wins(rows: Sequence[Row], arm: str, species: str) -> tuple[int, int]:
 
 
 def main() -> None:
-    """Run what is not there yet, print the table, write --json and the page."""
+    """Run what is not there yet, print the tables, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides")
     parser.add_argument("--arms", nargs="+", choices=get_args(ArmName), default=list(get_args(ArmName)))
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/arms"), help="where finished trials are kept")
-    parser.add_argument("--page", type=Path, help="write the table into this docs page")
     args = parser.parse_args()
     plants, sides = ([TEN[0], TEN[2]], VIEWPOINTS[:2]) if args.quick else (TEN, VIEWPOINTS)
     cases = [Case(*plant, side, arm=arm) for arm in args.arms for plant in plants for side in sides]
     rows = swept(one_trial, asked(cases, rule=False), args.out, args.jobs, crashed)
     table: dict[str, float] = {}
     for arm in args.arms:
-        table |= table_of(arm, [row for row in rows if row["arm"] == arm])
-    text = report(args.arms, rows, table)
-    Console().print(Markdown(text))
+        table |= metrics(arm, [row for row in rows if row["arm"] == arm])
+    say(report(args.arms, rows, table))
     if args.json:
         write_json(args.json, table)
-    if args.page:
-        insert(args.page, text)
 
 
 if __name__ == "__main__":

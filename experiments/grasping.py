@@ -1,7 +1,6 @@
-r"""The paper's protocol (R4, R5): ten plants, each from four sides, from noisy images to a physical grasp and shake.
+"""The paper's protocol (R4, R5): ten plants, each from four sides, from noisy images to a physical grasp and shake.
 
-    python tools/record.py experiments/grasping.py --further 100 --jobs 2 --figures docs/pictures \
-        --page docs/reports/grasping.md
+    python experiments/grasping.py --presets full --jobs 2
 
 Two tomatoes and eight peppers, turned by 0, 90, 180 and 270 degrees: 40 trials with 30 views and 40 with the preset
 `fast`; --further N adds that many unseen plants (as many of either species) with 30 views. Each is a whole `anther
@@ -21,14 +20,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from grasping_page import insert, report
 from grasping_pictures import sheet
 from grasping_table import metrics
 from grasping_trial import PICTURE, Case, asked, crashed, one_trial
-from rich.console import Console
-from rich.markdown import Markdown
 from skeletons import TEN
 from swept import FOLDER, swept
+from trial_tables import report, say
 
 from anther.files import write_json
 from anther.shake import Crop
@@ -71,17 +68,15 @@ def tiles(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> list[tuple[P
 
 
 def draw(cases: Sequence[Case], rows: Sequence[dict[str, Any]], figures: Path) -> None:
-    """Write the contact sheet of the ten plants with 30 views, and one of every failure."""
-    all_tiles = tiles(cases, rows)
-    ten = [tile for case, tile in zip(cases, all_tiles, strict=True) if case.preset == "full" and case.seed < 1000]
-    failed = [tile for tile in all_tiles if not tile[2]]
-    for name, some in (("grasping", ten), ("grasping_failures", failed)):
-        if some:
-            sheet(some, 8, figures / f"{name}.png")
+    """Write the contact sheet of the ten plants with 30 views."""
+    shown = zip(cases, tiles(cases, rows), strict=True)
+    ten = [tile for case, tile in shown if case.preset == "full" and case.seed < 1000]
+    if ten:
+        sheet(ten, 8, figures / "grasping.png")
 
 
 def main() -> None:
-    """Run what is not there yet, print the tables, write --json and the figures."""
+    """Run what is not there yet, print the tables, write --json and the picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides, 30 views")
@@ -93,19 +88,14 @@ def main() -> None:
     parser.add_argument("--without-paper", action="store_true", help="leave out the paper's own grasp")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/grasping"), help="where finished trials are kept")
-    parser.add_argument("--figures", type=Path, help="write grasping.png and grasping_failures.png into this folder")
-    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
+    parser.add_argument("--figures", type=Path, help="write grasping.png into this folder")
     args = parser.parse_args()
-    console = Console()
     cases = chosen(args)
     rows = swept(one_trial, asked(cases, rule=not args.without_paper), args.out, args.jobs, crashed)
     table = metrics(rows)
-    text = report(rows, table)
-    console.print(Markdown(text))
+    say(report(rows, table))
     if args.json:
         write_json(args.json, table)
-    if args.page:
-        insert(args.page, text)
     if args.figures:
         draw(cases, rows, args.figures)
 

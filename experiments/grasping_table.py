@@ -14,9 +14,12 @@ Row = dict[str, Any]
 PAPER = {"tomato": (6, 8), "pepper": (31, 32), "": (37, 40)}
 """Grasps that succeeded, and trials, as the paper reports them (R4)."""
 PAPER_SECONDS = {"capture": 45.0, "compute": 30.0, "shake": 15.0}
-MEASURES = ("success", "stem_held", "axis_held")
-"""`success`: held and unharmed, by the judge; the main stem was held and shaken, whatever became of the plant; that, or
-a pepper's branch above the first fork, which the paper may have called its main stem."""
+MEASURES = {
+    "success": "held and unharmed",
+    "stem_held": "main stem held",
+    "axis_held": "main stem held, or a pepper's branch above the first fork",
+}
+"""Keys and what they mean. The judge says so. The last may be what the paper called a pepper's main stem."""
 PHASES = ("capture", "compute", "reach", "shake", "retreat")
 
 
@@ -114,7 +117,7 @@ def of_part(name: str, rows: Sequence[Row]) -> dict[str, float]:
         table |= {f"{prefix}success_{name}_won": won, f"{prefix}success_{name}_trials": len(some)}
         table[f"{prefix}success_{name}"] = won / len(some)
         table[f"{prefix}success_{name}_low"], table[f"{prefix}success_{name}_high"] = interval(won, len(some))
-        for measure in MEASURES[1:]:
+        for measure in list(MEASURES)[1:]:
             table[f"{prefix}{measure}_{name}"] = float(np.mean([row["ours"].get(measure, False) for row in some]))
         table |= {f"{prefix}{key}_{name}": value for key, value in effects([row["ours"] for row in some]).items()}
         pairs = [row for row in some if row["paper"] is not None]

@@ -1,6 +1,6 @@
 """Hard cases, each as whole trials: from noisy images to a physical grasp and shake, judged as in `grasping.py`.
 
-    python tools/record.py experiments/hard_cases.py --jobs 2 --page docs/reports/hard_cases.md
+    python experiments/hard_cases.py --quick --jobs 2
 
 | case | what is hard |
 |---|---|
@@ -30,11 +30,12 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from grasping_page import EFFECTS, effect_cells, insert, rows_of
 from grasping_table import effects
 from grasping_trial import Memory, notes, performed, watched
 from hard_plants import denser, leaning, sway, swaying, two_stems
+from rich.console import RenderableType
 from swept import failed, swept
+from trial_tables import EFFECTS, effect_cells, say, table_of
 
 from anther.arm import sawyer
 from anther.capture import Capture
@@ -161,8 +162,8 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     return out
 
 
-def report(rows: list[dict[str, Any]]) -> str:
-    """Return how each case went, and every failure, as Markdown."""
+def report(rows: list[dict[str, Any]]) -> list[RenderableType]:
+    """Return how each case went, and every failure."""
     table = [
         (
             *(kind, sum(row["success"] for row in some), len(some), sum(row.get("stem_held", False) for row in some)),
@@ -177,8 +178,10 @@ def report(rows: list[dict[str, Any]]) -> str:
         if not row["success"]
     ]
     heads = ("case", "held and unharmed", "trials", "main stem held", *(words for words, _ in EFFECTS.values()))
-    text = rows_of(heads, table)
-    return text + ("\n\n" + rows_of(("failed trial", "kind", "what happened"), failed) if failed else "")
+    parts = ["What became of the trials; of flowers and pollen the medians over trials.", table_of(heads, table)]
+    if not failed:
+        return [*parts, "No trial failed."]
+    return [*parts, "Trials that failed.", table_of(("trial", "kind", "what happened"), failed)]
 
 
 def _aim(row: dict[str, Any]) -> str:
@@ -194,16 +197,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=3000, help="first seed")
     parser.add_argument("--cases", nargs="*", choices=CASES, default=CASES)
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
-    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
     parser.add_argument("--out", type=Path, default=Path("runs/hard_cases"), help="where finished trials are kept")
     args = parser.parse_args()
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
     cases = [Case(kind, species, seed) for kind in args.cases for species in get_args(Crop) for seed in seeds]
     rows = swept(one_trial, map(asdict, cases), args.out, args.jobs, failed)
-    text = report(rows)
-    print(text)
-    if args.page:
-        insert(args.page, text)
+    say(report(rows))
     if args.json:
         write_json(args.json, metrics(rows))
 

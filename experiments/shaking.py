@@ -1,6 +1,6 @@
-r"""What a shake does for the person with the plant: ways to shake the same unseen plants, judged by MuJoCo.
+"""What a shake does for the person with the plant: ways to shake the same unseen plants, judged by MuJoCo.
 
-    python tools/record.py experiments/shaking.py --jobs 2 --page docs/reports/shaking.md
+    python experiments/shaking.py --plants 6 --ways paper plan escalated motor --seed 460 --jobs 2
 
 Every plant's truth is drawn wide (`anther.sim.truth.WIDE`): pads, damping, limits that no stage knows. Each way begins
 anew from the same views of the same plant, but for the second visit:
@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 import shaking_table
-from grasping_page import insert
 from grasping_trial import Memory, paper_plan, performed, truth_of
 from swept import failed, swept
+from trial_tables import say
 from vibration_plant import matched
 
 from anther.commands.simulated_cell import PRESETS, SimulatedCell, build
@@ -149,7 +149,7 @@ def seen_and_true(cell: SimulatedCell, run: Memory, done: Done, case: Case) -> d
 
 
 def main() -> None:
-    """Run what is missing and print the table."""
+    """Run what is missing and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--quick", action="store_true", help="two plants")
@@ -161,10 +161,8 @@ def main() -> None:
     parser.add_argument("--truth", choices=("wide", "nominal", *WIDE), default="wide", help="or one group alone")
     parser.add_argument("--development", action="store_true", help="the plants on which constants may be set")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
-    parser.add_argument("--before", type=Path, help="rows of an earlier Anther on the same plants, for the table")
     parser.add_argument("--jobs", type=int, default=max((os.cpu_count() or 1) // 2, 1), help="trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/shaking"), help="where what is done is kept")
-    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
     args = parser.parse_args()
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     plants = [(SPECIES[k % 2], first + k // 2) for k in range(2 if args.quick else args.plants)]
@@ -176,10 +174,7 @@ def main() -> None:
         if k < fewer.get(way, len(plants))
     ]
     rows = rows_of(cases, args.out, args.jobs)
-    text = shaking_table.report(rows)
-    print(text)
-    if args.page:
-        insert(args.page, text)
+    say(shaking_table.report(rows))
     if args.json:
         write_json(args.json, shaking_table.metrics(rows))
 

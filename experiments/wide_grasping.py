@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from grasping_table import effects, interval
 from grasping_trial import Case
+from rich.console import RenderableType
+from trial_tables import EFFECTS, effect_cells, table_of
 
 from anther.shake import Crop
 
@@ -36,7 +38,11 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     return {"success": float(np.mean(won)), "success_low": low, "success_high": high, "held": held} | effects(ours)
 
 
-def failures(rows: Sequence[Row]) -> list[str]:
-    """Return what went wrong, a line each."""
-    lost = [row for row in rows if not row["ours"]["success"]]
-    return [f"{r['species']} {r['seed']} from {r['viewpoint']}: {r['ours']['message']}" for r in lost]
+def told(metrics: dict[str, float], rows: Sequence[Row]) -> list[RenderableType]:
+    """Return the table of the trials with everything drawn."""
+    won = sum(bool(row["ours"]["success"]) for row in rows)
+    between = f"{metrics['success_low']:.1%} to {metrics['success_high']:.1%}"
+    line = (len(rows), f"{won}/{len(rows)} = {metrics['success']:.1%}", between, f"{metrics['held']:.1%}")
+    heads = ("trials", "held and unharmed", "95 % interval", "held", *(words for words, _ in EFFECTS.values()))
+    said = "Whole trials with everything drawn; of flowers and pollen the medians over trials."
+    return [said, table_of(heads, [(*line, *effect_cells(metrics))])]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from grasping_page import rows_of
+from rich.console import RenderableType
+from rich.table import Table
+from trial_tables import table_of
 from wide_plant import HELD, KINDS, SLOW, TONES
 
 from anther.geometry import Array
@@ -67,15 +69,55 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     return out | {"bias_amplitude": float(np.median(logs)), "spread_amplitude": float(np.std(logs))}
 
 
-def ranking(by_truth: dict[str, dict[str, float]], names: Sequence[str]) -> str:
-    """Return some metrics by truth in Markdown: nominal, everything drawn, then each group alone, the worst first."""
+WHERE = {
+    "error_held_seen": "held grip, flowers that the camera measured, 1.5 times the measured shake",
+    "error_held_hidden": "held grip, flowers that it did not measure",
+    "error_other_{}": "two other grips, 0.7 to 1.9 Hz",
+    "error_other_{}_fast": "two other grips, 4 and 7 Hz",
+    "error_before_{}": "all grips, nothing measured, 0.7 to 1.9 Hz",
+    "error_before_{}_fast": "all grips, nothing measured, 4 and 7 Hz",
+}
+QUANTITIES = {
+    "held": "flowers at the held grip",
+    "amplitude": "flowers at all grips",
+    "stem_strain": "strain of the stem",
+    "joint_strain": "strain of pedicels",
+    "base_strain": "strain where branches and leaves leave the stem",
+}
+
+
+def told(table: dict[str, float]) -> list[RenderableType]:
+    """Return errors and intervals of predictions with everything drawn."""
+    lines = []
+    for key, words in WHERE.items():
+        found = [table.get(key.format(crop), np.nan) for crop in ("tomato", "pepper")]
+        both = "{}" not in key
+        cells = ["" if both or np.isnan(value) else f"{value:.1%}" for value in found]
+        lines.append((words, *cells, f"{found[0]:.1%}" if both and np.isfinite(found[0]) else ""))
+    errors = table_of(("which flowers", "tomatoes", "peppers", "both"), lines)
+    lines = []
+    for key, words in QUANTITIES.items():
+        share, bias, spread = (table.get(f"{name}_{key}", np.nan) for name in ("coverage", "bias", "spread"))
+        ratio = ["" if np.isnan(value) else f"{value:.2f}" for value in (np.exp(bias), spread)]
+        lines.append((words, f"{share:.1%}", *ratio))
+    heads = ("what is predicted", "truths inside their 90 % interval", "true over expected, median", "spread of its ln")
+    plants, lost = table["plants"], table["plants_lost"]
+    said = f"Plants predicted: {plants:.0f}, without an answer: {lost:.0f}; probed at {tones()}."
+    if not plants:
+        return [said]
+    return [f"{said} Median error of a flower's amplitude.", errors, "The intervals.", table_of(heads, lines)]
+
+
+def ranking(by_truth: dict[str, dict[str, float]], names: Mapping[str, str]) -> Table:
+    """Return some metrics by truth: nominal, everything drawn, then each group alone, the worst first."""
     lines = []
     first = [name for name in ("nominal", "wide") if name in by_truth]
-    rest = sorted(set(by_truth) - set(first), key=lambda name: -by_truth[name].get(names[0], 0.0))
+    worst = next(iter(names))
+    rest = sorted(set(by_truth) - set(first), key=lambda name: -by_truth[name].get(worst, 0.0))
     for name in (*first, *rest):
         title = {"nominal": "nothing", "wide": "**everything**"}.get(name, name)
         lines.append((title, *(f"{by_truth[name].get(key, np.nan):.3g}" for key in names)))
-    return rows_of(("only this is not nominal", *names), lines)
+    return table_of(("only this is not nominal", *names.values()), lines)
 
 
 def tones() -> str:

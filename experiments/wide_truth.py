@@ -1,6 +1,6 @@
-r"""What Anther's promises are worth where the truth is not what any stage believes.
+"""What Anther's promises are worth where the truth is not what any stage believes.
 
-    python tools/record.py experiments/wide_truth.py --jobs 2 --page docs/reports/wide_truth.md
+    python experiments/wide_truth.py --seed 970 --jobs 2
 
 Every plant's truth is drawn from `anther.sim.truth.WIDE`: stiffness, damping, sections, masses, drag, wind, pads, arm
 and cameras, which no stage reads. Two parts, each a --part of its own:
@@ -10,14 +10,13 @@ prediction   plants are scanned, held, probed at a few tones before a noisy came
 grasping     whole trials with the preset `fast`, judged as held, unharmed and flowers moved, and what their shakes did
              to flowers and plants (`wide_grasping.py`)
 
-Both are also run with a nominal truth, and with one group of assumptions at a time drawn wide, ranked by what it
-changes: the assumption at the top is the one that would ruin the result.
+With --perturbed and --perturbed-trials both are also run with a nominal truth, and with one group of assumptions at a
+time drawn wide, ranked by what it changes: the assumption at the top is the one that would ruin the result.
 
 Plants and trials go through sweeps in --out (docs/sweep.md): what is done is not run again.
 
-Keys of --json: those of `wide_table.metrics` and
-`wide_grasping.metrics` for everything drawn (the latter as grasp_<key>), grasp_400_wide, second_judge_error_max, and
-for one group at a time <key>__<group>.
+Keys of --json: those of `wide_table.metrics` and `wide_grasping.metrics` for everything drawn (the latter as
+grasp_<key>), grasp_400_wide, second_judge_error_max, and for one group at a time <key>__<group>.
 """
 
 from __future__ import annotations
@@ -28,11 +27,10 @@ from pathlib import Path
 
 import wide_grasping
 import wide_table
-from grasping_page import insert, rows_of
 from grasping_trial import asked, crashed, one_trial
-from rich.console import Console
-from rich.markdown import Markdown
+from rich.console import RenderableType
 from swept import swept
+from trial_tables import failures, say
 from wide_plant import Case, one_plant
 
 from anther.files import read_json, write_json
@@ -42,8 +40,20 @@ PARTS = ("prediction", "grasping")
 FIRST = 9000
 """Plants of the predictions from this seed on are in no other table, those from `DEVELOPMENT` on set the spreads."""
 DEVELOPMENT = 500
-PREDICTED = ("error_other_tomato", "error_other_pepper", "error_held_seen", "coverage_90", "measured_share")
-GRASPED = ("harm_probability_mean", "success", "flower_acceleration_median_ms2", "moved_share")
+PREDICTED = {
+    "error_other_tomato": "error at other grips, tomatoes",
+    "error_other_pepper": "peppers",
+    "error_held_seen": "at the held grip",
+    "coverage_90": "truths inside their 90 % interval",
+    "measured_share": "flowers measured",
+}
+GRASPED = {
+    "harm_probability_mean": "probability of harm",
+    "success": "held and unharmed",
+    "flower_acceleration_median_ms2": "median flower [m/s²]",
+    "moved_share": "flowers moved (5 m/s²)",
+}
+"""Keys of both parts that are told for one group at a time, and how."""
 
 
 def predictions(args: argparse.Namespace) -> dict[str, dict[str, float]]:
@@ -59,9 +69,9 @@ def predictions(args: argparse.Namespace) -> dict[str, dict[str, float]]:
     return out
 
 
-def grasps(args: argparse.Namespace) -> tuple[dict[str, dict[str, float]], list[str]]:
-    """Return the metrics of the trials by truth, and what failed where everything was drawn."""
-    out, failed = {}, []
+def grasps(args: argparse.Namespace) -> tuple[dict[str, dict[str, float]], list[wide_grasping.Row]]:
+    """Return the metrics of the trials by truth, and the trials where everything was drawn."""
+    out, drawn = {}, []
     groups = wide_grasping.GROUPS if args.perturbed_trials else ()
     for truth, trials in (("wide", args.trials), *((g, args.perturbed_trials) for g in ("nominal", *groups))):
         if not trials:
@@ -69,8 +79,8 @@ def grasps(args: argparse.Namespace) -> tuple[dict[str, dict[str, float]], list[
         cases = wide_grasping.cases(trials, args.seed, "fast", truth)
         rows = swept(one_trial, asked(cases, rule=False), args.out / "grasping", args.jobs, crashed)
         out[truth] = wide_grasping.metrics(rows)
-        failed += wide_grasping.failures(rows) if truth == "wide" else []
-    return out, failed
+        drawn += rows if truth == "wide" else []
+    return out, drawn
 
 
 def _truths(plants: int, perturbed: int) -> list[tuple[str, int]]:
@@ -92,45 +102,44 @@ def flat(predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, fl
     return out
 
 
-def report(predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, float]], failed: list[str]) -> str:
-    """Return the tables as Markdown."""
-    parts = []
+def report(
+    predicted: dict[str, dict[str, float]], grasped: dict[str, dict[str, float]], trials: list[wide_grasping.Row]
+) -> list[RenderableType]:
+    """Return the tables."""
+    parts: list[RenderableType] = []
     if "wide" in predicted:
-        told = [(name, f"{value:.3g}") for name, value in predicted["wide"].items()]
-        parts += [f"Probed at {wide_table.tones()}.", rows_of(("everything drawn", "value"), told)]
-        parts.append(wide_table.ranking(predicted, PREDICTED))
-    if grasped:
-        parts.append(wide_table.ranking(grasped, GRASPED))
-        parts.append("\n".join(f"- {line}" for line in failed) or "No trial failed.")
-    return "\n\n".join(parts)
+        parts += wide_table.told(predicted["wide"])
+    if len(predicted) > 1:
+        parts += ["Predictions with one group drawn, the worst first.", wide_table.ranking(predicted, PREDICTED)]
+    if "wide" in grasped:
+        parts += wide_grasping.told(grasped["wide"], trials)
+    if len(grasped) > 1:
+        parts += ["Trials with one group drawn, the worst first.", wide_table.ranking(grasped, GRASPED)]
+    return [*parts, *(failures(trials) if trials else [])]
 
 
 def main() -> None:
-    """Run what is not there yet, print the tables, write --json and the page."""
+    """Run what is not there yet, print the tables, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="four plants and four trials")
+    parser.add_argument("--quick", action="store_true", help="two plants and two trials")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
     parser.add_argument("--part", choices=PARTS, nargs="*", default=PARTS)
-    parser.add_argument("--plants", type=int, default=200, help="predicted with everything drawn")
-    parser.add_argument("--perturbed", type=int, default=24, help="predicted with one group drawn")
-    parser.add_argument("--trials", type=int, default=400, help="with everything drawn")
-    parser.add_argument("--perturbed-trials", type=int, default=24, help="with one group drawn")
+    parser.add_argument("--plants", type=int, default=6, help="predicted with everything drawn")
+    parser.add_argument("--perturbed", type=int, default=0, help="predicted with one group drawn")
+    parser.add_argument("--trials", type=int, default=16, help="with everything drawn")
+    parser.add_argument("--perturbed-trials", type=int, default=0, help="with one group drawn")
     parser.add_argument("--development", action="store_true", help="predict the plants that set the spreads")
     parser.add_argument("--jobs", type=int, default=1, help="plants or trials at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/wide"), help="where what is done is kept")
-    parser.add_argument("--page", type=Path, help="write the tables into this docs page")
     args = parser.parse_args()
     if args.quick:
-        args.plants, args.perturbed, args.trials, args.perturbed_trials = 4, 0, 4, 0
+        args.plants, args.perturbed, args.trials, args.perturbed_trials = 2, 0, 2, 0
     predicted = predictions(args) if "prediction" in args.part else {}
-    grasped, failed = grasps(args) if "grasping" in args.part else ({}, [])
-    text = report(predicted, grasped, failed)
-    Console().print(Markdown(text))
+    grasped, trials = grasps(args) if "grasping" in args.part else ({}, [])
+    say(report(predicted, grasped, trials))
     if args.json:
         write_json(args.json, flat(predicted, grasped))
-    if args.page:
-        insert(args.page, text)
 
 
 if __name__ == "__main__":

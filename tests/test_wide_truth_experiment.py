@@ -11,6 +11,7 @@ import pytest
 import wide_grasping
 import wide_table
 import wide_truth
+from rich.table import Table
 from wide_plant import FAST, HEIGHTS, HELD, KINDS, SLOW, TONES
 
 GRIPS, PITCHES, FLOWERS = len(HEIGHTS), len(SLOW) + len(FAST), 2
@@ -95,11 +96,27 @@ def test_lost_plants_are_counted_and_left_out() -> None:
 
 def test_the_ranking_begins_with_nothing_and_everything_and_then_has_the_worst_first() -> None:
     by_truth = {name: {"error": value} for name, value in {"drag": 0.1, "wide": 0.3, "pads": 0.5, "wind": 0.2}.items()}
-    table = wide_table.ranking(by_truth | {"nominal": {"error": 0.05, "other": 2.0}}, ["error", "other"])
-    names, error, other = map(list, zip(*(line[2:-2].split(" | ") for line in table.splitlines()[2:]), strict=True))
+    keys = {"error": "an error", "other": "another"}
+    table = wide_table.ranking(by_truth | {"nominal": {"error": 0.05, "other": 2.0}}, keys)
+    names, error, other = ([str(cell) for cell in column.cells] for column in table.columns)
     assert names == ["nothing", "**everything**", "pads", "wind", "drag"]
     assert error == ["0.05", "0.3", "0.5", "0.2", "0.1"]
     assert other == ["2", *["nan"] * 4]
+
+
+def test_what_is_told_of_predictions_has_errors_by_crop_and_every_interval() -> None:
+    _, errors, _, intervals = wide_table.told(
+        wide_table.metrics([row(after=1.1, held=1.05), row("pepper", before=2.0)])
+    )
+    assert isinstance(errors, Table)
+    assert isinstance(intervals, Table)
+    tomatoes, peppers, both = ([str(cell) for cell in column.cells] for column in errors.columns[1:])
+    assert (tomatoes[2], peppers[4], both[0]) == ("10.0%", "100.0%", "2.5%")
+    assert [str(cell) for cell in intervals.columns[1].cells] == ["100.0%"] * len(wide_table.QUANTITIES)
+
+
+def test_where_nothing_was_predicted_no_table_is_told() -> None:
+    assert len(wide_table.told({"plants": 0.0, "plants_lost": 2.0})) == 1
 
 
 def test_trials_are_of_both_species_by_turns_from_four_sides_each() -> None:
