@@ -1,6 +1,6 @@
 """How well the side camera measures the flowers' motion, on rendered shakes whose truth is known.
 
-    python tools/record.py experiments/response.py --figure docs/pictures/response.png --out runs/response --jobs 2
+    python experiments/response.py --plants 1 --jobs 2 --figure docs/pictures/response.png
 
 Simulated plants are held at the middle of their stem and shaken (`shaken_plant`) so that the median flower moves by
 1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `oscillation.choose_rate`
@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 from shaken_plant import Params as ShakenParams
@@ -196,7 +197,12 @@ def main() -> None:
         for part in (done[: len(jobs)], done[len(jobs) :])
     )
     found = metrics(rows, blind)
-    Console().print(_table(found))
+    console = Console()
+    console.print(_table(found))
+    console.print(
+        f"Frame rates that hide the shake: refused for {found['blind_refused']:.0f} of {found['blind_flowers']:.0f} "
+        f"flowers. Flowers that are not in sight but were measured: {found['hidden_but_measured']:.0f}."
+    )
     if args.json:
         write_json(args.json, {name: value for name, value in found.items() if np.isfinite(value)})
     if args.figure:
@@ -204,15 +210,26 @@ def main() -> None:
             draw(rows).savefig(temporary, dpi=110)
 
 
+GROUPS = {
+    "": "all",
+    "1mm_": "swing below 1.5 mm",
+    "3mm_": "swing 1.5–5 mm",
+    "12mm_": "swing above 5 mm",
+    "alone_": "alone",
+    "together_": "overlapping others",
+}
+"""Groups of the metrics in words; those of frequencies speak for themselves."""
+
+
 def _table(found: dict[str, float]) -> Table:
-    table = Table("", "in sight", "measured", "right", "sideways right", "frequency right", "within 2 sd")
+    heads = ("amplitude within 10 % or 0.3 mm", "sideways part", "frequency within 1 %", "within 2 stated deviations")
+    table = Table("flowers", "in sight", "measured", *heads, box=MARKDOWN)
     for name in ["", *(key.removesuffix("in_sight") for key in found if key.endswith("_in_sight"))]:
         shares = [
             found[f"{name}{key}"] for key in ("measured", "within", "sideways_within", "frequency_within", "honest")
         ]
-        table.add_row(
-            name.strip("_") or "all", f"{found[f'{name}in_sight']:.0f}", *(f"{share:.0%}" for share in shares)
-        )
+        shown = ("–" if np.isnan(share) else f"{share:.0%}" for share in shares)
+        table.add_row(GROUPS.get(name, name.replace("hz_", " Hz")), f"{found[f'{name}in_sight']:.0f}", *shown)
     return table
 
 
