@@ -1,6 +1,6 @@
 """Which feature of the plant model matters how much for the predicted amplitude of the flowers?
 
-    python experiments/ablation.py --plants 3 --scanned 1 --jobs 2 --figure docs/pictures/ablation.png
+    python experiments/ablation.py --plants 3 --scanned 0 --jobs 2 --figure docs/pictures/ablation.png
 
 Plants of the simulated greenhouse as rods: with their own geometry, masses, stiffness and damping ("true"), and, of
 the first `--scanned` of each crop, as the pipeline reconstructs them from 30 noisy views with the crop's prior

@@ -1,6 +1,6 @@
 """How many plants must be counted to learn the dose-response, and which shakes teach it? Counts drawn from the prior.
 
-    python experiments/fruit_set.py --truths 20 --figure docs/pictures/fruit_set.png
+    python experiments/fruit_set.py --truths 12 --figure docs/pictures/fruit_set.png
 
 Truths are drawn from the tomato's prior, 12 flowers a plant are counted, and `anther.fruit_set.fit` sees only the
 counts. Three ways to shake, once each: `varied` (1 to 250 m/s2, every fourth plant left alone), `gentle` (5 to 20 m/s2,

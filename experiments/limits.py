@@ -1,6 +1,6 @@
 """Every limit that binds, against a truth that does not share its model.
 
-    python experiments/limits.py --plants 3 --jobs 2
+    python experiments/limits.py --plants 2 --jobs 2
 
 1. Strain. The same rods in Anther and in MuJoCo, linear, at 1, 2, 5, 10 and 30 Hz: the largest strain of stem, pedicels
    and the bases of petioles, peduncles and forks, and the strain at every single place (docs/reports/limits.md). A

@@ -1,6 +1,6 @@
 r"""What the margins of the plant's loads promise: how many pass them, by the model alone and after a camera's look.
 
-    python experiments/loads.py --plants 16 --jobs 2
+    python experiments/loads.py --plants 8 --jobs 2
 
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at two
 places and shaken a little at fourteen tones. The truth is MuJoCo's linear equations. The camera sees the nodes that

@@ -1,6 +1,6 @@
 """How well the side camera measures the flowers' motion, on rendered shakes whose truth is known.
 
-    python experiments/response.py --plants 1 --jobs 2 --figure docs/pictures/response.png
+    python experiments/response.py --plants 1 --blind 1 --jobs 2 --figure docs/pictures/response.png
 
 Simulated plants are held at the middle of their stem and shaken (`shaken_plant`) so that the median flower moves by
 1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `oscillation.choose_rate`
@@ -181,6 +181,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one plant, two shakes")
     parser.add_argument("--seed", type=int, default=2100, help="of the first plant")
     parser.add_argument("--plants", type=int, default=3, help="of each crop")
+    parser.add_argument("--blind", type=int, default=len(BLIND), help="recordings whose frame rate hides the shake")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/response"), help="where each case is kept")
     parser.add_argument("--figure", type=Path)
@@ -188,7 +189,7 @@ def main() -> None:
     plants = [(s, args.seed + k) for k in range(1 if args.quick else args.plants) for s in CROPS]
     plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
     jobs = [(*p, a, f, choose_rate(f, RATES)) for p in plants for a, f in shakes]
-    hidden = [(*p, *b) for p in plants[:1] for b in BLIND]
+    hidden = [(*p, *b) for p in plants[:1] for b in BLIND[: args.blind]]
     names = ("species", "seed", "amplitude", "frequency", "rate")
     cases = [dict(zip(names, job, strict=True)) for job in jobs + hidden]
     done = swept(one_shake, cases, args.out, args.jobs, lambda _: {"flowers": []})

@@ -1,6 +1,6 @@
 r"""Do the models tell how far a flower swings? The paper's R2 and R3, with a plant whose mechanics no model knows.
 
-    python experiments/vibration.py --random 6 --jobs 2 --figures docs/pictures
+    python experiments/vibration.py --random 4 --jobs 2 --figures docs/pictures
 
 Random tomatoes and peppers (seeds from 2000 on) are held at five heights of the main stem and shaken along x in MuJoCo
 (`shaken_plant`): 4 to 12 mm at the authors' frequencies (0.7 to 1.9 Hz), less where the arm cannot (3, 5, 10, 30 Hz).
