@@ -1,6 +1,6 @@
 """Which feature of the plant model matters how much for the predicted amplitude of the flowers?
 
-    python experiments/ablation.py --figure docs/pictures/ablation.png
+    python experiments/ablation.py --plants 3 --scanned 0 --jobs 2 --figure docs/pictures/ablation.png
 
 Plants of the simulated greenhouse as rods: with their own geometry, masses, stiffness and damping ("true"), and, of
 the first `--scanned` of each crop, as the pipeline reconstructs them from 30 noisy views with the crop's prior
@@ -27,6 +27,7 @@ import numpy as np
 from ablated import CHANGES
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 from shaken_plant import ShakenPlant
@@ -126,26 +127,31 @@ def _pooled(rows: list[dict[str, Any]], key: str, among: Any) -> Array:
     return np.concatenate([np.asarray(row[key])[:, among].ravel() for row in rows])
 
 
-def tables(found: dict[str, float]) -> list[Table]:
-    """Return a table of changes and one of errors for each kind of model."""
-    out = []
+def tables(found: dict[str, float]) -> list[str | Table]:
+    """Return a table of changes and one of errors for each kind of model, each after a line that says what it shows."""
+    out: list[str | Table] = []
     for name in COLOURS:
         if f"{name}_plants" not in found:
             continue
         count = f"{found[f'{name}_plants']:.0f} {name} plants, {found[f'{name}_flowers']:.0f} flowers"
-        change = Table("taken away", *BAND_WORDS.values(), "stiffened", title=f"{count}: change, median (p90), sign")
-        error = Table("taken away", *BAND_WORDS.values(), title=f"{count}: error against MuJoCo, median (p90)")
+        change = Table("taken away", *BAND_WORDS.values(), "stiffened", box=MARKDOWN)
+        error = Table("taken away", *BAND_WORDS.values(), box=MARKDOWN)
         for feature, words in [("full", "nothing"), *((key, words) for key, (words, _) in CHANGES.items())]:
             keys = [f"{name}_{feature}_{band}" for band in BANDS]
             error.add_row(words, *(f"{found[f'{k}_error_median']:.0%} ({found[f'{k}_error_p90']:.0%})" for k in keys))
             if feature != "full":
                 cells = [
-                    f"{found[f'{k}_change_median']:.1%} ({found[f'{k}_change_p90']:.0%}) "
-                    f"{found[f'{k}_change_signed']:+.1%}"
+                    f"{found[f'{k}_change_median']:.0%} ({found[f'{k}_change_p90']:.0%}) "
+                    f"{found[f'{k}_change_signed']:+.0%}"
                     for k in keys
                 ]
                 change.add_row(words, *cells, f"{found[f'{name}_{feature}_stiffened']:.0%}")
-        out += [change, error]
+        if name == "true":
+            out += [
+                f"{count}: change of a flower's amplitude, median (90th percentile) and median with its sign:",
+                change,
+            ]
+        out += [f"{count}: error against MuJoCo, median (90th percentile):", error]
     return out
 
 
@@ -190,8 +196,8 @@ def main() -> None:
     crops: tuple[Crop, ...] = ("tomato", "pepper")
     cases = [asdict(Case(species, args.seed + k, k < scans)) for species in crops for k in range(plants)]
     found = metrics(swept(one_plant, cases, args.out, args.jobs, lambda _: {}))
-    for table in tables(found):
-        Console().print(table)
+    for part in tables(found):
+        Console().print(part)
     if args.json:
         write_json(args.json, found)
     if args.figure:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from rich.box import MARKDOWN
 from rich.table import Table
 
 from anther.errors import StageFailure
@@ -109,7 +110,8 @@ def breeze_metrics(found: dict[tuple[str, float], list[dict[str, float]]]) -> di
 
 def breeze_table(found: dict[tuple[str, float], list[dict[str, float]]]) -> Table:
     """Return medians over plants, and the range of the worst pedicel."""
-    table = Table("in a breeze", "m/s", "flower [m/s2]", "pedicel", "worst of a plant", "stem", "base", "leaf base [g]")
+    heads = ("flower, m/s²", "pedicel strain", "worst pedicel of a plant", "stem strain", "base strain", "leaf base, g")
+    table = Table("crop", "wind, m/s", *heads, box=MARKDOWN)
     for (crop, wind), rows in found.items():
         middle = {what: float(np.nanmedian([row[what] for row in rows])) for what in rows[0]}
         worst = [row["pedicel_worst"] for row in rows]

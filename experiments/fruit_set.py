@@ -1,6 +1,6 @@
 """How many plants must be counted to learn the dose-response, and which shakes teach it? Counts drawn from the prior.
 
-    python experiments/fruit_set.py --figure docs/pictures/fruit_set.png
+    python experiments/fruit_set.py --truths 12 --figure docs/pictures/fruit_set.png
 
 Truths are drawn from the tomato's prior, 12 flowers a plant are counted, and `anther.fruit_set.fit` sees only the
 counts. Three ways to shake, once each: `varied` (1 to 250 m/s2, every fourth plant left alone), `gentle` (5 to 20 m/s2,
@@ -13,6 +13,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -25,6 +26,11 @@ from anther.pictures.estimates import draw_fruit_set
 
 WAYS = {"varied": (1.0, 250.0, 4), "gentle": (5.0, 20.0, 4), "no_control": (5.0, 20.0, 0)}
 """Name -> (weakest, strongest shake [m/s2], every how manieth plant is left alone)."""
+WORDS = {
+    "varied": "1–250 m/s², every fourth plant left alone",
+    "gentle": "5–20 m/s², every fourth left alone",
+    "no_control": "5–20 m/s², none left alone",
+}
 FLOWERS = 12
 
 
@@ -65,27 +71,34 @@ def main() -> None:
     """Fit, print a table, write metrics and the picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="4 truths and 8 or 24 plants instead of 40 and 8, 24, 72")
+    parser.add_argument("--quick", action="store_true", help="4 truths and 8 or 24 plants, not 72")
+    parser.add_argument("--truths", type=int, default=40, help="drawn for each way to shake and number of plants")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path)
     args = parser.parse_args()
-    sizes, repeats = ((8, 24), 4) if args.quick else ((8, 24, 72), 40)
+    sizes, repeats = ((8, 24), 4) if args.quick else ((8, 24, 72), args.truths)
     cases = [(way, plants) for way in WAYS for plants in sizes]
-    table = Table("shakes", "plants", *(f"{n}: narrowed, holds" for n in NAMES[:3]), "20 m/s² add: width, holds")
+    heads = ("p0 narrowed", "g narrowed", "half narrowed", "20 m/s² add: width, points")
+    table = Table("shakes", "plants", *heads, box=MARKDOWN)
     metrics: dict[str, float] = {"truths": repeats}
-    for way, plants in track(cases, "counts"):
+    for way, plants in track(cases, "counts", console=Console(stderr=True)):
         rng = np.random.default_rng([args.seed, plants])
         truths = [drawn_truth(rng) for _ in range(repeats)]
         rows = [score(fit(counts(rng, truth, plants, way)), truth) for truth in truths]
         mean = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
         metrics |= {f"{way}_{plants}_{name}": value for name, value in mean.items()}
-        cells = [f"{mean[f'{n}_narrowed']:.0%}, {mean[f'{n}_holds']:.0%}" for n in NAMES[:3]]
-        table.add_row(way, str(plants), *cells, f"{mean['added_width']:.0%}, {mean['added_holds']:.0%}")
+        cells = [f"{mean[f'{n}_narrowed']:.0%}" for n in NAMES[:3]]
+        table.add_row(WORDS[way], str(plants), *cells, f"{100 * mean['added_width']:.0f}")
     _, low, high = fit([]).added(20.0)
     metrics["added_width_before"] = high - low
     holds = [value for name, value in metrics.items() if name.endswith("_holds")]
     metrics["intervals_hold"] = float(np.mean(holds))
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    console.print(
+        f"{repeats} truths in each row. Width before any count: {100 * (high - low):.0f} points. 90 % intervals hold "
+        f"in {metrics['intervals_hold']:.0%} of {len(holds) * repeats} cases."
+    )
     if args.json:
         write_json(args.json, metrics)
     if args.figure:

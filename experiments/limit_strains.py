@@ -13,6 +13,7 @@ import numpy as np
 from finer_plant import divided
 from limit_rods import TrueRods, bare, true_rods
 from numpy.typing import NDArray
+from rich.box import MARKDOWN
 from rich.table import Table
 from shaken_plant import Params, ShakenPlant
 
@@ -162,8 +163,8 @@ def _kinds(both: Shaken, finer: SimPlant) -> dict[str, NDArray[Any]]:
 
 def strain_table(rows: list[StrainRow]) -> Table:
     """Return the errors by kind and frequency, over the plants."""
-    heads = ("largest: median", "worst", "tapered, worst", "own damping, worst", "places: median", "90 %")
-    table = Table("strain of", "Hz", "plants", *heads)
+    heads = ("largest: median", "worst", "tapered sections, worst", "MuJoCo's own damping, worst")
+    table = Table("strain of", "Hz", "plants", *heads, "places: median", "places: 90 %", box=MARKDOWN)
     for kind in dict.fromkeys(row.kind for row in rows):
         for frequency in FREQUENCIES:
             mine = [row for row in rows if (row.kind, row.frequency) == (kind, frequency)]

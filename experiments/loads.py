@@ -1,6 +1,6 @@
 r"""What the margins of the plant's loads promise: how many pass them, by the model alone and after a camera's look.
 
-    python tools/record.py experiments/loads.py --page docs/reports/loads.md
+    python experiments/loads.py --plants 8 --jobs 2
 
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at two
 places and shaken a little at fourteen tones. The truth is MuJoCo's linear equations. The camera sees the nodes that
@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grasping_page import insert, markdown
 from grasping_trial import truth_of
+from rich.box import MARKDOWN
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 from shaken_plant import ShakenPlant
+from swept import swept
 from vibration_models import PRIOR, scanned
 from vibration_plant import stem_points
 from wide_plant import KINDS, loads_of, looks, scanned_plant
@@ -39,7 +39,7 @@ from anther.errors import StageFailure
 from anther.escalation import Foresight, foresee, watch_points
 from anther.escalation._foresight import narrowed
 from anther.escalation._knowledge import Answer, known, seen_error
-from anther.files import read_json, write_json
+from anther.files import write_json
 from anther.geometry import Array
 from anther.response.points import Sight, sight
 from anther.shake import Crop
@@ -64,6 +64,18 @@ NEAR = 0.015
 LEAFY = 1e-4
 """Leaves lighter than this are no load [kg], as the planner has it."""
 LOADS = (*KINDS, "leaf_load")
+WORDS = {
+    "stem_strain": "stem strain",
+    "joint_strain": "pedicel strain",
+    "base_strain": "branch base strain",
+    "leaf_load": "leaf load",
+}
+
+
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what `one` says of a plant (species, seed), for a sweep."""
+    del folder
+    return {"loads": one(row["species"], row["seed"])}
 
 
 def one(species: Crop, seed: int) -> list[dict[str, Any]]:
@@ -173,17 +185,20 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     return table
 
 
-def report(table: dict[str, float]) -> str:
-    """Return the table as Markdown."""
-    heads = ("load", "spread of ln(true/said)", "rank correlation", "margin over said", "past the margin (asked 5 %)")
-    text = Table(*heads)
+def report(table: dict[str, float]) -> Table:
+    """Return the table, both ways of knowing side by side."""
+    heads = ("spread of ln(true/said)", "rank correlation", "margin over said", "past the margin")
+    text = Table("load", "tones, Hz", *(f"{head}: model / look" for head in heads), box=MARKDOWN)
     for (band, (low, high)), kind in product(BANDS.items(), LOADS):
-        for name, words in (("model", "model alone"), ("seen", "after a look")):
-            cells = [table[f"{what}_{name}_{kind}{band}"] for what in ("spread", "rank", "factor", "past")]
-            where = f", {low:g} to {high:g} Hz" if np.isfinite(high) else f" above {low:g} Hz"
-            load = f"{kind.replace('_', ' ')}{where if band else ''}, {words}"
-            text.add_row(load, *(f"{c:.2f}" for c in cells[:3]), f"{100 * cells[3]:.1f} %")
-    return f"{table['plants']:.0f} plants, two grips, fourteen tones each.\n\n{markdown(text)}"
+        one, other = (
+            [table[f"{what}_{name}_{kind}{band}"] for what in ("spread", "rank", "factor", "past")]
+            for name in ("model", "seen")
+        )
+        cells = [f"{a:.2f} / {b:.2f}" for a, b in zip(one[:3], other[:3], strict=True)]
+        tones = [tone for tone in TONES if low < tone <= high]
+        where = f"{tones[0]:g}–{tones[-1]:g}"
+        text.add_row(WORDS[kind], where, *cells, f"{one[3]:.1%} / {other[3]:.1%}")
+    return text
 
 
 def main() -> None:
@@ -193,20 +208,16 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="two plants")
     parser.add_argument("--plants", type=int, default=24)
     parser.add_argument("--development", action="store_true", help="the plants on which the errors were set")
+    parser.add_argument("--jobs", type=int, default=1, help="plants at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/loads"), help="where what is done is kept")
-    parser.add_argument("--page", type=Path, help="write the table into this docs page")
     args = parser.parse_args()
-    first, rows = DEVELOPMENT if args.development else FIRST, []
+    first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
     species: tuple[Crop, ...] = ("tomato", "pepper")
-    for k in track(range(2 if args.quick else args.plants), "plants", console=Console()):
-        file = args.out / f"{species[k % 2]}-{first + k // 2}.json"
-        if not file.exists():
-            write_json(file, one(species[k % 2], first + k // 2))
-        rows += read_json(file)
-    table = metrics(rows)
-    print(report(table))
-    if args.page:
-        insert(args.page, report(table))
+    cases = [{"species": species[k % 2], "seed": first + k // 2} for k in range(count)]
+    done = swept(one_plant, cases, args.out, args.jobs, lambda _: {"loads": []})
+    table, console = metrics([row for part in done for row in part["loads"]]), Console()
+    console.print(f"{table['plants']:.0f} plants, two grips, fourteen tones each. Asked: 5 % past the margin.")
+    console.print(report(table))
     if args.json:
         write_json(args.json, table)
 

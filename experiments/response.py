@@ -1,6 +1,6 @@
 """How well the side camera measures the flowers' motion, on rendered shakes whose truth is known.
 
-    python tools/record.py experiments/response.py --figure docs/pictures/response.png --out runs/response --jobs 2
+    python experiments/response.py --plants 1 --blind 1 --jobs 2 --figure docs/pictures/response.png
 
 Simulated plants are held at the middle of their stem and shaken (`shaken_plant`) so that the median flower moves by
 1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `oscillation.choose_rate`
@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 from shaken_plant import Params as ShakenParams
@@ -180,6 +181,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one plant, two shakes")
     parser.add_argument("--seed", type=int, default=2100, help="of the first plant")
     parser.add_argument("--plants", type=int, default=3, help="of each crop")
+    parser.add_argument("--blind", type=int, default=len(BLIND), help="recordings whose frame rate hides the shake")
     parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
     parser.add_argument("--out", type=Path, default=Path("runs/response"), help="where each case is kept")
     parser.add_argument("--figure", type=Path)
@@ -187,7 +189,7 @@ def main() -> None:
     plants = [(s, args.seed + k) for k in range(1 if args.quick else args.plants) for s in CROPS]
     plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
     jobs = [(*p, a, f, choose_rate(f, RATES)) for p in plants for a, f in shakes]
-    hidden = [(*p, *b) for p in plants[:1] for b in BLIND]
+    hidden = [(*p, *b) for p in plants[:1] for b in BLIND[: args.blind]]
     names = ("species", "seed", "amplitude", "frequency", "rate")
     cases = [dict(zip(names, job, strict=True)) for job in jobs + hidden]
     done = swept(one_shake, cases, args.out, args.jobs, lambda _: {"flowers": []})
@@ -196,7 +198,12 @@ def main() -> None:
         for part in (done[: len(jobs)], done[len(jobs) :])
     )
     found = metrics(rows, blind)
-    Console().print(_table(found))
+    console = Console()
+    console.print(_table(found))
+    console.print(
+        f"Frame rates that hide the shake: refused for {found['blind_refused']:.0f} of {found['blind_flowers']:.0f} "
+        f"flowers. Flowers that are not in sight but were measured: {found['hidden_but_measured']:.0f}."
+    )
     if args.json:
         write_json(args.json, {name: value for name, value in found.items() if np.isfinite(value)})
     if args.figure:
@@ -204,15 +211,26 @@ def main() -> None:
             draw(rows).savefig(temporary, dpi=110)
 
 
+GROUPS = {
+    "": "all",
+    "1mm_": "swing below 1.5 mm",
+    "3mm_": "swing 1.5–5 mm",
+    "12mm_": "swing above 5 mm",
+    "alone_": "alone",
+    "together_": "overlapping others",
+}
+"""Groups of the metrics in words; those of frequencies speak for themselves."""
+
+
 def _table(found: dict[str, float]) -> Table:
-    table = Table("", "in sight", "measured", "right", "sideways right", "frequency right", "within 2 sd")
+    heads = ("amplitude within 10 % or 0.3 mm", "sideways part", "frequency within 1 %", "within 2 stated deviations")
+    table = Table("flowers", "in sight", "measured", *heads, box=MARKDOWN)
     for name in ["", *(key.removesuffix("in_sight") for key in found if key.endswith("_in_sight"))]:
         shares = [
             found[f"{name}{key}"] for key in ("measured", "within", "sideways_within", "frequency_within", "honest")
         ]
-        table.add_row(
-            name.strip("_") or "all", f"{found[f'{name}in_sight']:.0f}", *(f"{share:.0%}" for share in shares)
-        )
+        shown = ("–" if np.isnan(share) else f"{share:.0%}" for share in shares)
+        table.add_row(GROUPS.get(name, name.replace("hz_", " Hz")), f"{found[f'{name}in_sight']:.0f}", *shown)
     return table
 
 

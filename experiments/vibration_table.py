@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from grasping_page import rows_of
 from numpy.typing import NDArray
+from rich.box import MARKDOWN
+from rich.table import Table
 from vibration_plant import HEIGHTS, MIDDLE
 
 from anther.geometry import Array
@@ -169,16 +170,16 @@ def _named(scores: Sequence[Score], model: str, band: str) -> dict[str, float]:
     }
 
 
-def report(rows: Sequence[Row]) -> str:
-    """Return the tables as Markdown."""
-    parts = [f"### {_title(row)}\n\n{_table([row])}" for row in rows[:2]]
-    if len(rows) > 2:
-        parts.append(f"### All {len(rows)} plants\n\nMeans over the plants (worst plant).\n\n{_table(rows)}")
-        parts.append(f"### Where the error comes from\n\n{_causes(rows)}")
-        parts.append(
-            f"### By crop, and by how much farther than the grip a flower swings (0.7–1.9 Hz)\n\n{_splits(rows)}"
-        )
-    return "\n\n".join(parts)
+def report(rows: Sequence[Row]) -> list[str | Table]:
+    """Return tables, each after a line that says what it shows."""
+    flowers = sum(row["flowers"]["matched"] for row in rows)
+    told = (
+        f"{len(rows)} plants, {flowers} flowers. Means over plants; in parentheses the worst plant's r, and the median "
+        "error over shakes and flowers:"
+    )
+    by = "Errors below 2 Hz, mean (median), by crop and by how many times as far as the grip a flower swings:"
+    where = "Where the error comes from, mean (median):"
+    return [told, _table(rows), where, _causes(rows), by, _splits(rows)]
 
 
 PAPER = (
@@ -201,36 +202,26 @@ WORDS = {
     "true material": "scan, true material",
     "true plant": "true geometry and material",
 }
-HEADS = ("model", "Hz", "r over amplitude", "r over location", "mean error (median)", "bias", "reversed")
+HEADS = ("model", "Hz", "r over amplitude", "r over location", "error", "bias", "location reversed")
 CROPS = ("tomato", "pepper")
 GAINS = ((0.0, 0.8), (0.8, 1.5), (1.5, 3.0), (3.0, np.inf))
 """Ranges of true flower amplitude over grip amplitude."""
 BAND_WORDS = {"paper": "0.7–1.9", "fast": "3–10", "flowers": "30"}
 
 
-def _title(row: Row) -> str:
-    flowers, youngs = row["flowers"], row["youngs_mpa"]
-    return (
-        f"{row['species'].capitalize()} {row['seed']}: {flowers['matched']} of {flowers['true']} flowers seen; E "
-        f"{youngs['true']:.0f} MPa, believed {youngs['prior']:.0f}, after the probe {youngs['probe']:.0f}"
-    )
-
-
-def _table(rows: Sequence[Row]) -> str:
-    lines: list[tuple[str, ...]] = [PAPER] if len(rows) == 1 else []
+def _table(rows: Sequence[Row]) -> Table:
+    table = Table(*HEADS, box=MARKDOWN)
+    table.add_row(*PAPER)
     for band in BANDS:
         for model in MODELS:
             scores = [s for row in rows if (s := score(row, model, band))]
             if scores:
-                lines.append((WORDS[model], BAND_WORDS[band], *_cells(scores)))
-    return rows_of(HEADS, lines)
+                table.add_row(WORDS[model], BAND_WORDS[band], *_cells(scores))
+    return table
 
 
 def _cells(scores: Sequence[Score]) -> tuple[str, ...]:
-    r, location_r, error, median, bias, backward = np.array(scores).T
-    if len(scores) == 1:
-        shown = (f"{r[0]:.2f}", f"{location_r[0]:.2f}", f"{error[0]:.0%} ({median[0]:.0%})", f"{bias[0]:+.0%}")
-        return (*shown, f"{backward[0]:.0%} of frequencies")
+    r, location_r, error, median, bias, _ = np.array(scores).T
     return (
         f"{r.mean():.2f} ({r.min():.2f})",
         f"{location_r.mean():.2f} ({location_r.min():.2f})",
@@ -240,25 +231,25 @@ def _cells(scores: Sequence[Score]) -> tuple[str, ...]:
     )
 
 
-def _causes(rows: Sequence[Row]) -> str:
-    lines = []
+def _causes(rows: Sequence[Row]) -> Table:
+    table = Table("model", *(f"{hz} Hz" for hz in BAND_WORDS.values()), box=MARKDOWN)
     for model in (m for m in CAUSES if any(m in row["predicted_m"] for row in rows)):
-        lines.append((WORDS[model], *(_both(rows, model, band) for band in BANDS)))
-    return rows_of(("model", *(f"{hz} Hz" for hz in BAND_WORDS.values())), lines)
+        table.add_row(WORDS[model], *(_both(rows, model, band) for band in BANDS))
+    return table
 
 
-def _splits(rows: Sequence[Row]) -> str:
+def _splits(rows: Sequence[Row]) -> Table:
     """Return the table of errors below 2 Hz by crop, and by how much the flower swings more than the grip."""
-    lines = []
+    shares = [f"{low:g}–{high:g} times" if np.isfinite(high) else f"over {low:g} times" for low, high in GAINS]
+    table = Table("model", *CROPS, *shares, box=MARKDOWN)
     for model in (m for m in dict.fromkeys(MODELS + CAUSES) if any(m in row["predicted_m"] for row in rows)):
         crops = [_both([r for r in rows if r["species"] == crop], model, "paper") for crop in CROPS]
         parts = [part for row in rows if model in row["predicted_m"] for part in [_gains(row, model)] if len(part[0])]
         gain, error = (np.concatenate(values) for values in zip(*parts, strict=True))
         some = [error[(gain >= low) & (gain < high)] for low, high in GAINS]
         cells = [f"{part.mean():.0%} ({np.median(part):.0%})" if len(part) else "–" for part in some]
-        lines.append((WORDS[model], *crops, *cells))
-    shares = [f"gain {low:g}–{high:g}" if np.isfinite(high) else f"gain over {low:g}" for low, high in GAINS]
-    return rows_of(("model", *CROPS, *shares), lines)
+        table.add_row(WORDS[model], *crops, *cells)
+    return table
 
 
 def _gains(row: Row, model: str) -> tuple[Array, Array]:

@@ -46,7 +46,7 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     Only trials that succeeded teach: of a plant held by a leaf, say, the model that learned was wrong. A plant that was
     shaken, and whose flowers taught something, has its last belief, but for the gain, which is the facts': what a
     plant's flowers do beyond the model at one frequency says little a fifth away from it, and nothing two fifths away
-    (correlations 0.35 and 0.05, docs/reports/identification.md). Last is what the robots' clocks say is last. The
+    (correlations 0.35 and 0.05, docs/reports/response.md). Last is what the robots' clocks say is last. The
     belief is not widened with time: no rate at which stems stiffen was found (facts: pollination, "Not found"); the
     reason says how old it is. Another plant has the facts' prior.
     """

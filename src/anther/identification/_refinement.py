@@ -36,7 +36,7 @@ class Params:
     Attributes:
         members: drawn from the present belief.
         branch_spread: standard deviation of ln of a branch's stiffness about the stem's: scanned radii of branches are
-            off by 15 %, stiffness goes with the fourth power (docs/reports/vibration_accuracy.md).
+            off by 15 %, stiffness goes with the fourth power (docs/reports/prediction.md).
         model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what the draws explain
             [-]; measured by us on simulated plants that were scanned.
         phase_error: the same of the phase [rad].

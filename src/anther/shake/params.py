@@ -17,7 +17,7 @@ FAST = 14.0
 """Up to here an arm's readings tell what its gripper does, and loads err as they do at slow tones [Hz]."""
 RINGING = 20.5
 """From `FAST` up to here single pedicels ring [Hz], and errors blend: on 61 plants pedicels err at 14 to 15 Hz as at
-slower tones, at 20 Hz as at faster ones (docs/reports/loads.md)."""
+slower tones, at 20 Hz as at faster ones (docs/reports/limits.md)."""
 GUSTS = 5.0
 """Up to here a leaf's load counts [Hz]: what petioles bear in units of their leaf's weight was measured slowly, and
 gusts that load them last a second (facts: pollination 2 and 6). Of faster shakes the strain of their bases counts,
@@ -26,7 +26,7 @@ peppers)."""
 
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
-simulated plants at 5 and 10 Hz (docs/reports/identification.md): how far one flower differs from its plant whatever
+simulated plants at 5 and 10 Hz (docs/reports/response.md): how far one flower differs from its plant whatever
 material and gain."""
 
 LOAD_ERROR = {
@@ -44,7 +44,7 @@ grip on 20 plants, tomatoes and peppers 3 and 40-48, 1.3-15 Hz."""
 LOADS = tuple(LOAD_ERROR)
 
 FAST_LOAD_ERROR = LOAD_ERROR | {"joint_strain": (0.4, 0.8), "base_strain": (0.9, 0.95)}
-"""The same from `RINGING` on: 24 plants (seeds 500-511), two grips, 17 to 38 Hz (docs/reports/loads.md)."""
+"""The same from `RINGING` on: 24 plants (seeds 500-511), two grips, 17 to 38 Hz (docs/reports/limits.md)."""
 
 MOST_DURATION = 5.0
 """Of a visit [s]."""
