@@ -25,7 +25,7 @@ from typing import Any
 import cv2
 import numpy as np
 from colour_images import segment_images
-from masks_pictures import arabidopsis_sheet, light_sheet, overlaid
+from masks_pictures import light_sheet, overlaid
 from numpy.typing import NDArray
 from rich.box import MARKDOWN
 from rich.console import Console
@@ -137,7 +137,7 @@ def bleeding(plant: SimPlant, count: int) -> dict[str, float]:
     return values
 
 
-def arabidopsis(folder: Path) -> tuple[dict[str, float], NDArray[Any], Masks]:
+def arabidopsis(folder: Path) -> dict[str, float]:
     """Compare the colour-only masks of the real views with the points that a hand placed."""
     points = read_json(CHECK)
     rgb = np.stack([np.asarray(cv2.imread(str(folder / name)))[..., ::-1] for name in points])
@@ -154,7 +154,7 @@ def arabidopsis(folder: Path) -> tuple[dict[str, float], NDArray[Any], Masks]:
         for labels, marks in zip(found.labels, points.values(), strict=True)
         for u, v in marks["background"]
     ]
-    values = {
+    return {
         "romi_views": len(points),
         "romi_stem_covered": float(np.mean(stem)),
         "romi_leaves_covered": float(np.mean(leaf)),
@@ -162,14 +162,13 @@ def arabidopsis(folder: Path) -> tuple[dict[str, float], NDArray[Any], Masks]:
         "romi_background_masked": float(np.mean(false)),
         "romi_s_per_view": seconds / len(points),
     }
-    return values, rgb, found
 
 
 def main() -> None:
     """Run, print the table, write --json and --pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--pictures", type=Path, help="write masks_light.png and masks_arabidopsis.png here")
+    parser.add_argument("--pictures", type=Path, help="write masks_light.png here")
     parser.add_argument("--quick", action="store_true", help=f"ten views, only {', '.join(QUICK)}")
     parser.add_argument("--views", type=int, default=30, help="of each plant in each light")
     parser.add_argument("--seed", type=int, default=10, help="of both plants")
@@ -192,10 +191,7 @@ def main() -> None:
         light_sheet(args.pictures / "masks_light.png", shown)
     folder = DATA / "captures" / "romi_arabidopsis" / "images"
     if folder.exists():
-        real, rgb, found = arabidopsis(folder)
-        values |= real
-        if args.pictures:
-            arabidopsis_sheet(args.pictures / "masks_arabidopsis.png", rgb, found)
+        values |= arabidopsis(folder)
     else:
         console.print(f"no real views: {folder} is missing (set ANTHER_DATA)")
     _print(console, rows, values)

@@ -21,7 +21,7 @@ import numpy as np
 from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
-from skeleton_figures import draw_spread, draw_ten
+from skeleton_figures import draw_ten
 from skeleton_truth import Score, pooled, score, visible_flowers
 from swept import FOLDER, swept
 
@@ -156,7 +156,7 @@ def main() -> None:
     parser.add_argument("--further", type=int, default=100, help="how many of the hundred further plants")
     parser.add_argument("--jobs", type=int, default=1, help="plants at a time; each uses two threads")
     parser.add_argument("--out", type=Path, default=Path("runs/skeletons"), help="where finished plants are kept")
-    parser.add_argument("--figures", type=Path, help="write skeletons.png and skeletons_spread.png into this folder")
+    parser.add_argument("--figures", type=Path, help="write skeletons.png into this folder")
     args = parser.parse_args()
     console = Console()
     chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED[: args.further]]
@@ -172,11 +172,8 @@ def main() -> None:
     if args.json:
         write_json(args.json, table)
     if args.figures:
-        scores = {which: as_score(row) for which, row in rows.items() if "failure" not in row}
-        draw_ten([(*which, Path(rows[which][FOLDER])) for which in scores if which in TEN]).savefig(
-            args.figures / "skeletons.png", dpi=90
-        )
-        draw_spread(scores).savefig(args.figures / "skeletons_spread.png", dpi=90)
+        ten = [(*which, Path(row[FOLDER])) for which, row in rows.items() if which in TEN and "failure" not in row]
+        draw_ten(ten).savefig(args.figures / "skeletons.png", dpi=90)
 
 
 if __name__ == "__main__":
