@@ -171,10 +171,11 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, help="write masks_light.png here")
     parser.add_argument("--quick", action="store_true", help=f"ten views, only {', '.join(QUICK)}")
     parser.add_argument("--views", type=int, default=30, help="of each plant in each light")
+    parser.add_argument("--lights", nargs="+", choices=SETTINGS, default=[*SETTINGS], help="only these")
     parser.add_argument("--seed", type=int, default=10, help="of both plants")
     args = parser.parse_args()
     console = Console()
-    lights, count = (QUICK, 10) if args.quick else (tuple(SETTINGS), args.views)
+    lights, count = (QUICK, 10) if args.quick else (tuple(args.lights), args.views)
     kinds: tuple[Crop, ...] = ("tomato", "pepper")
     plants = {species: grow(species, args.seed, 0.0, USUAL_DISTANCE) for species in kinds}
     in_one_light(plants["tomato"], "daylight", 2)  # compiles

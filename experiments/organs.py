@@ -14,6 +14,8 @@ stem_covered, recall_5mm, precision_5mm, junction_f1.
 from __future__ import annotations
 
 import argparse
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -167,11 +169,14 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="one plant of each species only")
     parser.add_argument("--each", type=int, default=6, help="plants of each species, of four tomatoes and six peppers")
+    parser.add_argument("--jobs", type=int, default=1, help="plants at a time")
     args = parser.parse_args()
     console = Console()
     each = 1 if args.quick else args.each
     plants = [plant for kind in ("tomato", "pepper") for plant in [p for p in PLANTS if p[0] == kind][:each]]
-    found = metrics([one_plant(*plant) for plant in track(plants, "plants", console=console)])
+    with ProcessPoolExecutor(args.jobs, multiprocessing.get_context("spawn")) as pool:
+        rows = pool.map(one_plant, *zip(*plants, strict=True))
+        found = metrics(list(track(rows, "plants", total=len(plants), console=console)))
     show(console, found, len(plants))
     if args.json:
         write_json(args.json, found)

@@ -16,8 +16,8 @@ clouds without labels others_reached and others_single_trees; against the publis
 <scan>_recall_<1v|3v> and <scan>_spurious_tips, recall_3v (mean) and spurious_tips (sum). best_peer_recall_3v and
 best_peer_spurious_tips: of the method with the best recall_3v but Anther; fewest_peer_spurious_tips: the fewest of any.
 For Anther alone: radius_over_points (the main stem's radius over the distance of its labelled points; 1 is right); by
-the strict rule, those of disturbed_plants.py; and of a command in a process of its own, skeletonize_wall_s,
-help_wall_s, and both with cpu.
+the strict rule, those of disturbed_plants.py (but with --without-disturbed); and of a command in a process of its own,
+skeletonize_wall_s, help_wall_s, and both with cpu.
 """
 
 from __future__ import annotations
@@ -211,6 +211,7 @@ def main() -> None:
             f"--{name.replace('_', '-')}", type=Path, metavar="PYTHON", help=f"a Python that has {name}"
         )
     parser.add_argument("--peers-every", type=int, default=1, metavar="N", help="peers see every Nth seedling only")
+    parser.add_argument("--without-disturbed", action="store_true", help="leave them to disturbed_plants.py")
     parser.add_argument("--quick", action="store_true", help="every eighth seedling only")
     args = parser.parse_args()
     console, found = Console(), Run()
@@ -232,8 +233,9 @@ def main() -> None:
     if args.figures:
         found.draw(args.figures)
     if args.json:
-        strict = judged_all(track(reported(args.data, quick=args.quick), "disturbed plants", console=console))
-        write_json(args.json, found.metrics() | metrics(strict) | started(args.data))
+        disturbed = [] if args.without_disturbed else reported(args.data, quick=args.quick)
+        strict = metrics(judged_all(track(disturbed, "disturbed plants", console=console))) if disturbed else {}
+        write_json(args.json, found.metrics() | strict | started(args.data))
 
 
 def _print(console: Console, found: Run) -> None:

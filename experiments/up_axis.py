@@ -75,10 +75,11 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="two simulated plants of each kind, no real ones")
+    parser.add_argument("--each", type=int, default=10, help="simulated plants of each kind")
     parser.add_argument("--seed", type=int, default=SEED, help="of the first simulated plant")
     args = parser.parse_args()
     console, rows, missed = Console(), list[dict[str, object]](), list[str]()
-    plants = [("simulated", *plant) for plant in simulated(2 if args.quick else 10, args.seed)]
+    plants = [("simulated", *plant) for plant in simulated(2 if args.quick else args.each, args.seed)]
     plants += [] if args.quick else [("real", *plant) for plant in real(args.data)]
     for kind, name, points in track(plants, "plants", console=console):
         for axis in TO_Z_UP:

@@ -163,7 +163,10 @@ def show(table: dict[str, float], choices: list[str], console: Console) -> None:
 
 
 def _with_spread(table: dict[str, float], key: str) -> str:
-    return f"{table[key]:.2f} ± {table[f'{key}_sd']:.2f}" if key in table else "–"
+    if key not in table:
+        return "–"
+    spread = "" if key.endswith("capture_s") else f" ± {table[f'{key}_sd']:.2f}"
+    return f"{table[key]:.2f}{spread}"
 
 
 def main() -> None:
