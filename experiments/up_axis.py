@@ -93,7 +93,7 @@ def main() -> None:
         found |= {f"{kind}_{key}": value for key, value in (metrics(of_kind) if of_kind else {}).items()}
     show(console, found)
     if missed:
-        console.print("Plants of which not just the right thing is said:")
+        console.print("Wrong files whose axis is not named, and right files called wrong:")
     for line in missed:
         console.print(line, highlight=False)
     if args.json:
