@@ -251,11 +251,12 @@ def _print(console: Console, found: Run) -> None:
     console.print(table)
     ratio = found.beside_peers()["radius_over_points"]
     console.print(f"The main stem's radius over the distance of its labelled points: {ratio:.2f} (median).")
-    console.print("Anther's grasps off the stem system, and main stems with less than 95 % of their length on it:")
-    for o in found.outcomes["anther"]:
-        if not o.grasp_on_stem or o.stem_share < ENOUGH:
-            grasp = "right" if o.grasp_on_stem else "off the stem"
-            console.print(f"{o.plant}: grasp {grasp}, {o.stem_share:.0%} of the main stem on it.", highlight=False)
+    poor = [o for o in found.outcomes["anther"] if not o.grasp_on_stem or o.stem_share < ENOUGH]
+    if poor:
+        console.print("Anther's grasps off the stem system, and main stems with less than 95 % of their length on it:")
+    for o in poor:
+        grasp = "right" if o.grasp_on_stem else "off the stem"
+        console.print(f"{o.plant}: grasp {grasp}, {o.stem_share:.0%} of the main stem on it.", highlight=False)
     for method, outcomes in found.outcomes.items():
         for reason, count in Counter(o.failure for o in outcomes if o.failure).items():
             console.print(f"{HEADS[method]}: no answer on {count} plants: {reason}", highlight=False)

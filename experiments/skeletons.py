@@ -139,6 +139,11 @@ def show(table: dict[str, float], console: Console) -> None:
     console.print(f"Perception of one plant takes {table['seconds_median']:.1f} s (median, beside other plants).")
 
 
+def is_poor(row: dict[str, Any]) -> bool:
+    """Return whether a plant is worth being named."""
+    return "failure" in row or bool(np.quantile(row["stem_error"], 0.95) > 0.005) or row["stem_covered"] < 0.8
+
+
 def fault(row: dict[str, Any]) -> str:
     """Return what is wrong with a plant."""
     if "failure" in row:
@@ -165,10 +170,12 @@ def main() -> None:
     rows = dict(zip(chosen, swept(one_plant, cases, args.out, args.jobs, lambda why: {"failure": why}), strict=True))
     table = metrics(rows)
     show(table, console)
-    console.print("Plants without a result, or with a 95th percentile beyond 5 mm, or less than 80 % of the true stem:")
-    for (species, seed), row in rows.items():
-        if "failure" in row or np.quantile(row["stem_error"], 0.95) > 0.005 or row["stem_covered"] < 0.8:
-            console.print(f"{species} {seed}: {fault(row)}.", highlight=False)
+    if worst := [which for which, row in rows.items() if is_poor(row)]:
+        console.print(
+            "Plants without a result, with a 95th percentile beyond 5 mm, or less than 80 % of the true stem:"
+        )
+    for species, seed in worst:
+        console.print(f"{species} {seed}: {fault(rows[species, seed])}.", highlight=False)
     if args.json:
         write_json(args.json, table)
     if args.figures:
