@@ -96,10 +96,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/authors_plants"), help="where the commands write")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="the smallest plant only")
-    parser.add_argument("--plants", type=int, help="so many of them, the smallest")
     args = parser.parse_args()
     console = Console()
-    paths = sorted(args.data.glob("*.txt"), key=lambda path: path.stat().st_size)[: 1 if args.quick else args.plants]
+    paths = sorted(args.data.glob("*.txt"), key=lambda path: path.stat().st_size)[: 1 if args.quick else None]
     plants = {path.stem: one_plant(path, args.out / path.stem, console) for path in track(paths, console=console)}
     table = Table(*HEADS, box=MARKDOWN)
     for _, (_, cells) in sorted(plants.items()):

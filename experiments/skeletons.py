@@ -179,7 +179,8 @@ def main() -> None:
     if args.json:
         write_json(args.json, table)
     if args.figures:
-        ten = [(*which, Path(row[FOLDER])) for which, row in rows.items() if which in TEN and "failure" not in row]
+        there = [which for which in TEN if which in rows and "failure" not in rows[which]]
+        ten = [(species, seed, Path(rows[species, seed][FOLDER])) for species, seed in there]
         draw_ten(ten).savefig(args.figures / "skeletons.png", dpi=90)
 
 

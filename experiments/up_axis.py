@@ -27,7 +27,7 @@ from rich.progress import track
 from rich.table import Table
 
 from anther.files import write_json
-from anther.formats.clouds import TO_Z_UP, axis_notes, read_cloud
+from anther.formats.clouds import TO_Z_UP, Axis, axis_notes, read_cloud
 from anther.geometry import Array
 from anther.sim.pepper import grow_pepper
 from anther.sim.tomato import grow_tomato
@@ -62,7 +62,7 @@ def simulated(count: int, seed: int) -> Iterator[tuple[str, Array]]:
             yield f"{plant.species} {k}", points + np.random.default_rng(k).normal(0, NOISE, points.shape)
 
 
-def read_with(points: Array, axis: str) -> tuple[str, float]:
+def read_with(points: Array, axis: Axis) -> tuple[str, float]:
     """Return the note on a file whose `axis` is up, and the processor time [s]."""
     in_file = points[:, np.argsort(TO_Z_UP[axis])]
     begin = time.process_time()
