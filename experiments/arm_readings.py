@@ -1,7 +1,5 @@
 """How far an arm's gripper goes beside what its joints read: links hang on springs, and an arm reads its motors.
 
-    python tools/record.py experiments/arm_readings.py
-
 Simulated Sawyers whose truth is drawn wide (`anther.sim.truth.WIDE`) hold nothing and move their grip along a line, at
 all of `TONES` at once, with 1 m/s2 each. On these were set `ARM_MODE`, `ARM_ERROR`, `ARM_FOLLOWS` and `ARM_ASIDE` of
 `anther.escalation._knowledge`.
@@ -19,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from grasping_trial import truth_of
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -93,9 +92,10 @@ def main() -> None:
     straight = np.einsum("nqx,nx->nq", true, along)
     aside = np.linalg.norm(true - straight[..., None] * along[:, None], axis=2)
     told: dict[str, float] = {"arms": float(args.arms)}
-    table = Table(
-        "Hz", "error of readings: median", "75 %", "90 %", "taken", "does / reads", "taken", "does / told", "aside"
-    )
+    console.print(f"{args.arms} arms, {LINES} lines each. Errors and motions are shares of what was commanded.")
+    heads = ("readings' error, median", "75 %", "90 %", "`ARM_ERROR` takes")
+    moves = ("grip moves / is read, median", "`ARM_MODE` takes", "grip moves / was told, median", "aside, median")
+    table = Table("frequency, Hz", *heads, *moves, box=MARKDOWN)
     for k, hertz in enumerate(TONES):
         own = {
             "error": float(np.median(error[:, k])),

@@ -1,7 +1,5 @@
 """The way of the camera around the plant: time, limits, torques, distances at 1 kHz, and the arm driven along it.
 
-    python experiments/capture_path.py --json docs/results/capture_path.json [--quick]
-
 No image is taken here. Each preset's views and motions are planned as for a trial. They are then judged every
 millisecond by `path_judge` (another collision engine than the planner's): joint range, speed, acceleration,
 torque, and the distance of arm, gripper and camera to themselves, bench, pot, side camera, and the upright cylinder
@@ -19,6 +17,7 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 from path_judge import SIGHT, Surroundings, judge_path
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
@@ -36,6 +35,28 @@ from anther.sim.plant import POT_HEIGHT
 from anther.sim.robot import SimArm
 
 LOOK = 0.2  # s to either side of a view
+SHOWN = {
+    "views": "views",
+    "capture_s": "capture, motion and standing, s",
+    "motion_s": "motion alone, s",
+    "samples": "samples that are judged, one a millisecond",
+    "joint_room_rad": "smallest room to a joint's range, rad",
+    "velocity_share": "largest share of a joint's speed",
+    "acceleration_share": "largest share of a joint's acceleration",
+    "effort_share": "largest share of a motor's torque, of what is planned",
+    "clearance_bench_mm": "nearest to the bench, mm",
+    "clearance_pot_mm": "nearest to the pot, mm",
+    "clearance_plant_mm": "nearest to the cylinder that is kept for the plant, mm",
+    "clearance_side_camera_mm": "nearest to the side camera, mm",
+    "clearance_itself_mm": "nearest to itself, mm",
+    "tracking_mrad": "driven: a joint's largest lag, mrad",
+    "sharp_span_needed_ms": "driven: span of sharp pictures that a view needs, ms",
+    "shortest_sharp_span_ms": "driven: the shortest there is, ms",
+    "farthest_from_view_mm": "driven: farthest from its view that such a picture is taken, mm",
+    "driven_effort_share": "driven: largest share of a motor's torque",
+    "contacts": "driven: contacts",
+}
+"""What the table shows of a preset, and what it is called."""
 
 
 def judged(views: Views, pot: Box) -> dict[str, float]:
@@ -120,6 +141,11 @@ def fails(row: dict[str, float]) -> list[str]:
     return shares + near + [name for name, bad in other.items() if bad]
 
 
+def _cell(value: float, most: float) -> str:
+    """Return a number as the table shows it; what lies farther than is looked is not known better."""
+    return f"> {most:.0f}" if value >= most else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+
+
 def main() -> None:
     """Plan, judge, drive, print a table, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -135,12 +161,14 @@ def main() -> None:
         width = np.array([pot.radius, pot.radius, 0])
         body = Box(pot.centre - width - [0, 0, POT_HEIGHT], pot.centre + width)
         rows[name] = judged(views, body) | driven(views, species, args.seed)
-    table = Table("", *rows, caption=f"clearances beyond {1000 * SIGHT:.0f} mm are not measured")
-    for what in next(iter(rows.values())):
-        table.add_row(what, *(f"{row[what]:.4g}" for row in rows.values()))
+    table = Table("", *(f"preset `{name}`" for name in rows), box=MARKDOWN)
+    for what, words in SHOWN.items():
+        far = what.startswith("clearance")
+        table.add_row(words, *(_cell(row[what], SIGHT * 1000 if far else np.inf) for row in rows.values()))
     Console().print(table)
     metrics = {f"{name}_{what}": value for name, row in rows.items() for what, value in row.items()}
     metrics["limits_broken"] = sum(len(fails(row)) for row in rows.values())
+    print(f"Limits that are broken: {metrics['limits_broken']}.")
     if args.json:
         write_json(args.json, metrics)
 

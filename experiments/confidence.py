@@ -29,6 +29,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from degraded_views import DEGRADATIONS
 from numpy.typing import NDArray
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -57,6 +58,7 @@ DEVELOPMENT, EVALUATION = range(10, 18), range(520, 528)
 VIEWS = 12
 NODE_AXES = (Organ.STEM, Organ.BRANCH, Organ.PETIOLE, Organ.RACHIS, Organ.PEDUNCLE, Organ.PEDICEL)
 RIGHT_SHARE = 0.95
+KINDS = {"node": "nodes of skeletons", "stem": "main stems", "grasp": "ranked grasps"}
 PLACES = 0.01
 """Distance along the stem of the places that a grasp's confidence is fitted on [m]."""
 
@@ -253,9 +255,10 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, help="draw the reliability here")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="two plants of each species")
+    parser.add_argument("--each", type=int, help="so many plants of each species")
     parser.add_argument("--seed", type=int, default=7, help="of the degradations")
     args = parser.parse_args()
-    seeds = (DEVELOPMENT if args.fit else EVALUATION)[: 2 if args.quick else None]
+    seeds = (DEVELOPMENT if args.fit else EVALUATION)[: 2 if args.quick else args.each]
     console, each = Console(), 4
     drawn = samples(seeds, each, args.seed, args.clouds)
     found = list(track(drawn, "captures", total=2 * len(seeds) * (1 + each), console=console))
@@ -272,16 +275,31 @@ def main() -> None:
 
 
 def _print(console: Console, numbers: dict[str, float], seen: list[Sample]) -> None:
-    table = Table("metric", "value")
-    for name, value in numbers.items():
-        table.add_row(name, f"{value:.4g}")
+    heads = ("number", "right", "Brier score", "of always saying the share that is right", "AUC", "calibration error")
+    table = Table("", *heads, f"wrong of those below {DOUBTFUL}", "wrong of the others", box=MARKDOWN)
+    for kind, words in KINDS.items():
+        scores = [numbers[f"{kind}_{key}"] for key in ("brier", "base_brier", "auc", "calibration_error")]
+        wrong = [numbers[f"{kind}_{key}"] for key in ("wrong_doubted", "wrong_trusted")]
+        shares = ("none" if np.isnan(share) else f"{share:.0%}" for share in wrong)
+        count = f"{numbers[f'{kind}_count']}"
+        table.add_row(words, count, f"{numbers[f'{kind}_right']:.1%}", *(f"{score:.3f}" for score in scores), *shares)
     console.print(table)
-    for kind, (claimed, right) in claims(seen).items():
-        rows = "  ".join(f"{p:.2f}: {o:.2f} of {n:.0f}" for p, o, n in reliability(claimed, right))
-        console.print(f"{kind}, claimed: observed  {rows}", highlight=False)
-    for s in seen:
-        if not s.stem_right:
-            console.print(f"wrong stem: {s.name}, confidence {s.stem.confidence:.2f}", highlight=False)
+    console.print("Share that is right by what is said, with the number of cases:")
+    tenths = {kind: reliability(*claim) for kind, claim in claims(seen).items()}
+    table = Table("confidence", *KINDS.values(), box=MARKDOWN)
+    for tenth in range(10):
+        cells = []
+        for kind in KINDS:
+            row = [f"{right:.0%} of {n:.0f}" for p, right, n in tenths[kind] if min(int(10 * p), 9) == tenth]
+            cells.append(row[0] if row else "–")
+        table.add_row(f"{tenth / 10:.1f} to {(tenth + 1) / 10:.1f}", *cells)
+    console.print(table)
+    wrong = sum(not s.stem_right for s in seen)
+    console.print(
+        f"{numbers['captures']} captures, {numbers['refused']} refused. Of {wrong} wrong stems "
+        f"{numbers['silent_wrong_stems']} came without any warning.",
+        highlight=False,
+    )
 
 
 def _flat(parts: list[Any]) -> Array:

@@ -1,8 +1,5 @@
 """Real labelled plants as scanned and disturbed, by a strict rule: is the grasp right, and if not, was it doubted?
 
-    python tools/record.py experiments/disturbed_plants.py --page docs/reports/real_plants.md \\
-        --figure docs/pictures/real_confidence.png
-
 Every second scan of the five seedlings on which no confidence was fitted (trackplant3d_tomato1a), the tomato
 salk_tomato_D26 and two hard plants (salk_benthi_D18, gavriel_maize_28.2.23_2); each as scanned, tilted by 20 and 40
 degrees towards four sides, with a tenth of its points, cut in half, seen from one side, with noise and with outliers
@@ -17,14 +14,16 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from grasping_page import insert, markdown
 from real.strict import Judged, judged_all, metrics, reported, table
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
+from rich.table import Table
 
 from anther.files import write_json
 from anther.stem.confidence import DOUBTFUL
@@ -35,29 +34,32 @@ BINS = (0.25, 0.5, DOUBTFUL, 0.9)
 
 
 def main() -> None:
-    """Run, print the table and each wrong grasp, write --json and --page."""
+    """Run, print the table and each wrong grasp, write --json and --figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
     parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--page", type=Path, help="write the table into this docs page")
     parser.add_argument("--figure", type=Path, help="draw how often grasps are right by their confidence")
     parser.add_argument("--quick", action="store_true", help="every 31st seedling")
     args = parser.parse_args()
     console = Console()
     rows = judged_all(track(reported(args.data, quick=args.quick), "plants", console=console))
-    found = table(rows)
-    console.print(found)
-    for row in rows:
-        if not row.on_stem:
-            console.print(
-                f"{row.plant}, {row.kind}: grasp off the stem, confidence {row.confidence:.2f}", highlight=False
-            )
-    if args.page:
-        insert(args.page, markdown(found))
+    console.print(table(rows))
+    if any(not row.on_stem for row in rows):
+        console.print("Every grasp that is off the stem:")
+        console.print(wrong_ones(rows))
     if args.figure:
         draw_reliability(rows, args.figure)
     if args.json:
         write_json(args.json, metrics(rows))
+
+
+def wrong_ones(rows: Sequence[Judged]) -> Table:
+    """Return the plants whose grasp is off the stem, with the confidence it had."""
+    found = Table("plant", "seen", "confidence", box=MARKDOWN)
+    for row in rows:
+        if not row.on_stem:
+            found.add_row(row.plant, row.kind, "no answer" if row.refused else f"{row.confidence:.2f}")
+    return found
 
 
 def draw_reliability(rows: list[Judged], path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Pictures of masks for docs/reports/masks.md: one view per light, and the real Arabidopsis."""
+"""Picture of masks for docs/reports/masks.md: one view per light."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.masks import FLOWER, PLANT, Masks
+from anther.masks import FLOWER, PLANT
 
 GREEN, MAGENTA = (60, 220, 60), (230, 40, 230)
 
@@ -31,17 +31,6 @@ def light_sheet(path: Path, shown: dict[Any, NDArray[Any]]) -> None:
         cv2.putText(tile, f"{species}, {light}".replace("_", " "), (6, 14), 0, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(tile)
     _write(path, tiles, columns=4)
-
-
-def arabidopsis_sheet(path: Path, rgb: NDArray[Any], found: Masks) -> None:
-    """Draw a strip about the plant of each view, image beside overlay."""
-    tiles = []
-    for image, labels in zip(rgb, found.labels, strict=True):
-        middle = int(np.median(np.nonzero(labels)[1]))
-        cut = slice(max(0, middle - 150), max(0, middle - 150) + 300)
-        pair = overlaid(image[:, cut], labels[:, cut])
-        tiles.append(cv2.resize(pair, (200, 360), interpolation=cv2.INTER_AREA))
-    _write(path, tiles, columns=7)
 
 
 def _write(path: Path, tiles: list[NDArray[Any]], columns: int) -> None:

@@ -1,7 +1,6 @@
 """Masks by colour or by words on photographs of tomatoes in greenhouses, against labels by hand of flowers and stems.
 
-    python tools/record.py experiments/photographs.py --folder PHOTOS --page docs/reports/masks.md \\
-        --pictures docs/pictures
+    python experiments/photographs.py --folder PHOTOS                      # by colour
     python experiments/photographs.py --folder PHOTOS --models MODELS      # by words; networks as in docs/masks.md
 
 The labels are in real/photographs.json; the images are not part of Anther. That file says by repository, commit, path
@@ -37,11 +36,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from grasping_page import insert, markdown
 from grasping_table import interval
 from numpy.typing import NDArray
 from photographs_looks import Look, by_colour, by_words
 from photographs_sheet import Judged, contact_sheet
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -208,15 +207,15 @@ def table(values: dict[str, dict[str, float]]) -> Table:
         "images of",
         "number",
         "flowers",
-        "recall",
-        "precision",
+        "flowers' recall",
+        "flowers' precision",
         "stems",
-        "found",
-        "length",
-        "told",
-        "precision",
+        "stems found",
+        "stems' length masked",
+        "their length told",
+        "precision of what is told",
         "no plant, but masked",
-        box=None,
+        box=MARKDOWN,
     )
     for name, row in values.items():
         shown.add_row(
@@ -251,11 +250,10 @@ def images(folder: Path, console: Console) -> list[tuple[dict[str, Any], Path]]:
 
 
 def main() -> None:
-    """Run, print the table, write --json, --page, --sheet and --pictures."""
+    """Run, print the table, write --json, --sheet and --pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=FOLDER, help="of the images; default: $ANTHER_PHOTOS")
     parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--page", type=Path, help="write the table into this docs page")
     parser.add_argument("--sheet", type=Path, help="write a picture of what fails here; not to be published")
     parser.add_argument("--pictures", type=Path, help="write photographs.jpg here, of CC BY 4.0 images")
     parser.add_argument("--models", type=Path, help="look by words, with the networks in this folder")
@@ -271,10 +269,7 @@ def main() -> None:
         rgb = photograph(path)
         found.append(judged(row, rgb, *seen(rgb, row.get("crop"), look)))
     values = {name: metrics(group) for name, group in groups(found).items()}
-    shown = table(values)
-    console.print(shown)
-    if args.page:
-        insert(args.page, markdown(shown))
+    console.print(table(values))
     if args.sheet:
         contact_sheet(args.sheet, found)
     if args.pictures:

@@ -16,8 +16,8 @@ clouds without labels others_reached and others_single_trees; against the publis
 <scan>_recall_<1v|3v> and <scan>_spurious_tips, recall_3v (mean) and spurious_tips (sum). best_peer_recall_3v and
 best_peer_spurious_tips: of the method with the best recall_3v but Anther; fewest_peer_spurious_tips: the fewest of any.
 For Anther alone: radius_over_points (the main stem's radius over the distance of its labelled points; 1 is right); by
-the strict rule, those of disturbed_plants.py; and of a command in a process of its own, skeletonize_wall_s,
-help_wall_s, and both with cpu.
+the strict rule, those of disturbed_plants.py (but with --without-disturbed); and of a command in a process of its own,
+skeletonize_wall_s, help_wall_s, and both with cpu.
 """
 
 from __future__ import annotations
@@ -35,11 +35,12 @@ import numpy as np
 from real.answers import Answer, Method, Seen, anther, asked
 from real.judge import Outcome, Tolerance, agreement, judge, radius_over_points, reached, spurious_tips
 from real.peer_process import WORKERS, Peer
-from real.pictures import Shown, draw_below, draw_methods, draw_references, draw_seen, save
+from real.pictures import Shown, draw_methods, draw_references, save
 from real.plain_thinning import CLOSED, FINE, plain_thinning
 from real.plants import LABELLED, WITH_REFERENCE, Labelled, Reference, labelled_plants, references, unlabelled
 from real.start import started
 from real.strict import judged_all, metrics, reported
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -58,8 +59,33 @@ SHOWN = (
     "sice_robot_cloud0",
 )
 """Plants drawn with all methods: the first, middle and last seedling, the two others with labels, the robot's."""
-MOST_BELOW = 2
-"""So many of the plants whose main stem leaves the stem system are drawn."""
+HEADS = {
+    "anther": "Anther",
+    "plain": "plain thinning",
+    "plain_fine": "the same, finer",
+    "closed": "finer, closed and filled",
+    "pc_skeletor": "pc-skeletor",
+    "skeletor": "skeletor",
+    "pygel": "PyGEL3D",
+}
+ROWS = {
+    "plants": ("labelled plants", ".0f"),
+    "all_grasp_on_stem": ("grasp on the stem system", ".1%"),
+    "trackplant_grasp_on_stem": ("the same, seedlings alone", ".1%"),
+    "stem_on_label": ("main stem on the stem system, mean share of its length", ".1%"),
+    "stem_on_label_95": ("plants with 95 % or more of it there", ".1%"),
+    "stem_reach": ("height that the main stem covers, of the stem system's", ".1%"),
+    "single_trees": ("labelled plants whose skeleton is one tree", ".0%"),
+    "tips_per_leaf": ("skeleton's ends for each leaf, median (1 is right)", ".3g"),
+    "seconds_median": ("processor time, median, s", ".2g"),
+    "others_reached": ("points reached, six clouds without labels", ".1%"),
+    "others_single_trees": ("the same clouds, skeleton is one tree", ".0%"),
+    "recall_3v": ("recall of three published graphs at 3 voxels, mean", ".1%"),
+    "spurious_tips": ("ends that these graphs do not have, sum", ".0f"),
+}
+"""What is printed: the numbers of `Run.rows`, what they are called, and how they are written."""
+
+TIPS = "spurious_tips"
 
 Outcomes = dict[str, list[Outcome]]
 
@@ -74,8 +100,7 @@ class Run:
         agreements: by method, precision, recall and spurious tips against the published graphs.
         radius_ratios: Anther's stem radius over the distance of the stem's points, by labelled plant.
         shown: plants drawn with all methods.
-        below: labelled plants whose main stem leaves the stem system.
-        references, seen: what is drawn of the others.
+        references: what is drawn of the plants with published graphs.
     """
 
     outcomes: Outcomes = field(default_factory=lambda: defaultdict(list))
@@ -83,9 +108,7 @@ class Run:
     agreements: dict[str, dict[str, float]] = field(default_factory=lambda: defaultdict(dict))
     radius_ratios: list[float] = field(default_factory=list)
     shown: list[Shown] = field(default_factory=list)
-    below: list[tuple[Labelled, Seen]] = field(default_factory=list)
     references: list[tuple[Reference, Seen]] = field(default_factory=list)
-    seen: dict[str, Seen] = field(default_factory=dict)
 
     def add_labelled(self, plant: Labelled, methods: dict[str, Method]) -> None:
         """Run all methods on a labelled plant."""
@@ -96,8 +119,6 @@ class Run:
         self.radius_ratios.append(radius_over_points(plant, seen))
         if plant.name in SHOWN:
             self.shown.append(Shown(plant.name, plant.cloud, answers, plant.is_stem))
-        if self.outcomes["anther"][-1].stem_share < ENOUGH:
-            self.below.append((plant, seen))
 
     def add_other(self, name: str, cloud: Cloud, methods: dict[str, Method]) -> tuple[Seen, dict[str, Answer | str]]:
         """Run all methods on a plant without labels; return what Anther sees and every answer."""
@@ -114,17 +135,13 @@ class Run:
         self.references.append((plant, seen))
         for method, answer in answers.items():
             if isinstance(answer, Answer):
-                found = agreement(plant, answer) | {"spurious_tips": spurious_tips(plant, answer)}
+                found = agreement(plant, answer) | {TIPS: spurious_tips(plant, answer)}
                 self.agreements[method] |= {f"{plant.name}_{name}": value for name, value in found.items()}
 
     def draw(self, folder: Path) -> None:
         """Write the pictures."""
         save(draw_methods(self.shown), folder / "real_plants_methods.png")
         save(draw_references(self.references), folder / "real_plants_references.png")
-        if self.below:
-            save(draw_below(self.below[:MOST_BELOW]), folder / "real_plants_below.png")
-        for name, seen in self.seen.items():
-            save(draw_seen(seen, name), folder / f"real_plants_{name}.png")
 
     def metrics(self) -> dict[str, float]:
         """Return the numbers of the results contract; a method without an answer has missed everything."""
@@ -194,6 +211,7 @@ def main() -> None:
             f"--{name.replace('_', '-')}", type=Path, metavar="PYTHON", help=f"a Python that has {name}"
         )
     parser.add_argument("--peers-every", type=int, default=1, metavar="N", help="peers see every Nth seedling only")
+    parser.add_argument("--without-disturbed", action="store_true", help="leave them to disturbed_plants.py")
     parser.add_argument("--quick", action="store_true", help="every eighth seedling only")
     args = parser.parse_args()
     console, found = Console(), Run()
@@ -210,30 +228,44 @@ def main() -> None:
         for plant in track(list(references(args.data)), "published graphs", console=console):
             found.add_reference(plant, methods)
         for name, cloud in track(list(unlabelled(args.data)), "without labels", console=console):
-            found.seen[name], _ = found.add_other(name, cloud, methods)
+            found.add_other(name, cloud, methods)
     _print(console, found)
     if args.figures:
         found.draw(args.figures)
     if args.json:
-        strict = judged_all(track(reported(args.data, quick=args.quick), "disturbed plants", console=console))
-        write_json(args.json, found.metrics() | metrics(strict) | started(args.data))
+        disturbed = [] if args.without_disturbed else reported(args.data, quick=args.quick)
+        strict = metrics(judged_all(track(disturbed, "disturbed plants", console=console))) if disturbed else {}
+        write_json(args.json, found.metrics() | strict | started(args.data))
 
 
 def _print(console: Console, found: Run) -> None:
     rows = found.rows()
-    table = Table("metric", *rows)
-    for name in rows["anther"]:
-        table.add_row(name, *(f"{row.get(name, np.nan):.4g}" for row in rows.values()))
+    table = Table("", *(HEADS[name] for name in rows), box=MARKDOWN)
+    for key, (words, form) in ROWS.items():
+        table.add_row(words, *(f"{row[key]:{form}}" for row in rows.values()))
     console.print(table)
-    for name, value in found.beside_peers().items():
-        console.print(f"{name}: {value:.2f}", highlight=False)
-    for o in found.outcomes["anther"]:
-        if not o.grasp_on_stem or o.stem_share < ENOUGH:
-            grasp = "" if o.grasp_on_stem else "grasp off the stem; "
-            console.print(f"{o.plant}: {grasp}{o.stem_share:.0%} of the main stem on stem points", highlight=False)
+    console.print("Against the published graphs: recall and precision at 3 voxels, and ends that they do not have.")
+    table = Table("plant", *(HEADS[name] for name in rows), box=MARKDOWN)
+    for plant in WITH_REFERENCE:
+        table.add_row(plant, *(_on_graph(row, plant) for row in rows.values()))
+    console.print(table)
+    ratio = found.beside_peers()["radius_over_points"]
+    console.print(f"The main stem's radius over the distance of its labelled points: {ratio:.2f} (median).")
+    poor = [o for o in found.outcomes["anther"] if not o.grasp_on_stem or o.stem_share < ENOUGH]
+    if poor:
+        console.print("Anther's grasps off the stem system, and main stems with less than 95 % of their length on it:")
+    for o in poor:
+        grasp = "right" if o.grasp_on_stem else "off the stem"
+        console.print(f"{o.plant}: grasp {grasp}, {o.stem_share:.0%} of the main stem on it.", highlight=False)
     for method, outcomes in found.outcomes.items():
         for reason, count in Counter(o.failure for o in outcomes if o.failure).items():
-            console.print(f"{method}: no answer on {count} plants: {reason}", highlight=False)
+            console.print(f"{HEADS[method]}: no answer on {count} plants: {reason}", highlight=False)
+
+
+def _on_graph(row: dict[str, float], plant: str) -> str:
+    """Return what a method reached on one published graph."""
+    recall, precision, tips = (row.get(f"{plant}_{key}", np.nan) for key in ("recall_3v", "precision_3v", TIPS))
+    return f"{recall:.0%}, {precision:.0%}, {tips:.0f}"
 
 
 def _mean(values: list[Any]) -> float:

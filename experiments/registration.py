@@ -1,7 +1,5 @@
 """Registration against the truth: the arm's poses, and all views jointly.
 
-    python experiments/registration.py --figures docs/pictures --json docs/results/registration.json
-
 Plants and views are those of `skeletons.py` (the ten plants; --development takes ten others). One rendering serves
 three errors of the robot: as in facts: perception (pose 0.2 deg and 1.5 mm per axis, hand-eye 0.2 deg and 1 mm), and on
 the first plants also poses twice as bad and hand-eye twice as bad. The displacement is the RMS, over all pixels that
@@ -29,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -55,6 +54,8 @@ METHODS = {"kinematics": None, "joint": Params()}
 
 ERRORS = {"usual": (1.0, 1.0), "poses": (2.0, 1.0), "hand_eye": (1.0, 2.0)}
 """Factors on the error of the poses and of the hand-eye calibration."""
+WORDS = {"usual": "usual errors", "poses": "poses twice as bad", "hand_eye": "hand-eye twice as bad"}
+FILTERS = {"none": "none", "gradient": "a plain edge filter of 15 mm", "support": "Anther's"}
 
 GRADIENT = 0.015
 """Of the plain edge filter [m]: a pixel goes if the depths around it differ by more."""
@@ -123,7 +124,7 @@ def register_all(
 
 def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -> dict[str, tuple[float, float]]:
     """Return for each filter the share of flying pixels it removes and of petiole pixels it keeps."""
-    counts = {name: np.zeros(4) for name in ("none", "gradient", "support")}
+    counts = {name: np.zeros(4) for name in FILTERS}
     for view, depth in enumerate(capture.depth):
         masked = (labels[view] > 0) & (depth > 0)
         flies = masked & ~_on_surface(depth, truth.depth[view])
@@ -185,9 +186,7 @@ def draw(outcomes: list[dict[tuple[str, str], Outcome]], file: Path) -> None:
             plot.plot(column + np.linspace(-0.25, 0.25, len(values)), values, "o", markersize=4, alpha=0.8)
         plot.axhline(1.2, color="0.5", linestyle=":")
         plot.set_xticks(range(len(METHODS)), [m.replace("_", " ") for m in METHODS], rotation=35, ha="right")
-        plot.set_title(
-            {"usual": "usual errors", "poses": "poses twice as bad", "hand_eye": "hand-eye twice as bad"}[error]
-        )
+        plot.set_title(WORDS[error])
         plot.set_yscale("log")
         plot.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
         plot.grid(axis="y", alpha=0.3)
@@ -196,20 +195,26 @@ def draw(outcomes: list[dict[tuple[str, str], Outcome]], file: Path) -> None:
         figure.savefig(temporary, dpi=130, format="png")
 
 
-def show(console: Console, table: dict[str, float]) -> None:
-    """Print the table."""
-    for error in ERRORS:
-        rows = Table(
-            "method", "RMS [mm]", "worst [mm]", "shape [mm]", "rigid [mm]", "time [s]", title=f"error: {error}"
-        )
+def show(console: Console, table: dict[str, float], plants: int, noisier: int) -> None:
+    """Print the tables."""
+    heads = ("displacement, RMS, mm", "worst plant, mm", "shape, mm", "rigid, mm", "time, median, s")
+    rows = Table("the robot's errors", "plants", "poses", *heads, box=MARKDOWN)
+    for error, words in WORDS.items():
         for method in METHODS:
             if f"{method}_{error}_rms_mm" not in table:  # without --noisier plants
                 continue
             of = [table[f"{method}_{error}_{key}"] for key in ("rms_mm", "worst_mm", "shape_mm", "rigid_mm", "s")]
-            rows.add_row(method, *(f"{value:.2f}" for value in of))
-        console.print(rows)
-    for key in [k for k in table if k.endswith(("_removed", "_kept", "reach_px", "accepted"))]:
-        console.print(f"{key}: {table[key]:.3f}", highlight=False)
+            poses = {"kinematics": "the arm's own", "joint": "registered"}[method]
+            count = plants if error == "usual" else min(noisier, plants)
+            rows.add_row(words, str(count), poses, *(f"{value:.2f}" for value in of))
+    console.print(rows)
+    console.print("What filters of pixels do, on the same views:")
+    rows = Table("filter", "flying pixels removed", "petioles' pixels kept", box=MARKDOWN)
+    for name, words in FILTERS.items():
+        rows.add_row(words, *(f"{table[f'{name}_{key}']:.1%}" for key in ("flying_removed", "petioles_kept")))
+    console.print(rows)
+    reach, accepted = table["reach_px"], table["accepted"]
+    console.print(f"Registrations accepted: {accepted:.0%}. Reach of the matching window: {reach:.1f} pixels.")
 
 
 def main() -> None:
@@ -234,7 +239,7 @@ def main() -> None:
             outcomes.append(register_all(capture, truth, labels, errors, rng))
             filters.append(filter_pixels(capture, truth, labels))
     table = metrics(outcomes, filters)
-    show(console, table)
+    show(console, table, len(plants), args.noisier)
     if args.json:
         write_json(args.json, table)
     if args.figures:

@@ -1,4 +1,4 @@
-"""Pictures of experiments/skeletons.py: the ten plants with their skeletons over the truth, and the errors' spread."""
+"""Picture of experiments/skeletons.py: the ten plants with their skeletons over the truth."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from skeleton_truth import AXIS, NEAR, Score
+from skeleton_truth import AXIS
 
 from anther.cloud import Cloud
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow
@@ -19,8 +19,6 @@ from anther.stem import Stem
 
 FRONT = (1, 2, 0)
 """Across, up, depth: the plant as the arm sees it from its base."""
-
-Which = tuple[Any, int]
 
 
 def draw_ten(plants: list[tuple[Crop, int, Path]]) -> Figure:
@@ -41,23 +39,3 @@ def _draw_truth(plot: Any, plant: SimPlant) -> None:
     for k in np.flatnonzero(np.isin(plant.organ, AXIS)):
         line = np.stack([plant.start[k], plant.end[k]])[:, FRONT[:2]]
         plot.plot(*line.T, color="black", lw=0.8, ls=(0, (2, 2)), zorder=8)
-
-
-def draw_spread(scores: dict[Which, Score]) -> Figure:
-    """Return the distributions over plants: 95th percentile of the stem error, radius, recall and precision."""
-    figure = Figure(figsize=(13, 3.4), layout="constrained")
-    panels = {
-        "stem error, 95th percentile [mm]": lambda s: 1e3 * np.quantile(s.stem_error, 0.95),
-        "found / true stem radius, median": lambda s: np.median(s.radius_ratio),
-        f"recall at {1e3 * NEAR:.0f} mm": lambda s: np.mean(s.recalled),
-        f"precision at {1e3 * NEAR:.0f} mm": lambda s: np.mean(s.precise),
-    }
-    for plot, (title, value) in zip(figure.subplots(1, len(panels)), panels.items(), strict=True):
-        groups = {name: [value(s) for (species, _), s in scores.items() if species == name] for name in SPECIES}
-        plot.hist(list(groups.values()), bins=15, stacked=True, color=list(SPECIES.values()), label=list(groups))
-        plot.set(title=title, ylabel="plants")
-        plot.legend(fontsize=7)
-    return figure
-
-
-SPECIES = {"tomato": "#c0392b", "pepper": "#2e7d32"}

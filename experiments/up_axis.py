@@ -21,11 +21,13 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from real.plants import TRACKPLANT
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
+from rich.table import Table
 
 from anther.files import write_json
-from anther.formats.clouds import TO_Z_UP, axis_notes, read_cloud
+from anther.formats.clouds import TO_Z_UP, Axis, axis_notes, read_cloud
 from anther.geometry import Array
 from anther.sim.pepper import grow_pepper
 from anther.sim.tomato import grow_tomato
@@ -60,7 +62,7 @@ def simulated(count: int, seed: int) -> Iterator[tuple[str, Array]]:
             yield f"{plant.species} {k}", points + np.random.default_rng(k).normal(0, NOISE, points.shape)
 
 
-def read_with(points: Array, axis: str) -> tuple[str, float]:
+def read_with(points: Array, axis: Axis) -> tuple[str, float]:
     """Return the note on a file whose `axis` is up, and the processor time [s]."""
     in_file = points[:, np.argsort(TO_Z_UP[axis])]
     begin = time.process_time()
@@ -73,25 +75,46 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
     parser.add_argument("--json", type=Path, help="write the metrics here")
     parser.add_argument("--quick", action="store_true", help="two simulated plants of each kind, no real ones")
+    parser.add_argument("--each", type=int, default=10, help="simulated plants of each kind")
     parser.add_argument("--seed", type=int, default=SEED, help="of the first simulated plant")
     args = parser.parse_args()
-    console, rows = Console(), list[dict[str, object]]()
-    plants = [("simulated", *plant) for plant in simulated(2 if args.quick else 10, args.seed)]
+    console, rows, missed = Console(), list[dict[str, object]](), list[str]()
+    plants = [("simulated", *plant) for plant in simulated(2 if args.quick else args.each, args.seed)]
     plants += [] if args.quick else [("real", *plant) for plant in real(args.data)]
     for kind, name, points in track(plants, "plants", console=console):
         for axis in TO_Z_UP:
             said, seconds = read_with(points, axis)
             rows.append({"kind": kind, "axis": axis, "said": said, "seconds": seconds})
             if bool(re.search("--up [xyz]$", said)) != (axis != "z") or (axis != "z" and f"--up {axis}" not in said):
-                console.print(f"{name}, {axis} up: {said or 'nothing said'}", highlight=False)
+                missed.append(f"{name}, {axis} up: {said or 'nothing said'}")
     found = metrics(rows)
     for kind in ("real", "simulated"):
         of_kind = [row for row in rows if row["kind"] == kind]
         found |= {f"{kind}_{key}": value for key, value in (metrics(of_kind) if of_kind else {}).items()}
-    for key, value in found.items():
-        console.print(f"{key}: {value:.3g}", highlight=False)
+    show(console, found)
+    if missed:
+        console.print("Wrong files whose axis is not named, and right files called wrong:")
+    for line in missed:
+        console.print(line, highlight=False)
     if args.json:
         write_json(args.json, found)
+
+
+def show(console: Console, found: dict[str, float]) -> None:
+    """Print the shares by kind of plant."""
+    heads = {
+        "false_alarms": "right files called wrong",
+        "right_in_doubt": "right files said to be hard to tell",
+        "noticed": "wrong files noticed",
+        "named": "wrong files whose axis is named",
+        "misnamed": "wrong files of which another is named",
+    }
+    table = Table("plants", "number", *heads.values(), "processor time, median, s", box=MARKDOWN)
+    for words, prefix in (("real", "real_"), ("simulated", "simulated_"), ("all", "")):
+        if f"{prefix}plants" in found:
+            shares = (f"{found[prefix + key]:.0%}" for key in heads)
+            table.add_row(words, f"{found[f'{prefix}plants']}", *shares, f"{found[f'{prefix}seconds_median']:.2f}")
+    console.print(table)
 
 
 def metrics(rows: list[dict[str, object]]) -> dict[str, float]:

@@ -1,7 +1,5 @@
 """Number of views against quality: evenly spread views, and the narrow views of the preset `fast`.
 
-    python experiments/views.py --json docs/results/views.json --figure docs/pictures/views.png
-
 Some plants of each species, seeds 0 up. Of each, a pool of reachable views is taken once (1280 x 720, D455
 depth noise, arm and hand-eye errors), and all choices are made from it:
 - fixed: n views, each the farthest in direction from those before it, as `anther trial` takes them;
@@ -23,6 +21,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -154,11 +153,20 @@ def metrics(plants: list[dict[str, dict[str, Any]]]) -> dict[str, float]:
 
 
 def show(table: dict[str, float], choices: list[str], console: Console) -> None:
-    """Print one column a choice: the means over the plants."""
-    shown = Table("", *(choice.replace("_", " ") for choice in choices))
-    for name, title in METRICS.items():
-        shown.add_row(title.replace("[", "\\["), *(f"{table[f'{choice}_{name}']:.2f}" for choice in choices))
+    """Print one row a choice: the means over the plants, and their spread."""
+    console.print(f"Means over {table['plants']} plants ± standard deviation between them.", highlight=False)
+    heads = (title.replace(" [", ", ").replace("]", "") for title in METRICS.values())
+    shown = Table("views", *heads, box=MARKDOWN)
+    for choice in choices:
+        shown.add_row(choice.replace("_", " "), *(_with_spread(table, f"{choice}_{name}") for name in METRICS))
     console.print(shown)
+
+
+def _with_spread(table: dict[str, float], key: str) -> str:
+    if key not in table:
+        return "–"
+    spread = "" if key.endswith("capture_s") else f" ± {table[f'{key}_sd']:.2f}"
+    return f"{table[key]:.2f}{spread}"
 
 
 def main() -> None:

@@ -122,4 +122,4 @@ def test_the_fast_preset_takes_ten_views_in_a_short_time():
     views = plan_views(place.region, place.solids, PRESETS["fast"])
     assert len(views.joints) == 10
     assert np.abs(views.azimuth).max() <= 75
-    assert capture_time(views) < 10  # docs/reports/arm.md: 8.7 s, of 25.8 s for 30 views
+    assert capture_time(views) < 10  # docs/reports/views.md

@@ -3,6 +3,16 @@
 pc-skeletor (Meyer et al. 2023): Laplacian-based contraction (Cao et al. 2010). skeletor (Schlegel et al.): wave fronts
 on a mesh. PyGEL3D (Baerentzen et al.): local separators. All get the voxels of the largest cluster, 200 to the
 diagonal, as peers were compared before (facts: skeleton peers).
+
+To install them (pc-skeletor's own requirements do not install: mistree is Fortran, and needs numpy to be built):
+
+    python3.11 -m venv pcs
+    pcs/bin/pip install "numpy==1.23.5" "scipy==1.10.1" "setuptools<60" "scikit-learn<1.5" "matplotlib<3.9" \\
+        open3d-cpu==0.20.0 robust-laplacian networkx tqdm imageio wget
+    pcs/bin/pip install --no-build-isolation mistree==1.2.0
+    pcs/bin/pip install --no-deps pc-skeletor==1.0.0
+    python3.11 -m venv navis && navis/bin/pip install skeletor==1.7.1 scikit-image
+    python3.11 -m venv gel && gel/bin/pip install PyGEL3D==0.8.2
 """
 
 from __future__ import annotations
@@ -72,7 +82,7 @@ class Peer:
                 f"Python with {self._name}",
                 given=str(self._python),
                 allowed="one in which the peer can be imported",
-                do="docs/reports/real_plants.md says how to install it.",
+                do="experiments/real/peer_process.py says how to install it.",
             )
         return worker
 

@@ -18,7 +18,7 @@ from anther.geometry import Array
 from anther.pictures.plant import BRANCH_COLOR, GRASP_COLOR, ORGAN_COLORS, STEM_COLOR
 from anther.stem import ORGAN_NAMES, STEM, Stem
 from real.answers import Answer, Seen
-from real.plants import Labelled, Reference
+from real.plants import Reference
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -67,40 +67,6 @@ def draw_methods(plants: list[Shown]) -> Figure:
     return figure
 
 
-def draw_seen(seen: Seen, name: str) -> Figure:
-    """Return the plant from the front, the side, and close up around the grasp, with the notes of the skeleton."""
-    figure, axes = plt.subplots(1, 3, figsize=(16, 7), width_ratios=[1, 1, 0.8])
-    across_grasp = FRONT if abs(seen.grasp.approach[0]) >= abs(seen.grasp.approach[1]) else SIDE
-    half = 0.12 * np.ptp(seen.cloud.points, axis=0).max()
-    for plot, sides, title in zip(axes, (FRONT, SIDE, across_grasp), ("front", "side", "at the grasp"), strict=True):
-        cloud, size = (_around(seen, sides, half), 8) if plot is axes[2] else (seen.cloud, 1.5)
-        _points(plot, cloud, sides, None, size=size)
-        _organs(plot, seen, sides)
-        _finish(plot, seen.cloud, sides, title)
-    across, up = seen.grasp.point[list(across_grasp)]
-    axes[2].set(xlim=(across - half, across + half), ylim=(up - half, up + half))
-    _scale_bar(axes[2], 2 * half)
-    figure.suptitle("; ".join([f"{name}: {len(seen.skeleton.nodes)} nodes", *seen.skeleton.notes]))
-    figure.legend(handles=_legend(seen.stem), loc="lower center", ncols=8, frameon=False)
-    figure.tight_layout(rect=(0, 0.05, 1, 1))
-    return figure
-
-
-def draw_below(plants: list[tuple[Labelled, Seen]]) -> Figure:
-    """Return the plants whose main stem leaves the points labelled stem: the labels and what we made of them."""
-    figure, axes = plt.subplots(1, 2 * len(plants), figsize=(6.5 * len(plants), 6), squeeze=False)
-    for pair, (plant, seen) in zip(axes[0].reshape(-1, 2), plants, strict=True):
-        for plot, sides in zip(pair, (FRONT, SIDE), strict=True):
-            _points(plot, plant.cloud, sides, np.where(plant.is_stem, STEM_LABEL, LEAF_LABEL), size=3)
-            _organs(plot, seen, sides)
-            _finish(plot, plant.cloud, sides, plant.name)
-    labels = (("labelled stem", STEM_LABEL), ("labelled leaf", LEAF_LABEL))
-    dots = [Line2D([], [], marker="o", ls="", color=colour, label=name) for name, colour in labels]
-    figure.legend(handles=[*dots, *_legend(plants[0][1].stem)], loc="lower center", ncols=4, frameon=False)
-    figure.tight_layout(rect=(0, 0.1, 1, 1))
-    return figure
-
-
 def draw_references(plants: list[tuple[Reference, Seen]]) -> Figure:
     """Return Anther's skeletons beside the published graphs, front and side."""
     figure, axes = plt.subplots(2, len(plants), figsize=(5 * len(plants), 11), squeeze=False)
@@ -128,13 +94,6 @@ def save(figure: Figure, path: Path) -> None:
 def _broad_side(points: Array) -> Sides:
     """Return the side view in which the plant is broader."""
     return FRONT if np.ptp(points[:, 0]) >= np.ptp(points[:, 1]) else SIDE
-
-
-def _around(seen: Seen, sides: Sides, half: float) -> Cloud:
-    """Return the points not farther than `half` [m] in front of or behind the grasp, so that others do not hide it."""
-    depth = ({0, 1} - set(sides)).pop()
-    near = np.abs(seen.cloud.points[:, depth] - seen.grasp.point[depth]) <= half
-    return Cloud(seen.cloud.points[near], colors=None if seen.cloud.colors is None else seen.cloud.colors[near])
 
 
 def _points(plot: Axes, cloud: Cloud, sides: Sides, colours: NDArray[Any] | None, size: float = 1.2) -> None:

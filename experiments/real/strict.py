@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import MARKDOWN
 from rich.table import Table
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -138,11 +139,10 @@ def on_stem(plant: Labelled, grasp: Grasp) -> bool:
 
 def table(rows: Sequence[Judged]) -> Table:
     """Return what became of the plants by way of disturbance."""
-    found = Table(
-        "seen", "cases", "grasp on stem", "main stem in a leaf", "root at the base", "wrong, doubted", "right, doubted"
-    )
-    for kind in KINDS:
-        mine = [row for row in rows if row.kind == kind]
+    heads = ("clouds", "grasp on the stem", "main stem in a leaf", "root at the base")
+    found = Table("seen", *heads, "wrong grasps that are doubted", "right grasps that are doubted", box=MARKDOWN)
+    for kind in (*KINDS, "all"):
+        mine = [row for row in rows if kind in (row.kind, "all")]
         wrong, right = ([row for row in mine if row.on_stem == good] for good in (False, True))
         counts = ([row.on_stem for row in mine], [row.into_leaf for row in mine], [row.root_ok for row in mine])
         doubted = [f"{sum(row.confidence < DOUBTFUL for row in part)} of {len(part)}" for part in (wrong, right)]

@@ -22,15 +22,15 @@ broaden upward; a leaf does after the neck at its base. Below the last limb it m
 _THINNEST = 0.35  # nor is one thinner than this share of the median radius so far
 _DOUBT = 2.0  # how much a length that is not stem-like counts against one that is
 _LEAFLET = 0.2
-"""A side line shorter than this, relative to the longest limb, is a leaflet (labelled plants, see
-docs/reports/real_plants.md: from 0.2 to 0.45 ever fewer stems end in a leaf, but simulated ones shorten)."""
+"""A side line shorter than this, relative to the longest limb, is a leaflet (tried on the labelled plants of
+experiments/real_plants.py: from 0.2 to 0.45 ever fewer stems end in a leaf, but simulated ones shorten)."""
 _TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
 _LONGER = 1.5  # internodes shorten upward; the youngest leaf of a grass, rolled, looks like a long one
 _FORKED = 2  # so many limbs show that a stem goes on; one line beside the path can be the blade's own
 _TURN = 45.0  # degrees: a step that turns from the growth axis by more is not stem-like
 _FORK_SHARE = 0.6
 """A branch forks the stem when it is this share as thick as the stem beyond it and rises this share as high
-(docs/reports/skeletons.md: branches 0.65, 0.85 or more; petioles that thick rise 0.48 or less),"""
+(docs/reports/skeletons.md: branches rise 0.85 times as high or more, petioles 0.48 times at most),"""
 _FORK_LEAN = 50.0
 """and leans from the vertical by less than so many degrees."""
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
