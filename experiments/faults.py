@@ -358,7 +358,7 @@ def options(description: str | None, quick: str) -> argparse.ArgumentParser:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
     parser.add_argument("--out", type=Path, default=Path("runs/faults"))
-    parser.add_argument("--base", type=Path, help="the stored run; by default OUT/base, made when missing")
+    parser.add_argument("--base", type=Path, help="the stored run, made when missing; by default that of faults.py")
     parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     return parser
 

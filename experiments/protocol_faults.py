@@ -4,7 +4,8 @@
 
 A Sawyer behind a ROS 1 master, a Robotiq over Modbus TCP and two cameras of the RealSense SDK stand for the machines
 (`protocol_machines.py`). Anther runs in a process of its own, as on a workstation: from a cell file it connects, takes
-a few views, and executes the stored plan of `faults.py` (OUT/base, made when missing), where the shake comes in pieces.
+a few views, and executes the stored plan of `faults.py` (faults/base beside OUT, made when missing), where the shake
+comes in pieces.
 On the way a fault strikes, each kind in every phase, at a moment drawn by its number. Then everything is put right, a
 robot that was stopped is enabled, and another process goes on with the run.
 
@@ -311,7 +312,7 @@ def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics."""
     parser = options(__doc__, "one fault of every kind, the phases in turn, instead of 1000")
     args = parser.parse_args()
-    base = (args.base or args.out / "base").resolve()
+    base = (args.base or args.out.parent / "faults" / "base").resolve()
     prepare(base)
     kinds = len(EXPECTED)
     quick = [kind + kinds * (kind % len(PHASES)) for kind in range(kinds)]
