@@ -38,14 +38,14 @@ from anther.swing import whole_shake
 WORDS = {
     "degrees_of_freedom": "degrees of freedom",
     "shapes": "shapes",
-    "build_s": "building the cell [s of processor]",
+    "build_s": "building the cell (s of processor)",
     **{
-        f"{phase}_x_real_time": f"{phase} [s of the world for one of processor]"
+        f"{phase}_x_real_time": f"{phase} (s of the world for one of processor)"
         for phase in ("reach", "approach", "close", "shake", "release", "retreat")
     },
-    "x_real_time": "all phases [s of the world for one of processor]",
+    "x_real_time": "all phases (s of the world for one of processor)",
     "mj_step_share": "share of it in MuJoCo's own steps",
-    "judge_s": "judging [s of processor]",
+    "judge_s": "judging (s of processor)",
 }
 NOTHING = np.zeros((0, 3))
 BACK, HERTZ, AMPLITUDE = 0.12, 8.0, 1e-3

@@ -57,11 +57,11 @@ WORDS = {
     "reported": "visits that a writer was told are recorded",
     "lost": "of these lost",
     "doubled": "of these doubled",
-    "write_median_ms": "recording a visit, all writers at once, median [ms]",
-    "query_median_ms": "a planner's question, connecting included, median [ms]",
-    "query_ms_1e6": "95 % of the questions, within [ms]",
-    "query_cpu_ms": "the same, processor time of who asks [ms]",
-    "megabytes": "the database [MB]",
+    "write_median_ms": "recording a visit, all writers at once, median (ms)",
+    "query_median_ms": "a planner's question, connecting included, median (ms)",
+    "query_ms_1e6": "95 % of the questions, within (ms)",
+    "query_cpu_ms": "the same, processor time of who asks (ms)",
+    "megabytes": "the database (MB)",
 }
 COLUMNS = {
     "plants": "id, species, label",

@@ -68,10 +68,10 @@ DISK = {
 }
 WHERE = {"apart": "a process of its own", "beside": "in the log's process"}
 SHOWN = {
-    "p50_ms": "jitter, median [ms]",
-    "p99_ms": "99 % within [ms]",
-    "most_ms": "most [ms]",
-    "off_5_ms_per_1000": "more than 5 ms off [of 1000]",
+    "p50_ms": "jitter, median (ms)",
+    "p99_ms": "99 % within (ms)",
+    "most_ms": "most (ms)",
+    "off_5_ms_per_1000": "more than 5 ms off (of 1000)",
     "mean_ratio": "mean jitter over that without a log",
     "messages": "messages written",
     "dropped": "messages dropped",

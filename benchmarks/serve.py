@@ -41,14 +41,14 @@ BROWSERS = 4
 WORDS = {
     "visits": "visits of the history",
     "pages": "pages that four browsers ask for at once",
-    "page_median_s": "a page, median [s]",
-    "page_p95_s_1e6": "95 % of the pages, within [s]",
-    "slowest_s": "95 % of the slowest kind, within [s]",
+    "page_median_s": "a page, median (s)",
+    "page_p95_s_1e6": "95 % of the pages, within (s)",
+    "slowest_s": "95 % of the slowest kind, within (s)",
     "slowest": "the slowest kind",
-    "alone_p95_s": "one browser alone: 95 % of the pages, within [s]",
-    "alone_cpu_p95_s": "the same, processor time of the server [s]",
-    "write_p95_s": "a robot records a visit meanwhile: 95 %, within [s]",
-    "write_alone_p95_s": "the same without browsers [s]",
+    "alone_p95_s": "one browser alone: 95 % of the pages, within (s)",
+    "alone_cpu_p95_s": "the same, processor time of the server (s)",
+    "write_p95_s": "a robot records a visit meanwhile: 95 %, within (s)",
+    "write_alone_p95_s": "the same without browsers (s)",
 }
 
 

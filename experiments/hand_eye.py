@@ -154,7 +154,7 @@ def tables(metrics: dict[str, float]) -> tuple[Table, Table]:
     """Return the errors of each method, and what became of the views."""
     shown = {"refined": "refined", "tsai": "Tsai-Lenz", "park": "Park", "daniilidis": "Daniilidis"}
     shown |= {"pixels_only": "arm taken for exact"}
-    errors = Table("case", *(f"{words} [°, mm]" for words in shown.values()), box=MARKDOWN)
+    errors = Table("case", *(f"{words} (°, mm)" for words in shown.values()), box=MARKDOWN)
     views = Table("case", "wrong views found", "good views kept", "error over what is stated, RMS", box=MARKDOWN)
     for name, case in CASES.items():
         found = [[metrics.get(f"{name}_{method}_{what}") for what in OF_ERRORS] for method in shown]

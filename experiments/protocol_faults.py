@@ -280,7 +280,7 @@ def crashed(why: str) -> dict[str, Any]:
 
 def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Print a table and return the metrics."""
-    heads = ("struck", "safe ends", "records lost", "gone on with", "arm stands after: median, most [ms]")
+    heads = ("struck", "safe ends", "records lost", "gone on with", "arm stands after: median, most (ms)")
     table = Table("fault", *heads, box=MARKDOWN)
     metrics: dict[str, float] = {}
     for kind in ["", *EXPECTED]:

@@ -61,14 +61,14 @@ WORDS = {
     "success_20": "held, unharmed and ended by themselves",
     "held": "held",
     "moved": "flowers moved enough",
-    "robot_s": "robot time of a trial, median [s]",
+    "robot_s": "robot time of a trial, median (s)",
     "commands": "commands whose arrival was timed",
-    "jitter_alone_p999_ms": "99.9 % of them off their period by less than [ms]",
-    "jitter_p999_ms": "the same beside as many busy processes as cores [ms]",
-    "jitter_largest_ms": "the most, of both [ms]",
+    "jitter_alone_p999_ms": "99.9 % of them off their period by less than (ms)",
+    "jitter_p999_ms": "the same beside as many busy processes as cores (ms)",
+    "jitter_largest_ms": "the most, of both (ms)",
     "kills": "times the driver was killed in full motion",
-    "stop_median_ms": "arm stands after, median [ms]",
-    "stop_ms": "arm stands after, at most [ms]",
+    "stop_median_ms": "arm stands after, median (ms)",
+    "stop_ms": "arm stands after, at most (ms)",
 }
 
 
