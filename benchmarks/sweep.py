@@ -56,7 +56,7 @@ WORDS = {
     "begun_more_than_once": "tasks begun more than once",
     "lost_after_kills": "tasks lost",
     "doubles": "tasks done twice",
-    "wrong": "results that another computation does not give, of every tenth",
+    "wrong": "of ten of their results, not what another computation gives",
     "poison": "tasks given up",
 }
 
@@ -260,7 +260,8 @@ def main() -> None:
             metrics |= kills(folder / "kills", 60 if args.quick else args.killed, args.every)
     table = Table("what", "measured", box=MARKDOWN)
     for key in (key for key in WORDS if key in metrics):
-        table.add_row(WORDS[key], f"{metrics[key]:.3g}")
+        value = metrics[key]
+        table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")
     Console().print(table)
     if args.json:
         write_json(args.json, metrics)

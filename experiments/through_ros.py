@@ -65,7 +65,7 @@ WORDS = {
     "commands": "commands whose arrival was timed",
     "jitter_alone_p999_ms": "99.9 % of them off their period by less than (ms)",
     "jitter_p999_ms": "the same beside as many busy processes as cores (ms)",
-    "jitter_largest_ms": "the most, of both (ms)",
+    "jitter_largest_ms": "the farthest off, of both (ms)",
     "kills": "times the driver was killed in full motion",
     "stop_median_ms": "arm stands after, median (ms)",
     "stop_ms": "arm stands after, at most (ms)",
@@ -192,7 +192,8 @@ def main() -> None:
         metrics |= measure(3, 5.0) if args.quick else measure(args.kills, args.seconds)
     table = Table("what", "measured", box=MARKDOWN)
     for key in (key for key in WORDS if key in metrics):
-        table.add_row(WORDS[key], f"{metrics[key]:.3g}" if isinstance(metrics[key], float) else str(metrics[key]))
+        value = metrics[key]
+        table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")
     Console().print(table)
     if args.json:
         write_json(args.json, metrics)
