@@ -171,6 +171,11 @@ def summed(rounds: list[tuple[Array, dict[str, float]]]) -> dict[str, float]:
     return row | {"off_5_ms_per_1000": 1e3 * float(np.mean(off > 5)), "commands": len(off)} | kept
 
 
+def shown(value: float) -> str:
+    """Return a time or share with three digits, a count as it is."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
 def main() -> None:
     """Measure, print a table, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -197,7 +202,7 @@ def main() -> None:
         without = rows[where, "none"].get("mean_ms", np.nan)
         row |= {"mean_ratio": row.get("mean_ms", np.nan) / without}
         metrics |= {f"{where}_{disk}_{name}": value for name, value in row.items()}
-        table.add_row(WHERE[where], DISK[disk], *(f"{row[name]:.3g}" if name in row else "" for name in SHOWN))
+        table.add_row(WHERE[where], DISK[disk], *(shown(row[name]) if name in row else "" for name in SHOWN))
     Console().print(table)
     if gave_up := metrics["drivers_that_gave_up"]:
         print(f"The driver gave up in {gave_up:.0f} of {sum(map(len, found.values()))} swings, which are left out.")
