@@ -1,6 +1,6 @@
 """Seconds of processor the simulated cell takes for a second of the world, phase by phase, on one core.
 
-    python benchmarks/cell.py --json docs/results/cell.json [--quick]
+    python benchmarks/cell.py [--quick]
 
 The arm takes the stem of a grown plant a third of its height above the soil (by the plant's truth: nothing is seen or
 planned around), shakes it, lets go and draws back. Above 1 the world runs faster than the clock on the wall.
@@ -17,6 +17,7 @@ from typing import get_args
 
 import mujoco
 import numpy as np
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -34,6 +35,18 @@ from anther.sim.judge import judge
 from anther.sim.robot import SimArm, SimGripper
 from anther.swing import whole_shake
 
+WORDS = {
+    "degrees_of_freedom": "degrees of freedom",
+    "shapes": "shapes",
+    "build_s": "building the cell (s of processor)",
+    **{
+        f"{phase}_x_real_time": f"{phase} (s of the world for one of processor)"
+        for phase in ("reach", "approach", "close", "shake", "release", "retreat")
+    },
+    "x_real_time": "all phases (s of the world for one of processor)",
+    "mj_step_share": "share of it in MuJoCo's own steps",
+    "judge_s": "judging (s of processor)",
+}
 NOTHING = np.zeros((0, 3))
 BACK, HERTZ, AMPLITUDE = 0.12, 8.0, 1e-3
 
@@ -118,9 +131,9 @@ def main() -> None:
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
     todo = [(species, seed) for species in get_args(Crop) for seed in seeds]
     rows = {f"{s}_{n}": measure(s, n) for s, n in track(todo, "cells")}
-    table = Table("", *rows)
-    for what in next(iter(rows.values())):
-        table.add_row(what, *(f"{row[what]:.3g}" for row in rows.values()))
+    table = Table("what", *(plant.replace("_", " ") for plant in rows), box=MARKDOWN)
+    for what, words in WORDS.items():
+        table.add_row(words, *(f"{row[what]:.3g}" for row in rows.values()))
     Console().print(table)
     metrics = {f"{plant}_{what}": value for plant, row in rows.items() for what, value in row.items()}
     metrics["x_real_time_slowest"] = min(row["x_real_time"] for row in rows.values())

@@ -1,6 +1,6 @@
 """A fleet's history: many robots write at once while writers and server are killed, and how fast a planner is answered.
 
-    python benchmarks/fleet.py --json docs/results/fleet.json
+    python benchmarks/fleet.py [--quick]
 
 On a PostgreSQL server of its own where Debian's programs are installed (apt install postgresql), else on SQLite, where
 there is no server to kill. First a million visits to 25,000 plants are written as rows. Then 20 processes record
@@ -31,6 +31,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
 from sqlalchemy import create_engine, text
 
 from anther.errors import AntherError
@@ -46,6 +49,20 @@ NOW = datetime.now(UTC).replace(microsecond=0)
 WRITERS, FLOWERS, SEASON = 20, 3, 200
 """Robots; flowers of a visit; days over which the visits are spread."""
 FAILURES = ("slipped", "unreachable", "no_stem_found", "branch_or_leaf_grasped")
+WORDS = {
+    "visits": "visits that are there at the begin",
+    "writers": "processes that record visits at once",
+    "killed": "writers killed meanwhile",
+    "crashes": "crashes of the server meanwhile",
+    "reported": "visits that a writer was told are recorded",
+    "lost": "of these lost",
+    "doubled": "of these doubled",
+    "write_median_ms": "recording a visit, all writers at once, median (ms)",
+    "query_median_ms": "a planner's question, connecting included, median (ms)",
+    "query_ms_1e6": "95 % of the questions, within (ms)",
+    "query_cpu_ms": "the same, processor time of who asks (ms)",
+    "megabytes": "the database (MB)",
+}
 COLUMNS = {
     "plants": "id, species, label",
     "visits": "id, plant_id, robot, time, held_unharmed, failure, run, taught, acceleration_ms2, material_before, "
@@ -230,17 +247,15 @@ def main() -> None:
     args = parser.parse_args()
     visits, seconds, crashes = (10_000, 5.0, 2) if args.quick else (args.visits, args.seconds, args.crashes)
     plants = max(visits // 40, 100)
-    server = "--sqlite was given" if args.sqlite else start()
+    server = "--sqlite was given." if args.sqlite else start()
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(server, Server):
             where = server.new()
         else:
-            print(f"on SQLite: {server}")
+            print(f"On SQLite: {server}")
             where = str(Path(folder) / "history.sqlite")
         try:
-            begin = time.monotonic()
             fill(where, visits, plants)
-            print(f"{visits} visits written as rows in {time.monotonic() - begin:.0f} s")
             table = {"writers": WRITERS, "visits": visits}
             table |= write_under_fire(where, server if isinstance(server, Server) else None, seconds, crashes)
             waited = time_queries(where, plants, 20 if args.quick else 200)
@@ -253,8 +268,10 @@ def main() -> None:
         finally:
             if isinstance(server, Server):
                 server.remove()
-    for key, value in table.items():
-        print(f"{key:16} {value:.6g}")
+    shown = Table("what", "measured", box=MARKDOWN)
+    for key, words in WORDS.items():
+        shown.add_row(words, f"{table[key]:,.0f}" if table[key] >= 100 else f"{table[key]:.3g}")
+    Console().print(shown)
     if args.json:
         write_json(args.json, table)
 

@@ -1,6 +1,6 @@
 """Does the log of a trial disturb the arm's commands? How evenly they come, with and without it.
 
-    python tools/record.py benchmarks/log.py [--quick]
+    python benchmarks/log.py [--quick]
 
 A fake Sawyer behind a ROS 1 master notes when each command arrives: 100 a second, of a joint swing at 1.9 Hz. The
 driver runs as in a trial (`apart`: in a process of its own) or in the process that writes the log (`beside`). That one
@@ -31,6 +31,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -58,6 +59,23 @@ FRAMES = 30.0  # a second
 ROOM = 100_000  # bytes
 SAMPLE = Path(anther.__file__).parent / "samples" / "capture"
 DISKS = ("none", "file", "slow", "full", "hangs")
+DISK = {
+    "none": "no log",
+    "file": "a file",
+    "slow": "0.2 s a write",
+    "full": "full after 100 kB",
+    "hangs": "hangs after 100 kB",
+}
+WHERE = {"apart": "a process of its own", "beside": "in the log's process"}
+SHOWN = {
+    "p50_ms": "jitter, median (ms)",
+    "p99_ms": "99 % within (ms)",
+    "most_ms": "most (ms)",
+    "off_5_ms_per_1000": "more than 5 ms off (of 1000)",
+    "mean_ratio": "mean jitter over that without a log",
+    "messages": "messages written",
+    "dropped": "messages dropped",
+}
 
 
 class Disk(FileIO):
@@ -153,6 +171,11 @@ def summed(rounds: list[tuple[Array, dict[str, float]]]) -> dict[str, float]:
     return row | {"off_5_ms_per_1000": 1e3 * float(np.mean(off > 5)), "commands": len(off)} | kept
 
 
+def shown(value: float) -> str:
+    """Return a time or share with three digits, a count as it is."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
 def main() -> None:
     """Measure, print a table, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -173,15 +196,16 @@ def main() -> None:
     for number in track([n for _ in range(rounds) for n in rng.permutation(len(todo))], "swings"):
         found[todo[number]].append(measure(*todo[number], seconds))
     metrics: dict[str, float] = {"drivers_that_gave_up": sum(rows.count(None) for rows in found.values())}
-    shown = ("p50_ms", "p99_ms", "p999_ms", "most_ms", "off_5_ms_per_1000", "mean_ratio", "messages", "dropped")
-    table = Table("driver", "disk", *shown)
+    table = Table("driver", "log's disk", *SHOWN.values(), box=MARKDOWN)
     rows = {case: summed([one for one in tried if one is not None]) for case, tried in found.items()}
     for (where, disk), row in rows.items():
         without = rows[where, "none"].get("mean_ms", np.nan)
         row |= {"mean_ratio": row.get("mean_ms", np.nan) / without}
         metrics |= {f"{where}_{disk}_{name}": value for name, value in row.items()}
-        table.add_row(where, disk, *(f"{row[name]:.3g}" if name in row else "" for name in shown))
+        table.add_row(WHERE[where], DISK[disk], *(shown(row[name]) if name in row else "" for name in SHOWN))
     Console().print(table)
+    if gave_up := metrics["drivers_that_gave_up"]:
+        print(f"The driver gave up in {gave_up:.0f} of {sum(map(len, found.values()))} swings, which are left out.")
     if args.json:
         write_json(args.json, metrics)
 

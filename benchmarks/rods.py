@@ -1,6 +1,6 @@
 """Speed of the rod engine beside its floor and its peers: one table, measured in one run.
 
-    python benchmarks/rods.py --json docs/results/rods.json --dismech CHECKOUT --pyelastica PYTHON_THAT_HAS_IT
+    python benchmarks/rods.py --dismech CHECKOUT --pyelastica PYTHON_THAT_HAS_IT
 
 The reference case is the peers' 86-node 3-D network (51-node stem, five branches of 7 edges, E 200 MPa, r 3 mm,
 undamped, at rest and unstressed, gravity on at t = 0), node 20 shaken 2 mm at 30 Hz along x, dt 1 ms, force tolerance
@@ -42,7 +42,7 @@ from networks import bush, reference_network, tall_plant, tips
 from peers import ONE_THREAD, Case, run_dismech, run_pyelastica
 from rich.progress import track
 from roofline import Roofline, measure_roofline
-from speed_table import Row, print_table, write_page
+from speed_table import Row, print_table
 
 from anther.elastic_rod import (
     Clamp,
@@ -123,7 +123,7 @@ def reference_rows(case: Case, operations: float, ceilings: Roofline, repeats: i
         each = tuple(1e6 * run.seconds / run.iterations for run in runs)
         seconds = tuple(run.seconds / case.seconds for run in runs)
         more, named = {f"newton_per_step_86{key}": per_step}, f"{words}: simulated second ({per_step:.1f} a step)"
-        rows.append(Row(f"us_per_newton_86{key}", f"{words}: Newton iteration", "us", each, 1e6 * floor, limits[0]))
+        rows.append(Row(f"us_per_newton_86{key}", f"{words}: Newton iteration", "µs", each, 1e6 * floor, limits[0]))
         rows.append(Row(f"s_per_sim_s_86{key}", named, "s", seconds, floor * per_step / case.dt, limits[1], more))
     return rows
 
@@ -247,32 +247,6 @@ def many_rows(quick: bool, repeats: int) -> list[Row]:
     return [Row("many_ms_per_scenario", words, "ms wall", tuple(1e3 * t / count for t in all_cores), more=more)]
 
 
-PAGE = """
-`python benchmarks/rods.py --page docs/reports/rod_speed.md` writes this page; with `--dismech CHECKOUT` and
-`--pyelastica PYTHON` it runs the peers on the same cases in the same run.
-
-**Cases.** 86 nodes: a 51-node stem and five branches of 7 edges in 3-D (10 mm an edge, r 3 mm, E 200 MPa, undamped), at
-rest and unstressed, gravity on at t = 0, node 20 shaken 2 mm at 30 Hz from t = 0, dt 1 ms, force tolerance 1e-9 N. *As
-PyDiSMech runs it*: implicit Euler, P19 to the letter and lumped masses (`discretisation="paper"`), as in the
-reference trajectories that the tests compare with. The others have the consistent discretisation. *Midpoint, undamped*
-resolves no stretching waves at 1 ms: steps that would create energy are taken again, which costs some iterations; a
-viscous time of 0.1 ms is a damping ratio of 1 % at 30 Hz. The limits are the same for all. Times are processor times of
-one core, all set-up of `simulate` included, compilation not; response map, many scenarios and second start are wall
-times. Larger networks are copies of it that grow out of each other's stems, without gravity and with a viscous time of
-0.1 ms. The plant of the response map is 1.3 m tall, E 5 GPa; its flowers are the branch tips.
-
-**Floor.** The operations of an iteration over what one core can do with SIMD instructions, or its bytes over the
-bandwidth of the cache that holds them, whichever is more; both ceilings are measured in the same run. How they are
-counted stands beside `BYTES` and in `map_flops` in benchmarks/rods.py, and `python benchmarks/count_operations.py`
-counts. A second start cannot beat a process that runs one trivial cached numba kernel.
-
-**Peers.** Each in a process of its own, in turn with ours, processor time without start-up and compilation. PyDiSMech:
-implicit Euler, the paper's discretisation and the same stopping rule on both sides. Without twist is its `two_d_sim`.
-With twist it does not converge on the branched network, not even at rest under gravity, so that it gets the bare stem
-(51 nodes) as well. PyElastica: position Verlet with the largest stable of a few time steps against our midpoint rule
-at 1 ms, on the bare stem: its joints between rods are springs and dashpots that a user invents, so a branched case
-would not be the same case.
-"""
 START = """
 import time; begin = time.time()
 import numpy as np; from networks import reference_network; from anther.elastic_rod import Clamp, Drive, simulate
@@ -384,12 +358,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="smaller cases, fewer repeats")
     parser.add_argument("--dismech", type=Path, help="a checkout of dismech-python, to be run as well")
     parser.add_argument("--pyelastica", type=Path, help="a Python that has PyElastica, to be run as well")
-    parser.add_argument("--page", type=Path, help="write the table as a docs page")
     args = parser.parse_args()
     rows, ceilings = measure(args)
     print_table(rows, ceilings)
-    if args.page:
-        write_page(args.page, "Speed of the rod engine", PAGE, rows, ceilings)
     if args.json:
         metrics = {key: value for row in rows for key, value in row.metrics.items()}
         metrics |= {f"core_{name}": value for name, value in ceilings._asdict().items()}

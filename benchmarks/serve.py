@@ -1,6 +1,6 @@
 """How long a page of `anther serve` takes when the history has a million visits, and whether a robot waits for it.
 
-    python benchmarks/serve.py --json docs/results/serve.json
+    python benchmarks/serve.py [--quick]
 
 The history is that of benchmarks/fleet.py, on SQLite, or on PostgreSQL with --postgresql. The server is a process of
 its own, as `anther serve` starts it; four browsers ask for pages one after another, each page once with different days,
@@ -27,6 +27,9 @@ from pathlib import Path
 
 import numpy as np
 from fleet import NOW, SEASON, fill, record
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
 
 from anther.files import write_json
 from anther.history import record_trial
@@ -35,6 +38,18 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from postgresql_server import Server, start
 
 BROWSERS = 4
+WORDS = {
+    "visits": "visits of the history",
+    "pages": "pages that four browsers ask for at once",
+    "page_median_s": "a page, median (s)",
+    "page_p95_s_1e6": "95 % of the pages, within (s)",
+    "slowest_s": "95 % of the slowest kind, within (s)",
+    "slowest": "the slowest kind",
+    "alone_p95_s": "one browser alone: 95 % of the pages, within (s)",
+    "alone_cpu_p95_s": "the same, processor time of the server (s)",
+    "write_p95_s": "a robot records a visit meanwhile: 95 %, within (s)",
+    "write_alone_p95_s": "the same without browsers (s)",
+}
 
 
 def addresses(visits: int, plants: int, count: int) -> list[tuple[str, str]]:
@@ -116,8 +131,6 @@ def measure(where: str, visits: int, plants: int, count: int) -> dict[str, float
         finally:
             process.terminate()
     by_kind = {kind: float(np.percentile([s for k, s in waited if k == kind], 95)) for kind in {k for k, _ in waited}}
-    for kind, seconds in sorted(by_kind.items(), key=lambda item: item[1]):
-        print(f"  {kind:10} {seconds:.3f} s")
     slowest = max(by_kind, key=lambda kind: by_kind[kind])
     return {
         "visits": visits,
@@ -154,8 +167,11 @@ def main() -> None:
         finally:
             if isinstance(server, Server):
                 server.remove()
-    for key, value in table.items():
-        print(f"{key:20} {value if isinstance(value, str) else format(value, '.4g')}")
+    shown = Table("what", "measured", box=MARKDOWN)
+    for key, words in WORDS.items():
+        value = table[key]
+        shown.add_row(words, value if isinstance(value, str) else f"{value:,}" if value >= 100 else f"{value:.2g}")
+    Console().print(shown)
     if args.json:
         write_json(args.json, table)
 

@@ -1,19 +1,17 @@
-"""The table of a benchmark: best, median, worst, limit, floor; on the console and as a docs page."""
+"""The table of a benchmark: best, median, worst, limit, floor."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 from roofline import Roofline
 
-from anther.files import write_text
-
-COLUMNS = ("case", "unit", "best", "median", "worst", "limit", "floor", "x floor")
+COLUMNS = ("case", "unit", "best", "median", "worst", "limit", "floor", "best over floor")
 
 
 @dataclass(frozen=True)
@@ -73,16 +71,9 @@ def missed(rows: list[Row]) -> str:
 
 def print_table(rows: list[Row], ceilings: Roofline) -> None:
     """Print the table."""
-    table = Table(*COLUMNS)
+    table = Table(*COLUMNS, box=MARKDOWN)
     for row in rows:
         table.add_row(*row.cells)
-    console = Console(width=150)
+    console = Console()
     console.print(table)
     console.print(missed(rows), describe(ceilings), sep="\n", highlight=False)
-
-
-def write_page(path: Path, title: str, text: str, rows: list[Row], ceilings: Roofline) -> None:
-    """Write the table as a docs page, the text below it."""
-    lines = [COLUMNS, ("---",) * len(COLUMNS), *(row.cells for row in rows)]
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    write_text(path, f"# {title}\n\n{table}\n\n{missed(rows)}\n\n{describe(ceilings)}\n\n{text.strip()}\n")

@@ -1,6 +1,6 @@
 """What a sweep costs a task, what two workers gain over one, and what is lost when everything is killed.
 
-    python benchmarks/sweep.py --json docs/results/sweep.json [--quick]
+    python benchmarks/sweep.py [--quick]
 
 overhead   tasks that do nothing, on two workers: wall time of one
 speedup    the same trials (`anther trial --preset fast --no-watch`; with --quick shaken rods) on one worker and on two
@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 import psutil
 from distributed import Client, LocalCluster
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
@@ -42,6 +43,22 @@ from anther.files import write_json
 from anther.sweep._running import ONE_THREAD
 
 Rows = list[dict[str, Any]]
+WORDS = {
+    "load": "load of the machine by others, at the start",
+    "overhead_tasks": "tasks that do nothing",
+    "overhead_ms_task": "each, by the clock (ms)",
+    "overhead_cpu_ms_task": "each, processor time of client, scheduler and workers together (ms)",
+    "wall_1_worker_s": "the same tasks on one worker (s)",
+    "wall_2_workers_s": "and on two (s)",
+    "speedup_2": "one worker's time over two workers'",
+    "tasks": "tasks of a sweep whose processes are killed",
+    "kills": "processes killed",
+    "begun_more_than_once": "tasks begun more than once",
+    "lost_after_kills": "tasks lost",
+    "doubles": "tasks done twice",
+    "wrong": "of ten of their results, not what another computation gives",
+    "poison": "tasks given up",
+}
 
 
 def nothing(row: dict[str, Any], folder: Path) -> None:
@@ -241,9 +258,10 @@ def main() -> None:
             metrics |= speedup(folder / "speedup", quick=args.quick)
         if "kills" in parts:
             metrics |= kills(folder / "kills", 60 if args.quick else args.killed, args.every)
-    table = Table("", "")
-    for what, value in metrics.items():
-        table.add_row(what, f"{value:.4g}")
+    table = Table("what", "measured", box=MARKDOWN)
+    for key in (key for key in WORDS if key in metrics):
+        value = metrics[key]
+        table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")
     Console().print(table)
     if args.json:
         write_json(args.json, metrics)

@@ -1,6 +1,6 @@
 """Random faults of arm, gripper and camera, Ctrl-C and kill -9: does each end safely, on record, and can it go on?
 
-    python tools/record.py experiments/faults.py --seed 1 --jobs 2
+    python experiments/faults.py --seed 1 --jobs 2
 
 The plan is made once (tomato 10, from views to shake plan, in OUT/base) and read back for every fault. A fault then
 hits the early reach or the execution in a MuJoCo cell, where the shake is one of three pieces that are streamed to the
@@ -9,8 +9,8 @@ fifty kills the process with SIGKILL. Nine in ten cells hold the plant's main st
 time, the others the whole plant.
 
 Faults go through a sweep in OUT/faults, each in a process of its own: what is done is not done again.
-docs/reports/faults.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard never
-sees.
+docs/reports/robustness.md says what a safe end is; `unsafe` below checks it on the cell's own log, which the guard
+never sees.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ import numpy as np
 from fault_machines import ClockCamera, Kept, Pieces, left_behind
 from faulty_machines import Fault, FaultyCamera, Kind, with_faults
 from replay_camera import ReplayCamera
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 from swept import swept
@@ -324,7 +325,7 @@ def alone(case: Case, base: Path, folder: Path) -> None:
 
 def summary(outcomes: list[Outcome]) -> dict[str, float]:
     """Print a table and return the metrics."""
-    table = Table("fault", "struck", "safe ends", "records lost", "gone on")
+    table = Table("fault", "struck", "safe ends", "records lost", "gone on with", box=MARKDOWN)
     metrics: dict[str, float] = {}
     names = [o.case.fault.kind + (" (views)" if o.case.views else "") for o in outcomes]
     for name in ["", *sorted(set(names))]:
@@ -357,7 +358,7 @@ def options(description: str | None, quick: str) -> argparse.ArgumentParser:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
     parser.add_argument("--out", type=Path, default=Path("runs/faults"))
-    parser.add_argument("--base", type=Path, help="the stored run; by default OUT/base, made when missing")
+    parser.add_argument("--base", type=Path, help="the stored run, made when missing; by default that of faults.py")
     parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     return parser
 
@@ -383,7 +384,6 @@ def main() -> None:
     drawn = [draw(number, args.seed) for number in numbers]
     names = [field.name for field in fields(Outcome) if field.name != "case"]
     metrics = summary([Outcome(case, **{n: row[n] for n in names}) for case, row in zip(drawn, rows, strict=True)])
-    print(json.dumps(metrics, indent=2))
     if args.json:
         write_json(args.json, metrics)
 

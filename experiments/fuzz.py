@@ -1,7 +1,7 @@
 """Spoil inputs and options of every command, in seeded ways, and count what must never happen.
 
 python experiments/fuzz.py --quick                    300 inputs
-python tools/record.py experiments/fuzz.py            5,000; --count 100000 for a night
+python experiments/fuzz.py --count 100000             for a night; goes on where it stopped
 
 A traceback is any exception that reaches the top, or an exit code other than 0, 1 and 2; a hang takes more than
 20 s; over memory takes more than 4 GB; silently wrong is a change that had to be refused or to make no difference, and
@@ -35,6 +35,9 @@ from typing import Any
 import fuzz_inputs
 import numpy as np
 from fuzz_inputs import COMMAND_LINES, KNOWN, VALUES, Known
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
 
 from anther.cli import main as anther
 from anther.commands import simulated_cell
@@ -48,7 +51,13 @@ FRESH = 5000
 """Inputs after which a new process goes on, so that the memory which one takes is not another's."""
 TAIL = 2**20
 """The last outcome of a log lies in so many bytes of its end."""
-HOLDS = {"tracebacks", "hangs", "over_memory", "silent_wrong", "half_written"}
+HOLDS = {
+    "tracebacks": "a traceback",
+    "hangs": f"a hang: more than {PATIENCE} s",
+    "over_memory": f"more than {MEMORY / 1e9:.0f} GB",
+    "silent_wrong": "an odd value taken without a word, or NaN in a result",
+    "half_written": "a result half written",
+}
 
 
 class Hang(BaseException):
@@ -187,7 +196,7 @@ def supervised(base: Path, first: int, last: int, log: Path) -> None:
     """Let a process work, and start another behind the input at which it died or stood still."""
     while first < last:
         until = str(min(last, first + FRESH))
-        command = [sys.executable, __file__, "--work", str(base), str(first), until, "--log", str(log)]
+        command = [sys.executable, __file__, "--work", str(base), str(first), until, "--out", str(log.parent)]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         seen, since = first, time.monotonic()
         while process.poll() is None and time.monotonic() - since < LOST:
@@ -234,24 +243,34 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="300 inputs")
     parser.add_argument("--count", type=int, default=5000)
     parser.add_argument("--first", type=int, default=0, help="number of the first input: a seed")
-    parser.add_argument("--log", type=Path, default=Path("runs/fuzz.jsonl"), help="what is done is kept here")
+    parser.add_argument("--out", type=Path, default=Path("runs/fuzz"), help="what is done is kept here")
     parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
+    log = args.out.resolve() / "fuzz.jsonl"
     if args.work:
-        return work(Path(args.work[0]), int(args.work[1]), int(args.work[2]), args.log)
-    args.log.parent.mkdir(parents=True, exist_ok=True)
+        return work(Path(args.work[0]), int(args.work[1]), int(args.work[2]), log)
+    log.parent.mkdir(parents=True, exist_ok=True)
     last = args.first + (300 if args.quick else args.count)
     with tempfile.TemporaryDirectory() as base:
         fuzz_inputs.write_inputs(Path(base))
-        supervised(Path(base), first_undone(args.log, args.first), last, args.log.resolve())
-    rows = outcomes(args.log)
+        supervised(Path(base), first_undone(log, args.first), last, log)
+    rows = outcomes(log)
     for row in rows:
         if row["broke"]:
             print(f"{row['broke']}: input {row['number']}: anther {shlex.join(row['words'])}  [{row['what']}]")
             print("    " + row["said"].strip().replace("\n", "\n    ")[-700:])
-    print(json.dumps(metrics(rows)))
+    found = metrics(rows)
+    table = Table("what became of an input", "inputs", box=MARKDOWN)
+    table.add_row("all", f"{found['inputs']:,}")
+    table.add_row("refused with one line", f"{found['refused']:,}")
+    table.add_row("accepted: it made no difference, or a valid one", f"{found['done']:,}")
+    told = found["inputs"] - found["refused"] - found["done"] - sum(found[name] for name in HOLDS)
+    table.add_row("a failure that was told", f"{told:,}")
+    for name, words in HOLDS.items():
+        table.add_row(f"must not be: {words}", f"{found[name]:,}")
+    Console().print(table)
     if args.json:
-        write_json(args.json, metrics(rows))
+        write_json(args.json, found)
     return None
 
 

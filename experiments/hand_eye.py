@@ -3,7 +3,7 @@
 A 7 x 5 ChArUco board of 30 mm squares is seen from 20 places 0.35 to 0.5 m above it by a camera of 1280 x 720 px,
 f = 640 px; its corners are projected and given noise. "arm" is the standard deviation of the flange's error per axis.
 
-python experiments/hand_eye.py [--quick] [--seed N] [--json FILE] [--figure FILE]
+    python experiments/hand_eye.py [--quick] [--seed N] [--json FILE] [--figure FILE]
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -32,6 +33,7 @@ T_FLANGE_CAM = small_transform([0.1, -0.2, 1.5], [0.03, -0.06, 0.05])
 T_BASE_BOARD = small_transform([3.1, 0.02, 0.01], [0.7, 0.1, -0.2])
 VIEWS, WRONG = 20, 3
 WRONG_BY = 1.0, 10.0  # [deg], [mm], per axis
+OF_ERRORS = "deg", "deg_p95", "mm", "mm_p95"
 TARGET = 0.06, 0.6  # [deg], [mm], for 0.2 px and an exact arm
 
 
@@ -43,6 +45,13 @@ class Case(NamedTuple):
     arm_millimetres: float = 0.0
     wrong: int = 0
     estimated: bool = False
+
+    @property
+    def words(self) -> str:
+        """What is exact and what is not."""
+        arm = f"arm {self.arm_degrees}°, {self.arm_millimetres:g} mm" if self.arm_degrees else "arm exact"
+        wrong = f", {self.wrong} views off by {WRONG_BY[0]:g}°, {WRONG_BY[1]:g} mm" if self.wrong else ""
+        return f"corners {self.pixel} px, {arm}{wrong}{', intrinsics estimated' if self.estimated else ''}"
 
 
 CASES = {
@@ -123,9 +132,8 @@ def run(case: Case, rng: np.random.Generator) -> tuple[dict[str, tuple[float, fl
     return errors, judged
 
 
-def measure(seeds: int, seed: int, console: Console) -> tuple[Table, dict[str, float]]:
-    """Run all cases and return the table and the metrics."""
-    table = Table("case", "method", "deg, median", "95 %", "mm, median", "95 %", "outliers found", "good views kept")
+def measure(seeds: int, seed: int, console: Console) -> dict[str, float]:
+    """Run all cases and return the metrics."""
     metrics: dict[str, float] = {}
     for name, case in CASES.items():
         errors, judged = defaultdict(list), defaultdict(list)
@@ -136,15 +144,26 @@ def measure(seeds: int, seed: int, console: Console) -> tuple[Table, dict[str, f
             for key, value in views.items():
                 judged[key].append(value)
         metrics |= _case_metrics(name, errors, judged)
-        for method in errors:
-            key = f"{name}_{method.replace(' ', '_')}"
-            cells = [f"{metrics[f'{key}_{what}']:.3f}" for what in ("deg", "deg_p95", "mm", "mm_p95")]
-            rest = [f"{metrics[f'{name}_{what}']:.1%}" for what in ("outliers_found", "good_views_kept")]
-            table.add_row(name, method, *cells, *(rest if method == "refined" else ["", ""]))
     metrics["rows_failed"] = float(
         metrics["exact_arm_0.2px_refined_deg"] > TARGET[0] or metrics["exact_arm_0.2px_refined_mm"] > TARGET[1]
     )
-    return table, metrics
+    return metrics
+
+
+def tables(metrics: dict[str, float]) -> tuple[Table, Table]:
+    """Return the errors of each method, and what became of the views."""
+    shown = {"refined": "refined", "tsai": "Tsai-Lenz", "park": "Park", "daniilidis": "Daniilidis"}
+    shown |= {"pixels_only": "arm taken for exact"}
+    errors = Table("case", *(f"{words} (°, mm)" for words in shown.values()), box=MARKDOWN)
+    views = Table("case", "wrong views found", "good views kept", "error over what is stated, RMS", box=MARKDOWN)
+    for name, case in CASES.items():
+        found = [[metrics.get(f"{name}_{method}_{what}") for what in OF_ERRORS] for method in shown]
+        cells = ["" if None in row else "{:.3f} ({:.3f}), {:.2f} ({:.2f})".format(*row) for row in found]
+        errors.add_row(case.words, *cells)
+        shares = [f"{metrics[f'{name}_{what}']:.1%}" for what in ("outliers_found", "good_views_kept")]
+        shares[0] = shares[0] if case.wrong else ""
+        views.add_row(case.words, *shares, f"{metrics[f'{name}_error_over_stated_rms']:.2f}")
+    return errors, views
 
 
 def _case_metrics(name: str, errors: dict[str, list], judged: dict[str, list]) -> dict[str, float]:
@@ -170,14 +189,20 @@ def main() -> None:
     """Run, print the table, write --json."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="5 calibrations per case instead of 40")
+    parser.add_argument("--quick", action="store_true", help="5 calibrations a case")
+    parser.add_argument("--count", type=int, default=40, help="calibrations a case")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path, help="write the picture of one calibration here")
     args = parser.parse_args()
     if args.figure:
         draw(args.figure, args.seed)
-    table, metrics = measure(5 if args.quick else 40, args.seed, Console(stderr=True))
-    Console(width=130).print(table)
+    seeds = 5 if args.quick else args.count
+    metrics = measure(seeds, args.seed, Console(stderr=True))
+    errors, views = tables(metrics)
+    told = (
+        f"Error of T_flange_cam over {seeds} calibrations a case: median (95th percentile) in degrees and millimetres."
+    )
+    Console().print(told, errors, "Of the refinement:", views)
     if args.json:
         write_json(args.json, metrics)
 

@@ -1,6 +1,7 @@
 """Anther through the machines' own protocols: whole trials, evenness of the commands, and a driver that is killed.
 
-    python tools/record.py experiments/through_ros.py --out runs/through_ros
+    python experiments/through_ros.py --trials 20 --jobs 2      the whole trials, in hours
+    python experiments/through_ros.py --trials 0                the fake Sawyer alone, in minutes
 
 **Trials**: `anther trial --cell` grasps and shakes plants of MuJoCo's cell, which is served as machines
 (`tests/served_cell.py`): a Sawyer behind a ROS 1 master or, with --arm fr3, a Franka behind franka-sim's server; a
@@ -18,7 +19,6 @@ It is the real protocol on one machine's loopback: neither a network nor an arm 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -35,6 +35,9 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_robot import LIMITS, FakeCamera, fake_robot
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer, swing
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
 from served_trial import served
 from swept import swept
 
@@ -53,6 +56,20 @@ FIRST = 9800
 AMPLITUDE = 0.05  # rad of every joint: 0.6 rad/s
 STILL = 0.01  # rad/s
 PERIOD = 0.01  # s
+WORDS = {
+    "trials": "trials",
+    "success_20": "held, unharmed and ended by themselves",
+    "held": "held",
+    "moved": "flowers moved enough",
+    "robot_s": "robot time of a trial, median (s)",
+    "commands": "commands whose arrival was timed",
+    "jitter_alone_p999_ms": "99.9 % of them off their period by less than (ms)",
+    "jitter_p999_ms": "the same beside as many busy processes as cores (ms)",
+    "jitter_largest_ms": "the farthest off, of both (ms)",
+    "kills": "times the driver was killed in full motion",
+    "stop_median_ms": "arm stands after, median (ms)",
+    "stop_ms": "arm stands after, at most (ms)",
+}
 
 
 def drive(master: str, seconds: float) -> None:
@@ -140,7 +157,8 @@ def trials(count: int, truth: str, arm: ArmName, jobs: int, out: Path) -> dict[s
     ]
     rows = swept(served, asked, out, jobs, lambda reason: {"held": False, "unharmed": False, "message": reason})
     for row in rows:
-        print(f"{row['species']} {row['seed']}: {'held' if row['held'] else row.get('message') or row.get('reason')}")
+        said = "held" if row["held"] else row.get("message") or row.get("reason")
+        print(f"{row['species']} {row['seed']}: {said}", file=sys.stderr)
     done = [row for row in rows if row.get("robot_s")]
     return {
         "trials": count,
@@ -161,16 +179,22 @@ def main() -> None:
     parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time, a core each")
     parser.add_argument("--out", type=Path, default=Path("runs/through_ros"))
+    parser.add_argument("--kills", type=int, default=20, help="of the driver")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each swing whose commands are timed")
     parser.add_argument("--drive", help=argparse.SUPPRESS)
-    parser.add_argument("--seconds", type=float, default=60.0, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.drive:
         drive(args.drive, args.seconds)
         return
-    metrics = trials(2 if args.quick else args.trials, args.truth, args.arm, args.jobs, args.out)
+    count = 2 if args.quick else args.trials
+    metrics = trials(count, args.truth, args.arm, args.jobs, args.out) if count else {}
     if args.arm == "sawyer":
-        metrics |= measure(3, 5.0) if args.quick else measure(20, args.seconds)
-    print(json.dumps(metrics, indent=2))
+        metrics |= measure(3, 5.0) if args.quick else measure(args.kills, args.seconds)
+    table = Table("what", "measured", box=MARKDOWN)
+    for key in (key for key in WORDS if key in metrics):
+        value = metrics[key]
+        table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")
+    Console().print(table)
     if args.json:
         write_json(args.json, metrics)
 

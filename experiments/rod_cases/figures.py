@@ -1,4 +1,4 @@
-"""The figures of docs/reports/rod_validation.md."""
+"""The figures of the rod validation."""
 
 from __future__ import annotations
 

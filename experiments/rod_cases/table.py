@@ -37,6 +37,11 @@ class Row:
         """Whether the error exceeds the limit or is not a number."""
         return self.limit is not None and not self.error <= self.limit
 
+    @property
+    def is_order(self) -> bool:
+        """Whether it is about the order of a scheme (`Convergence.row`)."""
+        return "order" in self.case.split("_")
+
     def printed(self, value: float | None) -> str:
         """Return the error or the limit as the table prints it."""
         if value is None or math.isnan(value):

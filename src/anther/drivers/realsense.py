@@ -1,7 +1,7 @@
 """A RealSense D405, D435 or D455 through librealsense, for `free_running.FreeRunningCamera`. Faults: docs/cameras.md.
 
 Depth is laid over colour here, not by the SDK's align: that leaves the colour lens out (SDK 2.59,
-`docs/reports/cameras.md`).
+`docs/reports/machines.md`).
 """
 
 from __future__ import annotations

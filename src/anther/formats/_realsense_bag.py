@@ -2,7 +2,7 @@
 
 Up to SDK 2.57 they are ROS 1 bags with a float32, the depth unit, behind every Image. From 2.58 on they are one rosbag2
 SQLite file (.db3): cameras, extrinsics and options are texts `key=value;key=value`, and a header's stamp is the time
-since the recording began. Read off files that SDKs 2.54.1 to 2.59.1 wrote (docs/reports/cameras.md).
+since the recording began. Read off files that SDKs 2.54.1 to 2.59.1 wrote (docs/reports/machines.md).
 """
 
 from __future__ import annotations
