@@ -179,8 +179,8 @@ def main() -> None:
     if args.json:
         write_json(args.json, table)
     if args.figures:
-        there = [which for which in TEN if which in rows and "failure" not in rows[which]]
-        ten = [(species, seed, Path(rows[species, seed][FOLDER])) for species, seed in there]
+        there: list[tuple[Crop, int]] = [which for which in TEN if which in rows and "failure" not in rows[which]]
+        ten: list[tuple[Crop, int, Path]] = [(*which, Path(rows[which][FOLDER])) for which in there]
         draw_ten(ten).savefig(args.figures / "skeletons.png", dpi=90)
 
 
