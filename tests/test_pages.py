@@ -135,7 +135,10 @@ def check_script(words: list[str]) -> None:
     """The scripts are there, and they know the options."""
     scripts = [n for n, word in enumerate(words) if word.endswith(".py")]
     assert scripts, words
-    text = (ROOT / words[scripts[-1]]).read_text()
+    script = ROOT / words[scripts[-1]]
+    text = script.read_text()
+    beside = re.findall(r"^from (\w+) import", text, re.MULTILINE)  # two experiments may share their options
+    text += "".join(path.read_text() for name in beside if (path := script.with_name(f"{name}.py")).is_file())
     for word in words[scripts[-1] + 1 :]:
         assert not word.startswith("--") or word in text or "tyro" in text, f"{words}: no {word}"
     assert all((ROOT / words[n]).is_file() for n in scripts)
