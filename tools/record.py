@@ -25,7 +25,7 @@ from pathlib import Path
 from anther.files import read_json, write_json, write_text
 
 CODE = ("src", "experiments", "benchmarks", "tools")
-MEASURED = re.compile(r"<!-- measured: (?P<command>.+) -->\n(?P<found>.*?)<!-- end -->", re.DOTALL)
+MEASURED = re.compile(r"<!-- measured: (?P<command>[^\n]+) -->\n(?P<found>.*?)<!-- end -->", re.DOTALL)
 KEPT = Path("build/measured")
 
 
