@@ -357,7 +357,6 @@ def options(description: str | None, quick: str) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
-    parser.add_argument("--out", type=Path, default=Path("runs/faults"))
     parser.add_argument("--base", type=Path, help="the stored run, made when missing; by default that of faults.py")
     parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     return parser
@@ -366,6 +365,7 @@ def options(description: str | None, quick: str) -> argparse.ArgumentParser:
 def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics."""
     parser = options(__doc__, "20 faults instead of 1000")
+    parser.add_argument("--out", type=Path, default=Path("runs/faults"))
     parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--kill-at", help=argparse.SUPPRESS)
     args = parser.parse_args()

@@ -311,6 +311,7 @@ def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, 
 def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics."""
     parser = options(__doc__, "one fault of every other kind, the phases in turn, instead of 1000")
+    parser.add_argument("--out", type=Path, default=Path("runs/protocol_faults"))
     args = parser.parse_args()
     base = (args.base or args.out.parent / "faults" / "base").resolve()
     prepare(base)

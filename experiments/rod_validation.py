@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA, help="folder of rod_reference/")
     parser.add_argument("--figures", type=Path, help="draw errors and energies into this folder")
     parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="shorter runs and coarser steps, in two minutes")
+    parser.add_argument("--quick", action="store_true", help="shorter runs and coarser steps")
     args = parser.parse_args()
     console = Console()
     if not (args.data / "rod_reference").is_dir():
