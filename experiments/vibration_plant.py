@@ -32,7 +32,7 @@ from anther.response import measure_response
 from anther.shake import Crop, ShakePlan, sawyer_limit
 from anther.shake._verification import steadily_shaken
 from anther.shake.observables import semi_major
-from anther.shake.pads import PADS, grip_rows, pad_nodes
+from anther.shake.pads import Pads, grip_rows, pad_nodes
 from anther.sim.capture import CameraErrors, sensed
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
@@ -63,6 +63,8 @@ CAMERA_ERROR = 3e-4
 """With which a perfect camera, that sees every flower, would measure an amplitude [m] (docs/reports/response.md)."""
 NEAR = 0.02
 """A flower seen this close to a true one is that one [m]."""
+HELD = Pads(stiffness=1e9, turning=1e6, stiffness_spread=1e-3, turning_spread=1e-3)
+"""What models believe of the pads: they do not give, as MuJoCo's grip here does not."""
 TWIST = 12.0
 """EI/GJ of rods that are to be like MuJoCo's plants."""
 
@@ -164,7 +166,7 @@ def _nonlinear(model: PlantModel, material: Material, point: Array, amplitude: f
     node, *also = (int(n) for n in pad_nodes(model, grip_rows(model, point[None]))[0])
     drive = Drive(node, DIRECTION, amplitude, frequency, 0, tuple(also))
     try:
-        return steadily_shaken(model.with_material(material), drive, PADS.springs).amplitude
+        return steadily_shaken(model.with_material(material), drive, HELD.springs).amplitude
     except StageFailure:
         return np.full(len(model.flower_nodes), np.nan)
 
@@ -223,7 +225,7 @@ def probed(
         frames = filmed(scene, shapes, done.times, pose, np.random.default_rng(seed))
         answer = measure_response(frames, SIDE, pose, seen.flowers, f)
         expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([f]))[0, 0]
-        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "pads": PADS}
+        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "pads": HELD}
         place, predicted = SimpleNamespace(point=grip.point), PROBE_AMPLITUDE * expected
         shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=predicted, **facts))
         true = np.full(len(expected), np.nan)
@@ -231,8 +233,8 @@ def probed(
         by_camera.append(ObservedShake.of(shake, answer, Felt(began=0.0)))
         by_truth.append(ObservedShake(shake, true, np.full(len(expected), CAMERA_ERROR)))
         told.append({"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]})
-    beliefs = {"prior": refine(model, []), "probe": refine(model, by_camera)}
-    beliefs["probe, every flower seen"] = refine(model, by_truth)
+    beliefs = {"prior": refine(model, [], pads=HELD), "probe": refine(model, by_camera, pads=HELD)}
+    beliefs["probe, every flower seen"] = refine(model, by_truth, pads=HELD)
     whole = {name: np.concatenate([burst[name] for burst in told]) for name in told[0]}
     return beliefs, {**whole, "notes": list(beliefs["probe"].notes)}
 
