@@ -64,7 +64,11 @@ def measure(command: str, commit: str) -> str:
 
 
 def markdown(said: str) -> str:
-    """Return what a console was told: tables as they are, each other line a paragraph; no progress."""
+    """Return what a console was told: tables as they are, each other line a paragraph; no progress.
+
+    toppra warns of a step that it then tries again, with all its matrices: what is told up to there is not a result.
+    """
+    said = re.split(r"^\[WARN\].*\n", said, flags=re.MULTILINE)[-1]
     lines = [re.sub(r" {2,}", " ", line.strip()) for line in said.splitlines() if "━" not in line]
     text = ""
     for line in filter(None, lines):
