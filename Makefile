@@ -33,7 +33,7 @@ mutants: $(DEV)  ## small wrong changes, and which of them the tests catch (hour
 bench: $(DEV)  ## speed
 	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
 
-docs: $(DEV) demo  ## measure again what docs/reports shows, at one commit (hours; goes on where it was stopped)
+docs: $(DEV) demo  ## measure again what docs/reports shows, at one commit (90 minutes; goes on where it was stopped)
 	$(BIN)/python tools/record.py docs/reports/*.md
 	$(BIN)/python tools/film_shake.py docs/pictures/shake.gif
 	$(BIN)/python tools/draw_readme.py runs/demo docs/pictures/trial.png

@@ -199,11 +199,11 @@ def unsafe(machines: Machines, plan: ShakePlan, case: Case, at: float) -> str:
     away = np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1)
     is_open, gripper_obeys = machines.opening > 0.03, not case.kind.startswith("gripper")
     anther_lives = case.kind not in ("kill -9",)
-    late = joints[times > max(at, times[-1] - 0.3)]
+    last = times > (np.inf if case.kind == "the robot's node dies" else max(at, times[-1] - 0.3))
     found = {
         "joint range": bool(np.any((joints < sawyer.LOWER) | (joints > sawyer.UPPER))),
         "joint speed": bool(np.any(speed > 1.05 * sawyer.VELOCITY)),
-        "arm moves": bool(np.abs(np.diff(late, axis=0)).max(initial=0.0) > 1e-3),
+        "arm moves": bool(np.abs(np.diff(joints[last], axis=0)).max(initial=0.0) > 1e-3),
         "torn": not is_open and float(away.min()) < 0.1 and float(away[-1]) > 0.03,
         "not open": not is_open and gripper_obeys and anther_lives,
         "not back": is_open and case.kind in GOES_ON and float(away[-1]) < STAND_OFF - 0.01,

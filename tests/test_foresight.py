@@ -13,7 +13,7 @@ from scipy.stats import norm
 from anther.devices import ArmSample
 from anther.escalation import _foresight as foresight_module
 from anther.escalation import _knowledge as knowledge
-from anther.escalation._foresight import Foresight, foresee, misfit, narrowed
+from anther.escalation._foresight import Foresight, foresee, misfit, narrowed, watch_points
 from anther.escalation._knowledge import (
     ARM_FOLLOWS,
     Answer,
@@ -420,6 +420,21 @@ def test_a_flower_too_still_to_be_seen_bends_its_pedicel_as_far_as_it_may_swing(
     shown, most = np.where(second, np.nan, 2 * swing), np.where(second, share * swing, np.nan)
     said = semi_major(vectors[:, foresight.where["joint_strain"]]).max()
     assert foresight.pedicels(vectors, shown, most) == pytest.approx(min(share, 2.0) * said)
+
+
+def test_the_points_that_are_watched_lie_far_from_each_other_and_on_no_stalk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is the one farthest from all before it."""
+    skeleton, stem, flowers = branched()
+    plant = build_plant(skeleton, stem, flowers, None, TOMATO)
+    monkeypatch.setattr(foresight_module, "MOST_POINTS", 8)
+    chosen, places = watch_points(plant), plant.rods.nodes
+    assert len(chosen) == len(np.unique(chosen)) == 8
+    assert not plant.is_pedicel[chosen].any()
+    assert not np.isin(chosen, plant.flower_nodes).any()
+    others = np.setdiff1d(np.flatnonzero(~plant.is_pedicel), plant.flower_nodes)
+    for n in range(1, 8):
+        gap = np.linalg.norm(places[others, None] - places[chosen[:n]], axis=2).min(axis=1)
+        assert np.linalg.norm(places[chosen[n]] - places[chosen[:n]], axis=1).min() == pytest.approx(gap.max())
 
 
 def test_every_pedicel_is_told_which_flower_hangs_on_it() -> None:

@@ -104,3 +104,13 @@ def test_the_short_check_agrees_with_a_long_and_fine_simulation(plant: PlantMode
     vectors = (seen.bending @ bent.T).T.reshape(80, -1, 3)[:, seen.stem_strain - seen.strains[0]]
     strain = np.linalg.norm(vectors, axis=2).max()
     assert found.peaks["stem bending strain [-]"] == pytest.approx(strain, rel=0.03)
+
+
+def test_a_flower_that_hardly_moves_beside_the_pads_is_carried_and_turned_with_them(plant: PlantModel) -> None:
+    stiff = plant.with_material(replace(plant.material, response_gain=1e-3))
+    drive = drive_of(stiff, 1e-4, 6.0)
+    pads = steady_motion(stiff.rods_at(6.0), stiff.clamp, drive, springs=SOFT).pads
+    lever = stiff.rods.nodes[stiff.flower_nodes] - stiff.rods.nodes[drive.node]
+    carried = semi_major(pads[:3] + np.cross(pads[3:], lever))
+    assert steadily_shaken(stiff, drive, SOFT).amplitude == pytest.approx(carried, rel=0.02)
+    assert semi_major(np.cross(pads[3:], lever)).max() > 0.2 * carried.max()

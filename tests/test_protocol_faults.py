@@ -66,8 +66,10 @@ def test_pads_that_nothing_could_open_are_safe_while_the_arm_is_where_it_took_th
 
 
 def test_what_a_node_told_before_it_died_says_nothing_of_the_end() -> None:
-    dead, died = machines(to_the_stem()[:150]), 1.49
-    assert unsafe(dead, plan(), replace(CASE, kind="the robot's node dies"), died) == ""
+    """It may still have told a little while it was struck."""
+    dead = machines(to_the_stem()[:150])
+    for died in (1.49, 1.46):
+        assert unsafe(dead, plan(), replace(CASE, kind="the robot's node dies"), died) == ""
 
 
 def test_a_command_that_comes_late_is_no_speed() -> None:

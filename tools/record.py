@@ -8,14 +8,16 @@ A report names the commands that make its numbers, each in a pair of markers:
     <!-- end -->
 
 What the command prints, its tables as Markdown, goes between them with the commit, and its metrics into
-docs/results/SCRIPT.json. The commit is the last that changed the code. What it has already made is not made again, so
-that a run that was stopped goes on; where a command fails the next is run all the same.
+docs/results/SCRIPT.json. The commit is the last that changed `src`, which is what is measured. What it has already made
+is not made again, so that a run that was stopped goes on: to have it made again, empty the space between the markers.
+Where a command fails the next is run all the same.
 """
 
 import os
 import platform
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -57,11 +59,16 @@ def measure(command: str, commit: str) -> str:
         "metrics": read_json(metrics),
     }
     write_json(Path("docs/results") / f"{Path(script).stem}.json", record)
+    shutil.rmtree(out, ignore_errors=True)  # what is kept for a run that goes on; another begins anew
     return f"\n`{command}` at {commit}, {record['date']}, {minutes:.1f} min:\n\n{markdown(said)}\n\n"
 
 
 def markdown(said: str) -> str:
-    """Return what a console was told: tables as they are, each other line a paragraph; no progress."""
+    """Return what a console was told: tables as they are, each other line a paragraph; no progress.
+
+    toppra warns of a step that it then tries again, with all its matrices: what is told up to there is not a result.
+    """
+    said = re.split(r"^\[WARN\].*\n", said, flags=re.MULTILINE)[-1]
     lines = [re.sub(r" {2,}", " ", line.strip()) for line in said.splitlines() if "━" not in line]
     text = ""
     for line in filter(None, lines):
@@ -88,10 +95,10 @@ def record(page: Path, commit: str) -> list[str]:
 
 
 def main(*pages: str) -> None:
-    """Measure the commands of reports, each at the last commit that changed the code."""
+    """Measure the commands of reports, at the last commit that changed `src`."""
     if changed := git("status", "--porcelain", "--", *CODE):
         sys.exit(f"Changed and in no commit:\n{changed}\nCommit it first: reports say which commit they are of.")
-    commit = git("log", "-1", "--format=%h", "--", *CODE)
+    commit = git("log", "-1", "--first-parent", "--format=%h", "--", "src")
     failed = [command for page in pages for command in record(Path(page), commit)]
     if failed:
         sys.exit("\n".join(["These failed, and what their pages show is as it was:", *failed]))
