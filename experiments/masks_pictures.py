@@ -23,20 +23,15 @@ def overlaid(rgb: NDArray[Any], labels: NDArray[Any]) -> NDArray[Any]:
 
 
 def light_sheet(path: Path, shown: dict[Any, NDArray[Any]]) -> None:
-    """Draw the pictures of each (species, light)."""
+    """Draw the pictures of each (species, light), all of a species in one row."""
     tiles = []
     for (species, light), pair in shown.items():
         left, right = np.hsplit(pair, 2)
         tile = cv2.resize(np.hstack([left[:, 240:1040], right[:, 240:1040]]), (340, 153), interpolation=cv2.INTER_AREA)
         cv2.putText(tile, f"{species}, {light}".replace("_", " "), (6, 14), 0, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
         tiles.append(tile)
-    _write(path, tiles, columns=4)
-
-
-def _write(path: Path, tiles: list[NDArray[Any]], columns: int) -> None:
-    """Write tiles in rows as a PNG of 64 colours per channel step, small enough for the documentation."""
-    blank = [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
-    rows = [np.hstack((tiles + blank)[i : i + columns]) for i in range(0, len(tiles), columns)]
-    sheet = np.vstack(rows) // 16 * 16
+    columns = -(-len(tiles) // len({species for species, _ in shown}))  # a row for each species
+    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
     path.parent.mkdir(parents=True, exist_ok=True)
+    sheet = np.vstack(rows) // 16 * 16  # fewer colours, small enough for the documentation
     cv2.imwrite(str(path), sheet[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])

@@ -404,6 +404,17 @@ def test_a_gripper_that_does_not_move_is_jammed(opening: float) -> None:
         GuardedGripper(Stuck(), LIMITS).move(opening)
 
 
+def test_pads_that_stop_at_a_stem_are_not_jammed_and_pads_that_do_not_let_it_go_are() -> None:
+    class Clamped(FakeGripper):
+        def move(self, opening: float) -> GripperState:
+            return super().move(min(opening, 0.02))
+
+    gripper = GuardedGripper(Clamped(0.02), LIMITS)
+    assert gripper.move(0.004).opening == 0.02
+    with pytest.raises(DeviceError, match=r"jammed: sent to 40\.0 mm, the pads stand at 20\.0 mm"):
+        gripper.move(0.04)
+
+
 def test_a_gripper_that_reads_nonsense_is_a_fault() -> None:
     gripper = FakeGripper()
     gripper.state = lambda: GripperState(float("nan"), 0.0, False)  # type: ignore[method-assign]
