@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,10 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 settings.register_profile("busy machines", deadline=None)  # an example that takes long is no failure
 settings.load_profile("busy machines")
+
+if worker := os.environ.get("PYTEST_XDIST_WORKER"):  # an arm's lock lies in the temporary folder: one for each worker
+    tempfile.tempdir = os.environ["TMPDIR"] = str(Path(tempfile.gettempdir()) / f"anther-{worker}")
+    Path(tempfile.tempdir).mkdir(exist_ok=True)
 
 sys.path.append(str(Path(__file__).parents[1] / "experiments"))  # their judges and methods are tested too
 
