@@ -7,6 +7,7 @@ It is no kinder than the robot: a command that breaks the FR3's limits, or 20 th
 from __future__ import annotations
 
 import enum
+import random
 import threading
 import time
 from multiprocessing import Pipe
@@ -141,7 +142,7 @@ class FakeFranka:
     def state(self) -> Any:
         return SimpleNamespace(
             time=Duration(self.now - self.lag - CLOCK), q=self.q.tolist(), q_d=self.aim.tolist(), robot_mode=self.mode,
-            O_F_ext_hat_K=[0.0, 0.0, self.force, 9.0, 9.0, 9.0], control_command_success_rate=1.0,
+            O_F_ext_hat_K=[0.0, 0.0, self.force + 1e-7 * random.random(), 9.0, 9.0, 9.0], control_command_success_rate=1.0,
             current_errors=self.current, last_motion_errors=self.last,
         )  # fmt: skip
 

@@ -39,13 +39,15 @@ LIMITS = SafetyLimits(
 class FakeArm:
     """Follows perfectly. `fault` is called before each motion and may raise; `done` counts finished motions.
 
-    A motion that is stopped on the way leaves the arm at the last sample that was seen. `force` is what it feels [N].
+    A motion that is stopped on the way leaves the arm at the last sample that was seen. `force` is what it feels [N], and its
+    sensor has noise, as any.
     """
 
     force = 0.0
 
     def __init__(self, joints: Array = sawyer.NEUTRAL, fault: Callable[[int], None] = lambda _: None) -> None:
         self.now, self.clock, self.done, self.held, self.fault = np.array(joints), 0.0, 0, 0, fault
+        self.noise = np.random.default_rng(0)
 
     def joints(self) -> Array:
         return self.now.copy()
@@ -57,7 +59,7 @@ class FakeArm:
             asked, following, begin = False, None, self.clock + 0.01
             for time, q in zip(piece.times, piece.positions, strict=True):
                 self.now, self.clock = q.copy(), float(begin + time)
-                samples.append(ArmSample(self.clock, q, q, self.force))
+                samples.append(ArmSample(self.clock, q, q, self.force + 1e-6 * self.noise.random()))
                 if watch:
                     watch(samples[-1])
                 if more is not None and not asked and time >= piece.duration - LEAD:

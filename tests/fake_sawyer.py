@@ -42,6 +42,8 @@ class FakeSawyer:
         self.enabled, self.stopped, self.pressed, self.error = True, False, False, False
         self.cuff = self.collided = self.mute = False
         self.timeout, self.ratio, self.force, self.lag, self.ahead = 0.2, 0.3, 1.0, 0.0, CLOCK
+        self.noise = np.random.default_rng(0)  # of its force, whose sensor is `dead` where there is none
+        self.dead = False
         self.offset = np.zeros(7)  # rad, between what it does and what it says
         self.log: list[tuple[float, Array]] = []
         self.heard: list[float] = []
@@ -135,7 +137,7 @@ class FakeSawyer:
         vector, point, turn = (make[f"geometry_msgs/msg/{n}"] for n in ("Vector3", "Point", "Quaternion"))
         pose = make["geometry_msgs/msg/Pose"](point(0, 0, 0), turn(0, 0, 0, 1))
         twist = make["geometry_msgs/msg/Twist"](vector(0, 0, 0), vector(0, 0, 0))
-        wrench = make["geometry_msgs/msg/Wrench"](vector(0, 0, self.force), vector(0, 0, 0))
+        wrench = make["geometry_msgs/msg/Wrench"](vector(0, 0, self.force + (not self.dead) * 1e-7 * self.noise.random()), vector(0, 0, 0))
         self._endpoint.publish(make["intera_core_msgs/msg/EndpointState"](header, pose, twist, wrench, True))
         self._collision.publish(make["intera_core_msgs/msg/CollisionDetectionState"](header, self.collided))
         status = make["intera_core_msgs/msg/IOStatus"]("ready", "", "")

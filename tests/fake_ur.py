@@ -7,6 +7,7 @@ there, but goes on as fast as it went until the watchdog ends the program. Then,
 
 from __future__ import annotations
 
+import random
 import threading
 import time
 from collections.abc import Callable
@@ -180,7 +181,7 @@ class FakeReceive:
         return self._ur.said()[1].tolist()
 
     def getActualTCPForce(self) -> list[float]:
-        return [0.0, 0.0, self._ur.force, 9.0, 9.0, 9.0]
+        return [0.0, 0.0, self._ur.force + 1e-7 * random.random(), 9.0, 9.0, 9.0]  # no sensor stands
 
     def getSafetyMode(self) -> int:
         return 7 if self._ur.pressed else 3 if self._ur.protective else 5 if self._ur.safeguard else 1

@@ -40,7 +40,7 @@ from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
 from anther.commands.simulated_cell import grow, layout, usual_distance
 from anther.shake import Crop
 from anther.sim import cell
-from anther.sim._motor import contact_vector
+from anther.sim._motor import sensed_force
 from anther.sim.capture import camera_errors, perturbed_hand_eye
 from anther.sim.judge import judge
 from anther.sim.robot import robot_of
@@ -117,7 +117,7 @@ class ServedSawyer(FakeSawyer):
     def tell(self) -> None:
         """Publish what its encoders read, and the force at its flange."""
         reference, self.q = self.q, self._world.joints
-        self.force = float(np.linalg.norm(contact_vector(self._world)))
+        self.force = float(np.linalg.norm(sensed_force(self._world)))
         self._tell()
         self.q = reference
 

@@ -20,7 +20,7 @@ from served_controller import Timed, along, references
 from served_world import World
 
 from anther.sim import cell
-from anther.sim._motor import contact_vector
+from anther.sim._motor import sensed_force
 
 NO_SERVER = "no franka-sim; run: pip install --no-deps franka-sim==1.1.7"
 CYCLE = 1e-3  # s
@@ -177,7 +177,7 @@ class ServedFranka(FrankaServer):
 
     def seen(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         place = self._cell
-        return place.joints, place.data.qvel[place._arm_dofs].copy(), contact_vector(place)
+        return place.joints, place.data.qvel[place._arm_dofs].copy(), sensed_force(place)
 
 
 def _set_clock(module: str, clock: Callable[[], float], sleep: Callable[[float], None]) -> None:

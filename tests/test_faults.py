@@ -27,7 +27,8 @@ from anther.grasp import STAND_OFF
 from anther.runs import Run
 from anther.safety import GuardedArm
 from anther.sim.cell import Cell
-from anther.sim.robot import SimArm, contact_force, robot_of
+from anther.sim._motor import contact_force
+from anther.sim.robot import SimArm, robot_of
 
 STRIKES: list[tuple[Fault, FailureKind | None]] = [
     (Fault("command rejected", 1), "device_fault"),

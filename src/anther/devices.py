@@ -113,7 +113,11 @@ class ArmRecord:
 
 @dataclass(frozen=True, slots=True)
 class GripperState:
-    """Attributes: opening [m] between the pads, force [N] on them, and whether something is held."""
+    """Attributes: opening [m] between the pads, force [N] on them, and whether something is held.
+
+    A force that the gripper does not tell now is NaN, never 0. A gripper without a sensor tells the force to which its
+    motor is set, once something stopped it; before, and with open pads, every gripper tells about 0.
+    """
 
     opening: float
     force: float

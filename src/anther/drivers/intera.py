@@ -138,8 +138,9 @@ class IoDevice:
     def _hear(self, message: Any) -> None:
         self._done = {(t.sec, t.nanosec) for t in message.commands}
         for signal in message.signals:
-            with suppress(ValueError, LookupError, TypeError):  # a signal that cannot be read keeps its last value
-                self._signals[signal.name] = (json.loads(signal.format)["type"], (json.loads(signal.data) or [None])[0])
+            with suppress(ValueError, LookupError, TypeError):
+                kind, self._signals[signal.name] = json.loads(signal.format)["type"], ("", None)
+                self._signals[signal.name] = (kind, (json.loads(signal.data) or [None])[0])
 
 
 DEVICE = "end_effector/right_gripper"
@@ -187,10 +188,15 @@ class RethinkGripper:
         return self.state()
 
     def state(self) -> GripperState:
-        """Return the present state."""
+        """Return the present state; NaN where a signal is missing or no number.
+
+        Raises:
+            DeviceError: it is not calibrated, has an error, or does not say whether it holds something.
+        """
         self._check_able()
-        opening, force, held = (self._io.value(n) for n in ("position_response_m", "force_response_n", "is_gripping"))
-        return GripperState(float(opening), float(force or 0.0), bool(held))
+        if not isinstance(held := self._io.value("is_gripping"), bool | int):
+            raise DeviceError("gripper: it does not tell is_gripping. Look at its signals: anther cell check.")
+        return GripperState(self._number("position_response_m"), self._number("force_response_n"), bool(held))
 
     def enable(self) -> None:
         """Calibrate it and choose its slowest speed: it closes and opens all the way. Keep hands and plants out."""
@@ -203,6 +209,10 @@ class RethinkGripper:
     def close(self) -> None:
         """Sign off from the master; the gripper holds."""
         self._node.close()
+
+    def _number(self, signal: str) -> float:
+        value = self._io.value(signal)
+        return float(value) if isinstance(value, int | float) else float("nan")
 
     def _check_able(self) -> None:
         if self._io.value("has_error"):

@@ -30,10 +30,12 @@ from anther.devices import (
 )
 from anther.errors import InputError, StageFailure
 from anther.geometry import Array, Intrinsics
+from anther.safety._grip import IDLE, check_closing, check_idle, check_let_go, check_readable
 from anther.safety._motion import (
     AT_REST,
     JUMP,
     LONGEST,
+    ForceCheck,
     Watchdog,
     check_shake,
     check_swing,
@@ -43,10 +45,13 @@ from anther.safety._motion import (
 from anther.swing import Swing
 
 __all__ = [
+    "IDLE",
     "GuardedArm",
     "GuardedCamera",
     "GuardedGripper",
     "GuardedMotor",
+    "check_idle",
+    "check_let_go",
     "check_shake",
     "check_trajectory",
     "guard",
@@ -90,6 +95,7 @@ class GuardedArm:
         self._arm, self._limits = arm, limits
         self._expected: Array | None = None
         self._lost = ""
+        self._force = ForceCheck()
 
     def joints(self) -> Array:
         """Return the measured joint angles (J,) [rad].
@@ -120,7 +126,7 @@ class GuardedArm:
                 stopped. Either way it holds.
             DeviceError: the arm refused, stopped, or does not tell where it is; it holds.
         """
-        watchdog = Watchdog(self._limits, watch)
+        watchdog = Watchdog(self._limits, watch, self._force)
         try:
             if self._lost:
                 raise DeviceError(self._lost)
@@ -168,7 +174,7 @@ class GuardedMotor:
     """
 
     def __init__(self, motor: Motor, limits: SafetyLimits) -> None:
-        self._motor, self._limits = motor, limits
+        self._motor, self._limits, self._force = motor, limits, ForceCheck()
 
     def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
         """Swing within the limits; return, at rest, what the arm's joints did meanwhile.
@@ -202,7 +208,7 @@ class GuardedMotor:
         still = replace(self._limits, tracking=self._limits.start_tolerance)
         try:
             pieces.append(check_swing(first, None, self._limits))
-            record = self._motor.swing(pieces[0], Watchdog(still, within), following)
+            record = self._motor.swing(pieces[0], Watchdog(still, within, self._force), following)
             if not (left := self._motor.amplitude()) <= MOTOR_AT_REST:
                 raise DeviceError(f"the motor does not come to rest: it still moves by {1e3 * left:.2g} mm.")
             if not pieces[-1].stops:
@@ -225,6 +231,8 @@ class GuardedMotor:
 class GuardedGripper:
     """A gripper that refuses openings beyond its stroke, lets go of what it would crush, and tells when it jams.
 
+    Its force must fit the way of its pads, step by step as they close (`_grip`).
+
     Args:
         gripper: the machine.
         limits: of its force.
@@ -232,6 +240,7 @@ class GuardedGripper:
 
     def __init__(self, gripper: Gripper, limits: SafetyLimits) -> None:
         self._gripper, self._limits = gripper, limits
+        self._closing: list[GripperState] = []
 
     @property
     def stroke(self) -> float:
@@ -244,23 +253,30 @@ class GuardedGripper:
         Raises:
             StageFailure: limits_exceeded: beyond the stroke (nothing was commanded), or more than the grip force or
                 the stem stress allowed (the pads were opened).
-            DeviceError: the gripper refused or jammed.
+            DeviceError: the gripper refused or jammed; its force is missing, or does not fit the pads' way. Pads are
+                opened whatever the force reads.
         """
         limits, stroke = self._limits, self.stroke
         if not 0 <= opening <= stroke:
             given = f"gripper opening: got {opening:g} m; allowed: 0 <= opening <= {stroke:g} m."
             raise StageFailure("limits_exceeded", f"{given} Check the unit.")
-        before = self.state().opening
-        state = _readable(self._gripper.move(opening))
+        before = self._gripper.state().opening
+        state = self._gripper.move(opening)
+        opens = opening >= before and np.isfinite(state.opening)
+        if not opens:
+            check_readable(state)
         stress = stem_stress(state, limits)
         if (state.force > limits.grip_force or stress > limits.pressing.stem_stress) and opening < stroke:
             self._gripper.move(stroke)
             demand("grip force", state.force, limits.grip_force, "N; the pads were opened", "Close less far.")
             demand("stem stress", stress, limits.pressing.stem_stress, "Pa; the pads were opened", "Close less far.")
         short = abs(state.opening - opening)
-        if short > limits.grip_tolerance and (opening > before or not state.is_gripping):
+        if short > limits.grip_tolerance and (opens or not state.is_gripping):
             asked = f"sent to {1000 * opening:.1f} mm, the pads stand at {1000 * state.opening:.1f} mm"
             raise DeviceError(f"the gripper jammed: {asked} with {state.force:.1f} N. Free it by hand.")
+        self._closing = [] if opens else [*self._closing, state]
+        if self._closing:
+            check_closing(self._closing)
         return state
 
     def state(self) -> GripperState:
@@ -269,7 +285,7 @@ class GuardedGripper:
         Raises:
             DeviceError: the reading is not finite.
         """
-        return _readable(self._gripper.state())
+        return check_readable(self._gripper.state())
 
 
 def stem_stress(state: GripperState, limits: SafetyLimits) -> float:
@@ -352,9 +368,3 @@ def _copied(trajectory: JointTrajectory) -> JointTrajectory:
         return JointTrajectory(*(np.array(x, dtype=float) for x in arrays))
     except InputError as error:
         raise StageFailure("limits_exceeded", str(error)) from error
-
-
-def _readable(state: GripperState) -> GripperState:
-    if not (np.isfinite(state.opening) and np.isfinite(state.force)):
-        raise DeviceError(f"the gripper reads {state.opening} m and {state.force} N. Check its connection.")
-    return state

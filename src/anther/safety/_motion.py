@@ -133,6 +133,39 @@ def demand(what: str, value: float, limit: float, unit: str, do: str) -> None:
 
 STILL = 2e-3
 """A command that has travelled further than this [rad] must show in the readings."""
+FORCE_STANDS = 1.0
+"""A measured force is never the same to the last bit for so long while the arm moves [s]: it has noise."""
+
+
+class ForceCheck:
+    """Whether the force that an arm tells can be a measured one; it remembers all motions of the arm.
+
+    An arm whose readings never had a force cannot tell it. One that told it once must go on, else its sensor is lost.
+    """
+
+    def __init__(self) -> None:
+        self._told = False
+        self._last: ArmSample | None = None
+        self._same, self._travelled = 0.0, 0.0
+
+    def __call__(self, sample: ArmSample) -> None:
+        """Raise a DeviceError where the force is lost, negative, or stuck."""
+        last, self._last = self._last, sample
+        if np.isnan(sample.force):
+            if self._told:
+                raise DeviceError("arm force: got none after it was told before. Check the sensor, then start anew.")
+            return
+        self._told = True
+        if sample.force < 0:
+            raise DeviceError(f"arm force: got {sample.force:.3g} N; allowed: >= 0, a size. Check the sensor.")
+        if last is None or sample.force != last.force:
+            self._same = self._travelled = 0.0
+            return
+        self._same += max(sample.time - last.time, 0.0)
+        self._travelled += float(np.abs(sample.commanded - last.commanded).max())
+        if self._same > FORCE_STANDS and self._travelled > STILL:
+            told = f"arm force: got {sample.force:.3g} N, the same to the last bit for {self._same:.1f} s of motion"
+            raise DeviceError(f"{told}; allowed: {FORCE_STANDS:g} s. The sensor is stuck: check it, then start anew.")
 
 
 class Watchdog:
@@ -142,9 +175,9 @@ class Watchdog:
         lost: why the arm's readings are not to be believed; empty while they are.
     """
 
-    def __init__(self, limits: SafetyLimits, watch: Watch | None) -> None:
+    def __init__(self, limits: SafetyLimits, watch: Watch | None, force: ForceCheck) -> None:
         self.lost = ""
-        self._limits, self._watch = limits, watch
+        self._limits, self._watch, self._force = limits, watch, force
         self._last: ArmSample | None = None
         self._fresh, self._travelled = 0.0, 0.0
 
@@ -154,6 +187,7 @@ class Watchdog:
         gap = float(np.abs(sample.measured - sample.commanded).max())
         if not gap <= limits.tracking:
             raise DeviceError(f"the arm does not follow: {gap:.3g} rad behind; allowed: <= {limits.tracking:g}.")
+        self._force(sample)
         if sample.force > limits.contact_force:
             felt = f"contact force: got {sample.force:.3g} N; allowed: <= {limits.contact_force:g}"
             raise StageFailure("collision", f"{felt}. The arm presses on something: look what it is.")

@@ -19,6 +19,15 @@ CYCLE = 0.01
 """s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)."""
 
 
+FORCE_NOISE = 1e-3
+"""Of a measured force [N]: no sensor reads the same to the last bit for long. Real ones are worse by far."""
+
+
+def sensed_force(cell: Cell) -> Array:
+    """Return (3,) the contact force as a sensor at the wrist reads it, world [N]; the same at the same time."""
+    return contact_vector(cell) + FORCE_NOISE * np.random.default_rng(round(1e6 * cell.time)).normal(size=3)
+
+
 def contact_force(cell: Cell) -> float:
     """Return the size of the force that plant, pot and bench exert on arm and gripper now [N]."""
     return float(np.linalg.norm(contact_vector(cell)))
@@ -147,7 +156,7 @@ class SimMotor:
         if watch:
             if behind > BEHIND:
                 raise DeviceError(f"the motor does not follow: {1e3 * behind:.2g} mm behind. Is the stem too stiff?")
-            self._felt.append(contact_vector(cell))
+            self._felt.append(sensed_force(cell))
             force = float(np.linalg.norm(np.mean(self._felt, axis=0)))
             watch(ArmSample(cell.time, q[-1], measured[-1], force))
         return measured

@@ -26,7 +26,7 @@ from anther.devices import (
     Watch,
 )
 from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
-from anther.sim._motor import CYCLE, SimMotor, contact_force
+from anther.sim._motor import CYCLE, SimMotor, sensed_force
 from anther.sim.capture import CameraErrors, sensed
 from anther.sim.cell import Cell, CellLog
 from anther.sim.render import Scene, Still, d455
@@ -74,7 +74,8 @@ class SimArm:
                 openings = np.full(len(q[rows]), self.cell.grip_command)
                 measured = np.concatenate([measured, self.cell.run(q[rows], v[rows], openings, a)])
                 if watch:
-                    watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], contact_force(self.cell)))
+                    force = float(np.linalg.norm(sensed_force(self.cell)))
+                    watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], force))
         except BaseException:
             self.hold()
             raise
