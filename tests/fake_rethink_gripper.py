@@ -19,10 +19,12 @@ SIGNALS = {
 
 
 class FakeRethinkGripper:
-    """Attributes: `width` of what is between the pads [m]; `values` of its signals; `deaf`."""
+    """Attributes: `width` of what is between the pads [m]; `values` of its signals; `deaf`; `force_told`, `grip_told`:
+    whether these two are its own, or whatever a test has set."""
 
     def __init__(self, master: str) -> None:
         self.width, self.deaf, self._over = 0.0, False, False
+        self.force_told = self.grip_told = True
         self.values: dict[str, Any] = {name: False if kind == "bool" else 0.02 for name, kind in SIGNALS.items()}
         self._done: list[Any] = []
         self.node = Node(master, "/fake_gripper", types())
@@ -56,8 +58,10 @@ class FakeRethinkGripper:
             way = goal - v["position_response_m"]
             v["position_response_m"] += min(max(way, -0.004), 0.004)
             v["is_moving"] = abs(way) > 1e-6
-            v["is_gripping"] = not v["is_moving"] and v["position_m"] < goal
-            v["force_response_n"] = 9.0 if v["is_gripping"] else 0.0
+            if self.grip_told:
+                v["is_gripping"] = not v["is_moving"] and v["position_m"] < goal
+            if self.force_told:
+                v["force_response_n"] = 9.0 if v["is_gripping"] else 0.0
             self._tell()
 
     def _tell(self) -> None:

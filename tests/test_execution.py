@@ -276,6 +276,22 @@ def test_what_a_killed_process_left_behind_is_taken_over() -> None:
     assert trial.phases == PHASES
 
 
+def test_an_arm_that_does_not_hold_is_not_sent_anywhere() -> None:
+    class Drifts(FakeArm):
+        def hold(self) -> None:
+            super().hold()
+            raise DeviceError("it does not hold")
+
+    arm, gripper = Drifts(), FakeGripper()
+    arm.fault = lambda done: None if done < 2 else pytest.fail("the arm was moved on")  # a close, whose grip is wrong
+    gripper.width = 0.03
+    trial = execute(PLANNER, Plan(), fake_robot(arm, gripper), LIMITS)
+    assert trial.failure == "branch_or_leaf_grasped"
+    assert "it does not hold" in trial.stop_reason
+    assert arm.done == 2, "reach and approach alone"
+    assert gripper.commands[-1] == GRASP.opening
+
+
 def test_a_dead_arm_still_gets_a_record() -> None:
     def fault(done: int) -> None:
         raise DeviceError("no answer")

@@ -6,13 +6,16 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 
+import numpy as np
 import pytest
 from fake_rethink_gripper import FakeRethinkGripper
+from fake_robot import LIMITS
 from fake_ros_master import FakeMaster
 
 from anther.devices import DeviceError, Gripper
 from anther.drivers.intera import IoDevice, RethinkGripper, types
 from anther.drivers.ros1 import Node
+from anther.safety import GuardedGripper
 
 
 @pytest.fixture
@@ -62,6 +65,23 @@ def test_what_is_wrong_with_it_is_told(node: Node, machine: FakeRethinkGripper) 
     machine.deaf = True
     with pytest.raises(DeviceError, match="does not acknowledge position_m"):
         gripper.move(0.01)
+
+
+def test_a_signal_that_is_missing_is_not_0(node: Node, machine: FakeRethinkGripper) -> None:
+    gripper = RethinkGripper(node)
+    gripper.enable()
+    for nothing in (None, "none", True):
+        machine.force_told = False
+        machine.values["force_response_n"] = nothing
+        time.sleep(0.2)
+        assert np.isnan(gripper.state().force)
+        with pytest.raises(DeviceError, match="missing signal"):
+            GuardedGripper(gripper, LIMITS).state()
+    machine.force_told, machine.grip_told = True, False
+    machine.values["is_gripping"] = None
+    time.sleep(0.2)
+    with pytest.raises(DeviceError, match="does not tell is_gripping"):
+        gripper.state()
 
 
 def test_a_device_that_is_not_there_is_told(node: Node) -> None:

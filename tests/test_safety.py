@@ -304,7 +304,11 @@ def readings(change: Callable[[int, ArmSample], ArmSample]) -> FakeArm:
 
 FROZEN = ArmSample(0.0, sawyer.NEUTRAL, sawyer.NEUTRAL)
 READINGS: dict[str, Callable[[int, ArmSample], ArmSample]] = {
-    "contact force": lambda n, s: replace(s, force=LIMITS.contact_force + 1 if n > 40 else 0.0),
+    "contact force": lambda n, s: replace(s, force=LIMITS.contact_force + 1 if n > 40 else s.force),
+    "arm force: got -60 N": lambda n, s: replace(s, force=-60.0 if n > 40 else s.force),
+    "arm force: got none": lambda n, s: replace(s, force=np.nan if n > 40 else s.force),
+    "arm force: got 0 N, the same": lambda n, s: replace(s, force=0.0 if n > 5 else s.force),
+    "arm force: got 3 N, the same": lambda n, s: replace(s, force=3.0),
     "does not follow": lambda n, s: replace(s, measured=s.measured + (0.25 if n > 40 else 0.0)),
     "does not follow: nan": lambda n, s: replace(s, measured=s.measured * (np.nan if n > 40 else 1)),
     "stale: the joints read the same": lambda n, s: replace(s, measured=FROZEN.measured if n > 5 else s.measured),
@@ -332,6 +336,26 @@ def test_an_arm_that_feels_nothing_is_not_stopped_for_it() -> None:
     arm = readings(lambda _, s: replace(s, force=float("nan")))
     GuardedArm(arm, LIMITS).follow(SOUND)
     assert arm.done == 1
+
+
+def test_a_force_that_is_lost_between_two_motions_is_missed() -> None:
+    arm = FakeArm()
+    guarded = GuardedArm(arm, LIMITS)
+    guarded.follow(SOUND)
+    arm.force = float("nan")
+    with pytest.raises(DeviceError, match="arm force: got none"):
+        guarded.follow(JointTrajectory.standstill(arm.now, 0.1))
+
+
+def test_a_force_that_stands_is_stuck_however_short_the_motions_and_not_while_the_arm_stands() -> None:
+    arm = readings(lambda _, s: replace(s, force=0.0))
+    guarded = GuardedArm(arm, LIMITS)
+    guarded.follow(JointTrajectory.standstill(arm.now, 5.0))
+    there = JointTrajectory(SOUND.times[:60], SOUND.positions[:60], SOUND.velocities[:60])
+    short = replace(there, velocities=0 * there.velocities)
+    with pytest.raises(DeviceError, match="stuck"):
+        for motion in [short, short.backwards()] * 9:
+            guarded.follow(motion)
 
 
 def test_a_reading_that_repeats_for_a_moment_is_no_fault_however_long_the_arm_moves() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -166,8 +167,9 @@ def _arm_seen(arm: Any, file: CellFile) -> list[str]:
 
 def _gripper_seen(gripper: Any) -> list[str]:
     state = gripper.state()
-    held = f"holds something with {state.force:.1f} N" if state.is_gripping else "holds nothing"
-    return [f"{1e3 * state.opening:.1f} of {1e3 * gripper.stroke:.1f} mm open, {held}"]
+    held = "holds something" if state.is_gripping else "holds nothing"
+    told = f"presses with {state.force:.1f} N" if math.isfinite(state.force) else "does not tell its force"
+    return [f"{1e3 * state.opening:.1f} of {1e3 * gripper.stroke:.1f} mm open, {held}, {told}"]
 
 
 def _camera_seen(camera: Camera) -> list[str]:

@@ -212,7 +212,7 @@ class RethinkGripper:
 
     def _number(self, signal: str) -> float:
         value = self._io.value(signal)
-        return float(value) if isinstance(value, int | float) else float("nan")
+        return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else float("nan")
 
     def _check_able(self) -> None:
         if self._io.value("has_error"):

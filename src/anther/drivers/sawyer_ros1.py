@@ -84,6 +84,7 @@ class Sawyer(StreamedArm):
         ratio.publish(self._make("std_msgs/msg/Float64", speed_ratio))
         silence.publish(self._make("std_msgs/msg/Float64", SILENCE))
         self._wait(lambda: self.readings.last is not None and self._state is not None, "is not heard")
+        self._wait(lambda: bool(np.isfinite(self._felt(clock()))), "tells no force")
         self._check_names()
         self._wait(lambda: self._commands.readers > 0, "does not listen to joint_command")
         first = self._message(np.zeros(len(self._names)))
@@ -123,6 +124,13 @@ class Sawyer(StreamedArm):
             "nobody listens to joint_command: is the robot still on?": not self._commands.readers,
         }
         return next((why for why, holds in reasons.items() if holds), "")
+
+    def check_able(self) -> None:
+        """Check that the arm can be moved, and tells its joints and, as every Sawyer does, its force."""
+        super().check_able()
+        if not np.isfinite(self._felt(self._clock())):
+            old = f"the force on {LIMB}endpoint_state is {2e3 * self._stale:.0f} ms old, or no number"
+            raise DeviceError(f"{old}. Check the robot; then start anew.")
 
     def seen(self) -> list[str]:
         """Return in words what is heard of the robot."""

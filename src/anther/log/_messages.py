@@ -215,7 +215,9 @@ class Scribe:
             self._scene(when, "arm", _scene.arm(self._limits.outline(sample.measured[None])[0]))
 
     def _gripper(self, when: float, asked: float | None, state: GripperState) -> None:
-        said: dict[str, Any] = {"opening_m": state.opening, "force_n": state.force, "held": bool(state.is_gripping)}
+        told = {"opening_m": state.opening, "force_n": state.force}
+        said: dict[str, Any] = {name: value for name, value in told.items() if math.isfinite(value)}
+        said |= {"held": bool(state.is_gripping)}
         self._json("/gripper", GRIPPER, said if asked is None else {"asked_m": asked} | said, when)
 
     def _step(self, when: float, step: Step) -> None:
