@@ -351,8 +351,7 @@ def test_a_force_that_stands_is_stuck_however_short_the_motions_and_not_while_th
     arm = readings(lambda _, s: replace(s, force=0.0))
     guarded = GuardedArm(arm, LIMITS)
     guarded.follow(JointTrajectory.standstill(arm.now, 5.0))
-    there = JointTrajectory(SOUND.times[:60], SOUND.positions[:60], SOUND.velocities[:60])
-    short = replace(there, velocities=0 * there.velocities)
+    short = path(turned(0, 0.01), seconds=0.4)
     with pytest.raises(DeviceError, match="stuck"):
         for motion in [short, short.backwards()] * 9:
             guarded.follow(motion)

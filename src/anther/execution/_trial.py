@@ -75,7 +75,8 @@ class Trial:
         commanded, measured: (T, J) joints during the shake [rad].
         felt: (R, 2) when the arm told during the shake how large a force the world exerts on it [s], and that force
             [N]; NaN if it cannot tell.
-        gripper: (G, 3) opening [m], force [N] and held after closing, after the shake and after release.
+        gripper: (G, 3) opening [m], force [N] and held after closing, after the shake and after release; force NaN:
+            it was not told.
         frame_times: (N,) when the side camera's frames were taken [s].
         stop_reason: "finished", or why it stopped.
         failure: the failure's kind; None when it finished.
@@ -103,12 +104,13 @@ class Trial:
             "shake_times": (n,),
             "commanded": (n, None),
             "measured": (n, None),
-            "gripper": (None, 3),
             "frame_times": (None,),
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, check_array(f"trial {name}", getattr(self, name), shape))
-        object.__setattr__(self, "felt", check_array("trial felt", self.felt, (None, 2), finite=False))
+        for name, width in {"gripper": 3, "felt": 2}.items():
+            array = check_array(f"trial {name}", getattr(self, name), (None, width), finite=False)
+            object.__setattr__(self, name, array)
 
     @property
     def finished(self) -> bool:
