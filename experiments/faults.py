@@ -51,7 +51,7 @@ from anther.plant import TOMATO
 from anther.runs import Run
 from anther.safety import GuardedCamera
 from anther.shake import ShakePlan
-from anther.sim.cell import BENCH, POT, Cell
+from anther.sim.cell import BENCH, POT, Cell, CellLog
 from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper
 
@@ -60,6 +60,8 @@ FEWEST_VIEWS = 3
 MOTIONS = (0, 1, 2, 3, 4)  # of a trial: early reach, approach, settle, shake, retreat
 SHAKE, PIECES = 3, 3  # the shake is streamed in so many pieces before it comes to rest: probe, step, hold
 EXPECTED = {"pushed": "collision", "ctrl-c": "interrupted", "kill -9": "interrupted"}  # others: device_fault
+LIES = ("gripper force stuck", "gripper force missing", "gripper holds nothing")  # of pads that move as they should
+HELD = 0.4  # of the force asked for: pads that truly press so hard hold a stem, whatever is told of it
 
 
 @dataclass(frozen=True)
@@ -95,8 +97,9 @@ def draw(number: int, seed: int) -> Case:
     kinds: list[Kind] = [k for k in get_args(Kind) if k != "kill -9"]
     kind = kinds[rng.integers(len(kinds))]
     # an arm that stands still (2) cannot be stale; a gripper is told to open, open, close in steps, release
-    at = {"stale joints": (0, 1, 3, 4), "gripper jam": (0, 2, 3), "frames lost": (0,)}.get(kind, MOTIONS)
-    fault = Fault(kind, int(rng.choice(at)), share, lasting)
+    at = {"stale joints": (0, 1, 3, 4), "frames lost": (0,)} | dict.fromkeys(("gripper jam", *LIES), (0, 2, 3))
+    lasting |= kind in LIES or kind == "arm force lost"  # a sensor that is lost stays so
+    fault = Fault(kind, int(rng.choice(at.get(kind, MOTIONS))), share, lasting)
     if fault.at == SHAKE or kind == "frames lost":
         fault = replace(fault, piece=int(rng.integers(PIECES)))
     return Case(number, fault, whole_plant=number % 10 == 3)
@@ -163,7 +166,8 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     """Return what is not safe about how a cell was left, by its own log; "" if nothing is.
 
     Whole log: joints within range and speed, flange within the workspace, pot and bench untouched, no part of the robot
-    but the pads pressing on the plant beyond the contact force, the pads never beyond the grip force. End: left alone
+    but the pads pressing on the plant beyond the contact force, the pads never beyond the grip force and what the thinnest
+    organ between them bears. End: left alone
     for half a second the arm stands still; the pads are open and, where the arm can still move and had gone in, it is
     back at the stand-off; or the pads are closed and the arm is where it took the stem, so nothing was torn.
     """
@@ -176,7 +180,7 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     away = float(np.linalg.norm(cell.flange_pose()[:3, 3] - plan.grasp.T_world_flange[:3, 3]))
     went_in = float(np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1).min()) < 0.1
     is_open = cell.opening > 0.04
-    arm_obeys = case.fault.kind not in {"kill -9", "stale joints"} and not case.fault.lasting
+    arm_obeys = case.fault.kind not in {"kill -9", "stale joints"} and (not case.fault.lasting or case.fault.kind in LIES)
     jammed = case.fault.kind == "gripper jam" and case.fault.lasting
     found = {
         "joint range": bool(np.any((log.joints < limits.joint_lower) | (log.joints > limits.joint_upper))),
@@ -185,6 +189,7 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
         "pot or bench": bool(np.isin(log.contact_other, (POT, BENCH)).any()),
         "contact force": peak(log.contact_sample[~pads], log.contact_force[~pads]) > limits.contact_force,
         "grip force": peak(log.contact_sample[pads], log.contact_force[pads]) > 2 * limits.grip_force,
+        "stem stress": true_stress(log, cell, limits) > limits.pressing.stem_stress,
         "arm moves": bool(drift > 1e-3),
         "torn": not is_open and went_in and away > 0.03,
         "not open": not is_open and not (jammed or case.fault.kind == "kill -9"),
@@ -193,13 +198,33 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     return ", ".join(name for name, bad in found.items() if bad)
 
 
+def true_stress(log: CellLog, cell: Cell, limits: SafetyLimits) -> float:
+    """Return the greatest pressure of all of a pad's force on the thinnest segment that it touches [Pa]."""
+    pads = (log.contact_pad <= 1) & (log.contact_other >= 0) & ~log.contact_blade
+    when = 2 * log.contact_sample[pads] + log.contact_pad[pads]
+    force, thick = np.bincount(when, log.contact_force[pads]), np.full(when.max(initial=0) + 1, np.inf)
+    np.minimum.at(thick, when, 2 * np.minimum(cell.plant.radius_start, cell.plant.radius_end)[log.contact_other[pads]])
+    return float(limits.pressing.stress(force, thick[: len(force)]).max(initial=0.0))
+
+
+def true_grip(log: CellLog, trial: Trial) -> float:
+    """Return with what force a pad truly pressed, in the median, while the plant was shaken [N]."""
+    shaken = (log.times >= trial.shake_times[0]) & (log.times <= trial.shake_times[-1])
+    pads = log.contact_pad <= 1
+    force = np.bincount(log.contact_sample[pads], log.contact_force[pads], minlength=len(log.times))
+    return float(np.median(force[shaken])) / 2
+
+
 def peak(samples: Array, forces: Array) -> float:
     """Return the largest sum of forces in any one sample [N]."""
     return float(np.bincount(samples, forces).max()) if len(samples) else 0.0
 
 
-def bad_record(folder: Path, case: Case) -> str:
-    """Return what is wrong with the record of a fault, read back from disk; "" if it names the failure."""
+def bad_record(folder: Path, case: Case, holds: Callable[[Trial], bool]) -> str:
+    """Return what is wrong with the record of a fault, read back from disk; "" if it names the failure.
+
+    A force that is lost late, or told of a stem that is truly held (`holds`), may go unnoticed.
+    """
     wanted = EXPECTED.get(case.fault.kind, "device_fault")
     try:
         if case.fault.kind == "kill -9":
@@ -211,10 +236,12 @@ def bad_record(folder: Path, case: Case) -> str:
         return str(error)
     # a jam at first finds the pads open, one after the first step of closing is over at the next
     no_effect = case.fault.kind == "gripper jam" and case.fault.at != 2 and not case.fault.lasting
+    no_effect |= case.fault.kind in (*LIES, "arm force lost") and trial.finished and holds(trial)
     partial = case.fault.kind == "frames lost" and len(trial.frame_times) > 0
     if trial.finished:
         return "" if no_effect or partial else "the trial says that it finished"
-    return "" if trial.failure == wanted else f"{trial.failure}: {trial.stop_reason}"
+    blind = case.fault.kind in LIES and trial.failure == "nothing_grasped"  # a force of 0 is that of nothing
+    return "" if blind or trial.failure == wanted else f"{trial.failure}: {trial.stop_reason}"
 
 
 def in_execution(case: Case, base: Path, folder: Path) -> Outcome:
@@ -232,7 +259,8 @@ def in_execution(case: Case, base: Path, folder: Path) -> Outcome:
     log = cell.log()
     others = log.contact_pad == 2
     force = peak(log.contact_sample[others], log.contact_force[others])
-    record, why = bad_record(folder, case), unsafe(cell, limits, plan, case)
+    record = bad_record(folder, case, lambda trial: true_grip(log, trial) >= HELD * plan.press)
+    why = unsafe(cell, limits, plan, case)
     killed = case.fault.kind == "kill -9"
     again = run_once(base, folder, machines(cell), restart_from="where-it-stopped" if killed else "execution")
     after = unsafe(cell, limits, plan, replace(case, fault=replace(case.fault, lasting=False, kind="ctrl-c")))

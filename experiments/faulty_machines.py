@@ -31,13 +31,20 @@ Kind = Literal[
     "stale joints",
     "pushed",
     "gripper jam",
+    "gripper force stuck",
+    "gripper force missing",
+    "gripper holds nothing",
+    "arm force lost",
     "frames lost",
     "ctrl-c",
     "kill -9",
 ]
-"""What can go wrong. "pushed" is a hand, or anything else the arm runs into."""
+"""What can go wrong. "pushed" is a hand, or anything else the arm runs into. A gripper's force is stuck at 0 or at
+`STUCK`; one that holds nothing says that it holds something with `STUCK`. An arm's is lost as NaN, a negative number or
+the last one felt; which of them the fault's share tells."""
 
 PUSH = 60.0  # N, a firm push by hand, our choice
+STUCK = 8.0  # N, about what a stem is held with
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +74,7 @@ class Fault:
 def with_faults(robot: Robot, fault: Fault) -> Robot:
     """Return the machines, of which one has the fault. Put the guard round the result, not inside."""
     match fault.kind:
-        case "gripper jam":
+        case "gripper jam" | "gripper force stuck" | "gripper force missing" | "gripper holds nothing":
             return replace(robot, gripper=FaultyGripper(robot.gripper, fault))
         case "frames lost":
             side = robot.side_camera and FaultyCamera(robot.side_camera, fault)
@@ -83,6 +90,7 @@ class FaultyArm:
         self._arm, self._fault = arm, fault
         self._count = 0
         self._frozen: Array | None = None
+        self._felt: float | None = None
 
     def joints(self) -> Array:
         """Return the measured joints (J,) [rad]; stale ones are those of the moment they froze."""
@@ -135,6 +143,10 @@ class FaultyArm:
                 os.kill(os.getpid(), signal.SIGINT)  # of the process, whichever of its threads moves the arm
             case "kill -9":
                 os.kill(os.getpid(), signal.SIGKILL)
+            case "arm force lost":
+                self._felt = sample.force if self._felt is None else self._felt
+                lost = (np.nan, -sample.force, self._felt)[int(4 * self._fault.share) % 3]
+                return replace(sample, force=lost)
             case "stale joints":
                 self._frozen = sample.measured if self._frozen is None else self._frozen
                 return replace(sample, measured=self._frozen)
@@ -142,7 +154,7 @@ class FaultyArm:
 
 
 class FaultyGripper:
-    """A gripper whose pads stay where they are in one of its moves, and say nothing of it."""
+    """A gripper whose pads stay where they are in one of its moves, and say nothing of it; or that lies about a force."""
 
     def __init__(self, gripper: Gripper, fault: Fault) -> None:
         self._gripper, self._fault = gripper, fault
@@ -156,11 +168,24 @@ class FaultyGripper:
     def move(self, opening: float) -> GripperState:
         """Move, or stay."""
         self._count += 1
-        return self.state() if self._fault.strikes(self._count - 1) else self._gripper.move(opening)
+        stays = self._fault.kind == "gripper jam" and self._fault.strikes(self._count - 1)
+        return self.state() if stays else self._told(self._gripper.move(opening))
 
     def state(self) -> GripperState:
-        """Return the present state."""
-        return self._gripper.state()
+        """Return the present state, or what is told of it."""
+        return self._told(self._gripper.state())
+
+    def _told(self, state: GripperState) -> GripperState:
+        if not self._fault.strikes(self._count - 1):
+            return state
+        match self._fault.kind:
+            case "gripper force stuck":
+                return replace(state, force=0.0 if self._fault.share < 0.4 else STUCK)
+            case "gripper force missing":
+                return replace(state, force=np.nan)
+            case "gripper holds nothing":
+                return replace(state, force=STUCK, is_gripping=True)
+        return state
 
 
 class FaultyCamera:

@@ -63,6 +63,8 @@ EXPECTED: dict[str, str] = {
     "gripper silent": "gripper: no answer",
     "gripper jams": r"gripper: its motion does not end|nothing was|holds nothing|stand",
     "gripper reports a fault": "gripper: its inner processor failed",
+    "gripper says that it holds": "gripper force",
+    "gripper feels nothing": "jammed|holds nothing",
     "side camera unplugged": "unplugged|camera",
     "wrist camera unplugged": "unplugged|camera",
     "stop button": "stop button|it is stopped",
@@ -71,6 +73,9 @@ EXPECTED: dict[str, str] = {
     "robot reports an error": "reports an error",
     "robot switched off": "not enabled",
     "pushed": "contact force",
+    "arm force stuck": "arm force",
+    "arm force not a number": "arm force|ms old, or no number",
+    "arm force silent": "arm force|ms old, or no number",
     "Ctrl-C": "",
     "kill -9": "",
     "the arm's process killed": "own process is gone",
@@ -78,10 +83,12 @@ EXPECTED: dict[str, str] = {
 }
 """What the record must say of each; "" where it may finish, or is told otherwise."""
 GOES_ON = ("the master dies", "5 % of messages lost", "joints in another order", "a second process")
+LIES = ("gripper says that it holds", "gripper feels nothing")
+"""Of a gripper that obeys."""
 OF_ANTHER = ("Ctrl-C", "kill -9", "the arm's process killed", "a second process")
 BRAKES = (
     *("readings 200 ms late", "the robot's clock jumps", "joints not a number", "joints renamed", "a joint missing"),
-    *("joints silent", "stop button", "robot feels a collision", "robot reports an error"),
+    *("arm force not a number", "arm force silent", "joints silent", "stop button", "robot feels a collision", "robot reports an error"),
     *("kill -9", "the arm's process killed"),
 )
 """After these the arm stops at once, and the time until it stands is measured."""
@@ -197,7 +204,7 @@ def unsafe(machines: Machines, plan: ShakePlan, case: Case, at: float) -> str:
     speed = np.abs(joints[UNEVEN:] - joints[:-UNEVEN]) / (times[UNEVEN:] - times[:-UNEVEN])[:, None]
     flange = sawyer.forward(joints[:: max(len(joints) // 2000, 1)])[:, :3, 3]
     away = np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1)
-    is_open, gripper_obeys = machines.opening > 0.03, not case.kind.startswith("gripper")
+    is_open, gripper_obeys = machines.opening > 0.03, case.kind in LIES or not case.kind.startswith("gripper")
     anther_lives = case.kind not in ("kill -9",)
     last = times > (np.inf if case.kind == "the robot's node dies" else max(at, times[-1] - 0.3))
     found = {

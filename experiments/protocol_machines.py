@@ -103,6 +103,8 @@ class Machines:
             "joints silent": lambda: setattr(robot, "mute", True),
             "gripper silent": lambda: setattr(gripper, "mute", True),
             "gripper jams": lambda: setattr(gripper, "stuck", True),
+            "gripper says that it holds": lambda: setattr(gripper, "met", 2),
+            "gripper feels nothing": lambda: setattr(gripper, "met", 3),
             "gripper reports a fault": lambda: setattr(gripper, "fault", 0x0C),
             "side camera unplugged": lambda: self.plug("side", False),
             "wrist camera unplugged": lambda: self.plug("wrist", False),
@@ -112,6 +114,9 @@ class Machines:
             "robot reports an error": lambda: setattr(robot, "error", True),
             "robot switched off": lambda: setattr(robot, "enabled", False),
             "pushed": lambda: setattr(robot, "force", PUSH),
+            "arm force stuck": lambda: setattr(robot, "dead", True),
+            "arm force not a number": lambda: setattr(robot, "force", np.nan),
+            "arm force silent": lambda: setattr(robot, "numb", True),
         }
         acts[kind]()
 
@@ -129,7 +134,8 @@ class Machines:
         robot.lag = robot.lost = 0.0
         robot.offset, robot.names = np.zeros(7), ["head_pan", *reversed(sawyer.JOINTS), "torso_t0"]
         robot.pressed = robot.cuff = robot.collided = robot.mute = False
-        robot.force, self.gripper.fault = 1.0, 0
+        robot.dead = robot.numb = False
+        robot.force, self.gripper.fault, self.gripper.met = 1.0, 0, None
         self.gripper.mute = self.gripper.stuck = False
         for which in ("wrist", "side"):
             self.plug(which, True)

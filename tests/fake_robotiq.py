@@ -16,11 +16,13 @@ RATE = 600.0  # counts a second: quicker than the real one
 
 
 class FakeRobotiq:
-    """Attributes: `scheme`, `port` of its address; `thick` is what lies between the pads, a count; `writes` to it."""
+    """Attributes: `scheme`, `port` of its address; `thick` is what lies between the pads, a count; `writes` to it;
+    `met`: what its object detection says at rest, whatever is between the pads."""
 
     def __init__(self, *, serial: bool = False) -> None:
         self.scheme = "socket" if serial else "tcp"
         self.thick, self.fault, self.mute, self.stuck, self.active = 255, 0, False, False, False
+        self.met: int | None = None
         self.lowest, self.highest = 3, 228
         self.writes: list[list[int]] = []
         self.count, self._goal, self._word, self._since = 100.0, 0, 0, time.monotonic()
@@ -73,6 +75,7 @@ class FakeRobotiq:
     def _status(self) -> list[int]:
         there = abs(self.count - min(max(self._goal, self.lowest), self.highest)) < 0.5
         met = 3 if there else 2 if self.count == self.thick else 0
+        met = met if self.met is None or met == 0 else self.met
         active = self._word & 1 or self.active
         bits = active | self._word & 8 | (3 if active else 0) << 4 | met << 6
         return [bits << 8, self.fault << 8 | self._goal, round(self.count) << 8]

@@ -42,8 +42,8 @@ class FakeSawyer:
         self.enabled, self.stopped, self.pressed, self.error = True, False, False, False
         self.cuff = self.collided = self.mute = False
         self.timeout, self.ratio, self.force, self.lag, self.ahead = 0.2, 0.3, 1.0, 0.0, CLOCK
-        self.noise = np.random.default_rng(0)  # of its force, whose sensor is `dead` where there is none
-        self.dead = False
+        self.noise = np.random.default_rng(0)  # of its force: none where its sensor is `dead`; `numb`: none is told
+        self.dead = self.numb = False
         self.offset = np.zeros(7)  # rad, between what it does and what it says
         self.log: list[tuple[float, Array]] = []
         self.heard: list[float] = []
@@ -138,7 +138,8 @@ class FakeSawyer:
         pose = make["geometry_msgs/msg/Pose"](point(0, 0, 0), turn(0, 0, 0, 1))
         twist = make["geometry_msgs/msg/Twist"](vector(0, 0, 0), vector(0, 0, 0))
         wrench = make["geometry_msgs/msg/Wrench"](vector(0, 0, self.force + (not self.dead) * 1e-7 * self.noise.random()), vector(0, 0, 0))
-        self._endpoint.publish(make["intera_core_msgs/msg/EndpointState"](header, pose, twist, wrench, True))
+        if not self.numb:
+            self._endpoint.publish(make["intera_core_msgs/msg/EndpointState"](header, pose, twist, wrench, True))
         self._collision.publish(make["intera_core_msgs/msg/CollisionDetectionState"](header, self.collided))
         status = make["intera_core_msgs/msg/IOStatus"]("ready", "", "")
         device = make["intera_core_msgs/msg/IOComponentStatus"]("cuff", status)

@@ -127,6 +127,19 @@ def test_no_step_of_an_honest_closing_is_doubted(stiffness: float, steps: int) -
             guarded.move(0.01 - k * STEP)
 
 
+def test_pads_that_something_holds_off_press_on_it() -> None:
+    class Deaf(FakeGripper):
+        def state(self) -> GripperState:
+            return replace(super().state(), force=0.0)
+
+    gripper = Deaf(0.008)
+    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
+    assert "got 0.0 N" in trial.stop_reason
+    assert "held off by something" in trial.stop_reason
+    assert (trial.failure, trial.phases[-1]) == ("device_fault", "retreat")
+    assert min(gripper.commands) == pytest.approx(0.008 - SEVERAL)
+
+
 @given(st.floats(-0.5, 19.0), st.floats(0.0, 0.1))
 def test_a_force_that_only_trembles_while_the_pads_close_is_stuck(force: float, tremble: float) -> None:
     rng = np.random.default_rng(1)

@@ -14,7 +14,7 @@ from fake_robotiq import FakeRobotiq
 from anther.devices import DeviceError, Gripper
 from anther.drivers.robotiq import Robotiq2F, open_line
 from anther.errors import InputError
-from anther.safety import GuardedGripper
+from anther.safety import GuardedGripper, check_idle
 
 
 @pytest.fixture(params=["tcp", "serial"])
@@ -71,6 +71,21 @@ def test_behind_the_guard_it_is_a_gripper(gripper: Robotiq2F, machine: FakeRobot
     assert not guarded.move(0.085).is_gripping
     with pytest.raises(Exception, match="gripper opening"):
         guarded.move(0.09)
+
+
+@pytest.mark.parametrize(("met", "message"), [(2, "gripper force: got 20.0 N and hold something"), (3, "jammed")])
+def test_an_object_detection_that_is_stuck_is_noticed(
+    gripper: Robotiq2F, machine: FakeRobotiq, met: int, message: str
+) -> None:
+    gripper.enable()
+    machine.thick, machine.met = 205, met
+    guarded = GuardedGripper(gripper, LIMITS)
+    with pytest.raises(DeviceError, match=message):
+        check_idle(guarded.move(0.04))
+        guarded.move(0.009)
+        guarded.move(0.004)
+    machine.thick = 255
+    assert guarded.move(0.085).opening == pytest.approx(0.085, abs=1e-3)
 
 
 def test_pads_that_are_blocked_are_told(gripper: Robotiq2F, machine: FakeRobotiq) -> None:

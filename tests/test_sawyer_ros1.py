@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from fake_robot import LIMITS
 from fake_ros_master import DEBIAN, NO_ROSCORE, FakeMaster, debian_roscore, free_port, has_roscore
-from fake_sawyer import CLOCK, FakeSawyer
+from fake_sawyer import CLOCK, FakeSawyer, swing
 from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
 from streamed_motions import check_kept_up, halfway, raising_beyond, thought_about, three_pieces
@@ -267,6 +267,21 @@ def test_behind_the_guard_it_is_an_arm(arm: Sawyer, robot: FakeSawyer) -> None:
     robot.force = 30.0
     with pytest.raises(Exception, match="contact force"):
         guarded.follow(far(arm, -0.05))
+
+
+@pytest.mark.parametrize(
+    ("what", "value", "message"),
+    [("dead", True, "the same to the last bit"), ("force", np.nan, "or no number"), ("numb", True, "or no number")],
+    ids=["stuck", "not a number", "silent"],
+)
+def test_a_force_that_is_lost_on_the_way_stops_the_arm(
+    arm: Sawyer, robot: FakeSawyer, what: str, value: Any, message: str
+) -> None:
+    path, seen = swing(5.0, 0.02), list[ArmSample]()
+    halfway(path, lambda: setattr(robot, what, value))
+    with pytest.raises(DeviceError, match=message):
+        GuardedArm(arm, LIMITS).follow(path, seen.append)
+    assert seen[-1].time - seen[0].time < 0.85 * path.duration
 
 
 MOVES = """

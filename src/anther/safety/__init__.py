@@ -276,7 +276,7 @@ class GuardedGripper:
             raise DeviceError(f"the gripper jammed: {asked} with {state.force:.1f} N. Free it by hand.")
         self._closing = [] if opens else [*self._closing, state]
         if self._closing:
-            check_closing(self._closing)
+            check_closing(self._closing, opening)
         return state
 
     def state(self) -> GripperState:

@@ -52,12 +52,17 @@ def check_idle(state: GripperState) -> None:
         raise DeviceError(f"{given}; allowed: {IDLE:g} N. {DO}")
 
 
-def check_closing(closing: Sequence[GripperState]) -> None:
-    """Check what was read after each step of a closing, the last step's reading last.
+def check_closing(closing: Sequence[GripperState], sent: float) -> None:
+    """Check what was read after each step of a closing.
+
+    Args:
+        closing: the readings; the last step's is the last.
+        sent: opening to which the pads were sent in the last step [m].
 
     Raises:
-        DeviceError: a pull; a firm force and yet nothing held, twice; or a force that does not change although the pads
-            come nearer by `SEVERAL` on what they are said to press.
+        DeviceError: a pull; a firm force and yet nothing held, twice; or pads that are said to press on something and
+            were sent nearer by `SEVERAL`, and either came nearer while the force did not change, or did not and yet
+            press with nothing.
     """
     last = closing[-1]
     told = f"gripper force: got {last.force:.1f} N with the pads {1e3 * last.opening:.1f} mm apart"
@@ -65,6 +70,8 @@ def check_closing(closing: Sequence[GripperState]) -> None:
         raise DeviceError(f"{told}; allowed: >= 0, pads do not pull. {DO}")
     if len(closing) > 1 and all(s.force > SURE and not s.is_gripping for s in closing[-2:]):
         raise DeviceError(f"{told}, and yet the gripper says that it holds nothing. {DO}")
+    if last.is_gripping and last.force < IDLE and last.opening - sent >= SEVERAL - NEAR:
+        raise DeviceError(f"{told}, held off by something {1e3 * (last.opening - sent):.1f} mm before the goal. {DO}")
     pressing = list[GripperState]()
     for state in reversed(closing):
         if not touches(state):
