@@ -28,6 +28,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 from fault_machines import ClockCamera, Kept, Pieces, left_behind
+from fault_truth import peak, true_grip, true_stress
 from faulty_machines import Fault, FaultyCamera, Kind, with_faults
 from replay_camera import ReplayCamera
 from rich.box import MARKDOWN
@@ -45,13 +46,12 @@ from anther.devices import Arm, DeviceError, Robot, SafetyLimits
 from anther.errors import InputError, StageFailure
 from anther.execution import Trial, early_reach, execute
 from anther.files import read_json, write_json
-from anther.geometry import Array
 from anther.grasp import STAND_OFF
 from anther.plant import TOMATO
 from anther.runs import Run
 from anther.safety import GuardedCamera
 from anther.shake import ShakePlan
-from anther.sim.cell import BENCH, POT, Cell, CellLog
+from anther.sim.cell import BENCH, POT, Cell
 from anther.sim.plant import OF_SEGMENTS, Organ, SimPlant
 from anther.sim.robot import SimArm, SimGripper
 
@@ -166,10 +166,10 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     """Return what is not safe about how a cell was left, by its own log; "" if nothing is.
 
     Whole log: joints within range and speed, flange within the workspace, pot and bench untouched, no part of the robot
-    but the pads pressing on the plant beyond the contact force, the pads never beyond the grip force and what the thinnest
-    organ between them bears. End: left alone
-    for half a second the arm stands still; the pads are open and, where the arm can still move and had gone in, it is
-    back at the stand-off; or the pads are closed and the arm is where it took the stem, so nothing was torn.
+    but the pads pressing on the plant beyond the contact force, the pads never beyond the grip force and what the
+    thinnest organ between them bears. End: left alone for half a second the arm stands still; the pads are open and,
+    where the arm can still move and had gone in, it is back at the stand-off; or the pads are closed and the arm is
+    where it took the stem, so nothing was torn.
     """
     log = cell.log()
     speed = np.abs(np.diff(log.joints, axis=0)) / np.diff(log.times)[:, None]
@@ -180,7 +180,9 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     away = float(np.linalg.norm(cell.flange_pose()[:3, 3] - plan.grasp.T_world_flange[:3, 3]))
     went_in = float(np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1).min()) < 0.1
     is_open = cell.opening > 0.04
-    arm_obeys = case.fault.kind not in {"kill -9", "stale joints"} and (not case.fault.lasting or case.fault.kind in LIES)
+    arm_obeys = case.fault.kind not in {"kill -9", "stale joints"} and (
+        not case.fault.lasting or case.fault.kind in LIES
+    )
     jammed = case.fault.kind == "gripper jam" and case.fault.lasting
     found = {
         "joint range": bool(np.any((log.joints < limits.joint_lower) | (log.joints > limits.joint_upper))),
@@ -196,28 +198,6 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
         "not back": is_open and went_in and arm_obeys and away < STAND_OFF - 0.01,
     }
     return ", ".join(name for name, bad in found.items() if bad)
-
-
-def true_stress(log: CellLog, cell: Cell, limits: SafetyLimits) -> float:
-    """Return the greatest pressure of all of a pad's force on the thinnest segment that it touches [Pa]."""
-    pads = (log.contact_pad <= 1) & (log.contact_other >= 0) & ~log.contact_blade
-    when = 2 * log.contact_sample[pads] + log.contact_pad[pads]
-    force, thick = np.bincount(when, log.contact_force[pads]), np.full(when.max(initial=0) + 1, np.inf)
-    np.minimum.at(thick, when, 2 * np.minimum(cell.plant.radius_start, cell.plant.radius_end)[log.contact_other[pads]])
-    return float(limits.pressing.stress(force, thick[: len(force)]).max(initial=0.0))
-
-
-def true_grip(log: CellLog, trial: Trial) -> float:
-    """Return with what force a pad truly pressed, in the median, while the plant was shaken [N]."""
-    shaken = (log.times >= trial.shake_times[0]) & (log.times <= trial.shake_times[-1])
-    pads = log.contact_pad <= 1
-    force = np.bincount(log.contact_sample[pads], log.contact_force[pads], minlength=len(log.times))
-    return float(np.median(force[shaken])) / 2
-
-
-def peak(samples: Array, forces: Array) -> float:
-    """Return the largest sum of forces in any one sample [N]."""
-    return float(np.bincount(samples, forces).max()) if len(samples) else 0.0
 
 
 def bad_record(folder: Path, case: Case, holds: Callable[[Trial], bool]) -> str:

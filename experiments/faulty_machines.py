@@ -154,7 +154,7 @@ class FaultyArm:
 
 
 class FaultyGripper:
-    """A gripper whose pads stay where they are in one of its moves, and say nothing of it; or that lies about a force."""
+    """A gripper whose pads stay where they are in one of its moves, and say nothing of it; or that lies about force."""
 
     def __init__(self, gripper: Gripper, fault: Fault) -> None:
         self._gripper, self._fault = gripper, fault

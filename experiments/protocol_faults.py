@@ -88,7 +88,14 @@ LIES = ("gripper says that it holds", "gripper feels nothing")
 OF_ANTHER = ("Ctrl-C", "kill -9", "the arm's process killed", "a second process")
 BRAKES = (
     *("readings 200 ms late", "the robot's clock jumps", "joints not a number", "joints renamed", "a joint missing"),
-    *("arm force not a number", "arm force silent", "joints silent", "stop button", "robot feels a collision", "robot reports an error"),
+    *(
+        "arm force not a number",
+        "arm force silent",
+        "joints silent",
+        "stop button",
+        "robot feels a collision",
+        "robot reports an error",
+    ),
     *("kill -9", "the arm's process killed"),
 )
 """After these the arm stops at once, and the time until it stands is measured."""

@@ -142,7 +142,8 @@ class FakeFranka:
     def state(self) -> Any:
         return SimpleNamespace(
             time=Duration(self.now - self.lag - CLOCK), q=self.q.tolist(), q_d=self.aim.tolist(), robot_mode=self.mode,
-            O_F_ext_hat_K=[0.0, 0.0, self.force + 1e-7 * random.random(), 9.0, 9.0, 9.0], control_command_success_rate=1.0,
+            O_F_ext_hat_K=[0.0, 0.0, self.force + 1e-7 * random.random(), 9.0, 9.0, 9.0],
+            control_command_success_rate=1.0,
             current_errors=self.current, last_motion_errors=self.last,
         )  # fmt: skip
 

@@ -39,8 +39,8 @@ LIMITS = SafetyLimits(
 class FakeArm:
     """Follows perfectly. `fault` is called before each motion and may raise; `done` counts finished motions.
 
-    A motion that is stopped on the way leaves the arm at the last sample that was seen. `force` is what it feels [N], and its
-    sensor has noise, as any.
+    A motion that is stopped on the way leaves the arm at the last sample that was seen. `force` is what it feels
+    [N], and its sensor has noise, as any.
     """
 
     force = 0.0

@@ -137,7 +137,9 @@ class FakeSawyer:
         vector, point, turn = (make[f"geometry_msgs/msg/{n}"] for n in ("Vector3", "Point", "Quaternion"))
         pose = make["geometry_msgs/msg/Pose"](point(0, 0, 0), turn(0, 0, 0, 1))
         twist = make["geometry_msgs/msg/Twist"](vector(0, 0, 0), vector(0, 0, 0))
-        wrench = make["geometry_msgs/msg/Wrench"](vector(0, 0, self.force + (not self.dead) * 1e-7 * self.noise.random()), vector(0, 0, 0))
+        wrench = make["geometry_msgs/msg/Wrench"](
+            vector(0, 0, self.force + (not self.dead) * 1e-7 * self.noise.random()), vector(0, 0, 0)
+        )
         if not self.numb:
             self._endpoint.publish(make["intera_core_msgs/msg/EndpointState"](header, pose, twist, wrench, True))
         self._collision.publish(make["intera_core_msgs/msg/CollisionDetectionState"](header, self.collided))

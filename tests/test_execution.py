@@ -16,7 +16,8 @@ from small_planner import SmallPlanner, solve
 from anther.arm import sawyer
 from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, More, Watch
 from anther.errors import InputError, StageFailure
-from anther.execution import APPROACH_SPEED, CALM, ENOUGH, PHASES, SETTLE, STEP, Trial, execute
+from anther.execution import APPROACH_SPEED, CALM, PHASES, SETTLE, Trial, execute
+from anther.execution._closing import ENOUGH, STEP
 from anther.geometry import Array
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import alias, choose_rate

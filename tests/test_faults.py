@@ -26,8 +26,8 @@ from anther.files import read_json
 from anther.grasp import STAND_OFF
 from anther.runs import Run
 from anther.safety import GuardedArm
-from anther.sim.cell import Cell
 from anther.sim._motor import contact_force
+from anther.sim.cell import Cell
 from anther.sim.robot import SimArm, robot_of
 
 STRIKES: list[tuple[Fault, FailureKind | None]] = [

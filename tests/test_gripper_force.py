@@ -1,4 +1,4 @@
-"""A gripper whose force is missing, stuck or invented: it is named, and the stem is neither crushed nor shaken loose."""
+"""A gripper whose force is missing, stuck or invented: it is named, and the stem neither crushed nor shaken loose."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from test_execution import GRASP, PLANNER, Plan
 
 from anther.devices import DeviceError, GripperState
-from anther.execution import STEP, TOO_THICK, execute, lost_grip
+from anther.execution import execute, lost_grip
+from anther.execution._closing import STEP, TOO_THICK
 from anther.safety import GuardedGripper, check_idle
 from anther.safety._grip import IDLE, SEVERAL, SOFTEST
 
@@ -83,7 +84,7 @@ LIES = {
     "missing once it closes": (stuck(np.nan, since=1), "A missing signal is not 0"),
     "missing on the way": (stuck(np.nan, since=4), "A missing signal is not 0"),
     "never holds": (lambda _, state: replace(state, is_gripping=False), "says that it holds nothing"),
-    "always holds": (lambda _, state: replace(state, is_gripping=True), "hold something"),
+    "always holds": (lambda _, state: replace(state, is_gripping=True), "something held"),
 }
 
 
@@ -147,9 +148,10 @@ def test_a_force_that_only_trembles_while_the_pads_close_is_stuck(force: float, 
     gripper.move(0.03)
     guarded = GuardedGripper(gripper, LIMITS)
     steps = round(SEVERAL / STEP)
+    for k in range(steps):
+        guarded.move(0.008 - k * STEP)
     with pytest.raises(DeviceError, match="changed by"):
-        for k in range(steps + 1):
-            guarded.move(0.008 - k * STEP)
+        guarded.move(0.008 - steps * STEP)
     assert gripper.commands[-1] == pytest.approx(0.008 - SEVERAL)
 
 

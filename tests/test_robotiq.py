@@ -73,17 +73,20 @@ def test_behind_the_guard_it_is_a_gripper(gripper: Robotiq2F, machine: FakeRobot
         guarded.move(0.09)
 
 
-@pytest.mark.parametrize(("met", "message"), [(2, "gripper force: got 20.0 N and hold something"), (3, "jammed")])
+@pytest.mark.parametrize(("met", "message"), [(2, "gripper force: got 20.0 N and something held"), (3, "jammed")])
 def test_an_object_detection_that_is_stuck_is_noticed(
     gripper: Robotiq2F, machine: FakeRobotiq, met: int, message: str
 ) -> None:
     gripper.enable()
     machine.thick, machine.met = 205, met
     guarded = GuardedGripper(gripper, LIMITS)
-    with pytest.raises(DeviceError, match=message):
+
+    def close() -> None:
         check_idle(guarded.move(0.04))
-        guarded.move(0.009)
         guarded.move(0.004)
+
+    with pytest.raises(DeviceError, match=message):
+        close()
     machine.thick = 255
     assert guarded.move(0.085).opening == pytest.approx(0.085, abs=1e-3)
 

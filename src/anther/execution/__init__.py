@@ -15,7 +15,6 @@ from anther.devices import (
     ArmSample,
     DeviceError,
     Frame,
-    Gripper,
     GripperState,
     JointTrajectory,
     More,
@@ -33,10 +32,11 @@ from anther.execution._beside import (
     Watched,
     early_reach,
 )
+from anther.execution._closing import close, lost_grip
 from anther.execution._trial import EARLY, PHASES, Step, Trial
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import choose_rate
-from anther.safety import IDLE, check_idle, check_let_go, check_shake, guard
+from anther.safety import check_idle, check_shake, guard
 from anther.swing import Swing, whole_shake
 
 if TYPE_CHECKING:
@@ -49,25 +49,6 @@ __all__ = [
 
 Progress = Callable[[int, int, str], None]  # called with (phases done, phases in all, the phase that begins)
 THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
-LOOSE = 0.0005
-"""Closing begins at the measured stem diameter and this [m]: where a gripper's force cannot be set (facts: sawyer 3),
-its position is the gentleness."""
-STEP = 0.0005
-"""Closing goes on in such steps [m] until it presses as the plan asks."""
-THINNEST = 0.002
-"""The pads are not sent nearer to each other [m]."""
-TOO_THICK = 0.0045
-"""By which a depth camera may see a stem too thick [m]: two pixels at either edge, of 1.1 mm each on a D455 at 0.7 m."""
-HELD_OFF = 0.00015
-"""Pads that stop so far short of where they were sent are held off by something [m]: less than half a Robotiq's count."""
-THICKEST = 0.012
-"""What is wider than the measured diameter by this [m] is not the stem."""
-ENOUGH = 0.95
-"""Share of the force asked for with which the pads press enough: a gripper at its holding force reads a little less."""
-
-SLID = 0.00075
-"""Pads that have come nearer by this [m] lost what they held, whatever the gripper says of it: in nineteen trials
-through a Robotiq's protocol it was one of its counts (0.38 mm) or none, in the one that lost the stem 1.1 mm, twice."""
 BESIDE = 0.002
 """The pads meet a petiole beside the stem where it is expected to reach so far beyond it (`Grasp.squeezed`) [m], or
 nobody knows."""
@@ -210,7 +191,7 @@ def _forward(work: _Work) -> None:
         work.in_plant = True
         work.follow(outward.backwards())
     with work.phase("close"):
-        closed = _close(work.robot.gripper, grasp, work.plan.press)
+        closed = close(work.robot.gripper, grasp, work.plan.press)
         work.grips.append(closed)
         work.follow(JointTrajectory.standstill(arm.joints(), _wait_after(grasp)))
         if why := lost_grip(closed, work.robot.gripper.state()):
@@ -348,62 +329,7 @@ def _retire(work: _Work) -> None:
         done(lambda: _back(work))
 
 
-def _close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
-    """Close to the measured diameter and on in steps until the pads press with a force [N]; verify the grip.
-
-    Depth sensors see thin stems too thick (facts: perception), but none by more than `TOO_THICK`: nearer the pads do
-    not come, and what they hold there is nothing. A stem that was measured too thin is pressed hard at once: the pads
-    let go a little and close again from where they met it.
-
-    Raises:
-        StageFailure: nothing_grasped; branch_or_leaf_grasped when it is much too thick; limits_exceeded when the pads
-            cannot press so hard.
-        DeviceError: the force does not fit the way of the pads.
-    """
-    expected, thinnest = max(grasp.stem_diameter + LOOSE, THINNEST), max(grasp.stem_diameter - TOO_THICK, THINNEST)
-    state = _press(gripper, expected, press, thinnest)
-    if expected + STEP < state.opening < expected + THICKEST:
-        state = _press(gripper, state.opening + STEP, press, thinnest)
-    if state.is_gripping and thinnest - STEP < state.opening <= grasp.stem_diameter + THICKEST:
-        if state.force >= ENOUGH * press:
-            return state
-        given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
-        raise StageFailure("limits_exceeded", f"{given}, or the stem slips. Try the next grasp, or a gentler shake.")
-    thick = state.is_gripping and state.opening > expected
-    kind, what = ("branch_or_leaf_grasped", "something thick") if thick else ("nothing_grasped", "nothing")
-    found = f"the pads stand {1e3 * state.opening:.1f} mm apart with {state.force:.1f} N, not {1e3 * expected:.1f} mm"
-    raise StageFailure(kind, f"the gripper holds {what}: {found}. Try the next grasp.")
-
-
-def lost_grip(before: GripperState, after: GripperState) -> str:
-    """Return how the gripper felt that it lost what it held before; empty if it still holds it."""
-    if not (after.is_gripping and after.force > IDLE):
-        return "the pads hold nothing any more"
-    nearer = before.opening - after.opening
-    return f"the pads came {1e3 * nearer:.1f} mm nearer: what they held slipped out" if nearer > SLID else ""
-
-
 def _wait_after(grasp: Grasp) -> float:
     """Return how long what the gripper touched swings after closing [s]: a petiole between the pads for longer."""
     free = grasp.squeezed is not None and grasp.squeezed < BESIDE
     return SETTLE if free else CALM
-
-
-def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> GripperState:
-    """Close to a width [m], and on in steps until the pads press, as long as they are further apart than `thinnest` [m].
-
-    Pads that press hard where they were sent, held off by nothing, have the gripper's word for it alone: they let go by
-    a step, and the force must fall.
-    """
-
-    def enough(state: GripperState) -> bool:
-        return state.is_gripping and state.force >= ENOUGH * press
-
-    state = gripper.move(width)
-    while not enough(state) and width - STEP > THINNEST - 1e-9 and state.opening > thinnest:
-        width -= STEP
-        state = gripper.move(width)
-    if enough(state) and state.opening < width + HELD_OFF:
-        check_let_go(state, gripper.move(width + STEP))
-        state = gripper.move(width)
-    return state

@@ -47,7 +47,7 @@ def check_idle(state: GripperState) -> None:
     """
     check_readable(state)
     if abs(state.force) > IDLE or state.is_gripping:
-        holds = " and hold something" if state.is_gripping else ""
+        holds = " and something held" if state.is_gripping else ""
         given = f"gripper force: got {state.force:.1f} N{holds} with the pads {1e3 * state.opening:.1f} mm open"
         raise DeviceError(f"{given}; allowed: {IDLE:g} N. {DO}")
 

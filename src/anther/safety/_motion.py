@@ -146,7 +146,7 @@ class ForceCheck:
     def __init__(self) -> None:
         self._told = False
         self._last: ArmSample | None = None
-        self._same, self._travelled = 0.0, 0.0
+        self._same = 0.0
 
     def __call__(self, sample: ArmSample) -> None:
         """Raise a DeviceError where the force is lost, negative, or stuck."""
@@ -159,11 +159,10 @@ class ForceCheck:
         if sample.force < 0:
             raise DeviceError(f"arm force: got {sample.force:.3g} N; allowed: >= 0, a size. Check the sensor.")
         if last is None or sample.force != last.force:
-            self._same = self._travelled = 0.0
-            return
-        self._same += max(sample.time - last.time, 0.0)
-        self._travelled += float(np.abs(sample.commanded - last.commanded).max())
-        if self._same > FORCE_STANDS and self._travelled > STILL:
+            self._same = 0.0
+        elif not np.array_equal(sample.commanded, last.commanded):
+            self._same += min(sample.time - last.time, 0.1)  # longer between two motions
+        if self._same > FORCE_STANDS:
             told = f"arm force: got {sample.force:.3g} N, the same to the last bit for {self._same:.1f} s of motion"
             raise DeviceError(f"{told}; allowed: {FORCE_STANDS:g} s. The sensor is stuck: check it, then start anew.")
 
