@@ -128,6 +128,23 @@ def test_no_step_of_an_honest_closing_is_doubted(stiffness: float, steps: int) -
             guarded.move(0.01 - k * STEP)
 
 
+def test_a_firm_force_that_was_told_before_something_was_held_must_fall_as_the_pads_let_go() -> None:
+    """The stem holds the pads off by half of each step; of 8 N that are told 3.75 are true."""
+
+    class Yields(ElasticStem):
+        def move(self, opening: float) -> GripperState:
+            return super().move(opening + max(0.008 - opening, 0.0) / 2)
+
+        def state(self) -> GripperState:
+            firm = self.opening < 0.0078
+            return replace(super().state(), is_gripping=firm, force=8.0 if self.opening <= 0.008 else 0.0)
+
+    gripper = Yields(stiffness=15e3)
+    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
+    assert "the pads let go" in trial.stop_reason
+    assert (trial.failure, gripper.most) == ("device_fault", pytest.approx(3.75))
+
+
 def test_pads_that_something_holds_off_press_on_it() -> None:
     class Deaf(FakeGripper):
         def state(self) -> GripperState:

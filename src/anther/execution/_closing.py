@@ -66,18 +66,18 @@ def lost_grip(before: GripperState, after: GripperState) -> str:
 def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> GripperState:
     """Close to a width [m], and on in steps until the pads press, while they are further apart than `thinnest` [m].
 
-    Pads that press hard where they were sent, held off by nothing, have the gripper's word for it alone: they let go by
-    a step, and the force must fall.
+    Pads that press hard but stand where they were sent, held off by nothing, or pressed as hard a step before, have the
+    gripper's word for it alone: they let go by a step, and the force must fall.
     """
 
     def enough(state: GripperState) -> bool:
         return state.is_gripping and state.force >= ENOUGH * press
 
-    state = gripper.move(width)
+    before, state = 0.0, gripper.move(width)
     while not enough(state) and width - STEP > THINNEST - 1e-9 and state.opening > thinnest:
         width -= STEP
-        state = gripper.move(width)
-    if enough(state) and state.opening < width + HELD_OFF:
+        before, state = state.force, gripper.move(width)
+    if enough(state) and (state.opening < width + HELD_OFF or before >= ENOUGH * press):
         check_let_go(state, gripper.move(width + STEP))
         state = gripper.move(width)
     return state
