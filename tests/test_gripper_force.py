@@ -107,14 +107,30 @@ def test_what_can_be_noticed_before_the_plant_is_touched_is() -> None:
         assert (arm.done, gripper.most) == (0, 0.0)
 
 
-@pytest.mark.parametrize("holds", [True, False])
-def test_what_is_held_where_no_stem_can_be_is_no_grip(holds: bool) -> None:
-    """A leaf of 1 mm, or the pads themselves: they press, but on no stem that was seen 8 mm thick."""
-    gripper = ElasticStem(width=GRASP.stem_diameter - TOO_THICK - STEP, stiffness=3e4)
-    trial = execute(PLANNER, Plan(press=8.0 if holds else 30.0), fake_robot(FakeArm(), gripper), LIMITS)
+def test_pads_that_met_hold_nothing() -> None:
+    class RunsThrough(FakeGripper):
+        """Sent to close, its pads meet, press on each other and say that they hold something."""
+
+        def move(self, opening: float) -> GripperState:
+            super().move(opening)
+            self.opening = 0.0 if opening < 0.009 else opening
+            return self.state()
+
+        def state(self) -> GripperState:
+            return GripperState(self.opening, 8.0 if self.opening == 0 else 0.0, self.opening == 0)
+
+    gripper = RunsThrough()
+    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
     assert trial.failure == "nothing_grasped"
+    assert "the gripper holds nothing: the pads stand 0.0 mm apart with 8.0 N" in trial.stop_reason
     assert gripper.commands[-1] == GRASP.opening
-    assert min(gripper.commands) >= GRASP.stem_diameter - TOO_THICK - STEP
+
+
+def test_the_pads_come_no_nearer_than_the_thinnest_stem_that_can_be() -> None:
+    gripper = ElasticStem(width=GRASP.stem_diameter - TOO_THICK - STEP)
+    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
+    assert trial.failure == "nothing_grasped"
+    assert min(gripper.commands) == pytest.approx(GRASP.stem_diameter - TOO_THICK)
 
 
 @given(st.floats(SOFTEST * 1.01, 1e5), st.integers(1, 12))
