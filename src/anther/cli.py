@@ -168,7 +168,9 @@ def _run(name: str, words: list[str]) -> int:
         return 0
     except OSError as error:
         place, why = error.filename or "a file or device", error.strerror or error
-        print(plain(f"anther {name}: {place}: {why}. Check the path, its rights and the disk's space."), file=sys.stderr)
+        print(
+            plain(f"anther {name}: {place}: {why}. Check the path, its rights and the disk's space."), file=sys.stderr
+        )
         return 2
     except KeyboardInterrupt:
         print(f"anther {name}: interrupted; finished stages are kept.", file=sys.stderr)
