@@ -98,19 +98,23 @@ def version(name: str) -> str:
 
 
 def licence(name: str) -> str:
-    """Return what an installed package's metadata say: an SPDX expression, else its classifiers, else its first words.
+    """Return what an installed package's metadata say: an SPDX expression, else its classifiers, else its own words.
 
-    Where they say nothing, it is the first line of the licence's own text.
+    Of a licence that is told by its text alone it is the first line, or that it is a BSD licence.
     """
     package = metadata.distribution(name)
-    said = package.metadata.get("License-Expression")
-    if said:
-        return said
-    classes = [c.split(" :: ")[-1] for c in package.metadata.get_all("Classifier") or () if c.startswith("License :: ")]
-    said = ", ".join(sorted({*classes} - {"OSI Approved"})) or (package.metadata.get("License") or "").strip()
+
+    def field(key: str) -> list[str]:
+        return package.metadata.get_all(key) or []
+
+    classes = {words.split(" :: ")[-1] for words in field("Classifier") if words.startswith("License :: ")}
+    classified = ", ".join(sorted(classes - {"OSI Approved"}))
+    said = next(filter(None, [*field("License-Expression"), classified, *field("License")]), "").strip()
     texts = [file for file in package.files or () if re.search(r"\.dist-info/.*(LICEN[CS]E|COPYING)", str(file))]
     if not said and texts:
         said = texts[0].read_text().strip()
+    if "Redistribution and use in source and binary forms" in " ".join(said.split()):
+        return "BSD, by its text"
     return " ".join(said.splitlines()[0].split()).replace("|", "/") if said else "not said"
 
 

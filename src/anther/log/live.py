@@ -116,7 +116,7 @@ def _unpacked(chunk: Chunk) -> bytes:
         case "zstd":
             data = zstandard.ZstdDecompressor().stream_reader(packed).read(LARGEST + 1)
         case "lz4":
-            data = lz4.frame.open(packed).read(LARGEST + 1)
+            data = lz4.frame.LZ4FrameFile(packed).read(LARGEST + 1)
         case _:
             data = chunk.data
     if len(data) > LARGEST:

@@ -153,6 +153,8 @@ _SETTINGS = {
     "distributed.worker.memory.pause": False,  # a worker that has grown would wait for ever; at 95 % it is replaced
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,  # would ask every worker a hundred times a second what it is at
+    "distributed.scheduler.http.routes": [],  # pages for whoever asks
+    "distributed.worker.http.routes": [],
     "distributed.admin.system-monitor.interval": "5s",
     "logging.distributed": "critical",
 }
