@@ -261,6 +261,17 @@ def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
     assert main(["view", str(tmp_path), "--live", "--html", "x.html"]) == 2
 
 
+def test_who_may_watch_is_told(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server looks at no origin: a page of any site, in a browser of this machine, is let in."""
+    monkeypatch.setattr("anther.log.live.show", lambda path, port, ready: ready(port))
+    assert main(["view", str(tmp_path), "--live"]) == 0
+    assert "So may any page that a browser here has open." in capsys.readouterr().out
+    with shown(tmp_path / "log.mcap") as port:
+        address = f"ws://127.0.0.1:{port}"
+        with connect(address, origin="http://evil.example", subprotocols=["foxglove.sdk.v1"]) as socket:  # type: ignore[arg-type, list-item]
+            assert json.loads(socket.recv(timeout=60))["op"] == "serverInfo", "it looks now: let only the apps in"
+
+
 def test_a_gripper_that_jams_is_told(tmp_path: Path) -> None:
     class Jammed(FakeGripper):
         def move(self, opening: float) -> Any:

@@ -94,7 +94,7 @@ def _print_plainly() -> None:
     """Let standard output have `plain` text alone, and spell out what its encoding has no sign for."""
     out = sys.stdout
     if isinstance(out, io.TextIOWrapper):
-        how: dict[str, Any] = {"encoding": out.encoding, "line_buffering": out.line_buffering}
+        how: dict[str, Any] = {name: getattr(out, name) for name in ("encoding", "line_buffering", "write_through")}
         sys.stdout = _Plain(out.detach(), errors="backslashreplace", **how)
 
 
