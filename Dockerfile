@@ -4,7 +4,11 @@
 #   docker run --rm --read-only --tmpfs /tmp:exec --tmpfs /anther/runs:uid=1000 anther          # the demo
 #   docker run --rm --read-only --tmpfs /tmp:exec --tmpfs /anther/runs:uid=1000 anther make test
 #   docker run --rm --read-only --tmpfs /tmp:exec -v "$PWD:/data" anther anther skeletonize /data/plant.ply --out /data/tree
-FROM debian:bookworm-slim
+# bookworm-slim of 3 August 2026, all platforms, as docker-library/repo-info lists it; how to renew it: CONTRIBUTING.md.
+FROM debian:bookworm-slim@sha256:abd67ffcfa541b485a3dff59865ab629aa048a6c613e639d36e7456b0b229241
+
+# Anther's own. Of the Python packages: docs/licences.md (none under the GPL); of Debian's: /usr/share/doc/*/copyright.
+LABEL org.opencontainers.image.licenses="Apache-2.0"
 
 # Tests that start a browser, a PostgreSQL server or a ROS 1 master are skipped without these.
 ARG FOR_TESTS="chromium fonts-dejavu-core libatomic1 postgresql python3-roslaunch python3-rospy python3-std-msgs"

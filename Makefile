@@ -5,6 +5,7 @@ CORE := .venv/.core-installed
 DEV := .venv/.dev-installed
 SITE := .venv/.site-installed
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIP_LOCKED := $(PIP_INSTALL) --no-deps --require-hashes
 RUN ?=
 
 .PHONY: demo test slow check sync mutants bench docs site lock clean
@@ -41,8 +42,8 @@ docs: $(DEV) demo  ## measure again what docs/reports shows, at one commit (90 m
 site: $(SITE)  ## the documentation site in build/site; its tutorials are run, every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-lock: $(DEV)  ## show what is installed, to renew the lock files from
-	$(BIN)/python -m pip freeze --exclude-editable
+lock: $(SITE)  ## renew the lock files and docs/licences.md from what is installed
+	$(BIN)/python tools/lock.py
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache build dist
@@ -50,15 +51,15 @@ clean:
 $(CORE): requirements.lock pyproject.toml
 	@echo "Installing Anther and its pinned dependencies into .venv (about 1.5 GB, once) ..."
 	$(PYTHON) tools/make_env.py .venv
-	$(PIP_INSTALL) -r requirements.lock
+	$(PIP_LOCKED) -r requirements.lock
 	$(PIP_INSTALL) --no-deps --no-build-isolation -e .
 	@touch $@
 
-$(DEV): $(CORE) requirements-dev.lock
-	$(PIP_INSTALL) -r requirements-dev.lock
-	$(PIP_INSTALL) --no-deps franka-sim==1.1.7  # its server wants none of the older libraries that its arm does
+$(DEV): $(CORE) requirements-dev.lock requirements-torch.lock
+	$(PIP_LOCKED) -r requirements-dev.lock
+	$(PIP_LOCKED) -r requirements-torch.lock || echo "Without torch, tests of networks are skipped."
 	@touch $@
 
 $(SITE): $(DEV) requirements-site.lock
-	$(PIP_INSTALL) -r requirements-site.lock
+	$(PIP_LOCKED) -r requirements-site.lock
 	@touch $@

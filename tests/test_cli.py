@@ -12,6 +12,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
+from unicodedata import category
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from anther.commands.run_folder import WRITTEN, open_run
 from anther.errors import InputError, StageFailure
 from anther.execution import Trial
 from anther.geometry import Intrinsics, look_at
+from anther.history import TrialRecord, record_trial
 
 
 def refused(capfd, *words: object) -> str:
@@ -49,6 +51,27 @@ def test_help_names_every_command(capsys) -> None:
 def test_version(capsys) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.strip() == f"anther {__version__}"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_no_label_commands_a_terminal_and_no_sign_is_too_strange(encoding, tmp_path) -> None:
+    """A label can clear the screen, name the window, or fill the clipboard; a locale can lack its letters."""
+    label = "row \x1b]52;c;ZXZpbA==\x07\x1b[2J\x9b2J\ründer µ"
+    history = str(tmp_path / "h.sqlite")
+    record_trial(TrialRecord("tomato", label, held_unharmed=True, failure=None), history)
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "COLUMNS": "300", "FORCE_COLOR": "1"}
+    said = b""
+    for words in (["history", history, "--plant", label], ["skeletonize", label, "--out", "x"]):
+        command = [sys.executable, "-m", "anther.cli", *words]
+        done = subprocess.run(command, env=environment, capture_output=True, check=False)
+        assert b"Traceback" not in done.stderr
+        said += done.stdout + done.stderr
+    assert said.count(rb"\x1b]52;c;ZXZpbA==") == 3  # in the table, below it, and in the error
+    assert b"\x1b[1m" in said, "colours stay"
+    assert not [
+        sign for sign in re.sub(r"\x1b\[[0-9;]*m", "", said.decode()) if category(sign) == "Cc" and sign != "\n"
+    ]
+    assert "ünder µ".encode(encoding, "backslashreplace") in said
 
 
 @pytest.mark.parametrize("name", COMMANDS)

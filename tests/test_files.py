@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -56,6 +57,17 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path) -> None:
         write_half()
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["x.txt"]
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o022, 0o644), (0o002, 0o664)])
+def test_a_written_file_is_as_private_as_its_writer_wants(tmp_path, mask, mode) -> None:
+    before = os.umask(mask)
+    try:
+        write_json(tmp_path / "x.json", {})
+        write_npz(tmp_path / "x.npz", "thing", 1, a=np.zeros(3))
+    finally:
+        os.umask(before)
+    assert {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()} == {mode}
 
 
 def test_json_holds_numpy_and_turns_nan_into_null(tmp_path) -> None:

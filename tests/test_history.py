@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import sqlite3
+import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -107,6 +108,29 @@ def test_oldest_first_and_filtered(where: str) -> None:
 def test_a_history_that_is_not_there_is_empty_and_not_made(tmp_path: Path) -> None:
     assert read_trials(tmp_path / "missing.sqlite") == read_outcomes(tmp_path / "missing.sqlite") == []
     assert not (tmp_path / "missing.sqlite").exists()
+
+
+def test_a_history_on_a_disk_that_is_only_read_is_read(tmp_path: Path) -> None:
+    """A disk of its own, mounted so in a namespace of this test alone."""
+    path = tmp_path / "a b%" / "h.sqlite"
+    record_trial(full(), path)
+    alone = ["unshare", "--user", "--map-root-user", "--mount", "sh", "-c"]
+    mount = 'mount --bind "$1" "$1" && mount -o remount,ro,bind "$1"'
+    if subprocess.run([*alone, mount, "sh", path.parent], capture_output=True, check=False).returncode:
+        pytest.skip("this machine lets nobody mount: unshare --user --mount")
+    code = """if True:
+        import sys
+        from anther.history import TrialRecord, read_trials, record_trial
+        print([trial.plant for trial in read_trials(sys.argv[1])])
+        try:
+            record_trial(TrialRecord("tomato", "row 1", held_unharmed=True, failure=None), sys.argv[1])
+        except Exception as error:
+            print(error)"""
+    command = [*alone, f'{mount} && exec "$2" -c "$3" "$4"', "sh", path.parent, sys.executable, code, path]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.splitlines()[0] == "['seed 3']"
+    assert "readonly" in done.stdout
+    assert "ask for the right to write there" in done.stdout
 
 
 def test_a_path_is_of_the_folder_that_is_current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

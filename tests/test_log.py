@@ -13,8 +13,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import cv2
+import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from fake_robot import FakeArm, FakeGripper
 from made_log import done, kept_in, spoken, tapped, wait_until
 from mcap.records import Message
@@ -25,13 +27,13 @@ from anther.arm import sawyer
 from anther.capture import Capture
 from anther.cli import main
 from anther.devices import ArmSample, DeviceError
-from anther.errors import StageFailure
+from anther.errors import InputError, StageFailure
 from anther.execution import Step
 from anther.flowers import Flowers
 from anther.geometry import Intrinsics
 from anther.log import Kept, Log
 from anther.log._messages import joints
-from anther.log.live import Tail, show
+from anther.log.live import LARGEST, Tail, show
 from anther.skeleton import Skeleton
 
 STEP = Step(1.0, 2.0, (2.0, 3.0), (0.001, 0.002), (0.0, 1.0, 0.0), (4.0, 6.0), {"base": 0.4}, "Raised to 3 mm.", 0.1)
@@ -166,6 +168,24 @@ def test_a_file_is_read_as_it_grows(tmp_path: Path) -> None:
     assert tail.ended
 
 
+@pytest.mark.parametrize("stated", [0, 1, 2**40])
+@pytest.mark.parametrize("packed", ["zstd", "lz4", ""])
+def test_a_few_bytes_that_stand_for_many_are_refused(packed: str, stated: int, tmp_path: Path) -> None:
+    def record(kind: int, content: bytes) -> bytes:
+        return bytes([kind]) + struct.pack("<Q", len(content)) + content
+
+    def text(words: str) -> bytes:
+        return struct.pack("<I", len(words)) + words.encode()
+
+    zeros = bytes(8 * LARGEST)  # records of kind 0 and length 0
+    pack = {"zstd": zstandard.ZstdCompressor(level=1).compress, "lz4": lz4.frame.compress, "": bytes}
+    data = pack[packed](zeros)
+    chunk = struct.pack("<QQQI", 0, 0, stated, 0) + text(packed) + struct.pack("<Q", len(data)) + data
+    (tmp_path / "log.mcap").write_bytes(b"\x89MCAP0\r\n" + record(1, text("") + text("")) + record(6, chunk))
+    with pytest.raises(InputError, match=r"log\.mcap: got damaged: .*(16 MB|record of 1280)"):
+        list(Tail(tmp_path / "log.mcap").records())
+
+
 @contextmanager
 def shown(path: Path) -> Iterator[int]:
     """Serve a log in a thread; give the port."""
@@ -239,6 +259,17 @@ def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
         assert main(["view", str(tmp_path), "--live", "--port", str(port)]) == 2
         assert "--port" in capsys.readouterr().err
     assert main(["view", str(tmp_path), "--live", "--html", "x.html"]) == 2
+
+
+def test_who_may_watch_is_told(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The server looks at no origin: a page of any site, in a browser of this machine, is let in."""
+    monkeypatch.setattr("anther.log.live.show", lambda path, port, ready: ready(port))
+    assert main(["view", str(tmp_path), "--live"]) == 0
+    assert "So may any page that a browser here has open." in capsys.readouterr().out
+    with shown(tmp_path / "log.mcap") as port:
+        address = f"ws://127.0.0.1:{port}"
+        with connect(address, origin="http://evil.example", subprotocols=["foxglove.sdk.v1"]) as socket:  # type: ignore[arg-type, list-item]
+            assert json.loads(socket.recv(timeout=60))["op"] == "serverInfo", "it looks now: let only the apps in"
 
 
 def test_a_gripper_that_jams_is_told(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from anther.errors import EXTRA_OF
 from anther.samples import SAMPLES
 
 ROOT = Path(__file__).parents[1]
+LOCKS = [path.name for path in ROOT.glob("requirements*.lock")]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +53,7 @@ def test_the_source_archive_can_be_tested(tmp_path: Path) -> None:
     (path,) = SdistBuilder(str(ROOT)).build(directory=str(tmp_path), versions=["standard"])
     with tarfile.open(path) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
-    needed = ["pyproject.toml", "README.md", "LICENSE", "Makefile", "requirements.lock", "requirements-dev.lock",
+    needed = ["pyproject.toml", "README.md", "LICENSE", "Makefile", *LOCKS,
               "src/anther/py.typed", "src/anther/samples/plant.ply", "tests/conftest.py", "docs/README.md",
               "examples/01_shake_a_cantilever.py", "tools/make_env.py"]  # fmt: skip
     assert not set(needed) - names

@@ -303,6 +303,15 @@ def test_cells_become_what_the_options_take() -> None:
         sweep_command.typed("reconstruct", [{"masks": "colour"}])
 
 
+def test_others_on_this_machine_cannot_run_code_by_its_own_scheduler() -> None:
+    with _running.connected(1, None, 30.0) as client:
+        address = client.scheduler_info()["address"]
+        assert client.submit(int, 7).result(timeout=60) == 7
+        for guess in (address, address.replace("tls://", "tcp://")):
+            with pytest.raises((OSError, TypeError)):
+                distributed.Client(guess, timeout=3, set_as_default=False)
+
+
 @pytest.mark.parametrize("where", ["tcp://127.0.0.1:9", "nonsense"])
 def test_a_scheduler_that_is_not_there(where: str, tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_running, "PATIENCE", 1.0)

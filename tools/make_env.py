@@ -27,9 +27,9 @@ def has_pip(python: Path) -> bool:
     return python.exists() and succeeds([python, "-m", "pip", "--version"])
 
 
-def newest_pip_wheel(index: str) -> tuple[str, str]:
-    """Return (url, sha256) of the newest pip wheel on a simple index."""
-    url = index.rstrip("/") + "/pip/"
+def release_files(index: str, package: str) -> list[tuple[str, str, str]]:
+    """Return (name, url, sha256) of every file of a package on a simple index."""
+    url = f"{index.rstrip('/')}/{package}/"
     request = urllib.request.Request(url, headers={"Accept": "application/vnd.pypi.simple.v1+json, text/html;q=0.5"})
     with urllib.request.urlopen(request) as reply:
         base, kind, body = reply.url, reply.headers.get_content_type(), reply.read().decode()
@@ -37,10 +37,14 @@ def newest_pip_wheel(index: str) -> tuple[str, str]:
         files = [(f["filename"], f["url"], f["hashes"]["sha256"]) for f in json.loads(body)["files"]]
     else:
         links = re.findall(r'href="([^"#]+)#sha256=([0-9a-f]{64})"', body)
-        files = [(link.rsplit("/", 1)[-1], link, sha) for link, sha in links]
-    wheels = [f for f in files if re.fullmatch(r"pip-\d+(\.\d+)+-py3-none-any\.whl", f[0])]
-    newest = max(wheels, key=lambda f: [int(n) for n in f[0].split("-")[1].split(".")])
-    return urllib.parse.urljoin(base, newest[1]), newest[2]
+        files = [(urllib.parse.unquote(link.rsplit("/", 1)[-1]), link, sha) for link, sha in links]
+    return [(name, urllib.parse.urljoin(base, link), sha) for name, link, sha in files]
+
+
+def newest_pip_wheel(index: str) -> tuple[str, str]:
+    """Return (url, sha256) of the newest pip wheel on a simple index."""
+    wheels = [f for f in release_files(index, "pip") if re.fullmatch(r"pip-\d+(\.\d+)+-py3-none-any\.whl", f[0])]
+    return max(wheels, key=lambda f: [int(n) for n in f[0].split("-")[1].split(".")])[1:]
 
 
 def install_pip_from_index(python: Path, index: str) -> None:

@@ -27,6 +27,9 @@ PATIENCE = 2.0  # s
 COLLECT_EVERY = 100_000
 """Garbage is looked for after so many new objects: Python's 700 costs a fifth of the time of `anther skeletonize`."""
 
+CONTROL = re.compile(r"(\x1b\[[0-9;]*m)|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Colours (group 1), and all else that a terminal obeys but tabs and the ends of lines."""
+
 COMMANDS = {
     "trial": "see, grasp and shake one plant, in the simulated cell or a real one, measure it, write a report",
     "sweep": "many trials or reconstructions from a table, on all cores or a cluster; goes on after any stop",
@@ -56,6 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code; without `argv`, that of this process, which ends with it."""
     if argv is None:
         gc.set_threshold(COLLECT_EVERY)
+        _print_plainly()
         atexit.register(_leave_garbage)
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in {"-h", "--help"}:
@@ -74,6 +78,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 2
     with _terminated_as_interrupted():
         return _run(words[0], words[1:])
+
+
+def plain(text: str) -> str:
+    """Return a text that colours a terminal at most: a label or a file's name could move its cursor, or more."""
+    return CONTROL.sub(lambda found: found[1] or ascii(found[0])[1:-1], text)
+
+
+class _Plain(io.TextIOWrapper):
+    def write(self, text: str, /) -> int:
+        return super().write(plain(text))
+
+
+def _print_plainly() -> None:
+    """Let standard output have `plain` text alone, and spell out what its encoding has no sign for."""
+    out = sys.stdout
+    if isinstance(out, io.TextIOWrapper):
+        how: dict[str, Any] = {name: getattr(out, name) for name in ("encoding", "line_buffering", "write_through")}
+        sys.stdout = _Plain(out.detach(), errors="backslashreplace", **how)
 
 
 def _leave_garbage() -> None:
@@ -136,7 +158,7 @@ def _run(name: str, words: list[str]) -> int:
         told = error if isinstance(error, AntherError) else missing_extra(error)
         if told is None:
             raise
-        print(f"anther {name}: {told}", file=sys.stderr)
+        print(plain(f"anther {name}: {told}"), file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"anther {name}: not enough memory ({error}). Give a smaller cloud or capture.", file=sys.stderr)
@@ -146,7 +168,9 @@ def _run(name: str, words: list[str]) -> int:
         return 0
     except OSError as error:
         place, why = error.filename or "a file or device", error.strerror or error
-        print(f"anther {name}: {place}: {why}. Check the path, its rights and the disk's space.", file=sys.stderr)
+        print(
+            plain(f"anther {name}: {place}: {why}. Check the path, its rights and the disk's space."), file=sys.stderr
+        )
         return 2
     except KeyboardInterrupt:
         print(f"anther {name}: interrupted; finished stages are kept.", file=sys.stderr)

@@ -6,9 +6,8 @@ import csv
 import errno
 import json
 import math
-import os
+import secrets
 import struct
-import tempfile
 import zipfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
@@ -47,12 +46,10 @@ def replacing(path: Path | str) -> Iterator[Path]:
     path = Path(path)
     with written(path, "a file that can be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+        temporary = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
+        temporary.touch(exist_ok=False)  # who may read it is as the umask says; tempfile's are the writer's alone
         try:
             yield temporary
-            temporary.chmod(0o644)
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)

@@ -68,7 +68,7 @@ def _show(args: Args) -> None:
 
     def ready(port: int) -> None:
         how = f"Open ws://localhost:{port} in Foxglove or Lichtblick (Open connection)"
-        print(f"{how}. Ctrl-C ends this, not the trial.")
+        print(f"{how}. So may any page that a browser here has open. Ctrl-C ends this, not the trial.")
         if not path.exists():
             print(f"waiting for {path} ...")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -110,6 +111,9 @@ def _anchored(url: URL) -> URL:
         return url
     path = Path(url.database).absolute()
     path.parent.mkdir(parents=True, exist_ok=True)
+    if os.statvfs(path.parent).f_flag & os.ST_RDONLY and not path.with_name(f"{path.name}-wal").exists():
+        # nobody can write there, and a write-ahead log could not even be read
+        return url.set(database=path.as_uri()).update_query_dict({"immutable": "1", "uri": "true"})
     return url.set(database=str(path))
 
 
@@ -136,15 +140,16 @@ def _engine(url: URL, patience: float) -> Engine:
             raise MissingExtra(f"history: PostgreSQL needs psycopg. Install it with: {INSTALL}") from error
         event.listen(engine, "begin", _begin_postgresql)
         return engine
-    engine = create_engine(url, poolclass=NullPool, connect_args={"timeout": patience}, json_serializer=write)
-    event.listen(engine, "connect", _configure_sqlite)
+    arguments = {"timeout": patience, "isolation_level": None}  # it begins no transactions itself: see _begin_sqlite
+    engine = create_engine(url, poolclass=NullPool, connect_args=arguments, json_serializer=write)
+    if "immutable" not in url.query:
+        event.listen(engine, "connect", _configure_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine
 
 
 def _configure_sqlite(connection: Any, _: Any) -> None:
     """Write-ahead log, flushed to the disk at every commit, and references that are checked."""
-    connection.isolation_level = None  # sqlite3 would begin transactions itself, and late: see _begin_sqlite
     deadline = time.monotonic() + PATIENCE
     while connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
         try:

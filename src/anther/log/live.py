@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
 import foxglove
+import lz4.frame
+import zstandard
 from foxglove import Channel, Context, Schema
 from foxglove.websocket import ChannelView, Client, ServerListener
 from mcap.data_stream import ReadDataStream
@@ -28,8 +31,8 @@ PERIOD = 0.1
 """How often it is looked whether the file has grown [s]."""
 MAGIC, HEAD = b"\x89MCAP0\r\n", 9
 """What the file begins with; and the size of a record's kind and length [bytes]."""
-LARGEST = 64_000_000
-"""A record that claims to be larger is damage [bytes]."""
+LARGEST = 16_000_000
+"""A record that is larger, packed or not, is damage [bytes]: `_messages.CHUNK` and one message more are below 2 MB."""
 
 
 class Tail:
@@ -86,7 +89,7 @@ class Tail:
         try:
             with self.path.open("rb") as stream:
                 stream.seek(self._place)
-                new = stream.read()
+                new = stream.read(2 * LARGEST)  # what is left comes with the next call
         except FileNotFoundError:  # it is to come
             return b""
         except OSError as error:
@@ -97,12 +100,28 @@ class Tail:
 
     def _parts(self, content: bytes) -> list[McapRecord]:
         try:
-            return breakup_chunk(Chunk.read(ReadDataStream(BytesIO(content))))
+            chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+            return breakup_chunk(replace(chunk, compression="", data=_unpacked(chunk)))
         except Exception as error:  # zstd and mcap raise whatever the bytes provoke
             raise self._damaged(repr(error)) from error
 
     def _damaged(self, what: str) -> Exception:
         return bad_input(str(self.path), given=f"damaged: {what}", allowed="an MCAP file", do="Restore the file.")
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return what a chunk holds; a few bytes can stand for gigabytes, whatever size they state."""
+    packed = BytesIO(chunk.data)
+    match chunk.compression:
+        case "zstd":
+            data = zstandard.ZstdDecompressor().stream_reader(packed).read(LARGEST + 1)
+        case "lz4":
+            data = lz4.frame.LZ4FrameFile(packed).read(LARGEST + 1)
+        case _:
+            data = chunk.data
+    if len(data) > LARGEST:
+        raise ValueError(f"a chunk of more than {LARGEST / 1e6:.0f} MB")
+    return data
 
 
 class Relay(ServerListener):

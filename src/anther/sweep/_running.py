@@ -153,6 +153,8 @@ _SETTINGS = {
     "distributed.worker.memory.pause": False,  # a worker that has grown would wait for ever; at 95 % it is replaced
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,  # would ask every worker a hundred times a second what it is at
+    "distributed.scheduler.http.routes": [],  # pages for whoever asks
+    "distributed.worker.http.routes": [],
     "distributed.admin.system-monitor.interval": "5s",
     "logging.distributed": "critical",
 }
@@ -164,7 +166,9 @@ def connected(workers: int | None, scheduler: str | None, patience: float) -> It
     processes here, by default one a core, that ends with it."""
     try:
         from dask import config  # noqa: PLC0415
-        from distributed import Client, LocalCluster  # noqa: PLC0415
+        from distributed import Client, LocalCluster, Security  # noqa: PLC0415
+
+        keys = None if scheduler else Security.temporary()  # needs cryptography
     except ImportError as error:
         raise MissingExtra(f"a sweep needs dask.distributed. Install it with: {INSTALL}") from error
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is said by the sweep
@@ -175,6 +179,7 @@ def connected(workers: int | None, scheduler: str | None, patience: float) -> It
     with config.set(_SETTINGS):
         here: dict[str, Any] = {"processes": True, "threads_per_worker": 1, "dashboard_address": None}
         here |= {"silence_logs": logging.CRITICAL, "env": ONE_THREAD}
+        here |= {"security": keys}  # who reaches a scheduler without keys runs code as its user
         with (
             LocalCluster(n_workers=workers or cores(), **here) as cluster,
             Client(cluster, set_as_default=False) as client,
