@@ -82,7 +82,7 @@ def charts(days: Sequence[Tally], since: date, until: date) -> list[Chart]:
         _chart("Visits a day", visits, "{:.0f}", since, until),
         _chart("Pollinated", pollinated, "{:.1f} %", since, until, top=100.0),
         _chart("Failed", failed, "{:.1f} %", since, until, top=100.0),
-        _chart("Flowers felt, daily mean", felt, "{:.1f} m/s²", since, until),
+        _chart("Flowers' acceleration, daily mean", felt, "{:.1f} m/s²", since, until),
     ]
 
 
