@@ -61,7 +61,7 @@ def addresses(visits: int, plants: int, count: int) -> list[tuple[str, str]]:
 
     kinds = {
         "day": lambda: f"/?day={day()}",
-        "failures": lambda: f"/?day={day()}&result=failure",
+        "failures": lambda: f"/?day={day()}&result=failed",
         "trends": lambda: f"/trends?days={rng.choice([7, 30, 90])}",
         "robots": lambda: "/robots",
         "plants": lambda: f"/plants?q={rng.randrange(plants)}",

@@ -373,7 +373,7 @@ def test_a_trial_end_to_end(tmp_path, capsys) -> None:
         ]
     )
     summary = json.loads((out / "trial.json").read_text())
-    assert code == (0 if summary["success"] else 1)
+    assert code == int(not (summary["held"] and summary["unharmed"]))
     assert summary["success"] == (summary["held"] and summary["unharmed"] and summary["flowers_moved"])
     assert (summary["failure"] is None) == (summary["held"] and summary["unharmed"])
     assert Trial.load(out / "09_trial.npz").stop_reason == "finished"

@@ -125,16 +125,21 @@ def test_trial_json_says_what_the_flowers_felt() -> None:
         (told(None, StageFailure("no_stem_found", "none")), (False, "no_stem_found")),
     ],
 )
-def test_the_history_keeps_held_and_unharmed(summary: dict[str, Any], kept: tuple[bool, str | None], tmp_path) -> None:
+def test_the_history_keeps_the_result_that_the_report_shows(
+    summary: dict[str, Any], kept: tuple[bool, str | None], tmp_path
+) -> None:
     record = _record(Args(), tmp_path, datetime.now(UTC), summary, None)
     assert (record.held_unharmed, record.failure) == kept
+    results = RunResults(folder=tmp_path, summary=summary)
+    assert (record.result, record.result_words) == (results.result, results.headline)
+    assert (record.result == "pollinated") == summary["success"]
 
 
 @pytest.mark.parametrize(
     ("summary", "said", "headline"),
     [
-        (told(verdict_of()), ["yes", "no", "yes"], "success"),
-        (told(verdict_of(felt=(2.7,))), ["yes", "no", "hardly"], "failed: the flowers hardly moved"),
+        (told(verdict_of()), ["yes", "no", "yes"], "pollinated"),
+        (told(verdict_of(felt=(2.7,))), ["yes", "no", "hardly"], "held, flowers hardly moved"),
         (told(verdict_of(pedicel=0.05)), ["yes", "yes: pedicel", "yes"], "failed: damaged"),
         (told(verdict_of(held=False)), ["no", "no", "yes"], "failed: slipped"),
         (
@@ -201,7 +206,8 @@ def test_of_a_real_plant_the_side_camera_tells_whether_flowers_moved(after, step
     said = {True: "yes", False: "hardly", None: "not known"}[moved[0]]
     results = RunResults(folder=tmp_path, summary=summary)
     assert [answer.said for answer in results.answers()] == ["yes", "not known", said]
-    assert results.headline == ("success" if summary["success"] else "failed: the flowers hardly moved")
+    words = {True: "pollinated", False: "held, flowers hardly moved", None: "held, flowers not measured"}
+    assert results.headline == words[moved[0]]
     assert not any("simulated" in answer.why for answer in results.answers())
 
 

@@ -98,8 +98,8 @@ def test_oldest_first_and_filtered(where: str) -> None:
 
     assert minutes_of(species="tomato") == [1, 3, 5]
     assert minutes_of(plant="b", species="tomato") == [3, 5]
-    assert minutes_of(result="slipped") == minutes_of(result="failure") == [1, 3, 5]
-    assert minutes_of(result="held_unharmed") == minutes_of(since=date(2026, 5, 2)) == [0]
+    assert minutes_of(result="slipped") == minutes_of(result="failed") == [1, 3, 5]
+    assert minutes_of(result="held") == minutes_of(since=date(2026, 5, 2)) == [0]
     assert minutes_of(since=date(2026, 5, 3), until=date(2026, 5, 3)) == [0]
     assert minutes_of(until=date(2026, 5, 2)) == [1, 3, 5]
     assert read_trials(where, species="cucumber") == []

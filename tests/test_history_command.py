@@ -67,9 +67,14 @@ def say(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
 def test_the_list_and_its_filters(history: str, say) -> None:
     code, text = say("history", history)
     assert code == 0
-    for part in ("0.60 mm, 9.0 Hz", "1.00 -> 1.50 (1 of 2)", "no_stem_found", "nothing was learned of this plant yet"):
+    for part in (
+        "0.60 mm, 9.0 Hz",
+        "1.00 -> 1.50 (1 of 2)",
+        "failed: no stem found",
+        "nothing was learned of this plant yet",
+    ):
         assert part in text, part
-    assert "no_stem_found" not in say("history", history, "--result", "held_unharmed")[1]
+    assert "no_stem_found" not in say("history", history, "--result", "held")[1]
     assert "row 1" not in say("history", history, "--plant", "7")[1]
     assert "its own" not in text
     assert "7's own" in say("history", history, "--plant", "7")[1]

@@ -68,7 +68,7 @@ def test_a_history_of_the_version_before_is_brought_up_with_all_that_is_in_it(
         connection.execute(text("INSERT INTO plants (species, label, learned) VALUES ('tomato', 'a', '{}')"))
         row = "(plant_id, time, success) VALUES (1, '2026-05-01 12:00:00', true)"
         connection.execute(text(f"INSERT INTO visits {row}"))
-    assert [(trial.plant, trial.held_unharmed) for trial in read_trials(where)] == [("a", True)]
+    assert [(trial.plant, trial.result_words) for trial in read_trials(where)] == [("a", "held, flowers not measured")]
     record_trial(VISIT, where)
     assert len(read_trials(where)) == 2
 

@@ -84,10 +84,10 @@ def test_a_day(history: str, tmp_path: Path) -> None:
     said = text_of(pages.get(f"/?day={day}").text)
     # by the hour of the day, the visit of 25 hours ago may be of the day before
     slipped = (NOW - timedelta(hours=25)).date() == day
-    for part in ("held, unharmed", "1.2 mm at 8.0 Hz, 3.0 s", "5.0 m/s²", "row 1", "What failed, and why"):
+    for part in ("held, flowers not measured", "1.2 mm at 8.0 Hz, 3.0 s", "5.0 m/s²", "row 1", "What failed, and why"):
         assert part in said, part
     assert ("slipped 1" in said) == slipped
-    failed = text_of(pages.get(f"/?day={(NOW - timedelta(hours=25)).date()}&result=failure").text)
+    failed = text_of(pages.get(f"/?day={(NOW - timedelta(hours=25)).date()}&result=failed").text)
     assert "slipped" in failed
     assert "not shaken" in failed
     assert "No visit on this day" in text_of(pages.get("/?day=2020-01-01").text)
@@ -96,12 +96,28 @@ def test_a_day(history: str, tmp_path: Path) -> None:
 def test_trends_and_robots(history: str, tmp_path: Path) -> None:
     pages = client(history, tmp_path)
     page = pages.get("/trends?days=7").text
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 4
     assert f"{(NOW - timedelta(days=3)).date()}: 1<" in page
     said = text_of(pages.get("/robots").text)
     assert "arm 1" in said
     assert "its clock is fast" in said  # arm 2 came in two hours
     assert said.count("its clock is fast") == 1
+
+
+def test_each_of_the_three_results_is_counted_filtered_and_said(where: str, tmp_path: Path) -> None:
+    for k, (failure, moved) in enumerate([(None, True), (None, True), (None, False), (None, None), ("slipped", True)]):
+        record_trial(visit(f"plant {k}", failure=failure, flowers_moved=moved), where)
+    pages, day = client(where, tmp_path), NOW.date()
+    said = {name: text_of(pages.get(f"/?day={day}&result={name}").text) for name in ("pollinated", "held", "failed")}
+    shown = {name: [k for k in range(5) if f"plant {k}" in text] for name, text in said.items()}
+    assert shown == {"pollinated": [0, 1], "held": [2, 3], "failed": [4]}, "the slipped one's flowers do not count"
+    assert "40.0 % pollinated 2 held, flowers hardly moved or not measured 1 failed" in said["held"]
+    assert "held, flowers hardly moved" in said["held"]
+    assert "held, flowers not measured" in said["held"]
+    assert "40.0 % 20.0 %" in text_of(pages.get("/robots").text)
+    page = pages.get("/visits/3").text
+    assert 'class="verdict held"' in page
+    assert "Held, flowers hardly moved" in page
 
 
 def test_a_plant_and_its_visits(history: str, tmp_path: Path) -> None:
@@ -314,16 +330,18 @@ def test_a_slow_page_holds_up_no_robot(where: str, tmp_path: Path, monkeypatch: 
 
 def test_charts_stay_within_their_box() -> None:
     day = date(2026, 5, 1)
-    days = [overview.Tally(day + timedelta(days=k), 10 * k + 1, k, None if k == 2 else 3.0 * k, NOW) for k in range(5)]
+    days = [
+        overview.Tally(day + timedelta(days=k), 10 * k + 1, k, k, None if k == 2 else 3.0 * k, NOW) for k in range(5)
+    ]
     drawn = charts(days, day, day + timedelta(days=6))
-    assert [len(chart.bars) for chart in drawn] == [5, 5, 4]
-    assert [chart.last for chart in drawn] == ["41", "9.8 %", "12.0 m/s²"]
+    assert [len(chart.bars) for chart in drawn] == [5, 5, 5, 4]
+    assert [chart.last for chart in drawn] == ["41", "9.8 %", "90.2 %", "12.0 m/s²"]
     for bar in (bar for chart in drawn for bar in chart.bars):
         assert 0 <= bar.x <= bar.x + bar.width <= 600
         assert bar.y + bar.height == pytest.approx(100)
         assert bar.y >= 0
     assert drawn[0].bars[-1].height == 100
-    assert [chart.last for chart in charts([], day, day)] == ["nothing yet"] * 3
+    assert [chart.last for chart in charts([], day, day)] == ["nothing yet"] * 4
 
 
 @contextmanager

@@ -76,7 +76,6 @@ def _table(header: list[str], rows: list[list[str]], text_columns: int = 1, chos
 def _verdict(results: RunResults) -> str:
     if results.summary is None:
         return ""
-    good = bool(results.summary.get("success"))
     headline = results.headline[:1].upper() + results.headline[1:]
     why = str(results.summary.get("message") or "")
     colour = {True: "yes", False: "no", None: "soft"}
@@ -88,7 +87,7 @@ def _verdict(results: RunResults) -> str:
     answers = f"<div class=answers>{cells}</div>" if cells else ""
     facts = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in results.headline_facts())
     return (
-        f"<section class='verdict{'' if good else ' bad'}'><h2>{escape(headline)}</h2>"
+        f"<section class='verdict {results.result}'><h2>{escape(headline)}</h2>"
         f"<p>{escape(why)}</p>{answers}<div class=facts>{facts}</div></section>"
     )
 

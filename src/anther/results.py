@@ -17,7 +17,7 @@ from anther.execution import Trial
 from anther.files import existing, read_object
 from anther.flowers import Flowers
 from anther.grasp import Grasp, load_grasps
-from anther.history import TrialRecord, read_record
+from anther.history import Result, TrialRecord, read_record, result_of, result_words
 from anther.masks import Masks
 from anther.plant import PlantModel
 from anther.response import Response
@@ -116,13 +116,15 @@ class RunResults:
 
     @property
     def headline(self) -> str:
-        """Whether the trial succeeded, or the first of its parts that failed."""
-        summary = self.summary or {}
-        if summary.get("success"):
-            return "success"
-        failure = str(summary.get("failure") or "").replace("_", " ")
-        unmoved = "the flowers hardly moved" if summary.get("flowers_moved") is False else "execution stopped"
-        return f"failed: {failure or unmoved}"
+        """The result of the trial in a few words."""
+        s = self.summary or {}
+        return result_words(held_unharmed(s), s.get("flowers_moved"), s.get("failure"))
+
+    @property
+    def result(self) -> Result:
+        """The result of the trial."""
+        s = self.summary or {}
+        return result_of(held_unharmed(s), s.get("flowers_moved"))
 
     def answers(self) -> tuple[Finding, ...]:
         """Return whether it was held, harmed, and whether the flowers moved; nothing for older runs.
@@ -171,6 +173,11 @@ class RunResults:
         """Return a line for the main stem and for the best grasp if their confidence is low."""
         stem = () if self.stem is None else doubt(self.stem.confidence)
         return [*stem, *(note for grasp in self.grasps[:1] for note in doubt(grasp.confidence, "best grasp"))]
+
+
+def held_unharmed(summary: dict[str, Any]) -> bool:
+    """Return whether a trial held the plant and, as far as anybody knows, did not harm it, by its trial.json."""
+    return bool(summary.get("held") and summary["unharmed"] is not False)
 
 
 def _harm(s: dict[str, Any]) -> tuple[str, str]:

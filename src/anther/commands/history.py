@@ -18,6 +18,7 @@ from anther.commands.run_folder import add_run
 from anther.errors import FailureKind, bad_input
 from anther.history import (
     Outcome,
+    Result,
     TrialRecord,
     count_trials,
     each_trial,
@@ -45,7 +46,7 @@ class Args:
     until: date | None = None
     """Only trials of this day and earlier, UTC."""
     result: str | None = None
-    """Only 'held_unharmed', 'failure', or one kind of failure, e.g. 'slipped'."""
+    """Only 'pollinated', 'held' (flowers hardly moved, or not measured), 'failed', or a kind of failure: 'slipped'."""
     last: int = 40
     """List at most so many, the last ones. An export always has all."""
     export: Path | None = None
@@ -60,7 +61,7 @@ class Args:
 
 def run(args: Args) -> None:
     """Add, export or list."""
-    kinds = ("held_unharmed", "failure", *get_args(FailureKind))
+    kinds = (*get_args(Result), *get_args(FailureKind))
     if args.result is not None and args.result not in kinds:
         raise bad_input("result", given=f"'{args.result}'", allowed=", ".join(kinds), do="Choose one.")
     if args.add or args.merge:
@@ -108,9 +109,8 @@ def _trials(trials: Sequence[TrialRecord]) -> Table:
         grasp, shake = t.grasp, t.shake
         held = "" if grasp is None or grasp.arc_length is None else f"{100 * grasp.arc_length:.1f}"
         shaken = "" if shake is None else f"{1000 * shake.amplitude:.2f} mm, {shake.frequency:.1f} Hz"
-        result = "held, unharmed" if t.held_unharmed else str(t.failure or "failure")
         stiff = "" if t.material is None or not t.measured else f"{t.material.youngs / 1e6:.0f}"
-        first = (str(t.id), f"{t.time:%Y-%m-%d %H:%M}", t.species, t.plant, result)
+        first = (str(t.id), f"{t.time:%Y-%m-%d %H:%M}", t.species, t.plant, t.result_words)
         table.add_row(*first, held, shaken, _motion(t), stiff, t.run or "")
     return table
 

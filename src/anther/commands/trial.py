@@ -30,7 +30,7 @@ from anther.history import (
     starting_material,
 )
 from anther.pipeline import Done, MaskSource, Params, mask_finder, pollinate
-from anther.results import EXECUTED, FILM, SUMMARY
+from anther.results import EXECUTED, FILM, SUMMARY, held_unharmed
 from anther.runs import WHERE_IT_STOPPED, stage_under_way
 from anther.shake import ActuatorName, Crop, Preset, with_preset
 
@@ -105,8 +105,9 @@ def run(args: Args) -> int:
     """Run one trial; return how it ended.
 
     Returns:
-        0 only if all three parts of the verdict are good: the main stem was held through the shake, the plant was not
-        harmed, and its flowers moved as in a breeze or more; 1 if one of them is not; 2 if it never came to that.
+        0 if the main stem was held through the shake and the plant was not harmed, however little its flowers moved;
+        1 if not; 2 if it never came to that. The verdict in words, trial.json and the history tell pollinated from
+        held.
     """
     from anther.pictures.report import save_film  # Matplotlib takes a second
 
@@ -148,7 +149,7 @@ def run(args: Args) -> int:
             print(f"anther trial: {said}", file=sys.stderr)
     if failure is not None or lost is not None:
         return 2
-    return 0 if summary["success"] else 1
+    return int(not held_unharmed(summary))
 
 
 def _resolved(args: Args) -> Args:
@@ -245,9 +246,9 @@ def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], don
     That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that. A shake
     that was planned but never begun is not recorded: it gave the flowers nothing.
     """
-    held_unharmed = bool(summary["held"] and summary["unharmed"] is not False)
-    failure = summary["failure"]
-    record = TrialRecord(args.plant, _label(args), held_unharmed, failure, run=str(out), robot=args.robot, time=began)
+    held, failure, moved = held_unharmed(summary), summary["failure"], summary["flowers_moved"]
+    crop, label, robot = args.plant, _label(args), args.robot
+    record = TrialRecord(crop, label, held, failure, flowers_moved=moved, run=str(out), robot=robot, time=began)
     if done is None:
         return record
     plan, answer, times, grasp = done.shake, done.response, done.trial.shake_times, done.shake.grasp

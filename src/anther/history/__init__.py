@@ -10,7 +10,16 @@ from anther.history._beliefs import Belief, earlier_shake, facts_prior, starting
 from anther.history._database import DEFAULT, PATIENCE, reading, shown
 from anther.history._export import TABLES, export
 from anther.history._jobs import Job, add_jobs, note_jobs, read_jobs
-from anther.history._records import GraspRecord, Outcome, ShakeRecord, TrialRecord, read_record
+from anther.history._records import (
+    GraspRecord,
+    Outcome,
+    Result,
+    ShakeRecord,
+    TrialRecord,
+    read_record,
+    result_of,
+    result_words,
+)
 from anther.history._trials import (
     Merged,
     add_missing,
@@ -35,6 +44,7 @@ __all__ = [
     "Job",
     "Merged",
     "Outcome",
+    "Result",
     "ShakeRecord",
     "TrialRecord",
     "add_jobs",
@@ -56,6 +66,8 @@ __all__ = [
     "record_note",
     "record_outcome",
     "record_trial",
+    "result_of",
+    "result_words",
     "shown",
     "starting_material",
 ]

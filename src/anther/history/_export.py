@@ -27,7 +27,9 @@ _OF_TRIAL: dict[str, Column] = {
 }
 _VISITS: dict[str, Column] = {
     **_OF_TRIAL,
+    "result": (str, lambda t: t.result),
     "held_unharmed": (bool, lambda t: t.held_unharmed),
+    "flowers_moved": (bool, lambda t: t.flowers_moved),
     "failure": (str, lambda t: t.failure),
     "run": (str, lambda t: t.run),
     "robot": (str, lambda t: t.robot),

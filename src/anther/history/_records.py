@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,28 @@ MOTIONS = {
     "measured_acceleration": "measured_acceleration_ms2",
 }
 """What is kept of every flower, NaN where unknown -> its column in tables."""
+
+
+Result = Literal["pollinated", "held", "failed"]
+"""What became of a visit: held, unharmed and its flowers moved; held and unharmed only; neither."""
+
+
+def result_of(held_unharmed: bool, flowers_moved: bool | None) -> Result:
+    """Return the result of a visit. `flowers_moved` is None where no flower was measured."""
+    if not held_unharmed:
+        return "failed"
+    return "pollinated" if flowers_moved else "held"
+
+
+def result_words(held_unharmed: bool, flowers_moved: bool | None, failure: str | None) -> str:
+    """Return the result of a visit in a few words, the same in the terminal, the report and the pages."""
+    match result_of(held_unharmed, flowers_moved):
+        case "failed":
+            return f"failed: {(failure or 'not held, or harmed').replace('_', ' ')}"
+        case "held":
+            return "held, flowers hardly moved" if flowers_moved is False else "held, flowers not measured"
+        case result:
+            return result
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +107,7 @@ class TrialRecord:
         held_unharmed: whether the plant was held through the shake and not harmed, however little its flowers moved.
         failure: kind of failure (`errors.FailureKind`), or None.
         grasp, shake: None where it never came to that.
+        flowers_moved: whether they moved enough to be pollinated (`response.moved`); None if none was measured.
         predicted_amplitude, measured_amplitude, measured_amplitude_std: (F,) [m]; NaN where not measurable.
         predicted_acceleration, measured_acceleration: (F,) peaks [m/s2].
         believed: of the plant's material before the shake.
@@ -101,6 +124,7 @@ class TrialRecord:
     failure: str | None = None
     grasp: GraspRecord | None = None
     shake: ShakeRecord | None = None
+    flowers_moved: bool | None = None
     predicted_amplitude: tuple[float, ...] = ()
     measured_amplitude: tuple[float, ...] = ()
     measured_amplitude_std: tuple[float, ...] = ()
@@ -115,7 +139,7 @@ class TrialRecord:
 
     def __post_init__(self) -> None:
         _labels(self.species, self.plant)
-        _of_type(self, held_unharmed=bool, failure=str | None, run=str | None, robot=str)
+        _of_type(self, held_unharmed=bool, flowers_moved=bool | None, failure=str | None, run=str | None, robot=str)
         if len(self.robot) > 200:
             raise bad_input("robot", given=f"{len(self.robot)} characters", allowed="up to 200", do="Name it briefly.")
         if self.time.tzinfo is None:
@@ -123,6 +147,16 @@ class TrialRecord:
         counts = {len(getattr(self, name)) for name in MOTIONS} - {0}
         if len(counts) > 1:
             raise bad_input("flowers", given=f"motions of {sorted(counts)} flowers", allowed="one number", do="Check.")
+
+    @property
+    def result(self) -> Result:
+        """What became of the visit."""
+        return result_of(self.held_unharmed, self.flowers_moved)
+
+    @property
+    def result_words(self) -> str:
+        """The result in a few words."""
+        return result_words(self.held_unharmed, self.flowers_moved, self.failure)
 
     @property
     def flowers(self) -> int:

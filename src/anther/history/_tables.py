@@ -14,6 +14,7 @@ from typing import Any
 from sqlalchemy import (
     JSON,
     CheckConstraint,
+    ColumnElement,
     DateTime,
     Double,
     ForeignKey,
@@ -21,7 +22,10 @@ from sqlalchemy import (
     Text,
     TypeDecorator,
     UniqueConstraint,
+    and_,
     false,
+    func,
+    not_,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column, relationship
 
@@ -72,13 +76,14 @@ class Visit(Base):
     __table_args__ = (
         Index("ix_visits_plant", "plant_id", "time", "robot", unique=True),
         # trends read this index alone
-        Index("ix_visits_time", "time", "robot", "held_unharmed", "failure", "acceleration_ms2"),
+        Index("ix_visits_time", "time", "robot", "held_unharmed", "flowers_moved", "failure", "acceleration_ms2"),
     )
     id: Mapped[int] = mapped_column(primary_key=True)
     plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"))
     robot: Mapped[str] = mapped_column(server_default="")
     time: Mapped[datetime]
     held_unharmed: Mapped[bool]
+    flowers_moved: Mapped[bool | None]
     taught: Mapped[bool] = mapped_column(server_default=false())
     acceleration_ms2: Mapped[float | None]
     failure: Mapped[str | None]
@@ -89,6 +94,24 @@ class Visit(Base):
     grasp: Mapped[GraspRow | None] = relationship(lazy="selectin", uselist=False)
     shake: Mapped[ShakeRow | None] = relationship(lazy="selectin", uselist=False)
     responses: Mapped[list[ResponseRow]] = relationship(lazy="selectin", order_by="ResponseRow.flower")
+
+
+def pollinated() -> ColumnElement[bool]:
+    """Return the condition that a visit held the plant, did not harm it, and moved its flowers."""
+    return and_(Visit.held_unharmed, func.coalesce(Visit.flowers_moved, false()))
+
+
+def with_result(result: str) -> ColumnElement[bool]:
+    """Return the condition that a visit has a `Result`, or failed in one way (`errors.FailureKind`)."""
+    match result:
+        case "pollinated":
+            return pollinated()
+        case "held":
+            return and_(Visit.held_unharmed, not_(pollinated()))
+        case "failed":
+            return not_(Visit.held_unharmed)
+        case _:
+            return Visit.failure == result
 
 
 class GraspRow(Base):

@@ -20,7 +20,7 @@ from sqlalchemy.orm import Session
 from anther.errors import bad_input
 from anther.history._database import DEFAULT, insert, reading, shown, writing
 from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of, numbers
-from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, Visit
+from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, Visit, with_result
 
 BATCH = 500
 """Visits that are read or written at a time."""
@@ -71,7 +71,7 @@ class Which(TypedDict, total=False):
     Attributes:
         species, plant: with these labels.
         since, until: of these days and between them (UTC).
-        result: only "held_unharmed", "failure", or one kind of failure.
+        result: only with this result (`Result`), or one kind of failure.
     """
 
     species: str | None
@@ -125,11 +125,7 @@ def _chosen(query: Any, which: Which) -> Any:
         query = query.where(Visit.time >= datetime.combine(since, time(), UTC))
     if until is not None:
         query = query.where(Visit.time < datetime.combine(until + timedelta(days=1), time(), UTC))
-    if result in ("held_unharmed", "failure"):
-        query = query.where(Visit.held_unharmed.is_(result == "held_unharmed"))
-    elif result is not None:
-        query = query.where(Visit.failure == result)
-    return query
+    return query if result is None else query.where(with_result(result))
 
 
 def record_outcome(outcome: Outcome, where: Path | str = DEFAULT) -> int:
@@ -218,7 +214,7 @@ def _plant_of(session: Session, species: str, label: str) -> Plant:
     return plant
 
 
-_OF_VISIT = ("robot", "time", "held_unharmed", "failure", "run")
+_OF_VISIT = ("robot", "time", "held_unharmed", "flowers_moved", "failure", "run")
 _COUNTED = ("date", "flowers", "fruit", "note", "recorded")
 """What records and rows of visits, and of counts, both have."""
 

@@ -13,7 +13,18 @@ from typing import Any, NamedTuple
 from sqlalchemy import Integer, cast, func, select, tuple_
 from sqlalchemy.orm import Session
 
-from anther.history._tables import FruitSetRow, Note, Plant, ShakeRow, Sweep, SweepJob, Visit
+from anther.history._records import Result
+from anther.history._tables import (
+    FruitSetRow,
+    Note,
+    Plant,
+    ShakeRow,
+    Sweep,
+    SweepJob,
+    Visit,
+    pollinated,
+    with_result,
+)
 
 PAGE = 50
 """Visits of a page."""
@@ -25,14 +36,16 @@ class Tally(NamedTuple):
     Attributes:
         name: what: a day, a robot, a kind of failure.
         visits: how many.
-        good: how many of them held the plant and did not harm it.
+        held: how many of them held the plant and did not harm it.
+        pollinated: at how many of these its flowers moved.
         acceleration: mean over the visits of what their flowers felt [m/s2]; None where it is not known.
         last: the last one's time.
     """
 
     name: Any
     visits: int
-    good: int
+    held: int
+    pollinated: int
     acceleration: float | None
     last: datetime
 
@@ -50,6 +63,7 @@ class SweepTally:
 _TALLY = (
     func.count(),
     func.sum(cast(Visit.held_unharmed, Integer)),
+    func.sum(cast(pollinated(), Integer)),
     func.avg(Visit.acceleration_ms2),
     func.max(Visit.time),
 )
@@ -92,30 +106,30 @@ def visits(
     *,
     day: date | None = None,
     plant: int | None = None,
-    result: str | None = None,
+    result: Result | None = None,
     before: int | None = None,
 ) -> Sequence[Any]:
     """Return at most PAGE + 1 visits, the last one first: one more than is shown says that there are more.
 
-    Each has id, time, robot, held_unharmed, failure, acceleration_ms2, species, label, plant_id, and amplitude,
-    frequency, duration of its shake.
+    Each has id, time, robot, held_unharmed, flowers_moved, failure, acceleration_ms2, species, label, plant_id, and
+    amplitude, frequency, duration of its shake.
 
     Args:
         session: that reads.
         day, plant: only of this day, of the plant with this number.
-        result: only "held_unharmed" or "failure".
+        result: only with this result.
         before: only those before the visit with this number.
     """
-    of_visit = Visit.id, Visit.time, Visit.robot, Visit.held_unharmed, Visit.failure, Visit.acceleration_ms2
+    of_visit = Visit.id, Visit.time, Visit.robot, Visit.held_unharmed, Visit.flowers_moved, Visit.failure
     shake = ShakeRow.amplitude, ShakeRow.frequency, ShakeRow.duration
-    query = select(*of_visit, Visit.plant_id, Plant.species, Plant.label, *shake)
+    query = select(*of_visit, Visit.acceleration_ms2, Visit.plant_id, Plant.species, Plant.label, *shake)
     query = query.join(Plant, Plant.id == Visit.plant_id).outerjoin(ShakeRow, ShakeRow.visit_id == Visit.id)
     if day is not None:
         query = _between(query, day, day)
     if plant is not None:
         query = query.where(Visit.plant_id == plant)
     if result is not None:
-        query = query.where(Visit.held_unharmed.is_(result == "held_unharmed"))
+        query = query.where(with_result(result))
     if before is not None:
         moment = session.scalar(select(Visit.time).where(Visit.id == before))
         query = query.where(tuple_(Visit.time, Visit.id) < (moment, before))

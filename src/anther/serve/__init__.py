@@ -27,7 +27,19 @@ from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 
 from anther.errors import AntherError, InputError, MissingExtra
-from anther.history import each_trial, export, find_visit, overview, read_outcomes, reading, record_note, shown
+from anther.history import (
+    Result,
+    each_trial,
+    export,
+    find_visit,
+    overview,
+    read_outcomes,
+    reading,
+    record_note,
+    result_of,
+    result_words,
+    shown,
+)
 from anther.history import starting_material as believed
 from anther.history.overview import Tally
 from anther.style import STYLE
@@ -60,15 +72,17 @@ class Chart(NamedTuple):
 
 
 def charts(days: Sequence[Tally], since: date, until: date) -> list[Chart]:
-    """Return visits a day, the share held and unharmed, and what the flowers felt, over days from tallies by day."""
+    """Return visits a day, shares pollinated and failed, and the flowers' mean acceleration, from daily tallies."""
     by_day = {day.name: day for day in days}
     visits = {day: float(t.visits) for day, t in by_day.items()}
-    shares = {day: 100 * t.good / t.visits for day, t in by_day.items()}
+    pollinated = {day: 100 * t.pollinated / t.visits for day, t in by_day.items()}
+    failed = {day: 100 * (1 - t.held / t.visits) for day, t in by_day.items()}
     felt = {day: t.acceleration for day, t in by_day.items() if t.acceleration is not None}
     return [
         _chart("Visits a day", visits, "{:.0f}", since, until),
-        _chart("Held and unharmed", shares, "{:.1f} %", since, until, top=100.0),
-        _chart("Flowers felt, daily mean", felt, "{:.1f} m/s²", since, until),
+        _chart("Pollinated", pollinated, "{:.1f} %", since, until, top=100.0),
+        _chart("Failed", failed, "{:.1f} %", since, until, top=100.0),
+        _chart("Flowers' acceleration, daily mean", felt, "{:.1f} m/s²", since, until),
     ]
 
 
@@ -131,6 +145,7 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
     app = FastAPI(title="Anther", docs_url=None, redoc_url=None, openapi_url=None)
     house = House(history, runs.resolve(), token)
     templates = Jinja2Templates(HERE / "templates")
+    templates.env.globals.update(result_of=result_of, result_words=result_words)
     templates.env.globals.update(
         {"today": lambda: datetime.now(UTC).date(), "place": shown(history), "writes": token is not None}
     )
@@ -190,7 +205,7 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
     def a_day(
         request: Request,
         day: Day = None,
-        result: Literal["held_unharmed", "failure"] | None = None,
+        result: Result | None = None,
         before: Before = None,
     ) -> HTMLResponse:
         today = datetime.now(UTC).date()
