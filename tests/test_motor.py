@@ -323,6 +323,14 @@ def test_the_guard_of_a_robot_guards_its_motor() -> None:
     assert isinstance(guarded, GuardedMotor)
 
 
+def test_a_bare_motor_beside_a_guarded_arm_is_guarded_and_limits_are_tightened() -> None:
+    robot, slow = replace(guard(fake_robot(), LIMITS), motor=FakeMotor()), replace(LIMITS, shake_speed=0.1)
+    assert isinstance(guard(robot, LIMITS).motor, GuardedMotor)
+    tight = guard(guard(robot, LIMITS), slow).motor
+    with pytest.raises(StageFailure, match="speed of the motor"):
+        tight.swing(FIRST, None, then(LAST))  # type: ignore[union-attr]
+
+
 def test_the_guarded_simulated_motor_swings_and_stops() -> None:
     cell = holding()
     motor, begin = GuardedMotor(SimMotor(cell), LIMITS), cell.time

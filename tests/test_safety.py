@@ -490,7 +490,44 @@ def test_a_guarded_robot_shows_no_bare_machine() -> None:
     for machine in (robot.arm, robot.gripper, robot.wrist_camera, robot.side_camera):
         public = [getattr(machine, name) for name in dir(machine) if not name.startswith("_")]
         assert not any(isinstance(value, FakeArm | FakeGripper | FakeCamera) for value in public)
-    assert guard(robot, replace(LIMITS, flange_speed=3.0)) is robot
+
+
+def test_a_guard_is_not_laid_twice_with_the_same_limits() -> None:
+    once, twice = guard(fake_robot(), LIMITS), guard(guard(fake_robot(), LIMITS), LIMITS)
+    assert twice.arm._arm.__class__ is FakeArm  # type: ignore[attr-defined]
+    again = guard(once, LIMITS)
+    assert all(getattr(again, name) is getattr(once, name) for name in ("arm", "gripper", "wrist_camera"))
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_of_two_guards_the_stricter_limit_holds_whichever_came_first(first: bool) -> None:
+    strict = replace(LIMITS, flange_speed=0.05), replace(LIMITS, contact_force=2.0), replace(LIMITS, grip_force=5.0)
+    for limits in strict:
+        arm, gripper = readings(lambda _, s: replace(s, force=3.0)), FakeGripper(0.008)
+        robot = guard(fake_robot(arm, gripper), limits if first else LIMITS)
+        robot = guard(robot, LIMITS if first else limits)
+        with pytest.raises(StageFailure, match="flange speed|contact force|grip force"):
+            robot.arm.follow(SOUND)
+            robot.gripper.move(0.006)
+        assert arm.done == (limits is strict[2])
+
+
+def test_a_bare_machine_beside_a_guarded_arm_is_guarded() -> None:
+    robot = replace(
+        guard(fake_robot(), LIMITS), gripper=FakeGripper(), wrist_camera=FakeCamera(), side_camera=FakeCamera()
+    )
+    again = guard(robot, LIMITS)
+    assert again.arm is robot.arm
+    assert isinstance(again.gripper, GuardedGripper)
+    assert isinstance(again.wrist_camera, GuardedCamera)
+    assert isinstance(again.side_camera, GuardedCamera)
+
+
+def test_limits_of_a_trial_hold_for_a_robot_that_was_guarded_with_wider_ones() -> None:
+    arm = FakeArm()
+    arm.force = 5.0
+    trial = execute(SmallPlanner(), Plan(), guard(fake_robot(arm), LIMITS), replace(LIMITS, contact_force=2.0))
+    assert trial.failure == "collision"
 
 
 def test_check_is_the_same_for_whoever_asks() -> None:
