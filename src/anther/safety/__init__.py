@@ -37,10 +37,12 @@ from anther.safety._motion import (
     JUMP,
     LONGEST,
     Watchdog,
+    check_pieces,
     check_shake,
     check_swing,
     check_trajectory,
     demand,
+    shake_amplitude,
 )  # fmt: skip
 from anther.swing import Swing
 
@@ -49,9 +51,11 @@ __all__ = [
     "GuardedCamera",
     "GuardedGripper",
     "GuardedMotor",
+    "check_pieces",
     "check_shake",
     "check_trajectory",
     "guard",
+    "shake_amplitude",
     "stem_stress",
 ]
 
