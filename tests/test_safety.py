@@ -17,6 +17,7 @@ from test_execution import Plan
 
 from anther.arm import sawyer
 from anther.arm.model import outline
+from anther.arm.planner import SHAKE_CAP
 from anther.devices import ArmSample, DeviceError, Frame, GripperState, JointTrajectory, SafetyLimits
 from anther.errors import StageFailure
 from anther.execution import execute
@@ -287,7 +288,7 @@ def test_mixtures_that_share_what_one_tone_may_pass_with_their_ramps(
     """So may one mixture turn into another: what is planned by `shake_amplitude` is not refused."""
     tones, ramp = np.array(frequencies), max(0.5, 0.5 / min(frequencies))
     before, after = (np.array(part[: len(tones)]) for part in (shares[:4], shares[4:]))
-    limit = shake_amplitude(tones, LIMITS)
+    limit = np.minimum(shake_amplitude(tones, LIMITS), SHAKE_CAP)
     first = Swing.first(tones, limit * before / before.sum(), ramp + 1.0, ramp)
     second = first.then(limit * after / after.sum(), ramp + 1.0, ramp)
     for piece in (first, second, second.then(0.0, ramp, ramp)):
