@@ -5,10 +5,6 @@ One owner for a cell: two processes of this machine cannot command one arm.
 
 from __future__ import annotations
 
-import importlib
-import os
-import re
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field
@@ -23,14 +19,15 @@ from anther.arm.model import ArmModel, outline
 from anther.arm.sawyer import SAWYER, TOOL
 from anther.calibration import HandEye
 from anther.cells import _parts
+from anther.cells._lock import owned
 from anther.cells._reading import Keys, Point, Pose, TomlFile, box, built, checked, fitted, read_toml
 from anther.checks import check_range
-from anther.devices import DeviceError, SafetyLimits
+from anther.devices import SafetyLimits
 from anther.drivers.apart import ArmApart
 from anther.errors import bad_input
 from anther.geometry import Array, Box, transform_from_pose7
 
-__all__ = ["CellFile", "Limits", "Part", "ToolSection", "read_cell"]
+__all__ = ["CellFile", "Limits", "Part", "ToolSection", "kept_open", "owned", "read_cell"]
 
 MODELLED = 0.005, 0.1
 """A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
@@ -127,10 +124,10 @@ class CellFile:
 
     @property
     def owner_name(self) -> str:
-        """What the lock of its arm is called: the same for every file with that arm."""
+        """What is owned with its arm: its address, so that two drivers cannot have it; its driver where it has none."""
         table = self.arm.table
-        place = table.get("master") or table.get("host") or table.get("controller", "")
-        return f"{self.arm.driver} {place}".strip()
+        place = table.get("master") or table.get("host")
+        return str(place or f"{self.arm.driver} {str(table.get('controller', '')).strip('/')}".strip())
 
     def connect(self, part: Part, **given: Any) -> Any:
         """Return a part's driver, connected; nothing moves.
@@ -281,34 +278,6 @@ def _keep_outs(source: TomlFile) -> tuple[Box, ...]:
         do = "Write [[keep_out]] above each."
         raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
     return tuple(built(source, ("keep_out", str(i)), table, _keep_out) for i, table in enumerate(tables))
-
-
-@contextmanager
-def owned(arm: str, folder: Path | None = None) -> Iterator[None]:
-    """Own an arm within the block. Its lock ends with the process, however that ends.
-
-    Args:
-        arm: which; the same words name the same arm.
-        folder: of the lock files; None: the machine's folder for temporary files.
-
-    Raises:
-        DeviceError: another process owns it.
-    """
-    fcntl: Any = importlib.import_module("fcntl")
-    path = (folder or Path(tempfile.gettempdir())) / f"anther-{re.sub(r'[^A-Za-z0-9.-]+', '-', arm)}.lock"
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            owner = os.pread(handle, 40, 0).decode(errors="replace").strip() or "unknown"
-            do = "Wait until it ends, or end it."
-            raise DeviceError(f"the arm {arm} is commanded by another process, number {owner}. {do}") from error
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, str(os.getpid()).encode(), 0)
-        yield
-    finally:
-        os.close(handle)
 
 
 @contextmanager
