@@ -18,7 +18,7 @@ from anther.cells._lock import addresses
 from anther.devices import DeviceError
 
 HOLDS = """
-import os, sys, time
+import encodings.idna, os, sys, time
 from pathlib import Path
 from anther.cells import owned
 if len(sys.argv) > 2:
