@@ -84,6 +84,8 @@ WRONG = [
     ),
     ('"trajectory"', '"torque"', r'line 5: arm.mode: got "torque"; allowed: "position", "trajectory"'),
     ("speed_ratio = 0.3", 'speed_ratio = "slow"', r'line 37: limits.speed_ratio: got "slow"; allowed: a number'),
+    ('"trajectory"', '"trajectory"\nrate = nan', r"line 6: arm.rate: got nan; allowed: a number"),
+    ('"trajectory"', '"trajectory"\nrate = -inf', r"line 6: arm.rate: got -inf; allowed: a number"),
     ("speed_ratio = 0.3", "speed_ratio = 3", r"line 36: limits: speed_ratio: got 3; allowed: 0.01 <="),
     ("contact_force = 20", "contact_force = 1e9", r"line 36: limits: contact_force: got 1e\+09 N"),
     ("[gripper]", "[griper]", r"line 7: griper: got an unknown key .griper."),

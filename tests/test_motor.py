@@ -302,6 +302,14 @@ def test_the_arm_is_watched_while_the_motor_runs(sample: ArmSample, kind: str, m
     assert machine.stopped == 1
 
 
+def test_short_pieces_swing_no_longer_than_a_shake_may_last() -> None:
+    piece = FIRST
+    while piece.begin + piece.seconds + 0.5 <= LIMITS.shake_duration:
+        piece = check_swing(piece.then(FIRST.amplitudes, 0.5, 0.1), piece, LIMITS)
+    with pytest.raises(StageFailure, match="duration of the swing"):
+        check_swing(piece.then(FIRST.amplitudes, 0.5, 0.1), piece, LIMITS)
+
+
 def test_ctrl_c_stops_the_motor_and_a_motor_that_cannot_stop_hides_nothing() -> None:
     def interrupt(_: int) -> ArmSample:
         raise KeyboardInterrupt

@@ -319,6 +319,35 @@ def test_a_box_beside_the_arm_is_no_reason_to_refuse_and_one_that_a_ball_touches
     assert 3 < sum(refused) < len(refused) - 3, "both happened"
 
 
+def test_a_path_of_two_samples_is_checked_all_the_way() -> None:
+    """Both ends are free, what lies half-way is not; nor is a workspace that ends there."""
+    coarse = path(turned(0, 0.8), samples=2)
+    tip = (sawyer.forward(turned(0, 0.4)) @ [0, 0, sawyer.TOOL.tip, 1])[:3]
+    here = replace(LIMITS, keep_out=(Box(tip - 0.02, tip + 0.02),))
+    for end in (coarse.positions[0], coarse.positions[-1]):
+        check_trajectory(JointTrajectory.standstill(end, 1.0), end, here)
+    with pytest.raises(StageFailure, match="keep-out"):
+        check_trajectory(coarse, sawyer.NEUTRAL, here)
+    out = JointTrajectory(
+        np.array([0.0, 4.0]), np.tile(sawyer.NEUTRAL, (2, 1)), 0.04 * np.array([[1.0], [-1.0]]) * np.ones(7)
+    )
+    there = replace(LIMITS, workspace=Box(HERE - 0.01, HERE + 0.01))
+    check_trajectory(JointTrajectory.standstill(sawyer.NEUTRAL, 1.0), sawyer.NEUTRAL, there)
+    with pytest.raises(StageFailure, match="workspace"):
+        check_trajectory(out, sawyer.NEUTRAL, there)
+
+
+def test_the_arm_is_as_thick_as_its_balls() -> None:
+    """A grain just inside any of them is touched."""
+    rng, still = np.random.default_rng(0), JointTrajectory.standstill(sawyer.NEUTRAL, 1.0)
+    balls = LIMITS.outline(sawyer.NEUTRAL[None])[0]
+    for ball in balls[balls[:, 3] > 0.03][::4]:
+        away = rng.normal(size=3)
+        grain = ball[:3] + 0.97 * ball[3] * away / np.linalg.norm(away)
+        with pytest.raises(StageFailure, match="keep-out"):
+            check_trajectory(still, sawyer.NEUTRAL, replace(LIMITS, keep_out=(Box(grain - 1e-4, grain + 1e-4),)))
+
+
 @pytest.mark.parametrize("reached", [True, False])
 def test_a_shake_is_held_against_the_boxes_in_few_poses_and_as_far_as_it_goes(reached: bool) -> None:
     """The arm asks for the next piece of a shake in motion: the check is what it waits for."""
