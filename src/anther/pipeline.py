@@ -270,10 +270,9 @@ def _shaken(
     `arrive` waits for the arm that has gone before the best. Return also why the plan alone was to be carried out.
     """
 
-    def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
+    def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
         assert at.joints is not None
-        possible = planner.shake_limit(at.joints, direction, frequencies)
-        return np.minimum(possible, shake_amplitude(frequencies, cell.limits))
+        return np.minimum(planner.shake_limit(at.joints, direction, hertz), shake_amplitude(hertz, cell.limits))
 
     by_arm = params.actuator == "arm"
     actuator = shake.arm_shaker(arm_limit) if by_arm else shake.VIBRATING_GRIPPER
