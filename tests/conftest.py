@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,10 +14,6 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 settings.register_profile("busy machines", deadline=None)  # an example that takes long is no failure
 settings.load_profile("busy machines")
-
-if worker := os.environ.get("PYTEST_XDIST_WORKER"):  # an arm's lock lies in the temporary folder: one for each worker
-    tempfile.tempdir = os.environ["TMPDIR"] = str(Path(tempfile.gettempdir()) / f"anther-{worker}")
-    Path(tempfile.tempdir).mkdir(exist_ok=True)
 
 sys.path.append(str(Path(__file__).parents[1] / "experiments"))  # their judges and methods are tested too
 
@@ -31,6 +26,16 @@ def data() -> Path:
     if not DATA.is_dir():
         pytest.skip(f"real data not found at {DATA}; set ANTHER_DATA to its folder")
     return DATA
+
+
+@pytest.fixture(scope="session", autouse=True)
+def locks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The folder of arms' locks: each worker has its own, so that tests do not wait for each other's arms."""
+    folder = tmp_path_factory.mktemp("locks")
+    folder.chmod(0o1777)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("anther.cells._lock.FOLDERS", (folder,))
+        yield folder
 
 
 @pytest.fixture(scope="session")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -19,9 +17,8 @@ from made_arm import CELL
 
 from anther.arm import sawyer
 from anther.arm.arms import named
-from anther.cells import CellFile, _parts, owned, read_cell
+from anther.cells import CellFile, _parts, read_cell
 from anther.cli import main
-from anther.devices import DeviceError
 from anther.drivers import sawyer_ros1
 from anther.errors import AntherError, InputError
 
@@ -87,6 +84,8 @@ WRONG = [
     ),
     ('"trajectory"', '"torque"', r'line 5: arm.mode: got "torque"; allowed: "position", "trajectory"'),
     ("speed_ratio = 0.3", 'speed_ratio = "slow"', r'line 37: limits.speed_ratio: got "slow"; allowed: a number'),
+    ('"trajectory"', '"trajectory"\nrate = nan', r"line 6: arm.rate: got nan; allowed: a number"),
+    ('"trajectory"', '"trajectory"\nrate = -inf', r"line 6: arm.rate: got -inf; allowed: a number"),
     ("speed_ratio = 0.3", "speed_ratio = 3", r"line 36: limits: speed_ratio: got 3; allowed: 0.01 <="),
     ("contact_force = 20", "contact_force = 1e9", r"line 36: limits: contact_force: got 1e\+09 N"),
     ("[gripper]", "[griper]", r"line 7: griper: got an unknown key .griper."),
@@ -150,34 +149,6 @@ def test_what_is_wrong_with_an_arms_own_description_is_told(tmp_path: Path, old:
     file.write_text(told.replace(old, new, 1))
     with pytest.raises(InputError, match=message):
         read_cell(file)
-
-
-HOLDS = """
-import sys, time
-from pathlib import Path
-from anther.cells import owned
-with owned("sawyer-ros1 http://r:11311", Path(sys.argv[1])):
-    print("owned", flush=True)
-    time.sleep(60)
-"""
-
-
-def test_two_processes_cannot_own_one_arm(tmp_path: Path) -> None:
-    words = [sys.executable, "-c", HOLDS, str(tmp_path)]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
-        assert other.stdout.readline() == "owned\n"
-        with (
-            pytest.raises(DeviceError, match=f"commanded by another process, number {other.pid}"),
-            owned("sawyer-ros1 http://r:11311", tmp_path),
-        ):
-            raise AssertionError
-        with owned("sawyer-ros1 http://other:11311", tmp_path):
-            pass
-        other.kill()
-        other.wait()
-    with owned("sawyer-ros1 http://r:11311", tmp_path):
-        pass
 
 
 @pytest.fixture

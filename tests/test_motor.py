@@ -302,6 +302,14 @@ def test_the_arm_is_watched_while_the_motor_runs(sample: ArmSample, kind: str, m
     assert machine.stopped == 1
 
 
+def test_short_pieces_swing_no_longer_than_a_shake_may_last() -> None:
+    piece = FIRST
+    while piece.begin + piece.seconds + 0.5 <= LIMITS.shake_duration:
+        piece = check_swing(piece.then(FIRST.amplitudes, 0.5, 0.1), piece, LIMITS)
+    with pytest.raises(StageFailure, match="duration of the swing"):
+        check_swing(piece.then(FIRST.amplitudes, 0.5, 0.1), piece, LIMITS)
+
+
 def test_ctrl_c_stops_the_motor_and_a_motor_that_cannot_stop_hides_nothing() -> None:
     def interrupt(_: int) -> ArmSample:
         raise KeyboardInterrupt
@@ -321,6 +329,14 @@ def test_the_guard_of_a_robot_guards_its_motor() -> None:
     assert guard(fake_robot(), LIMITS).motor is None
     guarded = guard(replace(fake_robot(), motor=FakeMotor()), LIMITS).motor
     assert isinstance(guarded, GuardedMotor)
+
+
+def test_a_bare_motor_beside_a_guarded_arm_is_guarded_and_limits_are_tightened() -> None:
+    robot, slow = replace(guard(fake_robot(), LIMITS), motor=FakeMotor()), replace(LIMITS, shake_speed=0.1)
+    assert isinstance(guard(robot, LIMITS).motor, GuardedMotor)
+    tight = guard(guard(robot, LIMITS), slow).motor
+    with pytest.raises(StageFailure, match="speed of the motor"):
+        tight.swing(FIRST, None, then(LAST))  # type: ignore[union-attr]
 
 
 def test_the_guarded_simulated_motor_swings_and_stops() -> None:

@@ -464,7 +464,7 @@ def test_a_cell_file_gives_what_its_model_says(
         assert topic == "/scaled/joint_trajectory"
         assert tuple(message.joint_names) == file.model.joints
         assert arm._acceleration == pytest.approx(file.model.acceleration)
-    assert "/scaled" in file.owner_name
+    assert file.owner_name == "ros2 scaled"
 
 
 def test_a_cell_file_may_name_the_joints_as_the_robot_does(

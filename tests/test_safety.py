@@ -17,6 +17,7 @@ from test_execution import Plan
 
 from anther.arm import sawyer
 from anther.arm.model import outline
+from anther.arm.planner import SHAKE_CAP
 from anther.devices import ArmSample, DeviceError, Frame, GripperState, JointTrajectory, SafetyLimits
 from anther.errors import StageFailure
 from anther.execution import execute
@@ -27,11 +28,14 @@ from anther.safety import (
     GuardedArm,
     GuardedCamera,
     GuardedGripper,
+    check_pieces,
     check_shake,
     check_trajectory,
     guard,
+    shake_amplitude,
     stem_stress,
 )
+from anther.swing import Swing
 
 
 def path(goal: Array, *, seconds: float = 5.0, start: Array = sawyer.NEUTRAL, samples: int = 100) -> JointTrajectory:
@@ -237,6 +241,66 @@ def test_no_shake_passes_that_breaks_a_limit(amplitude: float, frequency: float,
         assert too_much <= 1 + 1e-6
 
 
+ACROSS = np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
+
+
+@given(
+    frequencies=st.lists(st.floats(1, 30), min_size=2, max_size=4),
+    shares=st.lists(st.floats(0.05, 1), min_size=4, max_size=4),
+    of_limit=st.floats(0.3, 1.5),
+)
+def test_tones_are_checked_as_the_path_of_their_sum(
+    frequencies: list[float], shares: list[float], of_limit: float
+) -> None:
+    """Against the curve itself, ten times as fine: of each line every second tone."""
+    amplitudes = of_limit * np.array(shares[: len(frequencies)]) * shake_amplitude(np.array(frequencies), LIMITS)
+    piece = Swing.first(frequencies, amplitudes, 1.5, 0.5)
+    parts = [(line, piece.only(np.arange(len(frequencies)) % 2 == d)) for d, line in enumerate(ACROSS)]
+    t = np.linspace(0, piece.seconds, 60_001)
+    rates = np.asarray(sum(part.motion(t)[1][:, None] * line for line, part in parts))
+    most = float(np.linalg.norm(rates, axis=1).max()) / LIMITS.shake_speed
+    most = max(most, float(np.linalg.norm(np.gradient(rates, t, axis=0), axis=1).max()) / LIMITS.shake_acceleration)
+    if abs(most - 1) < 2e-3:
+        return
+    with pytest.raises(StageFailure, match="of the shake") if most > 1 else nullcontext():
+        check_pieces(parts, LIMITS)
+
+
+def test_tones_that_pass_alone_do_not_pass_together() -> None:
+    tones = np.array([6.0, 7.0, 8.0])
+    piece = Swing.first(tones, shake_amplitude(tones, LIMITS), 3.0, 0.5)
+    for k in range(3):
+        check_pieces([(ACROSS[0], piece.only(np.arange(3) == k))], LIMITS)
+    with pytest.raises(StageFailure, match=r"acceleration of the shake: got 3\d.* allowed: <= 12"):
+        check_pieces([(ACROSS[0], piece)], replace(LIMITS, shake_speed=2.0))
+    slow = Swing.first([1.0, 1.1], shake_amplitude(np.array([1.0, 1.1]), LIMITS), 8.0, 0.5)
+    with pytest.raises(StageFailure, match="speed of the shake"):
+        check_pieces([(ACROSS[0], slow)], LIMITS)
+
+
+@given(
+    frequencies=st.lists(st.floats(1, 40), min_size=1, max_size=4, unique=True),
+    shares=st.lists(st.floats(0.01, 1), min_size=8, max_size=8),
+)
+def test_mixtures_that_share_what_one_tone_may_pass_with_their_ramps(
+    frequencies: list[float], shares: list[float]
+) -> None:
+    """So may one mixture turn into another: what is planned by `shake_amplitude` is not refused."""
+    tones, ramp = np.array(frequencies), max(0.5, 0.5 / min(frequencies))
+    before, after = (np.array(part[: len(tones)]) for part in (shares[:4], shares[4:]))
+    limit = np.minimum(shake_amplitude(tones, LIMITS), SHAKE_CAP)
+    first = Swing.first(tones, limit * before / before.sum(), ramp + 1.0, ramp)
+    second = first.then(limit * after / after.sum(), ramp + 1.0, ramp)
+    for piece in (first, second, second.then(0.0, ramp, ramp)):
+        check_pieces([(ACROSS[0], piece)], LIMITS)
+
+
+def test_coming_to_rest_counts_as_shaking() -> None:
+    last = replace(Swing.first(5.0, 0.001, 0.6, 0.5), begin=LIMITS.shake_duration - 0.6).then(0.0, 0.5, 0.5)
+    with pytest.raises(StageFailure, match=r"shake duration: got 30\.5 s"):
+        check_pieces([(ACROSS[0], last)], LIMITS)
+
+
 def test_a_box_beside_the_arm_is_no_reason_to_refuse_and_one_that_a_ball_touches_is() -> None:
     """Against all balls and boxes, one by one."""
     rng = np.random.default_rng(0)
@@ -253,6 +317,35 @@ def test_a_box_beside_the_arm_is_no_reason_to_refuse_and_one_that_a_ball_touches
         with pytest.raises(StageFailure, match="keep-out") if refused[-1] else nullcontext():
             check_trajectory(SOUND, sawyer.NEUTRAL, replace(LIMITS, keep_out=(box,)))
     assert 3 < sum(refused) < len(refused) - 3, "both happened"
+
+
+def test_a_path_of_two_samples_is_checked_all_the_way() -> None:
+    """Both ends are free, what lies half-way is not; nor is a workspace that ends there."""
+    coarse = path(turned(0, 0.8), samples=2)
+    tip = (sawyer.forward(turned(0, 0.4)) @ [0, 0, sawyer.TOOL.tip, 1])[:3]
+    here = replace(LIMITS, keep_out=(Box(tip - 0.02, tip + 0.02),))
+    for end in (coarse.positions[0], coarse.positions[-1]):
+        check_trajectory(JointTrajectory.standstill(end, 1.0), end, here)
+    with pytest.raises(StageFailure, match="keep-out"):
+        check_trajectory(coarse, sawyer.NEUTRAL, here)
+    out = JointTrajectory(
+        np.array([0.0, 4.0]), np.tile(sawyer.NEUTRAL, (2, 1)), 0.04 * np.array([[1.0], [-1.0]]) * np.ones(7)
+    )
+    there = replace(LIMITS, workspace=Box(HERE - 0.01, HERE + 0.01))
+    check_trajectory(JointTrajectory.standstill(sawyer.NEUTRAL, 1.0), sawyer.NEUTRAL, there)
+    with pytest.raises(StageFailure, match="workspace"):
+        check_trajectory(out, sawyer.NEUTRAL, there)
+
+
+def test_the_arm_is_as_thick_as_its_balls() -> None:
+    """A grain just inside any of them is touched."""
+    rng, still = np.random.default_rng(0), JointTrajectory.standstill(sawyer.NEUTRAL, 1.0)
+    balls = LIMITS.outline(sawyer.NEUTRAL[None])[0]
+    for ball in balls[balls[:, 3] > 0.03][::4]:
+        away = rng.normal(size=3)
+        grain = ball[:3] + 0.97 * ball[3] * away / np.linalg.norm(away)
+        with pytest.raises(StageFailure, match="keep-out"):
+            check_trajectory(still, sawyer.NEUTRAL, replace(LIMITS, keep_out=(Box(grain - 1e-4, grain + 1e-4),)))
 
 
 @pytest.mark.parametrize("reached", [True, False])
@@ -515,7 +608,44 @@ def test_a_guarded_robot_shows_no_bare_machine() -> None:
     for machine in (robot.arm, robot.gripper, robot.wrist_camera, robot.side_camera):
         public = [getattr(machine, name) for name in dir(machine) if not name.startswith("_")]
         assert not any(isinstance(value, FakeArm | FakeGripper | FakeCamera) for value in public)
-    assert guard(robot, replace(LIMITS, flange_speed=3.0)) is robot
+
+
+def test_a_guard_is_not_laid_twice_with_the_same_limits() -> None:
+    once, twice = guard(fake_robot(), LIMITS), guard(guard(fake_robot(), LIMITS), LIMITS)
+    assert twice.arm._arm.__class__ is FakeArm  # type: ignore[attr-defined]
+    again = guard(once, LIMITS)
+    assert all(getattr(again, name) is getattr(once, name) for name in ("arm", "gripper", "wrist_camera"))
+
+
+@pytest.mark.parametrize("first", [False, True])
+def test_of_two_guards_the_stricter_limit_holds_whichever_came_first(first: bool) -> None:
+    strict = replace(LIMITS, flange_speed=0.05), replace(LIMITS, contact_force=2.0), replace(LIMITS, grip_force=5.0)
+    for limits in strict:
+        arm, gripper = readings(lambda _, s: replace(s, force=3.0)), FakeGripper(0.008)
+        robot = guard(fake_robot(arm, gripper), limits if first else LIMITS)
+        robot = guard(robot, LIMITS if first else limits)
+        moves = robot.gripper.move if limits is strict[2] else robot.arm.follow
+        with pytest.raises(StageFailure, match=r"flange speed|contact force|grip force"):
+            moves(0.006 if limits is strict[2] else SOUND)  # type: ignore[operator]
+        assert arm.done == 0
+
+
+def test_a_bare_machine_beside_a_guarded_arm_is_guarded() -> None:
+    robot = replace(
+        guard(fake_robot(), LIMITS), gripper=FakeGripper(), wrist_camera=FakeCamera(), side_camera=FakeCamera()
+    )
+    again = guard(robot, LIMITS)
+    assert again.arm is robot.arm
+    assert isinstance(again.gripper, GuardedGripper)
+    assert isinstance(again.wrist_camera, GuardedCamera)
+    assert isinstance(again.side_camera, GuardedCamera)
+
+
+def test_limits_of_a_trial_hold_for_a_robot_that_was_guarded_with_wider_ones() -> None:
+    arm = FakeArm()
+    arm.force = 5.0
+    trial = execute(SmallPlanner(), Plan(), guard(fake_robot(arm), LIMITS), replace(LIMITS, contact_force=2.0))
+    assert trial.failure == "collision"
 
 
 def test_check_is_the_same_for_whoever_asks() -> None:

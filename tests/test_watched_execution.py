@@ -293,6 +293,20 @@ def test_a_piece_beyond_the_limits_is_not_begun(sizes: tuple[float, float], mess
     assert np.abs(y).max() < 0.0031
 
 
+def test_tones_and_lines_that_together_exceed_a_limit_are_not_begun() -> None:
+    """Each tone would pass alone; the sum passes a little above what it reaches, along one line or two."""
+    ends = tuple(Line(end, tone == TONES, 0.003) for end, tone in zip(np.eye(3)[1:], TONES, strict=True))
+    limits, plan = replace(LIMITS, shake_acceleration=2.2), Plan(amplitude=0.0005)
+    for lines, most in ((Scripted.lines, 3.1), (ends, 2.4)):
+        watched, wider = (Scripted(pieces=[(0.0001, 0.0001), (0.0015, 0.0015), (0.0, 0.0)]) for _ in range(2))
+        watched.lines = wider.lines = lines
+        trial = execute(PLANNER, plan, fake_robot(), limits, watched=watched)
+        assert trial.failure == "limits_exceeded"
+        assert "acceleration of the shake" in trial.stop_reason
+        assert len(trial.steps) == 1
+        assert execute(PLANNER, plan, fake_robot(), replace(limits, shake_acceleration=most), watched=wider).finished
+
+
 def test_a_camera_is_not_blamed_for_a_shake_that_did_not_begin() -> None:
     class Empty(FakeCamera):
         def stop(self) -> list[Frame]:

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
+import numpy as np
+
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, shake, skeleton, stem
 from anther.capture import Capture
 from anther.cloud import Cloud, likely_cause
@@ -25,6 +27,7 @@ from anther.plant import Material, PlantModel
 from anther.response import Response, measure_response, stem_near
 from anther.response.thresholds import FEWEST_FRAMES
 from anther.runs import Advance, Run
+from anther.safety import shake_amplitude
 from anther.shake import ActuatorName, EarlierShake, Pads, ShakePlan
 from anther.skeleton import Skeleton
 from anther.stem import Stem
@@ -267,9 +270,9 @@ def _shaken(
     `arrive` waits for the arm that has gone before the best. Return also why the plan alone was to be carried out.
     """
 
-    def arm_limit(at: Grasp, direction: Array, frequencies: Array) -> Array:
+    def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
         assert at.joints is not None
-        return planner.shake_limit(at.joints, direction, frequencies)
+        return np.minimum(planner.shake_limit(at.joints, direction, hertz), shake_amplitude(hertz, cell.limits))
 
     by_arm = params.actuator == "arm"
     actuator = shake.arm_shaker(arm_limit) if by_arm else shake.VIBRATING_GRIPPER

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
+from anther.arm.plausible import check_acceleration, check_extent, check_joint
 from anther.checks import check_array, check_transform
 from anther.errors import bad_input
 from anther.geometry import Array, transform
@@ -187,6 +188,10 @@ class ArmModel:
         per_joint = ("lower", "upper", "velocity", "acceleration", "effort", "rotor_inertia", "stiffness")
         for name in (*per_joint, "neutral", "ready", "waiting"):
             object.__setattr__(self, name, check_array(f"{self.name}'s {name}", getattr(self, name), (count,)))
+        for i, joint in enumerate(self.joints):
+            joint_limits = self.lower[i], self.upper[i], self.velocity[i], self.effort[i]
+            check_joint(f"{self.name}'s joint {joint}", *map(float, joint_limits))
+            check_acceleration(f"{self.name}'s joint {joint}", float(self.acceleration[i]))
         for name in ("neutral", "ready", "waiting"):
             q = getattr(self, name)
             if np.any((q < self.lower) | (q > self.upper)):
@@ -311,8 +316,10 @@ def completed(arm: ArmModel) -> ArmModel:
     """Return an arm with the shoulder, reach and neighbours that follow from its links."""
     at, q = arm.link_poses(np.zeros(arm.count)), qmc.Sobol(arm.count, scramble=False).random_base2(12)
     shoulder = np.array([0.0, 0.0, at[1, 2, 3]])
-    far = np.linalg.norm(arm.forward(qmc.scale(q, arm.lower, arm.upper))[:, :3, 3] - shoulder, axis=1).max()
-    return replace(arm, shoulder=shoulder, reach=1.01 * float(far), neighbours=_neighbours(arm))
+    far = float(np.linalg.norm(arm.forward(qmc.scale(q, arm.lower, arm.upper))[:, :3, 3] - shoulder, axis=1).max())
+    links = [(f"link {link.name}", link.capsules) for link in arm.links]
+    check_extent(arm.name, far, arm.floor - float(shoulder[2]), links, arm.base_capsules)
+    return replace(arm, shoulder=shoulder, reach=1.01 * far, neighbours=_neighbours(arm))
 
 
 def _neighbours(arm: ArmModel) -> tuple[tuple[str, str], ...]:

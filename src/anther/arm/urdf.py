@@ -20,6 +20,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from anther.arm.model import ArmModel, Capsule, Link, Tool, completed, rpy
+from anther.arm.plausible import check_joint
 from anther.arm.sawyer import TOOL
 from anther.errors import bad_input
 from anther.files import read_lines
@@ -30,7 +31,11 @@ ROTOR = 1 / 150  # kg m^2 of rotor inertia for each N m of effort: a guess, half
 SPRING = 20.0  # N m/rad of a joint's spring for each N m of effort, as of Sawyer: a guess
 WIDEST = np.pi
 """Joints that turn further than twice this are kept within it to either side, so that none has two turns [rad]."""
+ENDLESS = 1e9
+"""Limits from here on say that a joint turns on and on, as some exporters write it [rad]."""
 LESS = 1e-6  # rad
+MESHES = ".stl", ".obj", ".ply", ".off"
+"""Formats of meshes whose numbers are metres. Collada's have a unit of their own, which trimesh does not read."""
 
 
 def from_urdf(
@@ -82,7 +87,7 @@ def from_urdf(
     turns = [np.eye(4), *(transform(_onto(data.joints[j].S[3:]), np.zeros(3)) for j in chain)]
     bodies = [pin.SE3(inverse(turn)).act(model.inertias[j]) for j, turn in zip(chain, turns[1:], strict=True)]
     links = [_link(model, j, turns[i], turns[i + 1], bodies[i], shapes[j]) for i, j in enumerate(chain)]
-    lower, upper, velocity, effort = np.array([_limits(model, j) for j in chain]).T
+    lower, upper, velocity, effort = np.array([_limits(model, j, path) for j in chain]).T
     T_flange = end.placement.homogeneous @ (np.eye(4) if T_tip_flange is None else T_tip_flange)
     arm = ArmModel(
         name=name,
@@ -163,7 +168,7 @@ def _only_what_moves(joint: Any) -> Any:
     limit = kept.find("limit")
     if joint.get("type") in ("revolute", "continuous") and limit is not None:
         kept.set("type", "revolute")
-        limit.attrib = {"lower": "-1e9", "upper": "1e9"} | limit.attrib
+        limit.attrib = {"lower": f"{-ENDLESS}", "upper": f"{ENDLESS}"} | limit.attrib
     return kept
 
 
@@ -204,20 +209,40 @@ def _mesh(shape: Any, path: Path, packages: Path | None) -> Any:
         case "cylinder":
             return trimesh.creation.cylinder(radius=float(shape.get("radius")), height=float(shape.get("length")))
         case _:
-            where = shape.get("filename").removeprefix("file://")
-            inside = where.startswith("package://") and packages is not None
-            file = packages / where.removeprefix("package://") if inside and packages else path.parent / where
-            mesh: Any = trimesh.load_mesh(file, process=False)
+            mesh: Any = trimesh.load_mesh(_mesh_file(shape.get("filename"), path, packages), process=False)
             return mesh.apply_scale(_numbers(shape.get("scale", "1 1 1")))
 
 
-def _limits(model: Any, j: int) -> tuple[float, float, float, float]:
+def _mesh_file(told: str, path: Path, packages: Path | None) -> Path:
+    """Return where a mesh lies that a URDF names.
+
+    Raises:
+        InputError: it cannot be read, or there is none.
+    """
+    where, inside = told.removeprefix("file://"), told.removeprefix("package://")
+    if packages is None and inside != told:
+        do = f'Give packages = "...", the folder in which {inside.split("/")[0]} lies.'
+        raise bad_input(f"{path}: mesh", given=told, allowed="a path beside the URDF, or with the key packages", do=do)
+    file = packages / inside if packages and inside != told else path.parent / where
+    if file.suffix.lower() not in MESHES:
+        do = "Export it as STL in metres, and name that."
+        raise bad_input(f"{path}: mesh", given=told, allowed=f"{', '.join(MESHES)}", do=do)
+    if not file.is_file():
+        raise bad_input(f"{path}: mesh", given=told, allowed="a file that exists", do=f"There is none at {file}.")
+    return file
+
+
+def _limits(model: Any, j: int, path: Path) -> tuple[float, float, float, float]:
     """Return lower, upper, velocity and effort of a joint."""
     at, to = model.idx_qs[j], model.idx_vs[j]
     lower, upper = float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])
+    velocity, effort = float(model.velocityLimit[to]), float(model.effortLimit[to])
+    told = (-WIDEST, WIDEST) if max(-lower, upper) >= ENDLESS else (lower, upper)
+    do = "Write <limit lower= upper= velocity= effort=> into the joint, in rad, rad/s and N m."
+    check_joint(f"{path}: joint {model.names[j]}", *told, velocity, effort, do)
     if upper - lower > 2 * WIDEST:
         lower, upper = max(lower, -WIDEST), min(upper, WIDEST)
-    return lower, upper, float(model.velocityLimit[to]), float(model.effortLimit[to])
+    return lower, upper, velocity, effort
 
 
 def _onto(axis: Array) -> Array:

@@ -5,13 +5,9 @@ One owner for a cell: two processes of this machine cannot command one arm.
 
 from __future__ import annotations
 
-import importlib
-import os
-import re
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,17 +16,20 @@ import numpy as np
 
 from anther.arm.arms import named
 from anther.arm.model import ArmModel, outline
+from anther.arm.plausible import FARTHEST
 from anther.arm.sawyer import SAWYER, TOOL
 from anther.calibration import HandEye
 from anther.cells import _parts
+from anther.cells._lock import owned
 from anther.cells._reading import Keys, Point, Pose, TomlFile, box, built, checked, fitted, read_toml
 from anther.checks import check_range
-from anther.devices import DeviceError, SafetyLimits
+from anther.devices import JointTrajectory, SafetyLimits
 from anther.drivers.apart import ArmApart
-from anther.errors import bad_input
+from anther.errors import StageFailure, bad_input
 from anther.geometry import Array, Box, transform_from_pose7
+from anther.safety import check_trajectory
 
-__all__ = ["CellFile", "Limits", "Part", "ToolSection", "read_cell"]
+__all__ = ["CellFile", "Limits", "Part", "ToolSection", "kept_open", "owned", "read_cell"]
 
 MODELLED = 0.005, 0.1
 """A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
@@ -127,10 +126,10 @@ class CellFile:
 
     @property
     def owner_name(self) -> str:
-        """What the lock of its arm is called: the same for every file with that arm."""
+        """What is owned with its arm: its address, so that two drivers cannot have it; its driver where it has none."""
         table = self.arm.table
-        place = table.get("master") or table.get("host") or table.get("controller", "")
-        return f"{self.arm.driver} {place}".strip()
+        place = table.get("master") or table.get("host")
+        return str(place or f"{self.arm.driver} {str(table.get('controller', '')).strip('/')}".strip())
 
     def connect(self, part: Part, **given: Any) -> Any:
         """Return a part's driver, connected; nothing moves.
@@ -221,8 +220,60 @@ def read_cell(path: Path | str) -> CellFile:
         **{name: checked(source, (name,), table[name], Box) for name in ("workspace", "region", "arm_space")},
         keep_out=_keep_outs(source),
     )
-    cell.safety_limits()
+    _check_places(cell)
     return cell
+
+
+def _check_places(cell: CellFile) -> None:
+    """Check that cameras and boxes lie where those of an arm can lie, and that the arm may be where it is ready.
+
+    Raises:
+        InputError: one does not, as of a file in millimetres.
+    """
+    source, arm, limits = cell.source, cell.model, cell.safety_limits()
+    keep_out: dict[Keys, Box] = {("keep_out", str(i)): place for i, place in enumerate(cell.keep_out)}
+    places: dict[Keys, Box] = {("workspace",): cell.workspace, ("region",): cell.region, ("arm_space",): cell.arm_space}
+    for keys, place in (places | keep_out).items():
+        with source.located(keys):
+            check_range("farthest coordinate", float(np.abs([place.lower, place.upper]).max()), 0, FARTHEST, "m")
+    with source.located(("wrist_camera",)):
+        _check_distance("the flange", cell.T_flange_cam, arm.reach)
+    if cell.T_world_side_camera is not None:
+        with source.located(("side_camera", "T_world_cam")):
+            _check_distance("the base", cell.T_world_side_camera, FARTHEST)
+    still = JointTrajectory.standstill(arm.ready, 1.0)
+    boxes: dict[Keys, tuple[Box, ...]] = {("arm_space",): ()} | {keys: (place,) for keys, place in keep_out.items()}
+    for keys, some in boxes.items():
+        try:
+            check_trajectory(still, arm.ready, replace(limits, keep_out=some))
+        except StageFailure as failure:
+            given = f"a box with which the arm may not be where it is ready ({failure})"
+            raise source.error(keys, given=given, allowed="any other, in metres", do="Move it.") from failure
+    _check_plant(cell, keep_out)
+
+
+def _check_distance(what: str, T: Array, most: float) -> None:
+    check_range(f"distance of the camera from {what}", float(np.linalg.norm(T[:3, 3])), 0, most, "m")
+
+
+def _check_plant(cell: CellFile, keep_out: dict[Keys, Box]) -> None:
+    """Check that the arm can get to where the plant stands, and may."""
+    source, plant, shoulder, tip = cell.source, cell.workspace, cell.model.shoulder, cell.model.tool.tip
+    gap = float(np.linalg.norm(np.clip(shoulder, plant.lower, plant.upper) - shoulder))
+    with source.located(("workspace",)):
+        check_range("distance from the arm's shoulder", gap, 0, cell.model.reach + tip, "m")
+    for name, place, room in (("arm_space", cell.arm_space, tip), ("region", cell.region, 0.0)):
+        if np.any((place.lower - room > plant.upper) | (place.upper + room < plant.lower)):
+            allowed = f"a box that meets the workspace {plant.lower} .. {plant.upper} m"
+            raise source.error((name,), given=_corners(place), allowed=allowed, do="Check signs and units.")
+    for keys, place in keep_out.items():
+        if place.contains(np.stack([plant.lower, plant.upper])).all():
+            allowed = "a box that leaves some of the workspace free"
+            raise source.error(keys, given=_corners(place), allowed=allowed, do="Make it smaller.")
+
+
+def _corners(place: Box) -> str:
+    return f"{place.lower} .. {place.upper} m"
 
 
 def _part(source: TomlFile, name: str, drivers: dict[str, Callable[..., Any]], besides: tuple[str, ...] = ()) -> Part:
@@ -281,34 +332,6 @@ def _keep_outs(source: TomlFile) -> tuple[Box, ...]:
         do = "Write [[keep_out]] above each."
         raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
     return tuple(built(source, ("keep_out", str(i)), table, _keep_out) for i, table in enumerate(tables))
-
-
-@contextmanager
-def owned(arm: str, folder: Path | None = None) -> Iterator[None]:
-    """Own an arm within the block. Its lock ends with the process, however that ends.
-
-    Args:
-        arm: which; the same words name the same arm.
-        folder: of the lock files; None: the machine's folder for temporary files.
-
-    Raises:
-        DeviceError: another process owns it.
-    """
-    fcntl: Any = importlib.import_module("fcntl")
-    path = (folder or Path(tempfile.gettempdir())) / f"anther-{re.sub(r'[^A-Za-z0-9.-]+', '-', arm)}.lock"
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            owner = os.pread(handle, 40, 0).decode(errors="replace").strip() or "unknown"
-            do = "Wait until it ends, or end it."
-            raise DeviceError(f"the arm {arm} is commanded by another process, number {owner}. {do}") from error
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, str(os.getpid()).encode(), 0)
-        yield
-    finally:
-        os.close(handle)
 
 
 @contextmanager

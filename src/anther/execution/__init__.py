@@ -36,7 +36,7 @@ from anther.execution._closing import close, lost_grip
 from anther.execution._trial import EARLY, PHASES, Step, Trial
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import choose_rate
-from anther.safety import check_idle, check_shake, guard
+from anther.safety import check_idle, check_pieces, check_shake, guard
 from anther.swing import Swing, whole_shake
 
 if TYPE_CHECKING:
@@ -225,10 +225,8 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
     rest, done, deciding = work.robot.arm.joints(), [first], Deciding(work.felt)
 
     def joints(piece: Swing) -> JointTrajectory:
-        for amplitude, frequency in zip(piece.amplitudes, piece.frequencies, strict=True):
-            if amplitude > 0:
-                check_shake(amplitude, frequency, piece.begin + piece.seconds, work.limits)
         moved = [(line, piece.only(line.tones)) for line in watched.lines]
+        check_pieces([(line.direction, own) for line, own in moved], work.limits)
         paths = [
             work.planner.swing(rest, line.direction, [own], line.reach)
             for line, own in moved

@@ -5,8 +5,10 @@ A bad command is refused before anything moves; a bad reading stops the arm. Eit
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -37,10 +39,12 @@ from anther.safety._motion import (
     LONGEST,
     ForceCheck,
     Watchdog,
+    check_pieces,
     check_shake,
     check_swing,
     check_trajectory,
     demand,
+    shake_amplitude,
 )  # fmt: skip
 from anther.swing import Swing
 
@@ -52,9 +56,11 @@ __all__ = [
     "GuardedMotor",
     "check_idle",
     "check_let_go",
+    "check_pieces",
     "check_shake",
     "check_trajectory",
     "guard",
+    "shake_amplitude",
     "stem_stress",
 ]
 
@@ -67,17 +73,26 @@ TRIES = 3
 
 
 def guard(robot: Robot, limits: SafetyLimits) -> Robot:
-    """Return the same machines behind the guard; a guarded robot is returned as it is."""
-    if isinstance(robot.arm, GuardedArm):
-        return robot
-    side = None if robot.side_camera is None else GuardedCamera(robot.side_camera)
+    """Return the same machines, each behind a guard with these limits.
+
+    A guard with other limits that is there already stays, and a command has to pass both: limits are tightened, never
+    loosened.
+    """
+
+    def behind(machine: Any, kind: Callable[[Any, SafetyLimits], Any]) -> Any:
+        there = isinstance(machine, GuardedArm | GuardedGripper | GuardedMotor) and machine._limits is limits
+        return machine if machine is None or there else kind(machine, limits)
+
+    def seen(camera: Any) -> Any:
+        return camera if camera is None or isinstance(camera, GuardedCamera) else GuardedCamera(camera)
+
     return replace(
         robot,
-        arm=GuardedArm(robot.arm, limits),
-        gripper=GuardedGripper(robot.gripper, limits),
-        wrist_camera=GuardedCamera(robot.wrist_camera),
-        side_camera=side,
-        motor=None if robot.motor is None else GuardedMotor(robot.motor, limits),
+        arm=behind(robot.arm, GuardedArm),
+        gripper=behind(robot.gripper, GuardedGripper),
+        wrist_camera=seen(robot.wrist_camera),
+        side_camera=seen(robot.side_camera),
+        motor=behind(robot.motor, GuardedMotor),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
@@ -108,7 +110,7 @@ def _check_keep_out(q: Array, limits: SafetyLimits) -> None:
 
 
 def check_shake(amplitude: float, frequency: float, duration: float, limits: SafetyLimits) -> None:
-    """Check a shake's amplitude [m], frequency [Hz] and duration [s].
+    """Check a steady shake's amplitude [m], frequency [Hz] and duration [s]. Of several tones: `check_pieces`.
 
     Raises:
         StageFailure: limits_exceeded.
@@ -123,6 +125,44 @@ def check_shake(amplitude: float, frequency: float, duration: float, limits: Saf
     limit = limits.shake_acceleration
     demand("shake amplitude x (2 pi frequency)^2", acceleration, limit, "m/s^2", "Shake less or slower.")
     demand("shake duration", duration, limits.shake_duration, "s", "Shake shorter.")
+
+
+RAMPS = 0.92
+"""Share of the acceleration allowed that a steady shake may have: to rise and fall takes up to 1.1 % more, to turn from
+one mixture to another within half a second up to 8.7 % (1 to 40 Hz, up to 20 mm)."""
+
+
+def shake_amplitude(frequencies: Array, limits: SafetyLimits) -> Array:
+    """Return the largest amplitudes (Q,) [m] of shakes of one tone each (Q,) [Hz] that pass, with their ramps.
+
+    A mixture passes if its shares of these amount to no more than 1.
+    """
+    omega = 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
+    return np.minimum(limits.shake_speed / omega, RAMPS * limits.shake_acceleration / omega**2)
+
+
+def check_pieces(parts: Sequence[tuple[Array, Swing]], limits: SafetyLimits) -> None:
+    """Check what moves the pads at one time, each part a unit direction (3,) and its piece: the path is their sum.
+
+    Raises:
+        StageFailure: limits_exceeded.
+    """
+    begin, seconds = parts[0][1].begin, parts[0][1].seconds
+    demand("shake duration", begin + seconds, limits.shake_duration, "s", "Shake shorter.")
+    rates = sum(piece.motion(_moments(seconds))[1][:, None] * direction for direction, piece in parts)
+    _check_rates("shake", np.asarray(rates), limits.shake_speed, limits.shake_acceleration)
+
+
+def _moments(seconds: float) -> Array:
+    return np.append(np.arange(0, seconds, SWING_STEP), seconds)
+
+
+def _check_rates(what: str, rates: Array, speed: float, acceleration: float) -> None:
+    """Check velocities (T, D) [m/s] at `_moments` and their differences against limits [m/s], [m/s^2]."""
+    fastest = float(np.linalg.norm(rates, axis=1).max())
+    demand(f"speed of the {what}", fastest, speed, "m/s", "Shake less or slower.")
+    hardest = float(np.linalg.norm(np.diff(rates, axis=0), axis=1).max()) / SWING_STEP
+    demand(f"acceleration of the {what}", hardest, acceleration, "m/s^2", "Shake less or slower.")
 
 
 def demand(what: str, value: float, limit: float, unit: str, do: str) -> None:
@@ -235,11 +275,9 @@ def check_swing(piece: Swing, before: Swing | None, limits: SafetyLimits) -> Swi
         raise StageFailure("limits_exceeded", str(error)) from error
     _check_join(piece, before)
     demand("duration of the swing", piece.begin + piece.seconds, limits.shake_duration, "s", "Swing shorter.")
-    place, rate = piece.motion(np.append(np.arange(0, piece.seconds, SWING_STEP), piece.seconds))
+    place, rate = piece.motion(_moments(piece.seconds))
     demand("swing of the motor", float(np.abs(place).max()), limits.motor_stroke, "m", "Swing less.")
-    demand("speed of the motor", float(np.abs(rate).max()), limits.shake_speed, "m/s", "Swing less or slower.")
-    acceleration = float(np.abs(np.diff(rate)).max()) / SWING_STEP
-    demand("acceleration of the motor", acceleration, limits.motor_acceleration, "m/s^2", "Swing less or slower.")
+    _check_rates("motor", rate[:, None], limits.shake_speed, limits.motor_acceleration)
     return piece
 
 
