@@ -586,7 +586,8 @@ def test_what_a_shake_turns_back_to_is_what_was_found_to_be_borne(shaken: Shaken
 
     class Clearing(World):
         def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
-            self.noise = 0.03 if self.looks < 2 else 1e-6
+            blurred = (np.arange(FLOWERS + POINTS) < FLOWERS) & (self.looks < 2)
+            self.noise: Any = np.where(blurred, 0.03, 1e-6)[:, None]
             return super().swings(_, frames, tones, expected)
 
     world = Clearing(believed, truth, plan=made_plan((0.008,) * 3, reach=(0.2,) * 3), limits=Limits(plant=WEAK))
