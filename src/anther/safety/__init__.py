@@ -360,7 +360,7 @@ class GuardedCamera:
             else:
                 frames.append(frame)
         if again and len(frames) == 1:
-            told = f"camera: {again + 1} frames of different times show the same picture; allowed: none while an arm moves."
+            told = f"camera: got {again + 1} frames with the same picture; allowed: 1."
             raise DeviceError(f"{told} Restart it, or uncover it.")
         return frames
 
