@@ -75,17 +75,17 @@ LIES: dict[str, tuple[Lie, tuple[int, ...]]] = {
     "healthy": (TRUE, (0,)),
     "the picture stands still": (scaled(0.0), (0, 1, 2, 3, 4)),
     "flowers stand still": (scaled(0.0, OWN), (0, 2)),
-    "flowers move by 0.15": (scaled(0.15, OWN), (0, 2)),
+    "flowers move by 0.15": (scaled(0.15, OWN), (0,)),
     "all but flowers stand still": (scaled(0.0, ~OWN), (0,)),
     "all moves by a tenth": (scaled(0.1), (0,)),
-    "1 s late": (late, (0, 2)),
+    "1 s late": (late, (0,)),
     "the look before": (before, (1,)),
-    "another plant": (other, (0, 2)),
+    "another plant": (other, (0,)),
     "all moves by half": (scaled(0.5), (0,)),
 }
 """What the camera shows, and from which look on."""
 HEALTHY, UNNOTICED = "healthy", "all moves by half"
-"""Of a plant that is three times softer half of the motion is what one moves that is half again as soft as believed."""
+"""Half of what a plant does that is three times softer is what one would do that is half again as soft as believed."""
 
 
 @dataclass

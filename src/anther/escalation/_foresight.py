@@ -24,9 +24,9 @@ BRANCH_SPREAD = 0.5
 MISFIT = 0.2
 """Of a point's modelled or seen motion, relative: no model's node is the piece of plant that a camera sees, and a
 stem's motion along itself cannot be seen. Measured on three simulated plants."""
-STILL = 0.25
-"""Share of the believed motion with which a plant as good as stands still. Half, which neither this nor the whole
-explains better, is the least that is taken for the plant's own: trackers show 0.4 to 1.1 of it (5 simulated plants)."""
+STILL = 0.1
+"""Share of the believed motion with which a plant as good as stands still. Where its stem and leaves move by a third,
+neither this nor the whole is likelier; of 5 simulated plants the tracker showed 0.2 to 1.1."""
 MOST_POINTS = 60
 """Of the plant that are watched beside the flowers."""
 
