@@ -95,9 +95,11 @@ def draw(number: int, seed: int) -> Case:
     kinds: list[Kind] = [k for k in get_args(Kind) if k != "kill -9"]
     kind = kinds[rng.integers(len(kinds))]
     # an arm that stands still (2) cannot be stale; a gripper is told to open, open, close in steps, release
-    at = {"stale joints": (0, 1, 3, 4), "gripper jam": (0, 2, 3), "frames lost": (0,)}.get(kind, MOTIONS)
+    at = {"stale joints": (0, 1, 3, 4), "gripper jam": (0, 2, 3), "frames lost": (0,), "frozen picture": (0,)}.get(
+        kind, MOTIONS
+    )
     fault = Fault(kind, int(rng.choice(at)), share, lasting)
-    if fault.at == SHAKE or kind == "frames lost":
+    if fault.at == SHAKE or kind in ("frames lost", "frozen picture"):
         fault = replace(fault, piece=int(rng.integers(PIECES)))
     return Case(number, fault, whole_plant=number % 10 == 3)
 

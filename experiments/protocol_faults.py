@@ -65,6 +65,7 @@ EXPECTED: dict[str, str] = {
     "gripper reports a fault": "gripper: its inner processor failed",
     "side camera unplugged": "unplugged|camera",
     "wrist camera unplugged": "unplugged|camera",
+    "side camera frozen": "same picture|picture of the recording",
     "stop button": "stop button|it is stopped",
     "cuff held": "cuff is held",
     "robot feels a collision": "felt a collision",

@@ -56,8 +56,8 @@ do not: something else was followed."""
 
 PROOF = 3.0
 """ln of the odds, 20 to 1, from which on a look is taken for one at the plant (`evidence`). Of 36 looks at 4 simulated
-plants 34 had more, 7 to 290; the others were probes of 0.1 mm. Had nothing moved or a tenth, with the tracker's noise or
-without, all would have had less than -5."""
+plants 34 had more, 7 to 290; the others were probes of 0.1 mm. Had nothing moved, with the tracker's noise or without,
+or a tenth, all would have had less than -5."""
 
 STAND_OUT = 2.0
 """Of flowers that swing less than stem and leaves do, for what the members say of both, in standard deviations: from
