@@ -66,8 +66,8 @@ STRIKES: dict[str, tuple[int, ...]] = {
     "stale joints": (0, 1, 3, 4),
     **dict.fromkeys(("gripper jam", *LIES), (0, 2, 3)),
 }
-"""In which commands a kind strikes that does not in all `MOTIONS`: an arm that stands still cannot be stale; a gripper is
-told to open, open, close in steps, release."""
+"""In which commands a kind strikes that does not in all `MOTIONS`: an arm that stands still cannot be stale; a gripper
+is told to open, open, close in steps, release."""
 STRUCK = tuple(kind for kind in get_args(Kind) if kind != "kill -9")
 """Kinds that can be chosen."""
 HELD = 0.4  # of the force asked for: pads that truly press so hard hold a stem, whatever is told of it
