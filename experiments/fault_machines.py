@@ -4,7 +4,6 @@ pieces that is raised whatever is seen."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from anther.swing import Swing
 
 
 class ClockCamera:
-    """A camera that sees nothing, on the cell's clock: no response is measured here."""
+    """A camera that sees nothing but light that changes, on the cell's clock: no response is measured here."""
 
     intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
     rates = RATES
@@ -29,21 +28,24 @@ class ClockCamera:
         self.cell, self.begun = cell, (0.0, 0.0)
 
     def read(self) -> Frame:
-        """Return a blank frame."""
-        return Frame(self.cell.time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
+        """Return a frame of one colour."""
+        return self._frame(self.cell.time)
 
     def start(self, rate: float) -> None:
         """Begin."""
         self.begun = (self.cell.time, rate)
 
     def recorded(self, since: float) -> list[Frame]:
-        """Return the blank frames since then."""
+        """Return the frames since then."""
         return [frame for frame in self.stop() if frame.time >= since]
 
     def stop(self) -> list[Frame]:
-        """Return blank frames at the rate asked for."""
+        """Return frames at the rate asked for."""
         start, rate = self.begun
-        return [replace(self.read(), time=t) for t in np.arange(start, self.cell.time, 1 / rate)] if rate else []
+        return [self._frame(t) for t in np.arange(start, self.cell.time, 1 / rate).tolist()] if rate else []
+
+    def _frame(self, time: float) -> Frame:
+        return Frame(time, np.full((6, 8, 3), round(1e3 * time) % 251, np.uint8), np.zeros((6, 8), np.float32))
 
 
 class Kept(SimArm):

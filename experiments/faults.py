@@ -61,6 +61,15 @@ MOTIONS = (0, 1, 2, 3, 4)  # of a trial: early reach, approach, settle, shake, r
 SHAKE, PIECES = 3, 3  # the shake is streamed in so many pieces before it comes to rest: probe, step, hold
 EXPECTED = {"pushed": "collision", "ctrl-c": "interrupted", "kill -9": "interrupted"}  # others: device_fault
 LIES = ("gripper force stuck", "gripper force missing", "gripper holds nothing")  # of pads that move as they should
+STRIKES: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("frames lost", "frozen picture"), (0,)),
+    "stale joints": (0, 1, 3, 4),
+    **dict.fromkeys(("gripper jam", *LIES), (0, 2, 3)),
+}
+"""In which commands a kind strikes that does not in all `MOTIONS`: an arm that stands still cannot be stale; a gripper
+is told to open, open, close in steps, release."""
+STRUCK = tuple(kind for kind in get_args(Kind) if kind != "kill -9")
+"""Kinds that can be chosen."""
 HELD = 0.4  # of the force asked for: pads that truly press so hard hold a stem, whatever is told of it
 
 
@@ -85,22 +94,20 @@ class Outcome:
     force: float
 
 
-def draw(number: int, seed: int) -> Case:
-    """Return case `number` of a seed."""
+def draw(number: int, seed: int, chosen: Kind | None = None) -> Case:
+    """Return case `number` of a seed: of all kinds, or of the chosen one."""
     rng = np.random.default_rng([seed, number])
     lasting, share = bool(rng.random() < 0.3), float(rng.uniform(0, 0.8))
-    if number % 50 == 7:
+    if chosen is None and number % 50 == 7:
         at = int(rng.choice(MOTIONS))
         return Case(number, Fault("kill -9", at, share, piece=int(rng.integers(PIECES)) if at == SHAKE else 0))
-    if number % 20 == 13:
+    if chosen is None and number % 20 == 13:
         return Case(number, Fault("frames lost", int(rng.integers(0, 30)), share, lasting), views=True)
-    kinds: list[Kind] = [k for k in get_args(Kind) if k != "kill -9"]
-    kind = kinds[rng.integers(len(kinds))]
-    # an arm that stands still (2) cannot be stale; a gripper is told to open, open, close in steps, release
-    at = {"stale joints": (0, 1, 3, 4), "frames lost": (0,)} | dict.fromkeys(("gripper jam", *LIES), (0, 2, 3))
+    kind: Kind = STRUCK[rng.integers(len(STRUCK))]
+    kind = chosen or kind
     lasting |= kind in LIES or kind == "arm force lost"  # a sensor that is lost stays so
-    fault = Fault(kind, int(rng.choice(at.get(kind, MOTIONS))), share, lasting)
-    if fault.at == SHAKE or kind == "frames lost":
+    fault = Fault(kind, int(rng.choice(STRIKES.get(kind, MOTIONS))), share, lasting)
+    if fault.at == SHAKE or kind in ("frames lost", "frozen picture"):
         fault = replace(fault, piece=int(rng.integers(PIECES)))
     return Case(number, fault, whole_plant=number % 10 == 3)
 
@@ -309,6 +316,7 @@ def subset(capture: Capture, views: list[int]) -> Capture:
 def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Run one case in a process of its own, which Ctrl-C may strike, and return what came of it, for a sweep."""
     words = ["--alone", str(row["number"]), "--seed", str(row["seed"]), "--base", row["base"], "--out", str(folder)]
+    words += ["--kinds", row["kind"]] if "kind" in row else []
     return outcome_of([__file__, *words], folder)
 
 
@@ -365,6 +373,8 @@ def options(description: str | None, quick: str) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
+    parser.add_argument("--kinds", nargs="*", default=(), help="only faults of these kinds")
+    parser.add_argument("--each", type=int, default=1, help="of --kinds, so many each")
     parser.add_argument("--base", type=Path, help="the stored run, made when missing; by default that of faults.py")
     parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     return parser
@@ -383,13 +393,19 @@ def main() -> None:
         return
     if args.alone is not None:
         signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background processes would ignore Ctrl-C
-        alone(draw(args.alone, args.seed), base, args.out)
+        alone(draw(args.alone, args.seed, *args.kinds), base, args.out)
         return
+    if unknown := set(args.kinds) - set(STRUCK):
+        parser.error(f"--kinds: got {', '.join(sorted(unknown))}; allowed: {', '.join(STRUCK)}")
     prepare(base)
-    numbers = args.only or range(20 if args.quick else args.faults)
-    cases = [{"number": number, "seed": args.seed, "base": str(base.resolve())} for number in numbers]
+    numbers = args.only or range(args.each if args.kinds else 20 if args.quick else args.faults)
+    cases: list[dict[str, Any]] = [
+        {"number": number, "seed": args.seed, "base": str(base.resolve()), **kind}
+        for kind in [{"kind": kind} for kind in args.kinds] or [{}]
+        for number in numbers
+    ]
     rows = swept(one, cases, args.out / "faults", args.jobs, crashed)
-    drawn = [draw(number, args.seed) for number in numbers]
+    drawn = [draw(case["number"], args.seed, case.get("kind")) for case in cases]
     names = [field.name for field in fields(Outcome) if field.name != "case"]
     metrics = summary([Outcome(case, **{n: row[n] for n in names}) for case, row in zip(drawn, rows, strict=True)])
     if args.json:

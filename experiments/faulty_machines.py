@@ -36,6 +36,7 @@ Kind = Literal[
     "gripper holds nothing",
     "arm force lost",
     "frames lost",
+    "frozen picture",
     "ctrl-c",
     "kill -9",
 ]
@@ -79,6 +80,8 @@ def with_faults(robot: Robot, fault: Fault) -> Robot:
         case "frames lost":
             side = robot.side_camera and FaultyCamera(robot.side_camera, fault)
             return replace(robot, wrist_camera=FaultyCamera(robot.wrist_camera, fault), side_camera=side)
+        case "frozen picture":
+            return replace(robot, side_camera=robot.side_camera and FaultyCamera(robot.side_camera, fault))
         case _:
             return replace(robot, arm=FaultyArm(robot.arm, fault))
 
@@ -189,11 +192,13 @@ class FaultyGripper:
 
 
 class FaultyCamera:
-    """A camera that loses frames: a read fails, and of a recording only a share comes back."""
+    """A camera that loses frames: a read fails, and of a recording only a share comes back. Or one whose picture stands
+    still from a look on, with new times."""
 
     def __init__(self, camera: Camera, fault: Fault) -> None:
         self._camera, self._fault = camera, fault
         self._reads = self._recordings = self._looks = 0
+        self._still: Frame | None = None
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -208,25 +213,34 @@ class FaultyCamera:
     def read(self) -> Frame:
         """Return a frame, or lose it."""
         self._reads += 1
-        if self._fault.strikes(self._reads - 1):
+        if self._fault.kind == "frames lost" and self._fault.strikes(self._reads - 1):
             raise DeviceError("the frame was lost on the cable.")
-        return self._camera.read()
+        return self._seen(self._camera.read())
 
     def start(self, rate: float) -> None:
         """Begin to record."""
         self._looks = 0
+        self._still = self._still if self._fault.lasting else None
         self._camera.start(rate)
 
     def recorded(self, since: float) -> list[Frame]:
         """Return what was recorded so far, or lose it."""
         self._looks += 1
         look, wanted = self._looks - 1, self._fault.piece
-        if self._fault.strikes(self._recordings) and (look == wanted or (self._fault.lasting and look > wanted)):
+        struck = self._fault.strikes(self._recordings) and (look == wanted or (self._fault.lasting and look > wanted))
+        if struck and self._fault.kind == "frames lost":
             raise DeviceError("the frames were lost on the cable.")
-        return self._camera.recorded(since)
+        frames = self._camera.recorded(since)
+        self._still = self._still or (frames[0] if struck else None)
+        return [self._seen(frame) for frame in frames]
 
     def stop(self) -> list[Frame]:
         """Return the recording, or the first share of it."""
         self._recordings += 1
-        frames = self._camera.stop()
-        return frames[: int(self._fault.share * len(frames))] if self._fault.strikes(self._recordings - 1) else frames
+        frames = [self._seen(frame) for frame in self._camera.stop()]
+        struck = self._fault.kind == "frames lost" and self._fault.strikes(self._recordings - 1)
+        return frames[: int(self._fault.share * len(frames))] if struck else frames
+
+    def _seen(self, frame: Frame) -> Frame:
+        still = self._still
+        return frame if still is None or frame.time < still.time else replace(still, time=frame.time)

@@ -67,6 +67,7 @@ EXPECTED: dict[str, str] = {
     "gripper feels nothing": "jammed|holds nothing",
     "side camera unplugged": "unplugged|camera",
     "wrist camera unplugged": "unplugged|camera",
+    "side camera frozen": "same picture|picture of the recording",
     "stop button": "stop button|it is stopped",
     "cuff held": "cuff is held",
     "robot feels a collision": "felt a collision",
@@ -117,9 +118,9 @@ class Case:
     share: float
 
 
-def draw(number: int, seed: int) -> Case:
+def draw(number: int, seed: int, kinds: Sequence[str] = tuple(EXPECTED)) -> Case:
     """Return case `number` of a seed: every kind in every phase in turn, at a random moment."""
-    kinds, phases = list(EXPECTED), list(PHASES)
+    phases = list(PHASES)
     share = float(np.random.default_rng([seed, number]).uniform())
     return Case(number, kinds[number % len(kinds)], phases[number // len(kinds) % len(phases)], share)
 
@@ -268,9 +269,10 @@ def said_in(run: Path) -> str:
     return ""
 
 
-def one(number: int, *, seed: int, base: Path, out: Path) -> dict[str, Any]:
+def one(number: int, *, seed: int, kinds: Sequence[str], base: Path, out: Path) -> dict[str, Any]:
     """Return what came of one case, which begins again where the machine was too slow, and keep it."""
-    case, folder = draw(number, seed), out / f"{seed}-{number:04d}"
+    case = draw(number, seed, kinds)
+    folder = out / f"{seed}-{number:04d}{'' if len(kinds) == len(EXPECTED) else ' of ' + ', '.join(kinds)}"
     kept = folder / "outcome.json"
     if kept.exists():
         return read_json(kept)
@@ -331,12 +333,16 @@ def main() -> None:
     prepare(base)
     kinds = len(EXPECTED)
     quick = [kind + kinds * (place % len(PHASES)) for place, kind in enumerate(range(0, kinds, 2))]
-    numbers = args.only or (quick if args.quick else range(args.faults))
+    chosen = tuple(args.kinds) or tuple(EXPECTED)
+    if unknown := set(chosen) - set(EXPECTED):
+        parser.error(f"--kinds: got {', '.join(sorted(unknown))}; allowed: {', '.join(EXPECTED)}")
+    many = len(chosen) * args.each if args.kinds else args.faults
+    numbers = args.only or (quick if args.quick and not args.kinds else range(many))
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [*PATHS, os.environ.get("PYTHONPATH")]))
-    case = partial(one, seed=args.seed, base=base, out=args.out.resolve() / "protocol")
+    case = partial(one, seed=args.seed, kinds=chosen, base=base, out=args.out.resolve() / "protocol")
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         rows = list(track(pool.map(case, numbers), "faults", len(numbers)))
-    metrics = summary([draw(number, args.seed) for number in numbers], rows)
+    metrics = summary([draw(number, args.seed, chosen) for number in numbers], rows)
     if args.json:
         write_json(args.json, metrics)
 

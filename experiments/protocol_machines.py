@@ -1,7 +1,7 @@
 """For `protocol_faults.py`: a Sawyer, a Robotiq and two cameras behind their own protocols, and what can befall them.
 
 There is no world: joints go where they are told, and the pads close on something of `THICK`. The cameras are the SDK's
-own `software_device`, which lives in Anther's process and gives blank frames while a file says that it is plugged in.
+own `software_device`, which lives in Anther's process and gives frames while a file says that it is plugged in.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from fake_robotiq import FakeRobotiq
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer
-from made_realsense import SoftwareCamera
+from made_realsense import SoftwareCamera, colours, depth_steps
 
 from anther.arm import sawyer
 from anther.drivers import realsense
@@ -76,6 +76,10 @@ class Machines:
         """Plug a camera in, or pull it out."""
         (self._folder / which).write_text("1" if there else "0")
 
+    def freeze(self, which: str) -> None:
+        """Let a camera show one picture again and again."""
+        (self._folder / which).write_text("frozen")
+
     @property
     def opening(self) -> float:
         """Between the pads [m]."""
@@ -108,6 +112,7 @@ class Machines:
             "gripper reports a fault": lambda: setattr(gripper, "fault", 0x0C),
             "side camera unplugged": lambda: self.plug("side", False),
             "wrist camera unplugged": lambda: self.plug("wrist", False),
+            "side camera frozen": lambda: self.freeze("side"),
             "stop button": lambda: setattr(robot, "pressed", True),
             "cuff held": lambda: setattr(robot, "cuff", True),
             "robot feels a collision": lambda: setattr(robot, "collided", True),
@@ -164,7 +169,8 @@ class Machines:
 
 
 class PluggedCamera(FreeRunningCamera):
-    """A RealSense of the SDK's own making that gives blank frames while a file says that it is plugged in."""
+    """A RealSense of the SDK's own making that gives made-up frames while a file says that it is plugged in, and the
+    same picture in each while it says that it is frozen."""
 
     def __init__(self, plug: str) -> None:
         self._plug, self._over = Path(plug), threading.Event()
@@ -175,7 +181,7 @@ class PluggedCamera(FreeRunningCamera):
 
     @property
     def _in(self) -> bool:
-        return self._plug.read_text() == "1"
+        return self._plug.read_text() != "0"
 
     def close(self) -> None:
         """End."""
@@ -192,5 +198,7 @@ class PluggedCamera(FreeRunningCamera):
             for sensor in self._eye.sensors:
                 sensor.set_metadata(value.frame_timestamp, round(1e6 * number / FRAMES))
                 sensor.set_metadata(value.sensor_timestamp, round(1e6 * number / FRAMES))
+            shown = 0 if self._plug.read_text() == "frozen" else number % 8
             with suppress(RuntimeError):  # while it is closed
-                self._eye.show(number, time.time() - 0.002)
+                stamp = time.time() - 0.002
+                self._eye.deliver(number, stamp, depth_steps(shown), colours(shown), late=0.001, domain="global_time")

@@ -91,7 +91,7 @@ class FakeGripper:
 
 
 class FakeCamera:
-    """Sees nothing, at the rate asked for, for a second."""
+    """Sees nothing but light that changes, at the rate asked for, for a second."""
 
     intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
     rates = (15.0, 30.0, 60.0, 90.0)
@@ -116,7 +116,7 @@ class FakeCamera:
         return [self._frame(i / self.asked[-1]) for i in range(int(self.asked[-1]))] if self.asked else []
 
     def _frame(self, time: float) -> Frame:
-        return Frame(time, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
+        return Frame(time, np.full((6, 8, 3), round(1e3 * time) % 251, np.uint8), np.zeros((6, 8), np.float32))
 
 
 def fake_robot(arm: FakeArm | None = None, gripper: FakeGripper | None = None) -> Robot:

@@ -586,7 +586,8 @@ def test_what_a_shake_turns_back_to_is_what_was_found_to_be_borne(shaken: Shaken
 
     class Clearing(World):
         def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
-            self.noise = 0.03 if self.looks < 2 else 1e-6
+            blurred = (np.arange(FLOWERS + POINTS) < FLOWERS) & (self.looks < 2)
+            self.noise: Any = np.where(blurred, 0.03, 1e-6)[:, None]
             return super().swings(_, frames, tones, expected)
 
     world = Clearing(believed, truth, plan=made_plan((0.008,) * 3, reach=(0.2,) * 3), limits=Limits(plant=WEAK))
@@ -607,3 +608,103 @@ def test_a_shake_is_gone_back_to_no_further_than_its_last_look_allows(shaken: Sh
     told = watched._options[tone].told
     watched._looked_at(tone, told._replace(flowers=100 * told.flowers))
     assert watched._options[tone].borne == watched._options[tone].may.amplitude < 0.5 * tried
+
+
+OWN = np.arange(FLOWERS + POINTS)[:, None, None] < FLOWERS
+ANY_PHASE = np.exp(2j * np.pi * np.random.default_rng(5).random((FLOWERS + POINTS, 1, 1)))
+LIES = {
+    "a picture that stands still": 0.0,
+    "flowers that stand still": np.where(OWN, 0.0, 1.0),
+    "flowers that nearly stand still": np.where(OWN, 0.15, 1.0),
+    "all but flowers stand still": np.where(OWN, 1.0, 0.0),
+    "a tenth of the motion": 0.1,
+}
+
+
+class Lying(World):
+    """A world whose camera shows `share` of what it sees from a look on."""
+
+    share: Any = 1.0
+    since = 0
+
+    def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+        found = super().swings(_, frames, tones, expected)
+        return found._replace(phasors=self.share * found.phasors) if self.looks > self.since else found
+
+
+def lied_to(shaken: Shaken, lie: str, since: int, *, soft: float = 1.0, seed: int = 1) -> tuple[Lying, Escalation]:
+    """Shake a plant that is so much softer than believed while the camera lies from a look on."""
+    foresight = made_foresight(seed)
+    world = Lying(foresight, soft * foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+    world.share, world.since = LIES.get(lie, 1.0), since
+    return world, shaken(world)
+
+
+@pytest.mark.parametrize("soft", [1.0, 3.0])
+@pytest.mark.parametrize("lie", LIES)
+def test_what_a_camera_shows_that_does_not_see_the_plant_raises_nothing(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, lie: str, soft: float
+) -> None:
+    """What cannot be observed is done as the model allows."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    for seed in range(3):
+        world, watched = lied_to(shaken, lie, 0, soft=soft, seed=seed)
+        planned = world.plan.tones.amplitudes.max()
+        assert max(step.amplitudes[0] for step in single(watched)) <= planned * 1.0001
+        assert watched.steps[-1].amplitudes[0] == pytest.approx(planned), "nor does it shake less than planned"
+        assert "does not move as the gripper does" in watched.steps[-2].decided
+        check_pieces(world, watched)
+
+
+def test_motion_as_large_as_that_of_the_plant_but_not_its_own_harms_nothing(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    for seed in range(3):
+        foresight = made_foresight(seed)
+        world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+        world.share = ANY_PHASE
+        for step in single(shaken(world)):
+            tone = int(np.abs(TONES - step.frequencies[0]).argmin())
+            borne = limits_of(world.limits, world.plan.press, step.frequencies[0])
+            assert all(step.amplitudes[0] * load < borne[kind] for kind, load in world.loads(tone).items())
+
+
+@pytest.mark.parametrize("lie", ["a picture that stands still", "flowers that stand still"])
+@pytest.mark.parametrize("since", [2, 3, 4])
+def test_a_camera_that_goes_blind_on_the_way_takes_the_shake_back_to_what_it_saw(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, lie: str, since: int
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    world, watched = lied_to(shaken, lie, since, soft=3.0)
+    _, healthy = lied_to(shaken, "none", 0, soft=3.0)
+    steps, planned = watched.steps, world.plan.tones.amplitudes.max()
+    assert [s.amplitudes for s in steps[: since + 1]] == [s.amplitudes for s in healthy.steps[: since + 1]]
+    seen = max(step.amplitudes[0] for step in steps[1:since])
+    assert steps[-1].amplitudes[0] <= max(seen, planned) * 1.0001
+    check_pieces(world, watched)
+
+
+def test_a_camera_that_sees_again_raises_the_shake_as_if_it_had_seen_the_probe(shaken: Shaken) -> None:
+    class Waking(Lying):
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            self.share = 0.0 if self.looks < 1 else 1.0
+            return super().swings(_, frames, tones, expected)
+
+    foresight, plan = made_foresight(1), made_plan((0.0005,) * 3)
+    waking, awake = (kind(foresight, foresight.vectors[4], plan=plan, late=0.02) for kind in (Waking, Lying))
+    for world in (waking, awake):
+        world.params = Params(most_seconds=30)
+    last = [shaken(world).steps[-1] for world in (waking, awake)]
+    assert last[0].median == pytest.approx(last[1].median, rel=0.2)
+    first = max(p.amplitudes.max() for p in waking.pieces[1:2])
+    assert first <= plan.tones.amplitudes.max()
+
+
+def test_a_shake_that_is_planned_too_far_is_taken_back_even_by_what_proves_nothing(shaken: Shaken) -> None:
+    """All swings far, at any phase: not the plant that is believed, but nothing to go on with."""
+    foresight = made_foresight(1)
+    world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.01,) * 3, (0.03,) * 3))
+    world.share = 5 * ANY_PHASE
+    steps = single(shaken(world))
+    assert steps[-1].amplitudes[0] < 0.5 * world.plan.tones.amplitudes.max()

@@ -13,7 +13,7 @@ from scipy.stats import norm
 from anther.devices import ArmSample
 from anther.escalation import _foresight as foresight_module
 from anther.escalation import _knowledge as knowledge
-from anther.escalation._foresight import Foresight, foresee, misfit, narrowed, watch_points
+from anther.escalation._foresight import Foresight, evidence, foresee, misfit, narrowed, watch_points
 from anther.escalation._knowledge import (
     ARM_FOLLOWS,
     Answer,
@@ -133,7 +133,7 @@ def test_members_that_explain_what_was_seen_fit_better_than_others() -> None:
 
 
 def test_the_misfit_is_that_of_gaussian_noise_and_the_members_own_spread(monkeypatch: pytest.MonkeyPatch) -> None:
-    """-2 ln likelihood by the covariance of what is seen, written out."""
+    """-ln likelihood by the covariance of what is seen, written out."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.0)
     members, std = of(made_foresight(3)), deviation(np.full(len(ROWS), 0.05))
     motion, used = seen(of(made_foresight(4))[9]), np.isfinite(std)
@@ -142,7 +142,25 @@ def test_the_misfit_is_that_of_gaussian_noise_and_the_members_own_spread(monkeyp
     covariance = np.eye(used.sum()) + off.T @ off.conj() / (len(members) - 1)
     miss = (motion[used] - said.mean(axis=0)) / std[used]
     expected = (miss.conj() @ np.linalg.solve(covariance, miss)).real + np.linalg.slogdet(covariance)[1]
-    assert misfit(members, motion, std, AXES) == pytest.approx(expected)
+    assert misfit(members, motion, std, AXES) == pytest.approx(expected + 2 * np.log(std[used]).sum())
+
+
+def test_what_moves_as_the_members_say_is_evidence_and_what_stands_still_or_moves_otherwise_is_none() -> None:
+    for seed in range(5):
+        members, std = of(made_foresight(seed)), deviation(np.full(len(ROWS), 0.01))
+        motion = seen(members[9])
+        turned = motion * np.exp(2j * np.pi * np.random.default_rng(seed).random((len(ROWS), 1)))
+        assert evidence(members, motion, std, AXES) > 20
+        assert evidence(members, 3 * motion, std, AXES) > 20, "a plant may be softer than believed"
+        for lie in (0 * motion, 0.1 * motion, turned):
+            assert evidence(members, lie, std, AXES) < -20
+
+
+def test_what_is_lost_in_noise_is_no_evidence() -> None:
+    members = of(made_foresight(3))
+    motion, hidden = seen(members[9]), np.full((len(ROWS), 3), np.nan)
+    assert evidence(members, motion, hidden, AXES) == 0
+    assert abs(evidence(members, motion, deviation(np.full(len(ROWS), 100.0)), AXES)) < 0.1
 
 
 def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndarray = ALONG) -> Look:

@@ -21,7 +21,7 @@ from anther.arm.planner import SHAKE_CAP
 from anther.devices import ArmSample, DeviceError, Frame, GripperState, JointTrajectory, SafetyLimits
 from anther.errors import StageFailure
 from anther.execution import execute
-from anther.geometry import Array, Box
+from anther.geometry import Array, Box, Intrinsics
 from anther.pressing import Pressing
 from anther.safety import (
     AT_REST,
@@ -562,8 +562,57 @@ def test_half_frames_and_frames_from_the_past_are_dropped() -> None:
     whole = camera.read()
     half = [replace(whole, time=0.7, depth=whole.depth[:2]), replace(whole, time=0.8, rgb=whole.rgb[:2])]
     nobody_knows_when = replace(whole, time=float("nan"))
-    camera.stop = lambda: [nobody_knows_when, whole, *half, whole, replace(whole, time=1.0)]  # type: ignore[method-assign]
+    camera.stop = lambda: [nobody_knows_when, whole, *half, whole, camera._frame(1.0)]  # type: ignore[method-assign]
     assert [f.time for f in GuardedCamera(camera).stop()] == [whole.time, 1.0]
+
+
+def test_a_recording_of_one_picture_again_and_again_is_a_fault() -> None:
+    camera, seen = FakeCamera(), FakeCamera()._frame(0.0)
+    live, frozen = [camera._frame(i / 30) for i in range(3)], [replace(seen, time=1 + i / 30) for i in range(9)]
+    guarded = GuardedCamera(camera)
+    guarded.start(30.0)
+    camera.recorded = lambda _: live + frozen  # type: ignore[method-assign]
+    assert guarded.recorded(0.0) == [*live, frozen[0]], "one picture counts once"
+    camera.recorded = lambda _: frozen  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match=r"9 frames .* same picture"):
+        guarded.recorded(0.0)
+    camera.stop = lambda: frozen  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match=r"9 frames .* same picture"):
+        guarded.stop()
+
+
+def test_a_camera_that_froze_at_the_end_of_a_recording_is_found_out_by_the_next_reading() -> None:
+    camera = FakeCamera()
+    live, frozen = [camera._frame(i / 30) for i in range(9)], camera._frame(8 / 30)
+    guarded = GuardedCamera(camera)
+    guarded.start(30.0)
+    camera.stop = lambda: live  # type: ignore[method-assign]
+    assert guarded.stop() == live
+    camera.read = lambda: replace(frozen, time=2.0)  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match="last picture of the recording again"):
+        guarded.read()
+    guarded.start(30.0)
+    assert guarded.read().time == 2.0, "another recording, and another scene, begins"
+
+
+@pytest.mark.parametrize(("pixels", "alive"), [(0, False), (12, True)])
+def test_a_picture_of_which_hardly_a_pixel_changes_is_the_same(pixels: int, alive: bool) -> None:
+    """Of 48 x 64 pixels every 16th is looked at; 12 of those 192 may be noise, none may be."""
+
+    class Large(FakeCamera):
+        intrinsics = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
+
+        def recorded(self, since: float) -> list[Frame]:
+            frames = [Frame(since + i / 30, np.zeros((48, 64, 3), np.uint8), np.zeros((48, 64))) for i in range(3)]
+            for i, frame in enumerate(frames):
+                frame.rgb[0, : 4 * pixels : 4, 1] = i
+            return frames
+
+    if alive:
+        assert len(GuardedCamera(Large()).recorded(0.0)) == 3
+    else:
+        with pytest.raises(DeviceError, match="same picture"):
+            GuardedCamera(Large()).recorded(0.0)
 
 
 # Nothing else can reach the device.

@@ -352,3 +352,15 @@ def test_one_who_never_stops_the_pads_is_not_left_so() -> None:
     trial = execute(PLANNER, Plan(), robot, LIMITS, watched=Endless())
     assert trial.finished
     assert trial.commanded[-1] == pytest.approx(trial.commanded[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("look", range(3))
+def test_a_picture_that_stands_still_while_the_arm_swings_is_a_fault_and_no_look(look: int) -> None:
+    """The shake goes on without eyes, and comes to its end."""
+    watched = Scripted()
+    robot = with_faults(fake_robot(), Fault("frozen picture", piece=look))
+    trial = execute(PLANNER, Plan(), robot, LIMITS, watched=watched)
+    assert trial.failure == "device_fault"
+    assert "same picture" in trial.stop_reason
+    assert trial.phases == PHASES
+    assert [bool(frames) for frames, _ in watched.looks] == [n != look for n in range(3)]

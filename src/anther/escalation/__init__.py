@@ -24,6 +24,7 @@ from anther.escalation._knowledge import (
     known,
     lateness,
     links,
+    proven,
     settled,
     summed,
 )
@@ -58,6 +59,7 @@ BEGINS, FIRST = 0.6, 1 / 3
 """A tone at which no flower was seen begins at this share of what the model allows, another this share of the way, in
 logarithms, from there to what the probes promise: of many tones the one that promises most was up to twice too bold."""
 OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
+UNPROVEN = "what was seen does not move as the gripper does"
 LASTING = (OUT_OF_SIGHT, NO_TIME)
 """What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
 RAISED, HOLD = 2.0, 1.2
@@ -126,6 +128,7 @@ class Escalation:
         self._answers: list[list[Answer]] = []
         self._options: list[Option] = []
         self._late, self._in_sight, self._last = 0.0, 0, False
+        self._proofs: list[bool] = []  # by step, whether only the plant can have been seen
         self._sure = 0.0
         self._doubted = False
 
@@ -166,7 +169,9 @@ class Escalation:
         look = self._looked(frames, steady, samples[0].time)
         if not self.steps:
             self._in_sight = look.followed
-            self._late = lateness(self._foresight, look) if look.followed else 0.0
+        if not any(self._proofs) and look.followed:
+            self._late = lateness(self._foresight, look)
+        self._proofs.append(proven(self._foresight, look, self._late))
         active = np.flatnonzero(piece.amplitudes).tolist()
         before = [self._options[n].told for n in active] if self._options else [None] * len(active)
         answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
@@ -296,6 +301,8 @@ class Escalation:
         """Return what follows a shake that was looked at."""
         amplitude, option = float(self._piece.amplitudes[now]), self._options[now]
         lost = option.lost(amplitude, self.params.most)
+        if not (lost or self._proofs[-1]):
+            return self._raised(now, amplitude)
         if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
             return self._again(now, min(amplitude, option.may.amplitude), OUT_OF_SIGHT)
         if lost:
@@ -326,7 +333,7 @@ class Escalation:
 
     def _turned_to(self, shake: int) -> Next:
         option, lines = self._options[shake], self.plan.tones.directions
-        most, seen = option.may, bool(option.told.seen.any())
+        most, seen = option.may, bool(option.told.seen.any()) and all(self._proofs[: len(self.plan.tones.probed)])
         least = option.planned * (1 if seen else BEGINS)
         self._sure, self._doubted = least, False
         first = least * min((most.amplitude / least) ** (FIRST * seen), RAISED)
@@ -343,14 +350,19 @@ class Escalation:
         one = self._options[shake].told
         return 0.5 * self.params.target / max(float(one.flowers[one.seen].max(initial=0.0)), 1e-12)
 
-    def _raised(self, shake: int, now: float, *, lost: bool) -> Next:
-        """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is."""
+    def _raised(self, shake: int, now: float, *, lost: bool = False) -> Next:
+        """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is.
+
+        After a look that proves nothing it is raised no further than what was proven before, or the model allows.
+        """
         option, may = self._options[shake], self._options[shake].may
         higher, why = min(may.amplitude, RAISED * now, now + self._adding(shake)), may.binds
         if lost:  # also what was seen at this amplitude may have grown since
             sure = self._sure if ENOUGH * self._sure < now or not option.tried else now / RAISED
             higher, why = min(sure, higher), OUT_OF_SIGHT
-        elif not self._fits(shake):
+        elif not self._proofs[-1]:
+            higher, why = min(max(self._sure, option.planned), higher), UNPROVEN
+        if not (lost or self._fits(shake)):
             higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
             self._doubted = False

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.devices import ArmSample
-from anther.escalation._foresight import Foresight, misfit, narrowed
+from anther.escalation._foresight import Foresight, evidence, misfit, narrowed
 from anther.geometry import Array
 from anther.oscillation import peak
 from anther.response.points import Swings
@@ -53,6 +53,15 @@ seen: a tone is not taken for what it might do."""
 MISTAKEN = 4.0
 """Nor when a flower seems to swing exp(4 `FLOWER_SPREAD`), 13, times as far as the members say of it while the others
 do not: something else was followed."""
+
+PROOF = 3.0
+"""ln of the odds, 20 to 1, from which on a look is taken for one at the plant (`evidence`). Of 36 looks at 4 simulated
+plants 34 had more, 7 to 290; the others were probes of 0.1 mm. Had nothing moved, with the tracker's noise or without,
+or a tenth, all would have had less than -5."""
+
+STAND_OUT = 2.0
+"""Of flowers that swing less than stem and leaves do, for what the members say of both, in standard deviations: from
+here on what is followed in their place stands still. The least in 47 looks at 5 simulated plants was -1.4."""
 
 JUMP = 4.0
 """Nor when it seems to swing, per metre, more than so many times as far as it could have, unseen or seen, by the look
@@ -157,6 +166,21 @@ def lateness(foresight: Foresight, look: Look) -> float:
     return float(LATE[int(np.argmin(off))])
 
 
+def proven(foresight: Foresight, look: Look, late: float) -> bool:
+    """Return whether what was seen can only be a plant that the gripper moves, with the flowers that hang on it.
+
+    Stem, branches and leaves alone give the `evidence`: flowers may move little. But not, in the middle of them, by
+    `STAND_OUT` standard deviations less than the others, beside what the members say of both.
+    """
+    points, count = foresight.where["points"], foresight.where["flowers"].stop
+    odds, stands = 0.0, False
+    for i in range(len(look.tones)):
+        members, (motion, std), axes = _members(foresight, look, i), _turned(foresight, look, i, late), look.swings.axes
+        odds += evidence(members[:, points], motion[points], std[points], axes[points])
+        stands |= _stand(members, motion, std, axes, count)
+    return odds > PROOF and not stands
+
+
 def answered(foresight: Foresight, look: Look, i: int, late: float, before: Known | None = None) -> Answer:
     """Return what is known of the look's tone number i.
 
@@ -242,6 +266,24 @@ def _like_the_others(members: ComplexArray, motion: ComplexArray, std: Array, ax
     others = [np.delete(more, k)[np.delete(seen, k)] for k in range(len(more))]
     usual = np.array([max(1.0, float(np.median(rest))) if len(rest) else 1.0 for rest in others])
     return ~seen | (more <= usual * np.exp(MISTAKEN * FLOWER_SPREAD))
+
+
+def _stand(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> bool:
+    """Return whether what is taken for flowers, the first `count` of F + P points, stands still while the others move.
+
+    By how much a point swings more than members (M, S, 3) say, ln, with what may be of it without being measured.
+    """
+    used = np.isfinite(std)
+    flowers, points = used[:count, 0], used[count:, 0]
+    if not flowers.any() or not points.any():
+        return False
+    said = np.where(used, np.abs(np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes)), 0.0)
+    said = np.log(np.maximum(np.linalg.norm(said, axis=2), 1e-12))
+    may = np.where(used, np.hypot(np.abs(motion), SIGNIFICANCE * std), 0.0)
+    more = np.log(np.maximum(np.linalg.norm(may, axis=1), 1e-12)) - said.mean(axis=0)
+    alike = float(said[:, :count][:, flowers].mean(axis=1).std())
+    spread = np.hypot(FLOWER_SPREAD, alike)  # flowers of one plant may all be off alike
+    return bool(np.median(more[:count][flowers]) - np.median(more[count:][points]) < -STAND_OUT * spread)
 
 
 def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:

@@ -70,6 +70,9 @@ MOTOR_AT_REST = 0.1e-3
 """What a motor at rest may read [m]."""
 TRIES = 3
 """So often a lost frame is asked for."""
+ALIVE = 1e-3
+"""Share of the pixels that changes at least between two frames of a camera that sees: noise alone changes nearly all
+(0.999 of those of a simulated D455)."""
 
 
 def guard(robot: Robot, limits: SafetyLimits) -> Robot:
@@ -313,12 +316,15 @@ def stem_stress(state: GripperState, limits: SafetyLimits) -> float:
 class GuardedCamera:
     """A camera that asks again for a lost frame, and drops those of a recording that are of no use.
 
+    A recording shows what moves, so a picture in it that is the one before, with a new time, is of no use either.
+
     Args:
         camera: the machine.
     """
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
+        self._last: Frame | None = None  # of a recording that has ended
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -343,37 +349,61 @@ class GuardedCamera:
             except DeviceError as error:
                 reasons.append(str(error))
             else:
-                if self._whole(frame):
+                if not self._whole(frame):
+                    reasons.append(f"an image of {frame.depth.shape} pixels")
+                elif self._last is not None and _same(frame, self._last):
+                    reasons.append("the last picture of the recording again")
+                else:
                     return frame
-                reasons.append(f"an image of {frame.depth.shape} pixels")
         raise DeviceError(f"camera: no frame in {TRIES} tries ({reasons[-1]}). Check its cable.")
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
+        self._last = None
         self._camera.start(rate)
 
     def recorded(self, since: float) -> list[Frame]:
-        """Return the whole frames so far whose time goes forward.
+        """Return the whole frames so far whose time goes forward and whose picture is not the one before.
 
         Raises:
-            DeviceError: there are none.
+            DeviceError: there are none, or all show the same picture.
         """
         return self._in_order(self._camera.recorded(since))
 
     def stop(self) -> list[Frame]:
-        """End the recording and return its whole frames whose time goes forward."""
-        return self._in_order(self._camera.stop())
+        """End the recording and return its frames, as `recorded` does.
+
+        Raises:
+            DeviceError: all show the same picture. If the last ones do, the next `read` says so.
+        """
+        frames = self._in_order(self._camera.stop())
+        self._last = frames[-1] if frames else None
+        return frames
 
     def _in_order(self, recorded: list[Frame]) -> list[Frame]:
         frames: list[Frame] = []
+        again = 0
         for frame in recorded:
-            if self._whole(frame) and (not frames or frame.time > frames[-1].time):
+            if not self._whole(frame) or (frames and frame.time <= frames[-1].time):
+                continue
+            if frames and _same(frame, frames[-1]):
+                again += 1
+            else:
                 frames.append(frame)
+        if again and len(frames) == 1:
+            told = f"camera: got {again + 1} frames with the same picture; allowed: 1."
+            raise DeviceError(f"{told} Restart it, or uncover it.")
         return frames
 
     def _whole(self, frame: Frame) -> bool:
         size = (self.intrinsics.height, self.intrinsics.width)
         return bool(np.isfinite(frame.time)) and frame.depth.shape == size and frame.rgb.shape == (*size, 3)
+
+
+def _same(one: Frame, other: Frame) -> bool:
+    """Return whether two frames show the same picture, by every 16th pixel."""
+    apart = np.any(one.rgb[::4, ::4] != other.rgb[::4, ::4], axis=2)
+    return float(apart.mean()) < ALIVE
 
 
 def _copied(trajectory: JointTrajectory) -> JointTrajectory:
