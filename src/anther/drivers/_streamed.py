@@ -229,9 +229,6 @@ class StreamedArm(ABC):
         """Return whether nothing may be said to the robot."""
         return bool(self.cannot())
 
-    def _look(self) -> None:
-        """Take the newest reading where it does not come by itself."""
-
     def _stay(self, q: Array) -> None:
         """Command joints (J,) near which the arm stands."""
         self._rest(q)
@@ -261,7 +258,8 @@ class StreamedArm(ABC):
         if now - told.time <= self._timeout:
             return stop_from(self._follows(told, now), self.readings, now, self._stale)
         while self._clock() - now < COMES_TO_REST and not self.readings.trouble:
-            self._look()
+            with suppress(DeviceError):  # too old yet
+                self.joints()
             here = stands_at(self.readings, now)
             if here is not None and self.readings.age() <= self._stale:
                 return here, np.zeros_like(here)

@@ -212,10 +212,6 @@ class UniversalRobot(StreamedArm):
     def _deaf(self) -> bool:
         return self._control is None or bool(self._halted())
 
-    def _look(self) -> None:
-        with suppress(DeviceError):
-            self._read()
-
     def _halted(self) -> str:
         """Return why the arm, with a program, does not follow what it is told; empty if it does."""
         if why := self._at.stopped():
