@@ -459,7 +459,7 @@ def test_a_cell_file_gives_what_its_model_says(
         for _ in range(20):
             arm.hold()
         assert wire.said == []
-        arm._say(ros2.still(np.zeros(6), 0.5))
+        arm._rest(np.zeros(6))
         topic, message = wire.said[-1]
         assert topic == "/scaled/joint_trajectory"
         assert tuple(message.joint_names) == file.model.joints

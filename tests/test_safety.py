@@ -404,7 +404,7 @@ READINGS: dict[str, Callable[[int, ArmSample], ArmSample]] = {
     "arm force: got 3 N, the same": lambda n, s: replace(s, force=3.0),
     "does not follow": lambda n, s: replace(s, measured=s.measured + (0.25 if n > 40 else 0.0)),
     "does not follow: nan": lambda n, s: replace(s, measured=s.measured * (np.nan if n > 40 else 1)),
-    "stale: the joints read the same": lambda n, s: replace(s, measured=FROZEN.measured if n > 5 else s.measured),
+    "stale: joint 0 reads the same": lambda n, s: replace(s, measured=FROZEN.measured if n > 5 else s.measured),
     "stale: the clock": lambda n, s: replace(s, time=min(s.time, 1.0)),
     "stale: the clock of the readings stands at -0.": lambda n, s: replace(s, time=s.time - (2.0 if n > 30 else 0.0)),
 }
@@ -423,6 +423,50 @@ def test_a_bad_reading_stops_the_arm_on_its_way(message: str) -> None:
     if "stale" in message:
         with pytest.raises(DeviceError, match="stale"):
             guarded.follow(JointTrajectory.standstill(arm.now, 0.1))
+
+
+NOISE = 1e-6 * np.random.default_rng(0).normal(size=(2000, len(sawyer.NEUTRAL)))
+HIDDEN: dict[str, Callable[[int, ArmSample], Array]] = {
+    "all with noise": lambda n, s: sawyer.NEUTRAL + NOISE[n],
+    "one to the bit, the others with noise": lambda n, s: np.r_[sawyer.NEUTRAL[0], (s.measured + NOISE[n])[1:]],
+}
+
+
+def swinging(amplitude: float, frequency: float) -> JointTrajectory:
+    """Return a swing of the first joint [rad] at [Hz] that begins and ends softly."""
+    t = np.arange(0, 3, 0.004)
+    ends = np.clip(np.minimum(t, t[-1] - t) / 0.5, 0, 1)
+    x = amplitude * ends**2 * (3 - 2 * ends) * np.sin(2 * np.pi * frequency * t)
+    rate = np.gradient(x, t)
+    rate[[0, -1]] = 0.0
+    along = np.eye(len(sawyer.NEUTRAL))[0]
+    return JointTrajectory(t, sawyer.NEUTRAL + x[:, None] * along, rate[:, None] * along)
+
+
+@pytest.mark.parametrize("how", HIDDEN)
+@pytest.mark.parametrize(("amplitude", "frequency"), [(0.05, 2.0), (5e-3, 4.0)])
+def test_a_joint_that_freezes_is_noticed_whatever_noise_and_other_joints_tell(
+    how: str, amplitude: float, frequency: float
+) -> None:
+    arm = readings(lambda n, s: replace(s, measured=HIDDEN[how](n, s)))
+    with pytest.raises(DeviceError, match="joint 0 reads the same"):
+        GuardedArm(arm, LIMITS).follow(swinging(amplitude, frequency))
+    assert arm.clock < 0.6  # of it a part passes until the swing is more than STILL
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.05, 0.15])
+@pytest.mark.parametrize(("amplitude", "frequency"), [(0.05, 1.0), (5e-4, 4.0), (5e-3, 4.0), (2e-3, 8.0)])
+def test_an_arm_that_lags_is_not_taken_for_stale(lag: float, amplitude: float, frequency: float) -> None:
+    seen: list[ArmSample] = []
+
+    def late(n: int, sample: ArmSample) -> ArmSample:
+        seen.append(sample)
+        then = next(s for s in reversed(seen) if s.time <= sample.time - lag or s is seen[0])
+        return replace(sample, measured=then.commanded + NOISE[n])
+
+    arm = readings(late)
+    GuardedArm(arm, LIMITS).follow(swinging(amplitude, frequency))
+    assert arm.done == 1
 
 
 def test_an_arm_that_feels_nothing_is_not_stopped_for_it() -> None:

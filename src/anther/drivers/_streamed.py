@@ -13,12 +13,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
+from anther.drivers._holding import Late, Told, stands_at, stop_from
+from anther.drivers._readings import Readings
 from anther.geometry import Array
 
 PRIORITY = 20
@@ -57,105 +59,6 @@ def quick_turns() -> Iterator[None]:
         yield
     finally:
         sys.setswitchinterval(before)
-
-
-STALE = 0.05
-"""Joints read longer ago than this are not believed [s]."""
-DRIFT = 1e-4
-"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
-
-
-class Reading(NamedTuple):
-    """Joints (J,) [rad] read at `time` [s] on this machine's clock, by the robot's stamp."""
-
-    time: float
-    joints: Array
-
-
-def check_fresh(age: float, stale: float = STALE) -> None:
-    """Refuse joints that were read longer ago than `stale` [s]."""
-    if not age <= stale:
-        given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * stale:.0f} ms"
-        raise DeviceError(f"{given}. Check network, robot, and both clocks; then start anew.")
-
-
-def check_told(joints: Array) -> Array:
-    """Return joints (J,) [rad] that are numbers."""
-    if not np.isfinite(joints).all():
-        raise DeviceError(f"joints: got {joints} rad. The arm does not tell where it is.")
-    return joints
-
-
-class RobotClock:
-    """A robot's clock, set behind this machine's by the message that came quickest.
-
-    Attributes:
-        offset: this machine's time less the robot's [s]; NaN before the first message.
-    """
-
-    def __init__(self) -> None:
-        self.offset = self._heard = float("nan")
-
-    def hear(self, stamp: float, arrival: float) -> None:
-        """Take the stamp of a message [s], and when it arrived on this machine's clock [s]."""
-        lag, drifted = arrival - stamp, self.offset + DRIFT * (arrival - self._heard)
-        self.offset = lag if np.isnan(drifted) else min(lag, drifted)
-        self._heard = arrival
-
-
-class Readings:
-    """The joints as they come in, put in order by their names.
-
-    Attributes:
-        last: the newest; None before the first.
-        trouble: why what comes in cannot be used; empty while it can.
-        others: names of the joints that came in without any of the arm's.
-        rate: readings a second, of the last hundred.
-        clock: the robot's.
-    """
-
-    def __init__(self, names: Sequence[str], clock: Callable[[], float]) -> None:
-        self.last: Reading | None = None
-        self.trouble, self.rate = "", float("nan")
-        self.others: tuple[str, ...] = ()
-        self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
-        self.clock = RobotClock()
-
-    def hear(self, message: Any) -> None:
-        """Take a sensor_msgs/JointState; one of other joints only is passed over."""
-        arrival, stamp = self._clock(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        places = {name: i for i, name in enumerate(message.name)}
-        if not any(name in places for name in self._names):
-            self.others = tuple(places)
-            return
-        missing = [name for name in self._names if name not in places]
-        if missing or len(places) != len(message.name) or len(message.position) != len(message.name):
-            told = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
-            self.trouble = f"joints: got {', '.join(message.name)}: {told}; allowed: {', '.join(self._names)}"
-            return
-        joints = np.array([message.position[places[name]] for name in self._names], dtype=float)
-        if not np.isfinite(joints).all():
-            self.trouble = f"joints: got {joints} rad"
-            return
-        self.clock.hear(stamp, arrival)
-        self._arrivals = [*self._arrivals[-99:], arrival]
-        if len(self._arrivals) > 1:
-            self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)
-        self.trouble = ""
-        if self.last is None or stamp + self.clock.offset > self.last.time:
-            self.last = Reading(stamp + self.clock.offset, joints)
-
-    def age(self) -> float:
-        """Return how old the newest is [s]; infinite before the first."""
-        return float("inf") if self.last is None else self._clock() - self.last.time
-
-    def newest(self, stale: float) -> Reading:
-        """Return the newest reading; refuse one that is older than `stale` [s], or cannot be used."""
-        if self.trouble:
-            raise DeviceError(f"{self.trouble}. Check the robot's description, and start anew.")
-        check_fresh(self.age(), stale)
-        assert self.last is not None
-        return self.last
 
 
 T = TypeVar("T")
@@ -264,8 +167,8 @@ SETTLE = 0.1
 """The end of a motion is commanded for so long before it counts as over [s]."""
 WAITING = 5.0
 """Something of a robot that is on is heard within this [s]."""
-NEAR = 0.05
-"""An arm further than this from where it was sent is held where it is instead, and no motion begins there [rad]."""
+COMES_TO_REST = 0.5
+"""An arm that its own time-out stops stands within this [s]; else nothing more is sent."""
 
 
 class StreamedArm(ABC):
@@ -285,6 +188,7 @@ class StreamedArm(ABC):
         clock: Callable[[], float],
         sleep: Callable[[float], None],
         shown: float = 0.0,
+        timeout: float | None = None,
     ) -> None:
         """Nothing is heard or said yet.
 
@@ -295,19 +199,19 @@ class StreamedArm(ABC):
             silence: a motion ends where two commands are further apart [s].
             clock, sleep: [s]; the clock that readings are told on.
             shown: readings go to the watcher no closer than this [s].
+            timeout: the robot stops by itself when it hears nothing for so long [s]; None: `silence`.
         """
         self.readings = Readings(names, clock)
         self._names, self._period, self._stale, self._silence = tuple(names), 1 / rate, stale, silence
         self._clock, self._sleep, self._shown = clock, sleep, shown
+        self._timeout = silence if timeout is None else timeout
         self._force = (float("-inf"), float("nan"))  # when [s] and how much [N]
+        self._told: Told | None = None
+        self._last = float("-inf")  # when a command was last in time [s]
 
     @abstractmethod
     def cannot(self) -> str:
         """Return why the arm cannot be moved now; empty if it can."""
-
-    @abstractmethod
-    def hold(self) -> None:
-        """Brake if it moves, and hold."""
 
     @abstractmethod
     def _aim(self, reference: Reference, t: float) -> None:
@@ -316,6 +220,69 @@ class StreamedArm(ABC):
     @abstractmethod
     def _rest(self, q: Array) -> None:
         """Command joints (J,) at which the arm then stays without being told again."""
+
+    @abstractmethod
+    def _brake(self, q: Array, rate: Array) -> Array:
+        """Command the way to rest from joints q (J,) at `rate`, each command by `_send`; return where it ends."""
+
+    def _deaf(self) -> bool:
+        """Return whether nothing may be said to the robot."""
+        return bool(self.cannot())
+
+    def _stay(self, q: Array) -> None:
+        """Command joints (J,) near which the arm stands."""
+        self._rest(q)
+
+    def _follows(self, told: Told, now: float) -> Told:
+        """Return what the robot does now [s] of what it was told: on and on at the last rate."""
+        return told if told.rests else Told(told.time, told.joints + told.rate * (now - told.time), told.rate)
+
+    def hold(self) -> None:
+        """Brake if it moves, and hold, by the rule of `_holding`. What must not be told anything is left alone."""
+        if self._told is None or self._deaf():
+            return
+        begin = self._stop_from(self._told)
+        if begin is None:
+            self._told = self._told if self._told.rests else None
+            return
+        q, rate = begin
+        try:
+            self._last = self._clock()
+            self._stay(self._brake(q, rate) if np.any(rate) else q)
+        except Late:  # held up once more: what it was told is void
+            self.hold()
+
+    def _stop_from(self, told: Told) -> tuple[Array, Array] | None:
+        """Return joints and rates (J,) from which to stop; None: nothing is to be sent."""
+        now = self._clock()
+        if now - told.time <= self._timeout:
+            return stop_from(self._follows(told, now), self.readings, now, self._stale)
+        while self._clock() - now < COMES_TO_REST and not self.readings.trouble:
+            with suppress(DeviceError):  # too old yet
+                self.joints()
+            here = stands_at(self.readings, now)
+            if here is not None and self.readings.age() <= self._stale:
+                return here, np.zeros_like(here)
+            self._sleep(self._period)
+        return None
+
+    def _check_in_time(self) -> None:
+        """Refuse to go on where the robot waited too long for a command."""
+        waited = self._clock() - self._last
+        if waited > self._silence:
+            late = f"{1e3 * waited:.0f} ms after the one before; allowed: {1e3 * self._silence:.0f} ms"
+            raise Late(f"a command came {late}. Let nothing else run on this machine.")
+
+    def _send(self, send: Callable[[], Any], q: Array, rate: Array) -> None:
+        """Send a command that goes on from the one before, of joints q (J,) at `rate`, if it still comes in time."""
+        self._check_in_time()
+        send()
+        self._last = self._clock()
+        self._told = Told(self._last, q, rate)
+
+    def _rests(self, q: Array) -> None:
+        """Note that the robot was told to stay at joints q (J,)."""
+        self._told = Told(float("inf"), q, np.zeros(len(q)))
 
     def joints(self) -> Array:
         """Return the measured joint angles (J,) [rad]; refuse stale ones."""
@@ -347,17 +314,14 @@ class StreamedArm(ABC):
         self.check_able()
 
     def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
-        last = begin = due = self._clock()
+        self._last = begin = due = self._clock()
         seen = begin - self._stale if self.readings.last is None else self.readings.last.time
         while True:
             now = self._clock()
-            if now - last > self._silence:
-                late = f"{1e3 * (now - last):.0f} ms after the one before; allowed: {1e3 * self._silence:.0f} ms"
-                raise DeviceError(f"a command came {late}. Let nothing else run on this machine.")
+            self._check_in_time()
             self.check_able()
             reference.look_ahead(now - begin)
             self._aim(reference, now - begin)
-            last = now
             reading, over = self.readings.last, reference.whole and now - begin >= reference.ends + SETTLE
             if reading is not None and reading.time > seen and (over or reading.time >= seen + self._shown):
                 seen = reading.time

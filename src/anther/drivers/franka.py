@@ -24,7 +24,8 @@ import numpy as np
 
 from anther.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
 from anther.drivers._franka_loop import SHOWN, Told
-from anther.drivers._streamed import STALE, Coming, RobotClock, check_fresh, check_told, quick_turns, served_first
+from anther.drivers._readings import STALE, RobotClock, check_fresh, check_told
+from anther.drivers._streamed import Coming, quick_turns, served_first
 from anther.errors import MissingExtra, bad_input
 from anther.geometry import Array
 

@@ -19,7 +19,9 @@ from scipy.interpolate import CubicHermiteSpline
 
 from anther.checks import check_array, check_range
 from anther.devices import DeviceError
-from anther.drivers._streamed import NEAR, STALE, Reference, StreamedArm, braking, served_first
+from anther.drivers._holding import Told
+from anther.drivers._readings import STALE
+from anther.drivers._streamed import Reference, StreamedArm, braking, served_first
 from anther.errors import MissingExtra, bad_input
 from anther.geometry import Array
 
@@ -201,7 +203,7 @@ class JointTrajectoryArm(StreamedArm):
         super().__init__(names, rate=rate, stale=STALE, silence=AHEAD, clock=clock, sleep=sleep)
         self.node, self._controller, self._wrench = node, controller.rstrip("/"), wrench
         self._topic = f"{self._controller}/joint_trajectory"
-        self._sent: tuple[float, Plan] | None = None
+        self._plan = still(np.zeros(len(names)), 0.0)
         node.subscribe(states, "sensor_msgs/msg/JointState", self.readings.hear)
         if wrench:
             node.subscribe(wrench, "geometry_msgs/msg/WrenchStamped", self._hear_wrench)
@@ -211,24 +213,6 @@ class JointTrajectoryArm(StreamedArm):
         if wrench:
             self._wait_for(lambda: self._feels(clock()), f"tells no force on {wrench}")
         self._message(still(np.zeros(len(names)), 0.0))  # slow at first
-
-    def hold(self) -> None:
-        """Brake if it moves, and hold. Where nobody listens nothing is said: the arm brakes by itself."""
-        if self._sent is None or not self._listens():
-            return
-        when, plan = self._sent
-        q, rate = plan.at(self._clock() - when)
-        moved = bool(np.any(rate))
-        if moved:
-            way = braked(q, rate, self._acceleration)
-            self._say(way)
-            self._sleep(float(way.times[-1]))
-            q = way.q[-1]
-        here = self._here()
-        if here is not None and np.abs(here - q).max() > NEAR:
-            self._say(still(here, GENTLE))
-        elif here is None and moved:  # the way to rest must not begin anew where a network returns
-            self._say(still(q, GENTLE))
 
     def cannot(self) -> str:
         """Return why the arm cannot be moved now; empty if it can. ROS 2 has no common topic for stops or errors."""
@@ -254,12 +238,30 @@ class JointTrajectoryArm(StreamedArm):
     def _aim(self, reference: Reference, t: float) -> None:
         self._say(planned(reference, t, self._acceleration))
 
+    def _brake(self, q: Array, rate: Array) -> Array:
+        way = braked(q, rate, self._acceleration)
+        self._say(way)
+        self._sleep(float(way.times[-1]))
+        return way.q[-1]
+
     def _rest(self, q: Array) -> None:
-        self._say(still(q, 0.0))
+        self._commands.publish(self._message(still(q, 0.0)))
+        self._rests(q)
+
+    def _stay(self, q: Array) -> None:
+        self._commands.publish(self._message(still(q, GENTLE)))
+        self._rests(q)
+
+    def _deaf(self) -> bool:
+        return not self._listens()
+
+    def _follows(self, told: Told, now: float) -> Told:
+        return told if told.rests else Told(told.time, *self._plan.at(now - told.time))
 
     def _say(self, plan: Plan) -> None:
-        self._commands.publish(self._message(plan))
-        self._sent = (self._clock(), plan)
+        message = self._message(plan)
+        self._send(lambda: self._commands.publish(message), plan.q[0], plan.rate[0])
+        self._plan = plan
 
     def _message(self, plan: Plan) -> Any:
         points = [
@@ -277,12 +279,6 @@ class JointTrajectoryArm(StreamedArm):
     def _duration(self, t: float) -> Any:
         seconds, rest = divmod(round(t * 1e9), 10**9)
         return self.node.make("builtin_interfaces/msg/Duration", sec=seconds, nanosec=rest)
-
-    def _here(self) -> Array | None:
-        """Return where the arm is, None where that is not known."""
-        with suppress(DeviceError):
-            return self.joints()
-        return None
 
     def _listens(self) -> bool:
         return self._commands.get_subscription_count() > 0

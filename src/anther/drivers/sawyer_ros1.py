@@ -11,7 +11,8 @@ import numpy as np
 from anther.arm import sawyer
 from anther.checks import check_range
 from anther.devices import DeviceError
-from anther.drivers._streamed import NEAR, STALE, Reference, StreamedArm, braking
+from anther.drivers._readings import STALE
+from anther.drivers._streamed import Reference, StreamedArm, braking
 from anther.drivers.intera import IoDevice
 from anther.drivers.ros1 import Node
 from anther.geometry import Array
@@ -67,7 +68,6 @@ class Sawyer(StreamedArm):
         self.node, self._acceleration, self._mode = node, acceleration, mode
         self._state: Any = None
         self._collided = False
-        self._sent: tuple[Array, Array] | None = None
         node.subscribe("/robot/joint_states", "sensor_msgs/msg/JointState", self.readings.hear)
         node.subscribe("/robot/state", "intera_core_msgs/msg/RobotAssemblyState", self._hear_state)
         node.subscribe(LIMB + "endpoint_state", "intera_core_msgs/msg/EndpointState", self._hear_force)
@@ -89,24 +89,6 @@ class Sawyer(StreamedArm):
         self._wait(lambda: self._commands.readers > 0, "does not listen to joint_command")
         first = self._message(np.zeros(len(self._names)))
         node.types.serialize_ros1(first, "intera_core_msgs/msg/JointCommand")  # slow at first
-
-    def hold(self) -> None:
-        """Brake if it moves, and hold. What cannot move (stopped, not enabled, in somebody's hand) is left alone."""
-        try:
-            if self.cannot():
-                return
-            if self._sent is not None and np.any(self._sent[1]):
-                way = Reference(braking(*self._sent, self._acceleration))
-                begin = self._clock()
-                while (t := self._clock() - begin) < way.ends:
-                    self._command(*way.at(t))
-                    self._sleep(self._period)
-                self._rest(way.at(way.ends)[0])
-            elif self._sent is not None:
-                here, sent = self.joints(), self._sent[0]
-                self._rest(here if np.abs(sent - here).max() > NEAR else sent)
-        finally:
-            self._sent = None if self._sent is None else (self._sent[0], np.zeros(len(self._names)))
 
     def cannot(self) -> str:
         """Return why the arm cannot be moved now; empty if it can."""
@@ -152,7 +134,7 @@ class Sawyer(StreamedArm):
             clear = lambda: not (self._state.stopped or self._state.error)  # noqa: E731
             self._wait(clear, "does not reset", lambda: self._reset.publish(empty))
         self._switch(True)
-        self._sent = None
+        self._told = None
 
     def disable(self) -> None:
         """Switch the motors off: the brakes hold the arm."""
@@ -170,12 +152,19 @@ class Sawyer(StreamedArm):
         self._command(*reference.at(t))
 
     def _command(self, q: Array, rate: Array, acceleration: Array) -> None:
-        self._commands.publish(self._message(q, rate, acceleration))
-        self._sent = (q, rate)
+        message = self._message(q, rate, acceleration)
+        self._send(lambda: self._commands.publish(message), q, rate)
+
+    def _brake(self, q: Array, rate: Array) -> Array:
+        way, begin = Reference(braking(q, rate, self._acceleration)), self._clock()
+        while (t := self._clock() - begin) < way.ends:
+            self._command(*way.at(t))
+            self._sleep(self._period)
+        return way.at(way.ends)[0]
 
     def _rest(self, q: Array) -> None:
         self._commands.publish(self._message(q))
-        self._sent = (q, np.zeros(len(self._names)))
+        self._rests(q)
 
     def _message(self, q: Array, rate: Array | None = None, acceleration: Array | None = None) -> Any:
         follows = self._mode == "trajectory" and rate is not None

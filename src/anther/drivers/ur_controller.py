@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from anther.devices import DeviceError
-from anther.drivers._streamed import Reading, RobotClock, check_fresh, check_told
+from anther.drivers._readings import Reading, RobotClock, check_fresh, check_told
 from anther.errors import MissingExtra
 
 WAITING, POWERING = 5.0, 60.0

@@ -17,7 +17,9 @@ import numpy as np
 
 from anther.checks import check_range
 from anther.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
-from anther.drivers._streamed import NEAR, SETTLE, STALE, Reading, Reference, StreamedArm, braking
+from anther.drivers._holding import NEAR
+from anther.drivers._readings import STALE, Reading
+from anther.drivers._streamed import SETTLE, Reference, StreamedArm, braking
 from anther.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller
 from anther.geometry import Array
 
@@ -73,7 +75,7 @@ class UniversalRobot(StreamedArm):
         self._acceleration = acceleration
         self._lookahead, self._gain = lookahead, gain
         self._control: Any = None
-        self._sent: tuple[Array, Array] | None = None
+        self._told = None
         self._at = connect()
         try:
             self._check_model(model)
@@ -89,6 +91,7 @@ class UniversalRobot(StreamedArm):
                 clock=clock,
                 sleep=sleep,
                 shown=SHOWN - 0.5 / commands,
+                timeout=1 / WATCHDOG,
             )
             self.joints()
             self._renew()
@@ -114,15 +117,11 @@ class UniversalRobot(StreamedArm):
 
     def hold(self) -> None:
         """Brake if it moves, and end the program; the controller then holds the arm. At rest nothing is to be done."""
-        if self._sent is None:
+        if self._told is None:
             return
         try:
-            way = Reference(braking(*self._sent, self._acceleration))
-            begin = self._clock()
             with suppress(DeviceError):  # what went wrong first is what is reported
-                while (t := self._clock() - begin) < way.ends + SETTLE and not self._halted():
-                    self._command(*way.at(t)[:2])
-                    self._sleep(self._period)
+                super().hold()
         finally:
             self._end()
         with suppress(DeviceError):
@@ -169,7 +168,7 @@ class UniversalRobot(StreamedArm):
         if len(reading.joints) != len(self._names):
             given = f"joints: the robot has {len(reading.joints)}; allowed: {len(self._names)}, the arm model's"
             raise DeviceError(f"{given}. Name the robot's model under [arm].")
-        self.readings.last = reading
+        self.readings.take(reading)
         self._feel(*force)
         return reading
 
@@ -184,7 +183,7 @@ class UniversalRobot(StreamedArm):
         far = float(np.abs(start - here).max()) if start.shape == here.shape else float("inf")
         if far > NEAR:  # servoJ has no speed limit of its own
             raise DeviceError(f"the motion begins {far:.3g} rad from where the arm is; allowed: {NEAR:g}. Plan anew.")
-        self._sent = (here, np.zeros(len(here)))  # from here on `hold` has a watchdog to end
+        self._rests(here)  # from here on `hold` has a watchdog to end
         if not self._control.setWatchdog(WATCHDOG):
             raise DeviceError("the controller does not set its watchdog. Look at its pendant.")
 
@@ -196,10 +195,22 @@ class UniversalRobot(StreamedArm):
 
     def _command(self, q: Array, rate: Array) -> None:
         """Tell joints (J,), which move at rates (J,)."""
+        self._send(lambda: self._servo(q), q, rate)
+
+    def _servo(self, q: Array) -> None:
         self._control.kickWatchdog()  # before servoJ: of two messages in one cycle the controller takes the later
         if not self._control.servoJ(q.tolist(), UNUSED, UNUSED, self._period, self._lookahead, self._gain):
             raise DeviceError(f"the arm was stopped: {self._halted() or 'the controller takes no commands'}.")
-        self._sent = (q, rate)
+
+    def _brake(self, q: Array, rate: Array) -> Array:
+        way, begin = Reference(braking(q, rate, self._acceleration)), self._clock()
+        while (t := self._clock() - begin) < way.ends + SETTLE and not self._halted():
+            self._command(*way.at(t)[:2])
+            self._sleep(self._period)
+        return way.at(way.ends)[0]
+
+    def _deaf(self) -> bool:
+        return self._control is None or bool(self._halted())
 
     def _halted(self) -> str:
         """Return why the arm, with a program, does not follow what it is told; empty if it does."""
@@ -223,7 +234,7 @@ class UniversalRobot(StreamedArm):
 
     def _end(self) -> None:
         """End the motion's program, and its watchdog with it. One that is held up must not go on later."""
-        self._sent = None
+        self._told = None
         state = self._at.receive.getRuntimeState()
         if state == PLAYING and self._control.isConnected():
             self._control.servoStop()
