@@ -20,6 +20,8 @@ FOLDERS = (Path("/run/lock"), Path("/tmp"))
 """Where locks lie: in the first that every user of the machine may write to. Nothing in a process's environment changes
 it, or two processes would not meet."""
 HERE = "127.0.0.1"
+TRIES = 10
+GONE = "the lock {} comes and goes. Look who removes it."
 
 
 def addresses(place: str) -> list[str]:
@@ -94,7 +96,7 @@ def _locked(name: str, folder: Path) -> int:
     """Return an open, locked file that stands for a name and has the number of this process in it."""
     fcntl: Any = importlib.import_module("fcntl")
     path = folder / f"anther-{re.sub(r'[^A-Za-z0-9.-]+', '-', name)}.lock"
-    while True:
+    for _ in range(TRIES):
         handle = _opened(path)
         try:
             try:
@@ -111,6 +113,7 @@ def _locked(name: str, folder: Path) -> int:
             os.close(handle)
             raise
         os.close(handle)  # somebody removed it meanwhile
+    raise DeviceError(GONE.format(path))
 
 
 def _opened(path: Path) -> int:
@@ -120,7 +123,7 @@ def _opened(path: Path) -> int:
     (fs.protected_regular). No link is followed: what it leads to would be overwritten.
     """
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    for _ in range(10):  # two processes may make and remove it at the same time
+    for _ in range(TRIES):  # two processes may make and remove it at the same time
         try:
             handle = os.open(path, flags)
         except FileNotFoundError:
@@ -136,7 +139,7 @@ def _opened(path: Path) -> int:
             return handle
         os.close(handle)
         raise DeviceError(f"the lock {path} is no file of its own. Remove it.")
-    raise DeviceError(f"the lock {path} comes and goes. Look who removes it.")
+    raise DeviceError(GONE.format(path))
 
 
 def _same(handle: int, path: Path) -> bool:
