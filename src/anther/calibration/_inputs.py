@@ -5,7 +5,6 @@ Of a board: what was printed, how the command line writes it, and where its corn
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_range
 from anther.errors import InputError, bad_input
-from anther.files import existing, read_json, read_lines, understood
+from anther.files import existing, number, read_json, read_rows
 from anther.geometry import Array, Intrinsics, transform_from_pose7
 
 SPECS = (
@@ -263,27 +262,26 @@ def _json_rows(path: Path) -> list[tuple[str, str, Any]]:
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any]]:
-    lines = [(n, line) for n, line in enumerate(read_lines(path), 1) if line.strip() and not line.startswith("#")]
-    if not lines:
+    table = read_rows(path)
+    if not table:
         return []
-    separator = next((mark for mark in (";", "\t") if mark in lines[0][1]), ",")
-    with understood(path, "CSV or JSON", "Export it again."):
-        cells = [[word.strip() for word in next(csv.reader([line], delimiter=separator))] for _, line in lines]
-    names, rows = [word.lower() for word in cells[0]], []
+    names, rows = [word.lower() for word in table[0].cells], []
     if sorted(names) != sorted(COLUMNS):
         raise bad_input(
-            f"{path}, line {lines[0][0]}",
+            f"{path}, line {table[0].line}",
             given=f"columns {', '.join(names)}",
             allowed=", ".join(COLUMNS),
             do="Name each column once, in any order.",
         )
-    for (number, _), words in zip(lines[1:], cells[1:], strict=True):
-        where = f"{path}, line {number}"
+    for line, words in table[1:]:
+        where = f"{path}, line {line}"
         if len(words) != len(names):
             raise bad_input(where, given=f"{len(words)} entries", allowed=str(len(names)), do="Complete the line.")
         entry = dict(zip(names, words, strict=True))
-        numbers = [entry[name] for name in COLUMNS[1:]]
-        rows.append((where, entry["image"], [n.replace(",", ".") for n in numbers] if separator == ";" else numbers))
+        numbers = [number(entry[name]) for name in COLUMNS[1:]]
+        if None in numbers:
+            raise InputError(f"{where}: {[entry[name] for name in COLUMNS[1:]]} is not 7 numbers")
+        rows.append((where, entry["image"], numbers))
     return rows
 
 
