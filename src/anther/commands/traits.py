@@ -23,7 +23,7 @@ from anther.stem import Params as StemParams
 from anther.stem import find_stem
 from anther.traits import LEVELS, Limb, measure
 
-SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".npz")
+SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
 COUNTED = ("branch", "truss", "leaf")
 COLUMNS: dict[str, type] = {
     "plant": str,
