@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from anther.capture import PIXEL_CENTRE
 from anther.errors import bad_input
 from anther.files import read_object
 from anther.geometry import Array, Intrinsics
+from anther.transforms import LENS_KEYS, LENS_MODELS, PIXEL_CENTRE
 
 _NAMES = {
     "width": ("width", "w", "image_width"), "height": ("height", "h", "image_height"), "fx": ("fx", "fl_x"),
@@ -26,13 +25,6 @@ _DISTORTION = (
 )  # fmt: skip
 LENS_SIZES = (5, 8, 12, 14)
 """How many of these numbers a lens has in OpenCV."""
-MODELS = {
-    "pinhole", "simple pinhole", "opencv", "full opencv", "simple radial", "radial", "plumb bob", "none", "perspective",
-    "rational polynomial", "brown conrady", "modified brown conrady", "inverse brown conrady", "radtan", "brown",
-}  # fmt: skip
-"""Models that are OpenCV's polynomials, or none."""
-_LENS = re.compile(r"([kps]\d+|tau.*|skew|alpha(_c)?|xi|omega|.*fisheye.*)", re.IGNORECASE)
-"""Names of what bends an image."""
 
 
 def read_intrinsics(path: Path | str) -> tuple[Intrinsics, Array]:
@@ -75,14 +67,16 @@ def _of_frames(path: Path | str, frames: list[Any]) -> dict[str, Any]:
 def _distortion(path: Path | str, stored: dict[str, Any], *, nerfstudio: bool) -> Array:
     """Return the lens in OpenCV's order, 5, 8, 12 or 14 numbers; refuse what is of another kind."""
     models = {n: str(stored[n]) for n in ("camera_model", "distortion_model", "lens_model", "model") if stored.get(n)}
-    strange = {n: m for n, m in models.items() if m.lower().removeprefix("distortion.").replace("_", " ") not in MODELS}
+    strange = {
+        n: m for n, m in models.items() if m.lower().removeprefix("distortion.").replace("_", " ") not in LENS_MODELS
+    }
     listed = _list(path, stored, _LISTS)
     single = {name: _number(path, stored.get(name, 0.0), name) for name in _DISTORTION}
     bent = list(single.values()) if listed is None else listed
     if listed is not None and any(single.values()) and [*listed, *[0.0] * 14][:14] != [*single.values()]:
         given, do = "a list of distortion and other k1, k2, ... beside it", "Leave one of them out."
         raise bad_input(str(path), given=given, allowed="the lens once", do=do)
-    others = [n for n, value in stored.items() if n not in _DISTORTION and _LENS.fullmatch(n) and value]
+    others = [n for n, value in stored.items() if n not in (*_DISTORTION, *_LISTS) and LENS_KEYS.fullmatch(n) and value]
     if nerfstudio and bent[5:6] != [] and bent[5] and not any(bent[6:8]):
         others.append("k4 (nerfstudio's is another polynomial's)")
     if strange or others or len(bent) > 14:
