@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -70,17 +71,14 @@ class Args:
 def run(args: Args) -> int:
     """Measure what is not measured yet, write the tables; return 1 if a plant could not be measured."""
     folder = existing(args.clouds)
-    own = args.out.resolve()  # may lie among the clouds, and holds .csv and .npz
-    found = sorted(
-        path
-        for path in folder.rglob("*")
-        if path.suffix.lower() in SUFFIXES and path.is_file() and not path.resolve().is_relative_to(own)
-    )
+    found, hidden = clouds_in(folder, args.out)
     if not folder.is_dir() or not found:
         allowed = f"a folder with clouds: {', '.join(SUFFIXES)}"
         raise bad_input(str(folder), given="none in it", allowed=allowed, do="For one cloud: `anther skeletonize`.")
     made_folder(args.out)
     console, rows = Console(markup=False, highlight=False), list[dict[str, Any]]()
+    if hidden:
+        console.print(f"not read: {hidden} files whose names begin with a dot, as ._NAME beside NAME from a Mac")
     for path in found:
         name = str(path.relative_to(folder))
         rows.append(_measured(args, path, name))
@@ -96,6 +94,29 @@ def run(args: Args) -> int:
     write_table(args.out / f"limbs.{suffix}", LIMB_COLUMNS, limbs)
     _print(console, rows, args.out / f"plants.{suffix}")
     return int(any(row["failure"] for row in rows))
+
+
+def clouds_in(folder: Path, out: Path) -> tuple[list[Path], int]:
+    """Return the clouds in a folder and those below it, also behind links, each once; and how many are hidden.
+
+    What lies in `out` is left out, which may lie among the clouds and holds .csv and .npz; so is what a file's or
+    folder's name hides: it begins with a dot, as in a Mac's ._NAME, or is __MACOSX.
+    """
+    own, found, seen, hidden = out.resolve(), dict[Path, Path](), set[Path](), 0
+    for place, below, names in os.walk(folder, followlinks=True):
+        real = Path(place).resolve()
+        if real in seen or real.is_relative_to(own):  # a link may lead into a circle
+            below.clear()
+            continue
+        seen.add(real)
+        below[:] = sorted(name for name in below if not name.startswith((".", "__MACOSX")))
+        for name in sorted(names):
+            path = Path(place) / name
+            if path.suffix.lower() in SUFFIXES and path.is_file():
+                hidden += name.startswith(".")
+                if not name.startswith("."):
+                    found.setdefault(path.resolve(), path)
+    return sorted(found.values()), hidden
 
 
 def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:

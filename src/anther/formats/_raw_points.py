@@ -13,6 +13,20 @@ from anther.geometry import Array
 Units = Literal["m", "cm", "mm", "0.01mm"]
 Axis = Literal["x", "y", "z"]
 METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
+SMALLEST, LARGEST = 0.005, 20.0
+"""What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
+LIKELY = (0.03, 5.0)
+"""From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then it is for the person to say."""
+
+
+def other_units(size: float, units: str) -> str:
+    """Return which units would make a plant of what measures `size` [m] in these, as advice."""
+    if units not in METRES:
+        return "Wrong scale?"
+    sizes = {other: size / METRES[units] * metres for other, metres in METRES.items() if other != units}
+    likely = [f"--units {other} ({s:.2g} m)" for other, s in sizes.items() if LIKELY[0] <= s <= LIKELY[1]]
+    none = f"In none of {', '.join(METRES)} is it one: are the units others?"
+    return f"Wrong units? Try {' or '.join(likely)}." if likely else none
 
 
 class RawPoints(NamedTuple):

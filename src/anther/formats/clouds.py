@@ -19,18 +19,23 @@ from anther.cloud import Cloud, ply
 from anther.errors import AntherError, bad_input
 from anther.files import existing, load_npz, understood, whole_file
 from anther.formats._cloud_text import read_text
-from anther.formats._raw_points import METRES, Axis, RawPoints, Units, unused_note
+from anther.formats._raw_points import (
+    LARGEST,
+    LIKELY,
+    METRES,
+    SMALLEST,
+    Axis,
+    RawPoints,
+    Units,
+    other_units,
+    unused_note,
+)  # fmt: skip
 from anther.geometry import Array
 from anther.skeleton import skeletonize
 from anther.stem import find_stem
 
 _FEWEST = 50
 _MOST_BROKEN = 0.05
-_SMALLEST, _LARGEST = 0.005, 20.0
-"""What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
-_LIKELY = (0.03, 5.0)
-"""From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then it is for the person to say."""
-
 TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
 """Axis that is up -> in which order a file's axes are x, y, z with z up."""
 DOUBT = 2.0
@@ -90,9 +95,9 @@ def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
     _check_enough(path, finite)
     points = raw.points[finite]
     unlikely = _check_size(path, points, units)
-    near = np.abs(points - np.median(points, axis=0)).max(axis=1) <= _LARGEST
+    near = np.abs(points - np.median(points, axis=0)).max(axis=1) <= LARGEST
     kept = np.flatnonzero(finite)[near]
-    broken, why = len(finite) - len(kept), f"NaN, infinite or more than {_LARGEST:g} m away"
+    broken, why = len(finite) - len(kept), f"NaN, infinite or more than {LARGEST:g} m away"
     notes = (f"{path.name}: {broken} of {len(finite)} points were {why} and dropped",) if broken else ()
     notes += unlikely
     return Cloud(points[near], colors=None if raw.colors is None else raw.colors[kept], notes=notes)
@@ -125,20 +130,10 @@ def _check_size(path: Path, points: np.ndarray, units: str) -> tuple[str, ...]:
     """Return a note if the plant has an unlikely size [m]; refuse what has none of a plant."""
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.995, 0.005], axis=0))))
     given = f"a plant of {size:.3g} m (read in {units})"
-    do = _other_units(size, units)
-    if not _SMALLEST <= size <= _LARGEST:
-        raise bad_input(str(path), given=given, allowed=f"{_SMALLEST:g} <= size <= {_LARGEST:g} m", do=do)
-    return () if _LIKELY[0] <= size <= _LIKELY[1] else (f"{path.name}: {given}. {do}",)
-
-
-def _other_units(size: float, units: str) -> str:
-    """Return which units would make a plant of what measures `size` [m] in these."""
-    if units not in METRES:
-        return "Wrong scale?"
-    sizes = {other: size / METRES[units] * metres for other, metres in METRES.items() if other != units}
-    likely = [f"--units {other} ({s:.2g} m)" for other, s in sizes.items() if _LIKELY[0] <= s <= _LIKELY[1]]
-    none = f"In none of {', '.join(METRES)} is it one: are the units others?"
-    return f"Wrong units? Try {' or '.join(likely)}." if likely else none
+    do = other_units(size, units)
+    if not SMALLEST <= size <= LARGEST:
+        raise bad_input(str(path), given=given, allowed=f"{SMALLEST:g} <= size <= {LARGEST:g} m", do=do)
+    return () if LIKELY[0] <= size <= LIKELY[1] else (f"{path.name}: {given}. {do}",)
 
 
 def axis_notes(points: Array) -> tuple[str, ...]:
