@@ -79,6 +79,11 @@ def test_columns_are_taken_by_their_names(tmp_path: Path, names: str, units: str
     assert any("not used of the file: intensity, label" in note for note in cloud.notes)
 
 
+def test_a_line_of_units_below_the_names(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("\n".join(["i,x,y,z", ",mm,mm,mm", *rows(INTENSITY, 1e3 * POINTS, separator=",")]))
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.csv", None, "z").points, POINTS, atol=1e-4)
+
+
 def test_units_that_contradict_the_names_are_said(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\n".join(["x_cm,y_cm,z_cm", *rows(1e3 * POINTS, separator=",")]))
     assert any("states cm and is read in mm" in note for note in read_cloud(tmp_path / "a.csv", "mm", "z").notes)

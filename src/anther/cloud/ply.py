@@ -152,7 +152,7 @@ def read_elements(path: Path | str, wanted: Sequence[str] = ("vertex", "edge")) 
 class _Element(NamedTuple):
     """An element of a PLY: how many there are, and its properties: name -> (type of a list's count or "", type)."""
 
-    count: int
+    rows: int
     properties: dict[str, tuple[str, str]]
 
     @property
@@ -192,9 +192,9 @@ def _read(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], d
 def _ascii(body: bytes, elements: dict[str, _Element]) -> dict[str, NDArray[Any]]:
     lines, at, found = body.decode("ascii").splitlines(), 0, {}
     for name, element in elements.items():
-        rows, at = lines[at : at + element.count], at + element.count
-        if len(rows) < element.count:
-            raise ValueError(f"{len(rows)} of {element.count} rows of {name}")
+        rows, at = lines[at : at + element.rows], at + element.rows
+        if len(rows) < element.rows:
+            raise ValueError(f"{len(rows)} of {element.rows} rows of {name}")
         rows = [_without_lists(row, element) for row in rows] if element.lists else rows
         width = len(element.dtype.names or ())
         table = np.loadtxt(rows, ndmin=2) if rows and width else np.zeros((len(rows), width))
@@ -216,20 +216,20 @@ def _binary(data: bytes, at: int, elements: dict[str, _Element]) -> dict[str, ND
     for name, element in elements.items():
         dtype = element.dtype
         if not element.lists:
-            if len(data) < at + element.count * dtype.itemsize:
-                raise ValueError(f"less than {element.count} rows of {name}")
-            found[name], at = np.frombuffer(data, dtype, element.count, at), at + element.count * dtype.itemsize
+            if len(data) < at + element.rows * dtype.itemsize:
+                raise ValueError(f"less than {element.rows} rows of {name}")
+            found[name], at = np.frombuffer(data, dtype, element.rows, at), at + element.rows * dtype.itemsize
             continue
         sizes = np.array(
             [[np.dtype(c).itemsize if c else 0, np.dtype(k).itemsize] for c, k in element.properties.values()]
         )
         big = any(c.startswith(">") for c, _ in element.properties.values() if c)
-        if element.count * int(np.where(sizes[:, 0], sizes[:, 0], sizes[:, 1]).sum()) > len(data) - at:
-            raise ValueError(f"less than {element.count} rows of {name}")
-        starts, at = _starts(whole, at, element.count, sizes, big)
+        if element.rows * int(np.where(sizes[:, 0], sizes[:, 0], sizes[:, 1]).sum()) > len(data) - at:
+            raise ValueError(f"less than {element.rows} rows of {name}")
+        starts, at = _starts(whole, at, element.rows, sizes, big)
         if at > len(data):
-            raise ValueError(f"less than {element.count} rows of {name}")
-        table = np.zeros(element.count, dtype)
+            raise ValueError(f"less than {element.rows} rows of {name}")
+        table = np.zeros(element.rows, dtype)
         for k, (field, (counts, kind)) in enumerate(element.properties.items()):
             if not counts:
                 places = starts[:, k : k + 1] + np.arange(np.dtype(kind).itemsize)

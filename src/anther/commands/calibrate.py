@@ -162,17 +162,18 @@ def _given_intrinsics(args: Args, folder: Path) -> tuple[Intrinsics, Array] | No
 
 def _names(folder: Path, poses: dict[str, Array]) -> tuple[list[str], list[str]]:
     """Return the images that have poses, and notes."""
-    from anther.files import existing
+    from anther.files import existing, named_file
 
     if not existing(folder).is_dir():
         raise bad_input(f"{folder}", given="a file", allowed="a folder of images", do="Give the folder.")
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
-    missing = sorted(set(poses) - there)
+    meant = {name: named_file(folder, name) for name in poses}
+    missing = sorted(name for name, path in meant.items() if not path.is_file())
     if missing:
         given = f"poses for {', '.join(missing[:5])}{' ...' if len(missing) > 5 else ''}, which {folder} lacks"
         do = "Copy them there, or correct the names."
         raise bad_input("images", given=given, allowed="an image for each pose, by file name", do=do)
-    spare = sorted(there - set(poses))
+    spare = sorted(there - {path.name for path in meant.values()})
     return sorted(poses), [f"no pose for {', '.join(spare)}: not used"] if spare else []
 
 
@@ -183,12 +184,13 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
     from rich.progress import track
 
     from anther.calibration import find_corners
+    from anther.files import named_file
     from anther.images import read_image
 
     sizes: dict[tuple[int, int], str] = {}
 
     def read(name: str) -> Any:
-        image = read_image(folder / name, cv2.IMREAD_GRAYSCALE)
+        image = read_image(named_file(folder, name), cv2.IMREAD_GRAYSCALE)
         sizes.setdefault((image.shape[1], image.shape[0]), name)
         if len(sizes) > 1:
             text = ", ".join(f"{w} x {h} ({first})" for (w, h), first in sizes.items())

@@ -71,14 +71,14 @@ class Args:
 def run(args: Args) -> int:
     """Measure what is not measured yet, write the tables; return 1 if a plant could not be measured."""
     folder = existing(args.clouds)
-    found, hidden = clouds_in(folder, args.out)
+    found, left_out = clouds_in(folder, args.out)
     if not folder.is_dir() or not found:
         allowed = f"a folder with clouds: {', '.join(SUFFIXES)}"
         raise bad_input(str(folder), given="none in it", allowed=allowed, do="For one cloud: `anther skeletonize`.")
     made_folder(args.out)
     console, rows = Console(markup=False, highlight=False), list[dict[str, Any]]()
-    if hidden:
-        console.print(f"not read: {hidden} files whose names begin with a dot, as ._NAME beside NAME from a Mac")
+    if left_out:
+        console.print(f"not read: {', '.join(left_out[:5])}{' ...' if len(left_out) > 5 else ''}")
     for path in found:
         name = str(path.relative_to(folder))
         rows.append(_measured(args, path, name))
@@ -96,27 +96,27 @@ def run(args: Args) -> int:
     return int(any(row["failure"] for row in rows))
 
 
-def clouds_in(folder: Path, out: Path) -> tuple[list[Path], int]:
-    """Return the clouds in a folder and those below it, also behind links, each once; and how many are hidden.
+def clouds_in(folder: Path, out: Path) -> tuple[list[Path], list[str]]:
+    """Return the clouds in a folder and those below it, also behind links, each once; and the names of those left out.
 
-    What lies in `out` is left out, which may lie among the clouds and holds .csv and .npz; so is what a file's or
-    folder's name hides: it begins with a dot, as in a Mac's ._NAME, or is __MACOSX.
+    What lies in `out` does not count, which may lie among the clouds and holds .csv and .npz. Left out is what programs
+    hide (a Mac's ._NAME and __MACOSX, Excel's ~$NAME), and a link that leads nowhere.
     """
-    own, found, seen, hidden = out.resolve(), dict[Path, Path](), set[Path](), 0
+    own, found, seen, left_out = out.resolve(), dict[Path, Path](), set[Path](), list[str]()
     for place, below, names in os.walk(folder, followlinks=True):
         real = Path(place).resolve()
         if real in seen or real.is_relative_to(own):  # a link may lead into a circle
             below.clear()
             continue
         seen.add(real)
+        left_out += [name for name in below if name.startswith("__MACOSX")]
         below[:] = sorted(name for name in below if not name.startswith((".", "__MACOSX")))
-        for name in sorted(names):
-            path = Path(place) / name
-            if path.suffix.lower() in SUFFIXES and path.is_file():
-                hidden += name.startswith(".")
-                if not name.startswith("."):
-                    found.setdefault(path.resolve(), path)
-    return sorted(found.values()), hidden
+        for path in (Path(place) / name for name in sorted(names) if Path(name).suffix.lower() in SUFFIXES):
+            if path.name.startswith((".", "~$")) or not path.is_file():
+                left_out.append(path.name)
+            else:
+                found.setdefault(path.resolve(), path)
+    return sorted(found.values()), left_out
 
 
 def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:

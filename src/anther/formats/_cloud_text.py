@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anther.cloud import ply
 from anther.errors import InputError, bad_input
 from anther.files import read_lines, understood
-from anther.formats._raw_points import RawPoints, places, unused_note
+from anther.formats._raw_points import METRES, RawPoints, places, unused_note
 from anther.geometry import Array
 
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
@@ -114,12 +114,23 @@ def _table(path: Path, body: list[str], separator: str | None, comma: bool) -> A
 
 
 def _names(head: list[str], row: str, separator: str | None) -> list[str] | None:
-    """Return the columns' names where the last line before the numbers is one of names, as many as columns."""
+    """Return the columns' names where a line before the numbers is one of names, as many as columns.
+
+    A line of units below it adds them to the names.
+    """
     width = len(row.rstrip(separator).split(separator))
-    named = next((line for line in reversed(head) if line and not line.isdecimal()), None)
-    if named is None:
-        return None
-    line = named.lstrip("#/% ").rstrip(separator or " ")
+    lines = [_cells(line, width, separator) for line in reversed(head) if line and not line.isdecimal()]
+    able = [cells for cells in lines if cells]
+    named = next((cells for cells in able if places(cells)[0]), able[0] if able else None)
+    below = able[: able.index(named)] if named else []
+    if named and below and all(cell.strip("[]()").lower() in (*METRES, "") for cell in below[-1][:3]):
+        return [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip(named, below[-1], strict=True)]
+    return named
+
+
+def _cells(line: str, width: int, separator: str | None) -> list[str] | None:
+    """Return a line's words if they can be the names of so many columns."""
+    line = line.lstrip("#/% ").rstrip(separator or " ")
     for mark in dict.fromkeys((separator, ";", "\t", ",", None)):
         cells = [cell.strip().strip('"').strip() for cell in line.split(mark)]
         if len(cells) == width - 1 and places(cells)[0]:
