@@ -107,7 +107,7 @@ def _table(path: Path, body: list[str], separator: str | None, comma: bool) -> A
         while any(empty in line for line in body):
             body = [line.replace(empty, f"{separator}nan{separator}") for line in body]
     with understood(path, "rows of at least three numbers: x y z", "Is it truncated, or another format?"):
-        rows = np.loadtxt(body, dtype=np.float64, ndmin=2, delimiter=separator, comments=list(_COMMENT))
+        rows = np.loadtxt(body, dtype=np.float64, ndmin=2, delimiter=separator)
     if rows.shape[1] < 3:
         raise bad_input(str(path), given=f"{rows.shape[1]} columns", allowed="x y z [r g b]", do="Export x, y and z.")
     return rows
