@@ -189,6 +189,18 @@ def test_the_other_place_of_the_camera_is_named() -> None:
         calibrate(inverse(flange), views, CAMERA)
 
 
+def test_inverted_poses_of_the_other_place_are_doubted() -> None:
+    """Both mistakes together give the equation of neither: only the distances tell."""
+    rng = np.random.default_rng(1)
+    flange, board = beside(12, rng)
+    found = calibrate(inverse(flange), views_of(board, rng), CAMERA)
+    assert any("from the flange" in note and "T_flange_base" in note for note in found.notes)
+    flange, board = poses(12, rng)
+    views = views_of(board, rng)
+    assert any("T_flange_base" in note for note in calibrate_beside(inverse(flange), views, CAMERA).exchanged.notes)
+    assert not any("T_flange_base" in note for note in calibrate(flange, views, CAMERA).notes)
+
+
 @pytest.mark.parametrize(
     ("printed", "said", "words"),
     [

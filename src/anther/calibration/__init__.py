@@ -177,7 +177,11 @@ def _calibrated(
         arm_translation_error=noise.translation,
         methods=_compare(problem, board, centre, fit, noise, used, left_out),
         method=f"{method} + nonlinear refinement",
-        notes=(*_notes(flange, used, names, float(spread[1])), *_size_notes(problem, fit, noise, used)),
+        notes=(
+            *_notes(flange, used, names, float(spread[1])),
+            *_place_notes(fit, eye_to_hand),
+            *_size_notes(problem, fit, noise, used),
+        ),
     )
 
 
@@ -214,6 +218,18 @@ def _notes(flange: Array, used: NDArray[Any], names: tuple[str, ...], spread: fl
     if spread > LOOSE:
         notes.append(f"the views leave the camera's place open by {1e3 * spread:.1f} mm: take more, tilted more")
     return tuple(notes)
+
+
+def _place_notes(fit: Fit, eye_to_hand: bool) -> tuple[str, ...]:
+    """Return a note where poses T_flange_base of the other place of the camera would give the same equation."""
+    camera, board = (float(np.linalg.norm(T[:3, 3])) for T in (fit.T_flange_cam, fit.T_base_board))
+    if eye_to_hand == (camera > board):
+        return ()
+    on, off = ("base", "flange") if eye_to_hand else ("flange", "base")
+    return (
+        f"the camera would be {camera:.2f} m from the {on}, and the board {board:.2f} m from the {off}: are the poses "
+        f"T_flange_base, of a camera {'on the flange' if eye_to_hand else 'beside the robot (--eye-to-hand)'}?",
+    )
 
 
 def _size_notes(problem: Problem, fit: Fit, noise: Noise, used: NDArray[Any]) -> tuple[str, ...]:
