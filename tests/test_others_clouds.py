@@ -28,7 +28,7 @@ def german(value: float) -> str:
     return f"{value:.2f}".replace(".", ",")
 
 
-@pytest.mark.parametrize("separator", [" ", ";", "\t", "; ", "   "])
+@pytest.mark.parametrize("separator", [" ", ";", "\t", "; ", "   ", ", "])
 @pytest.mark.parametrize("head", ["", "x{0}y{0}z\n", "# exported\n"])
 def test_decimal_commas(tmp_path: Path, separator: str, head: str) -> None:
     lines = rows(1e3 * POINTS, separator=separator, form=german)
@@ -112,6 +112,15 @@ def test_a_count_before_the_points(tmp_path: Path) -> None:
     (tmp_path / "a.pts").write_text("\n".join(["500", *table]))
     with pytest.raises(InputError, match="300 points"):
         read_cloud(tmp_path / "a.pts", "m", "z")
+
+
+@pytest.mark.parametrize("head", ["organ,x,y,z", ""])
+def test_a_column_of_words_is_no_number(tmp_path: Path, head: str) -> None:
+    table = [f"leaf,{line}" for line in rows(POINTS, separator=",")]
+    (tmp_path / "a.csv").write_text("\n".join([head, *table]))
+    cloud = read_cloud(tmp_path / "a.csv", "m", "z")
+    np.testing.assert_allclose(cloud.points, POINTS, atol=1e-4)
+    assert any("not used of the file" in note for note in cloud.notes)
 
 
 NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)

@@ -97,7 +97,8 @@ def _unclear(path: Path, given: str) -> InputError:
 
 def _table(path: Path, body: list[str], separator: str | None, comma: bool) -> Array:
     if comma:
-        body = [line.replace(",", ".") for line in body]
+        apart = body if separator else [re.sub(r",(?=\s|$)", " ", line) for line in body]
+        body = [line.replace(",", ".") for line in apart]
     elif separator is None:
         body = [line.replace(",", " ") for line in body]
     if separator is not None:
@@ -107,10 +108,17 @@ def _table(path: Path, body: list[str], separator: str | None, comma: bool) -> A
         while any(empty in line for line in body):
             body = [line.replace(empty, f"{separator}nan{separator}") for line in body]
     with understood(path, "rows of at least three numbers: x y z", "Is it truncated, or another format?"):
-        rows = np.loadtxt(body, dtype=np.float64, ndmin=2, delimiter=separator)
+        cells = [cell.strip() for cell in body[0].split(separator)]
+        numeric = [k for k, cell in enumerate(cells) if _NUMBER.fullmatch(cell)]
+        every = len(numeric) == len(cells)
+        rows = np.loadtxt(body, dtype=np.float64, ndmin=2, delimiter=separator, usecols=None if every else numeric)
     if rows.shape[1] < 3:
         raise bad_input(str(path), given=f"{rows.shape[1]} columns", allowed="x y z [r g b]", do="Export x, y and z.")
-    return rows
+    if every:
+        return rows
+    table = np.full((len(rows), len(cells)), np.nan)  # words, such as an organ's name, are no number
+    table[:, numeric] = rows
+    return table
 
 
 def _names(head: list[str], row: str, separator: str | None) -> list[str] | None:
@@ -132,7 +140,7 @@ def _cells(line: str, width: int, separator: str | None) -> list[str] | None:
     """Return a line's words if they can be the names of so many columns."""
     line = line.lstrip("#/% ").rstrip(separator or " ")
     for mark in dict.fromkeys((separator, ";", "\t", ",", None)):
-        cells = [cell.strip().strip('"').strip() for cell in line.split(mark)]
+        cells = [cell.strip(' \t\r",') for cell in line.split(mark)]
         if len(cells) == width - 1 and places(cells)[0]:
             cells = ["", *cells]  # R writes no name above those of the rows
         if len(cells) == width and any(re.search("[A-Za-z]", cell) for cell in cells):
@@ -153,9 +161,11 @@ def _by_names(path: Path, table: Array, names: list[str]) -> RawPoints:
 
 
 def _by_place(path: Path, table: Array, *, counted: bool) -> RawPoints:
-    notes: tuple[str, ...] = ()
+    words = np.isnan(table).all(axis=0)
+    notes = unused_note([f"column {k + 1}" for k in np.flatnonzero(words)])
+    table = table[:, ~words]
     if table.shape[1] > 3 and np.array_equal(table[:, 0], np.arange(len(table)) + table[0, 0]):
-        table, notes = table[:, 1:], unused_note(["column 1, which counts the rows"])
+        table, notes = table[:, 1:], (*notes, *unused_note(["column 1, which counts the rows"]))
     extra = table[:, 3:]
     begin = _colour_columns(extra, counted=counted)
     colors = None if begin is None else ply.color_bytes(_whole(extra[:, begin : begin + 3]))
